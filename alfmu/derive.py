@@ -1,0 +1,614 @@
+"""Mechanism -> Equations: every matrix, energy, output and reaction by symbolic differentiation.
+
+The inertia of a mechanism is a set of displacements X(q) with weights w (place of a centre of mass with the mass, angle
+with the inertia), so that
+
+    T = v' M v / 2,  M = X_q' w X_q,  d = X_q' w (d(X_q)/dt) v.
+
+Reactions are found in one way, whether a joint is closed by a coordinate or by constraints: each suppressed direction of
+a joint gets a virtual displacement eps that moves the second body away from the first, and the reaction is the
+generalised force that holds eps at zero,
+
+    r = X_eps' w a_X + V_eps - s_eps' F + Phi_eps' lambda   at eps = 0,
+
+with a_X the accelerations of X, V the potential, s the displacements along which efforts F act.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+
+from .equations import Equations, Row, Variable
+from .errors import DeclarationError
+from .mechanism import Body, Constraint, Joint, Marker, Mechanism, Point, Rigidity, Scalar, stack
+from .units import rate_of
+
+__all__ = ["derive"]
+
+
+@dataclass
+class Frame:
+    """Place of a body: the point with local coordinates `local` is at (x, y), the x axis points along (ex, ey)."""
+
+    x: ca.SX
+    y: ca.SX
+    local: tuple[Scalar, Scalar]
+    ex: ca.SX
+    ey: ca.SX
+    angle: ca.SX
+    wrapped: bool = False
+    """Whether the angle is known up to whole turns only."""
+
+    def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
+        """A vector of the body's frame in ground axes."""
+        return self.ex * x - self.ey * y, self.ey * x + self.ex * y
+
+    def place(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
+        """A point of the body's frame in ground axes."""
+        dx, dy = self.turn(x - self.local[0], y - self.local[1])
+        return self.x + dx, self.y + dy
+
+
+Displacement = dict[str, ca.SX]
+"""Virtual displacement of a joint: direction -> symbol."""
+
+
+class Kinematics:
+    """Places of all bodies and residuals of all closures as expressions in q, and in virtual displacements if given."""
+
+    def __init__(self, mechanism: Mechanism, held: dict[Joint, tuple[str, ...]], eps: dict[Joint, Displacement]):
+        self.mechanism = mechanism
+        self.eps = eps
+        self.held: dict[Body, list[Joint]] = {}
+        for joint in held:
+            self.held.setdefault(joint.second.body, []).append(joint)
+        self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
+        self.pending: list[Body] = []
+
+    def frame(self, body: Body) -> Frame:
+        if body in self.frames:
+            return self.frames[body]
+        name = self.mechanism.name
+        if body in self.pending:
+            loop = " -> ".join(b.name for b in [*self.pending, body])
+            raise DeclarationError(f"{name}: bodies place each other in a circle ({loop}); give one of them a pose")
+        self.pending.append(body)
+        if body.pose is not None:
+            frame = _absolute(*body.pose, body.center)
+        elif body.between is not None:
+            frame = self._between(body)
+        elif body.placed_by is not None:
+            frame = self._by_joint(body, body.placed_by)
+        else:
+            raise DeclarationError(
+                f"{name}: nothing places {body.name}; give it a pose, or give one of its joints a coordinate"
+            )
+        if body.between is None:
+            for joint in self.held.get(body, ()):
+                frame = self._displaced(frame, joint)
+        self.pending.pop()
+        self.frames[body] = frame
+        return frame
+
+    def place(self, at: Marker | Point) -> tuple[ca.SX, ca.SX]:
+        """A marker or point in ground axes."""
+        if isinstance(at, Point):
+            return ca.SX(at.x), ca.SX(at.y)
+        return self.frame(at.body).place(at.x, at.y)
+
+    def axes(self, joint: Joint) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Direction of a guide and its left normal."""
+        ux, uy = self.frame(joint.first.body).turn(*_cis(joint.axis))
+        return ux, uy, -uy, ux
+
+    def free(self, joint: Joint) -> ca.SX:
+        """The free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
+        if joint.kind == "revolute":
+            return self.frame(joint.second.body).angle - self.frame(joint.first.body).angle
+        (x1, y1), (x2, y2) = self.place(joint.first), self.place(joint.second)
+        ux, uy, _, _ = self.axes(joint)
+        return ux * (x2 - x1) + uy * (y2 - y1)
+
+    def distance(self, between: tuple[Marker, Marker]) -> ca.SX:
+        (x1, y1), (x2, y2) = (self.place(m) for m in between)
+        return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
+
+    def residual(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
+        """What a closure keeps at zero along one direction."""
+        if isinstance(closure, Constraint):
+            return closure.expression
+        if isinstance(closure, Rigidity):
+            (x1, y1), (x2, y2) = self._ends(closure.body)
+            return _stretch(x2 - x1, y2 - y1, closure.body.length)
+        (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
+        if direction == "x":
+            return x2 - x1
+        if direction == "y":
+            return y2 - y1
+        if direction == "length":
+            return _stretch(x2 - x1, y2 - y1, closure.length)
+        if direction == "normal":
+            _, _, nx, ny = self.axes(closure)
+            return nx * (x2 - x1) + ny * (y2 - y1) - closure.offset
+        first, second = self.frame(closure.first.body), self.frame(closure.second.body)
+        if not (first.wrapped or second.wrapped):
+            return second.angle - first.angle - closure.angle
+        ex, ey = first.turn(*_cis(closure.angle))
+        return ex * second.ey - ey * second.ex
+
+    def _ends(self, body: Body) -> list[tuple[ca.SX, ca.SX]]:
+        ends = []
+        for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
+            x, y = self.place(anchor)
+            for joint in self.held.get(body, ()):
+                if _same(joint.second.x, marker.x) and _same(joint.second.y, marker.y):
+                    e = self.eps.get(joint, {})
+                    x, y = x + e.get("x", 0), y + e.get("y", 0)
+            ends.append((x, y))
+        return ends
+
+    def _between(self, body: Body) -> Frame:
+        (x1, y1), (x2, y2) = self._ends(body)
+        ex, ey = (x2 - x1) / body.length, (y2 - y1) / body.length
+        return Frame(x1, y1, (0.0, 0.0), ex, ey, ca.atan2(ey, ex), wrapped=True)
+
+    def _by_joint(self, body: Body, joint: Joint) -> Frame:
+        e = self.eps.get(joint, {})
+        ex, ey, er = e.get("x", 0), e.get("y", 0), e.get("rotation", 0)
+        angle = joint.coordinate if joint.kind == "revolute" else joint.angle + er
+        along = joint.coordinate if joint.kind == "prismatic" else 0.0
+        across = joint.offset + e.get("normal", 0)
+        forward = body is joint.second.body
+        if forward:
+            other, marker = joint.first, joint.second
+            base = self.frame(other.body)
+            frame = _turned(base, angle, (marker.x, marker.y))
+            guide = base
+        else:
+            other, marker = joint.second, joint.first
+            frame = _turned(self.frame(other.body), -angle, (marker.x, marker.y))
+            guide = frame
+        x, y = self.place(other)
+        if joint.kind == "prismatic":
+            c, s = _cis(joint.axis)
+            dx, dy = guide.turn(c * along - s * across, s * along + c * across)
+        else:
+            dx, dy = ex, ey
+        sign = 1 if forward else -1
+        frame.x, frame.y = x + sign * dx, y + sign * dy
+        return frame
+
+    def _displaced(self, frame: Frame, joint: Joint) -> Frame:
+        """A body in absolute coordinates, displaced at a joint that its pose closes."""
+        e = self.eps.get(joint)
+        if not e:
+            return frame
+        x, y = frame.place(joint.second.x, joint.second.y)
+        moved = _turned(frame, e["rotation"], (joint.second.x, joint.second.y)) if "rotation" in e else frame
+        dx, dy = e.get("x", 0), e.get("y", 0)
+        if "normal" in e:
+            _, _, nx, ny = self.axes(joint)
+            dx, dy = dx + nx * e["normal"], dy + ny * e["normal"]
+        return Frame(x + dx, y + dy, (joint.second.x, joint.second.y), moved.ex, moved.ey, moved.angle, frame.wrapped)
+
+
+def derive(mechanism: Mechanism) -> Equations:
+    """All equations of a mechanism, with names, units and every joint reaction.
+
+    Raises DeclarationError where the declaration has no equations: a body that nothing places, a joint that no
+    coordinate can close, an expression with a foreign symbol.
+    """
+    m = mechanism
+    if not m.coordinates:
+        raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate")
+    q, v, a = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qva")
+    u, p = stack([i.symbol for i in m.inputs]), stack([x.symbol for x in m.parameters])
+    s, t = stack([x.symbol for x in m.starts]), m.time
+
+    held = _held(m, q)
+    plain = Kinematics(m, held, {})
+    rows, Phi = _closures(m, plain, held, {})
+    l = len(rows)  # noqa: E741 - the paper's letter
+    lam = ca.SX.sym("lam", l)
+
+    X, w = _inertia(m, plain)
+    Xq = ca.jacobian(X, q)
+    Xv = ca.jtimes(X, q, v)
+    bias = ca.jtimes(Xv, q, v)
+    M = Xq.T @ ca.diag(w) @ Xq
+    d = Xq.T @ (w * bias)
+    T = ca.dot(w * Xv, Xv) / 2
+    if m.kinetic:
+        extra = sum(m.kinetic, ca.SX(0))
+        momentum = ca.gradient(extra, v)
+        M += ca.jacobian(momentum, v)
+        d += ca.jtimes(momentum, q, v) - ca.gradient(extra, q)
+        T += extra
+
+    V = _potential(m, plain)
+    paths, efforts = _efforts(m, plain, q, v)
+    f_applied = ca.jacobian(paths, q).T @ efforts
+    for coordinate, expression in m.generalized:
+        f_applied += ca.jacobian(q, coordinate) * expression
+    f = f_applied - ca.gradient(V, q)
+
+    C = ca.jacobian(Phi, q)
+    xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
+
+    # Everything a user can read.
+    values: list[Scalar] = []
+    outputs: list[Variable] = []
+    wrapped: dict[str, int] = {}
+    body_values, body_outputs = _body_outputs(m, plain, q, v, a)
+    values += body_values
+    outputs += body_outputs
+    for body in m.bodies:
+        if plain.frame(body).wrapped:
+            wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
+    reactions, reaction_outputs = _reactions(m, held, X, w, bias, q, a, efforts, lam)
+    values += reactions
+    outputs += reaction_outputs
+    for i, row in enumerate(rows):
+        values.append(lam[i])
+        force = "N.m" if row.unit == "rad" else "N" if row.unit == "m" else "1"
+        outputs.append(Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}"))
+    values += [o.expression for o in m.outputs]
+    outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
+    y = stack(values)
+    instant = _depends_on_any(y, ca.vertcat(a, lam, u))
+    outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
+
+    guess = _guess(m)
+    sdot = ca.SX.sym("sdot", len(m.starts))
+    tied, ties = _ties(m)
+    passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if m.inputs else f_applied
+
+    expressions = {
+        "M": ([q, p], M),
+        "d": ([q, v, p], d),
+        "f": ([q, v, u, p, t], f),
+        "Phi": ([q, p], Phi),
+        "C": ([q, p], C),
+        "xi": ([q, v, p], xi),
+        "kinetic_energy": ([q, v, p], T),
+        "potential_energy": ([q, p], V),
+        "input_power": ([q, v, u, p, t], ca.dot(f_applied - passive, v)),
+        "other_power": ([q, v, p, t], ca.dot(passive, v)),
+        "readings": ([q, v, a, lam, u, p, t], y),
+        "guess": ([p, s], guess),
+        "guess_rate": ([p, s, sdot], ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape)),
+        "ties": ([q, p, s], ties),
+        "ties_matrix": ([q, p, s], ca.jacobian(ties, q)),
+    }
+    return Equations(
+        name=m.name,
+        description=m.description,
+        coordinates=[Variable(c.name, c.unit) for c in m.coordinates],
+        parameters=[Variable(x.name, x.unit, x.default, x.minimum, x.maximum, x.description) for x in m.parameters],
+        starts=[Variable(f"start.{x.name}", x.unit, x.value, description=x.description) for x in m.starts],
+        start_rates=[
+            Variable(f"start.{x.rate_name}", rate_of(x.unit), x.rate, description=f"rate of start.{x.name}")
+            for x in m.starts
+        ],
+        tied=tied,
+        inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
+        outputs=outputs,
+        rows=rows,
+        wrapped=wrapped,
+        works=not f_applied.is_zero(),
+        stop_time=m.experiment.stop_time,
+        step_size=m.experiment.step_size,
+        options=m.options,
+        functions={name: _function(m, name, *io) for name, io in expressions.items()},
+    )
+
+
+def _function(m: Mechanism, name: str, arguments: list[ca.SX], value: ca.SX) -> ca.Function:
+    try:
+        return ca.Function(name, arguments, [ca.densify(value) if value.is_column() else value], {"cse": True})
+    except RuntimeError as error:
+        if "free variables" not in str(error) and "are free" not in str(error):
+            raise
+        free = str(error).split("free")[-1].split("[")[-1].split("]")[0]
+        raise DeclarationError(
+            f"{m.name}: {name} uses {free}, which is no coordinate, rate, parameter or input of this mechanism"
+        ) from None
+
+
+def _held(m: Mechanism, q: ca.SX) -> dict[Joint, tuple[str, ...]]:
+    """Directions of closures that hold by the choice of coordinates, so need no constraint; joint -> directions.
+
+    Found by the residual being identically zero: two natural bars that share a point, a slider without an angle.
+    """
+    kinematics = Kinematics(m, {}, {})
+    held: dict[Joint, tuple[str, ...]] = {}
+    for closure in m.closures:
+        if not isinstance(closure, Joint):
+            continue
+        zero = []
+        for direction in closure.directions:
+            residual = ca.SX(kinematics.residual(closure, direction))
+            if residual.is_zero():
+                zero.append(direction)
+            elif not ca.depends_on(residual, q):
+                raise DeclarationError(
+                    f"{m.name}: joint {closure.name} leaves a gap of {residual} along {direction} that no coordinate "
+                    "can close; check its markers, offset and angle"
+                )
+        if zero:
+            held[closure] = tuple(zero)
+    _check_held(m, held)
+    return held
+
+
+def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
+    """Joints that one body's coordinates close must not disturb each other when displaced virtually."""
+    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in directions} for j, directions in held.items()}
+    by_body: dict[Body, list[Joint]] = {}
+    for joint in held:
+        by_body.setdefault(joint.second.body, []).append(joint)
+    for body, joints in by_body.items():
+        if body.between is not None:
+            for joint in joints:
+                ends = (body.start, body.end)
+                if not any(_same(joint.second.x, e.x) and _same(joint.second.y, e.y) for e in ends):
+                    raise DeclarationError(
+                        f"{m.name}: joint {joint.name} is closed by the points of {body.name} but is not at one of its "
+                        "ends; place the body between other points"
+                    )
+            continue
+        for joint in joints:
+            moved = Kinematics(m, {joint: held[joint]}, {joint: eps[joint]})
+            for other in joints:
+                if other is joint:
+                    continue
+                symbols = stack(list(eps[joint].values()))
+                for direction in held[other]:
+                    if ca.depends_on(ca.SX(moved.residual(other, direction)), symbols):
+                        slope = ca.jacobian(moved.residual(other, direction), symbols)
+                        if not ca.substitute(slope, symbols, ca.SX.zeros(symbols.shape)).is_zero():
+                            raise DeclarationError(
+                                f"{m.name}: the coordinates of {body.name} close both {joint.name} and {other.name}, and "
+                                "their reactions cannot be told apart; put both joints at one point of the body or give "
+                                "the body an angle coordinate"
+                            )
+
+
+def _closures(
+    m: Mechanism, kinematics: Kinematics, held: dict[Joint, tuple[str, ...]], eps: dict[Joint, Displacement]
+) -> tuple[list[Row], ca.SX]:
+    """Constraint rows in the order of declaration, each with the virtual displacement of its joint taken off.
+
+    A row reads point of the second body minus point of the first, the other way round where only the first body is torn
+    off (has absolute coordinates); this is the sign in which the paper writes the five-bar.
+    """
+    rows: list[Row] = []
+    Phi: list[ca.SX] = []
+    for closure in m.closures:
+        directions = closure.directions if isinstance(closure, Joint) else ("length",)
+        sign, displacement = 1, {}
+        if isinstance(closure, Joint):
+            displacement = eps.get(closure, {})
+            if closure.first.body.pose is not None and closure.second.body.pose is None:
+                sign = -1 if closure.first.body is not m.ground else 1
+        for direction in directions:
+            if isinstance(closure, Joint) and direction in held.get(closure, ()):
+                continue
+            unit = closure.unit if isinstance(closure, Constraint) else "rad" if direction == "rotation" else "m"
+            rows.append(Row(closure.name, "" if isinstance(closure, Constraint) else direction, unit))
+            residual = kinematics.residual(closure, direction)
+            Phi.append(sign * (residual - displacement.get(direction, 0)))
+    return rows, stack(Phi)
+
+
+def _inertia(m: Mechanism, kinematics: Kinematics) -> tuple[ca.SX, ca.SX]:
+    """Displacements X and their weights w: places of centres of mass, angles (or directions, in natural coordinates)."""
+    X: list[Scalar] = []
+    w: list[Scalar] = []
+    for body in m.bodies:
+        frame = kinematics.frame(body)
+        if not ca.SX(body.mass).is_zero():
+            X += frame.place(*body.center)
+            w += [body.mass, body.mass]
+        if not ca.SX(body.inertia).is_zero():
+            # (ex, ey) is linear in natural coordinates, so that the mass matrix is constant.
+            X += [frame.ex, frame.ey] if frame.wrapped else [frame.angle]
+            w += [body.inertia, body.inertia] if frame.wrapped else [body.inertia]
+    return stack(X), stack(w)
+
+
+def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
+    """Potential energy of gravity, springs and the user's own terms."""
+    gx, gy = m.gravity_vector
+    V = sum(m.potential, ca.SX(0))
+    for body in m.bodies:
+        x, y = kinematics.frame(body).place(*body.center)
+        V -= body.mass * (gx * x + gy * y)
+    for spring in m.springs:
+        V += spring.stiffness * (_elongation(kinematics, spring.between) - spring.rest) ** 2 / 2
+    return V
+
+
+def _elongation(kinematics: Kinematics, between: Joint | tuple[Marker, Marker]) -> ca.SX:
+    return kinematics.free(between) if isinstance(between, Joint) else kinematics.distance(between)
+
+
+def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
+    """Displacements along which the efforts of drives, loads and dampers act, in that order."""
+    paths: list[Scalar] = [kinematics.free(drive.joint) for drive in m.drives]
+    for load in m.loads:
+        paths += [*kinematics.place(load.at), kinematics.frame(load.at.body).angle]
+    paths += [_elongation(kinematics, s.between) for s in m.springs if not ca.SX(s.damping).is_zero()]
+    return paths
+
+
+def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """The paths of the efforts and the efforts themselves."""
+    paths = stack(_paths(m, kinematics))
+    efforts: list[Scalar] = [drive.effort for drive in m.drives]
+    for load in m.loads:
+        efforts += [*load.force, load.torque]
+    rates = ca.jtimes(paths, q, v) if paths.numel() else paths
+    dampers = [s for s in m.springs if not ca.SX(s.damping).is_zero()]
+    efforts += [-s.damping * rates[len(efforts) + i] for i, s in enumerate(dampers)]
+    return paths, stack(efforts)
+
+
+_REACTIONS = {
+    "x": ("force.x", "N", "force along x on {second} from {first}"),
+    "y": ("force.y", "N", "force along y on {second} from {first}"),
+    "rotation": ("moment", "N.m", "moment on {second} from {first}, about the joint's point on {second}"),
+    "normal": ("force", "N", "force on {second} from {first}, along the left normal of the guide"),
+    "length": ("force", "N", "force on {second} from {first}, positive when the joint pushes"),
+}
+
+
+def _reactions(
+    m: Mechanism,
+    held: dict[Joint, tuple[str, ...]],
+    X: ca.SX,
+    w: ca.SX,
+    bias: ca.SX,
+    q: ca.SX,
+    a: ca.SX,
+    efforts: ca.SX,
+    lam: ca.SX,
+) -> tuple[list[ca.SX], list[Variable]]:
+    """Reaction of every joint along every direction it suppresses, on the second body from the first."""
+    if not m.joints:
+        return [], []
+    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in j.directions} for j in m.joints}
+    # A direction that a constraint closes is displaced in the constraint, any other one in the kinematics.
+    in_frames = {
+        j: {k: e for k, e in eps[j].items() if j.coordinate is not None or k in held.get(j, ())} for j in m.joints
+    }
+    moved = Kinematics(m, held, in_frames)
+    Xe, _ = _inertia(m, moved)
+    _, Phie = _closures(m, moved, held, eps)
+    aX = ca.jtimes(X, q, a) + bias
+    work = (
+        ca.dot(Xe, w * aX)
+        + _potential(m, moved)
+        - ca.dot(stack(_paths(m, moved)), efforts)
+        + (ca.dot(Phie, lam) if lam.numel() else 0)
+    )
+    symbols = stack([e for j in m.joints for e in eps[j].values()])
+    r = ca.substitute(ca.gradient(work, symbols), symbols, ca.SX.zeros(symbols.shape))
+    outputs = []
+    for joint in m.joints:
+        for direction in joint.directions:
+            suffix, unit, text = _REACTIONS[direction]
+            text = text.format(first=joint.first.body.name, second=joint.second.body.name)
+            outputs.append(Variable(f"{joint.name}.{suffix}", unit, description=text))
+    return ca.vertsplit(r), outputs
+
+
+def _body_outputs(
+    m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX, a: ca.SX
+) -> tuple[list[ca.SX], list[Variable]]:
+    """Place, velocity and acceleration of every centre of mass and angle, and of every slider along its guide."""
+    names: list[tuple[str, str, str, str, str]] = []
+    places: list[Scalar] = []
+    for body in m.bodies:
+        frame = kinematics.frame(body)
+        places += [*frame.place(*body.center), frame.angle]
+        b = body.name
+        names += [
+            (f"{b}.x", f"{b}.vx", f"{b}.ax", "m", f"{{}} of the centre of mass of {b} along x"),
+            (f"{b}.y", f"{b}.vy", f"{b}.ay", "m", f"{{}} of the centre of mass of {b} along y"),
+            (f"{b}.angle", f"{b}.angular_velocity", f"{b}.angular_acceleration", "rad", f"angular {{}} of {b}"),
+        ]
+    sliders = [j for j in m.joints if j.kind == "prismatic"]
+    for joint in sliders:
+        b = joint.second.body.name
+        if sum(j.second.body is joint.second.body for j in sliders) == 1:
+            places.append(kinematics.free(joint))
+            along = f"{{}} of {b} along {joint.name}"
+            names.append((f"{b}.position", f"{b}.velocity", f"{b}.acceleration", "m", along))
+    X = stack(places)
+    Xv = ca.jtimes(X, q, v)
+    Xa = ca.jtimes(Xv, q, v) + ca.jtimes(X, q, a)
+    values, outputs = [], []
+    for i, (x, xv, xa, unit, text) in enumerate(names):
+        values += [X[i], Xv[i], Xa[i]]
+        rate, second = rate_of(unit), rate_of(rate_of(unit))
+        word = "position" if unit == "m" else "place"
+        for name, name_unit, what in ((x, unit, word), (xv, rate, "velocity"), (xa, second, "acceleration")):
+            outputs.append(Variable(name, name_unit, description=text.format(what).replace("angular place", "angle")))
+    return values, outputs
+
+
+def _guess(m: Mechanism) -> ca.SX:
+    """Guesses of the coordinates in parameters and start values alone."""
+    resolved: list[ca.SX] = []
+    for i, c in enumerate(m.coordinates):
+        guess = ca.SX(c.guess)
+        before = m.coordinates[:i]
+        if before and not guess.is_constant():
+            guess = ca.substitute(guess, stack([b.q for b in before]), stack(resolved))
+        resolved.append(guess)
+    return stack(resolved)
+
+
+def _ties(m: Mechanism) -> tuple[list[int], ca.SX]:
+    """Which start quantity each tie uses, and the ties; an angle that is computed counts up to whole turns."""
+    tied, residuals = [], []
+    symbols = [x.symbol for x in m.starts]
+    for symbol, expression in m.ties:
+        i = next(k for k, x in enumerate(symbols) if ca.is_equal(x, symbol))
+        difference = expression - symbol
+        if m.starts[i].unit == "rad" and not expression.is_symbolic():
+            difference = ca.atan2(ca.sin(difference), ca.cos(difference))
+        tied.append(i)
+        residuals.append(difference)
+    return tied, stack(residuals)
+
+
+def _tied_start(m: Mechanism, angle: ca.SX) -> int:
+    """The start quantity near which a computed angle begins, -1 where there is none."""
+    for symbol, expression in m.ties:
+        if (expression - angle).is_zero() or ca.is_equal(expression, angle, 12):
+            return next(k for k, x in enumerate(m.starts) if ca.is_equal(x.symbol, symbol))
+    return -1
+
+
+def _depends_on_any(y: ca.SX, x: ca.SX) -> list[bool]:
+    """Which entries of y depend on any entry of x."""
+    touched = set(ca.jacobian_sparsity(y, x).row())
+    return [i in touched for i in range(y.numel())]
+
+
+def _absolute(x: Scalar, y: Scalar, angle: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
+    c, s = _cis(angle)
+    return Frame(ca.SX(x), ca.SX(y), local, ca.SX(c), ca.SX(s), ca.SX(angle))
+
+
+def _turned(base: Frame, by: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
+    """A frame turned by an angle against another one; its place is set by whoever asks."""
+    by = ca.SX(by)
+    angle = base.angle + by
+    if base.wrapped:
+        return Frame(ca.SX(0), ca.SX(0), local, *base.turn(*_cis(by)), angle, wrapped=True)
+    return Frame(ca.SX(0), ca.SX(0), local, *_cis(angle), angle)
+
+
+def _stretch(dx: ca.SX, dy: ca.SX, length: Scalar) -> ca.SX:
+    """Zero at the given length, polynomial, and with a multiplier that is the force along the line."""
+    return (dx**2 + dy**2 - length**2) / (2 * length)
+
+
+def _same(a: Scalar, b: Scalar) -> bool:
+    return (ca.SX(a) - ca.SX(b)).is_zero()
+
+
+def _cis(angle: Scalar) -> tuple[ca.SX, ca.SX]:
+    """Cosine and sine, exact at the right angles that guides usually have."""
+    angle = ca.SX(angle)
+    if angle.is_constant():
+        quarters = float(angle) / (math.pi / 2)
+        if quarters == round(quarters):
+            return tuple(ca.SX((1, 0, -1, 0)[(round(quarters) - k) % 4]) for k in (0, 1))
+    return ca.cos(angle), ca.sin(angle)

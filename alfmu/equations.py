@@ -1,0 +1,132 @@
+"""The equations of a mechanism as numbers need them: functions, names, units. No symbols, no declaration.
+
+`alfmu.derive` makes them, a scene file carries them, `alfmu.runtime` evaluates them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import casadi as ca
+
+__all__ = ["Equations", "Row", "Variable"]
+
+FORMAT = 1
+"""Version of the scene file; raised whenever its content changes meaning."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A named quantity with unit, start value, inclusive bounds and description."""
+
+    name: str
+    unit: str
+    start: float = 0.0
+    minimum: float | None = None
+    maximum: float | None = None
+    description: str = ""
+    instant: bool = False
+    """Whether an output follows the inputs without delay (accelerations and reactions do)."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One constraint: the joint (or body, or constraint) that it closes, its direction and unit."""
+
+    name: str
+    direction: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Everything that `alfmu.derive` found out about a mechanism with n coordinates and l constraints.
+
+    `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs), p (parameters), s (start values),
+    t (s); the name of each is the paper's letter or the quantity:
+
+    ==============================  =============================================  ==================================
+    M(q, p)                         mass matrix (n, n)                             kinetic energy v'Mv/2
+    d(q, v, p)                      velocity terms (n,)                            (4)
+    f(q, v, u, p, t)                applied forces (n,)                            (4)
+    Phi(q, p)                       constraints (l,)                               (1)
+    C(q, p)                         constraint matrix (l, n)                       (2)
+    xi(q, v, p)                     constraint-induced accelerations (l,)          (3)
+    kinetic_energy(q, v, p)         J
+    potential_energy(q, p)          J
+    input_power(q, v, u, p, t)      power of the inputs, W
+    other_power(q, v, p, t)         power of dampers and loads, W
+    readings(q, v, a, lam, u, p, t) everything a user can read, in the order of `outputs`
+    guess(p, s)                     start of the position assembly (n,)
+    guess_rate(p, s, sdot)          its time derivative (n,)
+    ties(q, p, s)                   independent quantities minus their start values
+    ties_matrix(q, p, s)            its derivative with respect to q
+    ==============================  =============================================  ==================================
+    """
+
+    name: str
+    description: str
+    coordinates: list[Variable]
+    parameters: list[Variable]
+    starts: list[Variable]
+    start_rates: list[Variable]
+    tied: list[int]
+    inputs: list[Variable]
+    outputs: list[Variable]
+    rows: list[Row]
+    wrapped: dict[str, int]
+    """Outputs that are angles known up to whole turns only, and the start value they begin near (-1: none)."""
+    works: bool
+    """Whether inputs, dampers or loads do work; otherwise energy is conserved."""
+    stop_time: float
+    step_size: float
+    options: dict[str, Any] = field(default_factory=dict)
+    functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.coordinates)
+
+    @property
+    def l(self) -> int:  # noqa: E743 - the paper's letter
+        """Number of constraints."""
+        return len(self.rows)
+
+    def __getattr__(self, name: str) -> ca.Function:
+        functions = self.__dict__.get("functions", {})
+        if name in functions:
+            return functions[name]
+        raise AttributeError(name)
+
+    def to_json(self) -> str:
+        """The scene file: plain JSON with serialised functions, the same bytes for the same equations."""
+        data = {k: v for k, v in asdict_shallow(self).items() if k != "functions"}
+        data["format"] = FORMAT
+        data["functions"] = {k: f.serialize() for k, f in self.functions.items()}
+        return json.dumps(data, indent=1, sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> Equations:
+        """The equations that `to_json` wrote."""
+        data = json.loads(text)
+        if (found := data.pop("format", None)) != FORMAT:
+            raise ValueError(f"scene file of format {found}, this alfmu reads {FORMAT}; export it again")
+        for key in ("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs"):
+            data[key] = [Variable(**v) for v in data[key]]
+        data["rows"] = [Row(**r) for r in data["rows"]]
+        data["functions"] = {k: ca.Function.deserialize(f) for k, f in data["functions"].items()}
+        return cls(**data)
+
+
+def asdict_shallow(equations: Equations) -> dict[str, Any]:
+    """Fields as plain data, functions left alone (they cannot be copied)."""
+    plain = {}
+    for key in Equations.__dataclass_fields__:
+        value = getattr(equations, key)
+        if isinstance(value, list):
+            value = [asdict(v) if hasattr(v, "__dataclass_fields__") else v for v in value]
+        plain[key] = value
+    return plain

@@ -1,0 +1,27 @@
+"""Errors that say which mechanism, what was measured, the limit, and what to do."""
+
+__all__ = ["AlfmuError", "AssemblyError", "DeclarationError", "ExportError", "InputError", "StepError"]
+
+
+class AlfmuError(Exception):
+    """Base of every error that alfmu raises on purpose; its text is meant for the user."""
+
+
+class DeclarationError(AlfmuError):
+    """A mechanism is declared in a way that has no equations (unplaced body, name used twice, ...)."""
+
+
+class AssemblyError(AlfmuError):
+    """The loops of a mechanism cannot be closed, or its start values contradict each other."""
+
+
+class InputError(AlfmuError):
+    """A name is unknown, or a value is not finite or out of its bounds."""
+
+
+class StepError(AlfmuError):
+    """A step cannot be taken; the state before it is kept."""
+
+
+class ExportError(AlfmuError):
+    """An FMU cannot be built or is not what was expected."""

@@ -1,0 +1,569 @@
+"""The declaration of a mechanism: frames, bodies, joints, forces, inputs, outputs, parameters.
+
+A declaration holds *what there is*; `alfmu.derive` turns it into equations. Nothing here is differentiated or stepped.
+Every number may be a float or an expression in parameters; poses, forces and outputs may use coordinates too.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import casadi as ca
+
+from .errors import DeclarationError
+from .units import rate_of, unit
+
+__all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
+
+Scalar = float | ca.SX
+"""A number or an expression."""
+
+_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*\Z")
+_RESERVED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
+
+DIRECTIONS: dict[str, tuple[str, ...]] = {
+    "revolute": ("x", "y"),
+    "prismatic": ("normal", "rotation"),
+    "weld": ("x", "y", "rotation"),
+    "point_on_line": ("normal",),
+    "distance": ("length",),
+}
+"""The relative displacements that each kind of joint suppresses, in the order of its constraint rows."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A constant that a user may change before the start."""
+
+    name: str
+    symbol: ca.SX
+    default: float
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    description: str
+
+
+@dataclass(frozen=True)
+class Start:
+    """A quantity whose value and rate the user gives at the start; `tied` is the expression that must equal it."""
+
+    name: str
+    symbol: ca.SX
+    value: float
+    unit: str
+    rate_name: str
+    rate: float
+    description: str
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """A dependent coordinate with its symbols for q, v, a and its guess at the start."""
+
+    name: str
+    q: ca.SX
+    v: ca.SX
+    a: ca.SX
+    unit: str
+    guess: Scalar
+
+
+@dataclass(frozen=True)
+class Input:
+    """A quantity that the environment sets at any time."""
+
+    name: str
+    symbol: ca.SX
+    unit: str
+    start: float
+    description: str
+
+
+@dataclass(frozen=True)
+class Output:
+    """An expression that a user asked for by name."""
+
+    name: str
+    expression: ca.SX
+    unit: str
+    description: str
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point in ground axes given by expressions in the coordinates (natural coordinates)."""
+
+    x: Scalar
+    y: Scalar
+
+
+@dataclass(frozen=True, eq=False)
+class Marker:
+    """A point fixed on a body, by its place in the body's frame."""
+
+    body: Body
+    x: Scalar
+    y: Scalar
+
+
+@dataclass(eq=False)
+class Body:
+    """A rigid planar body; its frame's origin is wherever the user measures from."""
+
+    name: str
+    mass: Scalar
+    inertia: Scalar
+    center: tuple[Scalar, Scalar]
+    length: Scalar | None = None
+    pose: tuple[Scalar, Scalar, Scalar] | None = None
+    between: tuple[Point | Marker, Point | Marker] | None = None
+    placed_by: Joint | None = None
+
+    def at(self, x: Scalar = 0.0, y: Scalar = 0.0) -> Marker:
+        """The point (x, y) [m] of the body's frame."""
+        return Marker(self, x, y)
+
+    @property
+    def start(self) -> Marker:
+        """The origin of a bar: its first end."""
+        return self.at(0.0, 0.0)
+
+    @property
+    def end(self) -> Marker:
+        """The far end of a bar."""
+        if self.length is None:
+            raise DeclarationError(f"{self.name} has no length, so no end; use at(x, y)")
+        return self.at(self.length, 0.0)
+
+    @property
+    def is_placed(self) -> bool:
+        return self.pose is not None or self.between is not None or self.placed_by is not None
+
+
+@dataclass(eq=False)
+class Joint:
+    """A joint between two bodies: closed by a coordinate where one is given, otherwise by constraints."""
+
+    name: str
+    kind: str
+    first: Marker
+    second: Marker
+    coordinate: Scalar | None = None
+    axis: Scalar = 0.0
+    offset: Scalar = 0.0
+    angle: Scalar = 0.0
+    length: Scalar = 0.0
+
+    @property
+    def directions(self) -> tuple[str, ...]:
+        """The relative displacements that the joint suppresses."""
+        return DIRECTIONS[self.kind]
+
+
+@dataclass(frozen=True)
+class Rigidity:
+    """The constant distance between the two points that carry a body in natural coordinates."""
+
+    body: Body
+
+    @property
+    def name(self) -> str:
+        return f"{self.body.name}.length"
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A constraint written out by the user."""
+
+    name: str
+    expression: ca.SX
+    unit: str
+
+
+@dataclass(frozen=True)
+class Spring:
+    """A linear spring-damper along a displacement: of a joint, or the distance of two markers."""
+
+    between: Joint | tuple[Marker, Marker]
+    stiffness: Scalar
+    damping: Scalar
+    rest: Scalar
+
+
+@dataclass(frozen=True)
+class Drive:
+    """An effort along a joint's free direction, on the second body from the first."""
+
+    joint: Joint
+    effort: Scalar
+
+
+@dataclass(frozen=True)
+class Load:
+    """A force in ground axes at a marker, or a torque on a body."""
+
+    at: Marker
+    force: tuple[Scalar, Scalar]
+    torque: Scalar
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What a run of the mechanism looks like when nobody says otherwise."""
+
+    stop_time: float = 10.0
+    step_size: float = 0.02
+
+
+@dataclass
+class Mechanism:
+    """A planar mechanism, with a general level for everything else.
+
+    Declare parameters and coordinates, then bodies, then joints and forces::
+
+        m = Mechanism("pendulum", description="A bar on a hinge")
+        l = m.parameter("l", 1.0, "m", minimum=1e-6)
+        g = m.parameter("g", 9.81, "m/s2")
+        th = m.coordinate("th", "rad", start=0.5, independent=True)
+        rod = m.bar("rod", mass=1.0, length=l)
+        m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=th)
+        m.gravity(0, -g)
+
+    `sketch` is shown wherever the mechanism is explained; the README beside a mechanism's file is its documentation.
+    """
+
+    name: str
+    description: str = ""
+    sketch: str = ""
+    experiment: Experiment = field(default_factory=Experiment)
+    parameters: list[Parameter] = field(default_factory=list, init=False)
+    starts: list[Start] = field(default_factory=list, init=False)
+    ties: list[tuple[ca.SX, ca.SX]] = field(default_factory=list, init=False)
+    coordinates: list[Coordinate] = field(default_factory=list, init=False)
+    inputs: list[Input] = field(default_factory=list, init=False)
+    outputs: list[Output] = field(default_factory=list, init=False)
+    bodies: list[Body] = field(default_factory=list, init=False)
+    joints: list[Joint] = field(default_factory=list, init=False)
+    closures: list[Joint | Rigidity | Constraint] = field(default_factory=list, init=False)
+    springs: list[Spring] = field(default_factory=list, init=False)
+    drives: list[Drive] = field(default_factory=list, init=False)
+    loads: list[Load] = field(default_factory=list, init=False)
+    kinetic: list[ca.SX] = field(default_factory=list, init=False)
+    potential: list[ca.SX] = field(default_factory=list, init=False)
+    generalized: list[tuple[ca.SX, Scalar]] = field(default_factory=list, init=False)
+    gravity_vector: tuple[Scalar, Scalar] = field(default=(0.0, 0.0), init=False)
+    documentation: str = field(default="", init=False)
+    options: dict[str, Any] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z_]\w*", self.name):
+            raise DeclarationError(f"{self.name!r} cannot name a mechanism; use letters, digits and underscores")
+        self.ground = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
+        self.time = ca.SX.sym("time")
+        self._names: dict[str, str] = {}
+
+    # Quantities -------------------------------------------------------------------------------------------------
+
+    def parameter(
+        self,
+        name: str,
+        default: float,
+        unit: str = "1",
+        *,
+        minimum: float | None = None,
+        maximum: float | None = None,
+        description: str = "",
+    ) -> ca.SX:
+        """A constant with a default, a unit and inclusive bounds; returns its symbol."""
+        symbol = self._claim(name, unit, "a parameter")
+        if minimum is not None and default < minimum or maximum is not None and default > maximum:
+            raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{minimum}, {maximum}]")
+        self.parameters.append(Parameter(name, symbol, float(default), unit, minimum, maximum, description))
+        return symbol
+
+    def start(
+        self,
+        name: str,
+        value: float = 0.0,
+        unit: str = "rad",
+        *,
+        rate: float = 0.0,
+        rate_name: str | None = None,
+        description: str = "",
+    ) -> ca.SX:
+        """A quantity given at the start, `start.<name>`, and its rate; returns the symbol of its value.
+
+        A coordinate whose `start` is this symbol is independent; `tie` binds the symbol to any other expression.
+        """
+        rate_name = rate_name or f"{name}_rate"
+        symbol = self._claim(f"start.{name}", unit, "a start value")
+        self._claim(f"start.{rate_name}", rate_of(unit), "a start value")
+        self.starts.append(Start(name, symbol, float(value), unit, rate_name, float(rate), description))
+        return symbol
+
+    def tie(self, start: ca.SX, expression: ca.SX) -> None:
+        """Require `expression` (of the coordinates) to equal a start quantity when the run begins."""
+        if not any(ca.is_equal(start, s.symbol) for s in self.starts):
+            raise DeclarationError(f"{self.name}: tie() takes a symbol that start() returned")
+        self.ties.append((start, expression))
+
+    def coordinate(
+        self,
+        name: str,
+        unit: str = "rad",
+        *,
+        start: Scalar = 0.0,
+        rate: float = 0.0,
+        independent: bool = False,
+        description: str = "",
+    ) -> ca.SX:
+        """A dependent coordinate (entry of q); returns its symbol.
+
+        `start` is the guess from which the assembly is solved: a number, or an expression in parameters, start
+        quantities and coordinates declared before; its time derivative is the guess of the velocity. A coordinate with
+        `independent=True`, or whose `start` is a start quantity, keeps the value the user gives.
+        """
+        symbol = self._claim(name, unit, "a coordinate")
+        if independent:
+            if isinstance(start, ca.SX) and not start.is_constant():
+                raise DeclarationError(f"{self.name}: the start of the independent coordinate {name} is a number")
+            start = self.start(name, float(start), unit, rate=rate, description=description)
+        elif rate:
+            raise DeclarationError(f"{self.name}: only an independent coordinate has a start rate; {name} is not")
+        c = Coordinate(name, symbol, ca.SX.sym(f"{name}_v"), ca.SX.sym(f"{name}_a"), unit, start)
+        self.coordinates.append(c)
+        if isinstance(start, ca.SX) and any(ca.is_equal(start, s.symbol) for s in self.starts):
+            self.tie(start, symbol)
+        return symbol
+
+    def rate(self, coordinate: ca.SX) -> ca.SX:
+        """The velocity symbol of a coordinate, for kinetic energies and forces at the general level."""
+        return self._coordinate(coordinate).v
+
+    def acceleration(self, coordinate: ca.SX) -> ca.SX:
+        """The acceleration symbol of a coordinate, for outputs."""
+        return self._coordinate(coordinate).a
+
+    def input(self, name: str, unit: str, *, start: float = 0.0, description: str = "") -> ca.SX:
+        """A quantity set from outside at any time; returns its symbol."""
+        symbol = self._claim(name, unit, "an input")
+        self.inputs.append(Input(name, symbol, unit, float(start), description))
+        return symbol
+
+    def output(self, name: str, expression: Scalar, unit: str = "1", description: str = "") -> None:
+        """A result of the user's own: any expression in coordinates, rates, accelerations, inputs and time."""
+        self._claim(name, unit, "an output")
+        self.outputs.append(Output(name, ca.SX(expression), unit, description))
+
+    # Bodies -----------------------------------------------------------------------------------------------------
+
+    def body(
+        self,
+        name: str,
+        *,
+        mass: Scalar,
+        inertia: Scalar = 0.0,
+        center: tuple[Scalar, Scalar] = (0.0, 0.0),
+        pose: tuple[Scalar, Scalar, Scalar] | None = None,
+    ) -> Body:
+        """A rigid body: mass [kg], inertia about its centre of mass [kg.m2], centre of mass in its frame [m].
+
+        `pose` gives the place of the *centre of mass* and the angle of the frame (absolute coordinates). A body without
+        one is placed by a joint with a coordinate, or by a weld.
+        """
+        return self._add(Body(name, mass, inertia, center, pose=pose))
+
+    def bar(
+        self,
+        name: str,
+        *,
+        mass: Scalar,
+        length: Scalar,
+        pose: tuple[Scalar, Scalar, Scalar] | None = None,
+        between: tuple[Point | Marker, Point | Marker] | None = None,
+    ) -> Body:
+        """A thin uniform bar along the x axis of its frame, from `start` to `end`.
+
+        `between` places it on two points (natural coordinates): its mass matrix is then constant, and one constraint
+        keeps the points at their distance.
+        """
+        if pose is not None and between is not None:
+            raise DeclarationError(f"{self.name}: {name} has a pose and two points; give one of them")
+        body = Body(name, mass, mass * length**2 / 12, (length / 2, 0.0), length, pose, between)
+        self._add(body)
+        if between is not None:
+            self.closures.append(Rigidity(body))
+        return body
+
+    def point(self, x: Scalar, y: Scalar) -> Point:
+        """A point in ground axes [m], usually a pair of coordinates."""
+        return Point(x, y)
+
+    def gravity(self, x: Scalar, y: Scalar) -> None:
+        """The acceleration of gravity [m/s2] in ground axes."""
+        self.gravity_vector = (x, y)
+
+    # Joints -----------------------------------------------------------------------------------------------------
+
+    def revolute(self, name: str, first: Marker, second: Marker, *, coordinate: Scalar | None = None) -> Joint:
+        """A hinge: the two markers coincide. `coordinate` is the angle [rad] of the second body from the first."""
+        return self._join(Joint(name, "revolute", first, second, coordinate))
+
+    def prismatic(
+        self,
+        name: str,
+        first: Marker,
+        second: Marker,
+        *,
+        axis: Scalar = 0.0,
+        offset: Scalar = 0.0,
+        angle: Scalar = 0.0,
+        coordinate: Scalar | None = None,
+    ) -> Joint:
+        """A slider in a guide: the second marker on a line through the first, the second body at a constant angle.
+
+        The guide has the direction `axis` [rad] in the first body's frame and lies `offset` [m] to its left; the second
+        body's frame stands at `angle` [rad] from the first's. `coordinate` is the place [m] along the guide.
+        """
+        return self._join(Joint(name, "prismatic", first, second, coordinate, axis, offset, angle))
+
+    def weld(self, name: str, first: Marker, second: Marker, *, angle: Scalar = 0.0) -> Joint:
+        """A rigid connection: markers coincide, the second body at `angle` [rad] from the first.
+
+        Where nothing else places the second body, the weld does; otherwise it is closed by constraints.
+        """
+        joint = Joint(name, "weld", first, second, angle=angle)
+        if not second.body.is_placed:
+            joint.coordinate = 0.0
+        return self._join(joint)
+
+    def point_on_line(
+        self, name: str, first: Marker, second: Marker, *, axis: Scalar = 0.0, offset: Scalar = 0.0
+    ) -> Joint:
+        """A pin in a slot: the second marker on a line through the first, free to turn."""
+        return self._join(Joint(name, "point_on_line", first, second, None, axis, offset))
+
+    def distance(self, name: str, first: Marker, second: Marker, *, length: Scalar) -> Joint:
+        """A massless rod: the markers stay `length` [m] apart."""
+        return self._join(Joint(name, "distance", first, second, length=length))
+
+    # Forces -----------------------------------------------------------------------------------------------------
+
+    def drive(self, joint: Joint, effort: Scalar) -> None:
+        """A torque [N.m] (revolute) or force [N] (prismatic) on the second body from the first, along the free motion."""
+        self._free(joint)
+        self.drives.append(Drive(joint, effort))
+
+    def force(self, at: Marker, x: Scalar = 0.0, y: Scalar = 0.0) -> None:
+        """A force [N] in ground axes at a point of a body: an input, a constant, or any expression."""
+        self.loads.append(Load(at, (x, y), 0.0))
+
+    def torque(self, body: Body, torque: Scalar) -> None:
+        """A torque [N.m] on a body from the ground."""
+        self.loads.append(Load(body.start, (0.0, 0.0), torque))
+
+    def spring_damper(
+        self,
+        between: Joint | tuple[Marker, Marker],
+        *,
+        stiffness: Scalar = 0.0,
+        damping: Scalar = 0.0,
+        rest: Scalar = 0.0,
+    ) -> None:
+        """A linear spring-damper: torsional on a revolute joint, along the guide on a prismatic one, or between points.
+
+        stiffness [N.m/rad or N/m], damping [N.m.s/rad or N.s/m], rest angle or length [rad or m].
+        """
+        if isinstance(between, Joint):
+            self._free(between)
+        self.springs.append(Spring(between, stiffness, damping, rest))
+
+    def friction(self, joint: Joint, coefficient: Scalar) -> None:
+        """Viscous friction in a joint [N.m.s/rad or N.s/m]."""
+        self.spring_damper(joint, damping=coefficient)
+
+    # General level ----------------------------------------------------------------------------------------------
+
+    def kinetic_energy(self, expression: ca.SX) -> None:
+        """Kinetic energy [J] in coordinates and their rates, in addition to that of the bodies."""
+        self.kinetic.append(expression)
+
+    def potential_energy(self, expression: ca.SX) -> None:
+        """Potential energy [J] in coordinates, in addition to that of the bodies and springs."""
+        self.potential.append(expression)
+
+    def generalized_force(self, coordinate: ca.SX, expression: Scalar) -> None:
+        """A generalised force along a coordinate: any expression in coordinates, rates, inputs and time."""
+        self.generalized.append((self._coordinate(coordinate).q, expression))
+
+    def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
+        """A holonomic constraint Phi(q) = 0 in m or rad, after the joints declared so far."""
+        self._claim(name, unit, "a constraint")
+        self.closures.append(Constraint(name, ca.SX(expression), unit))
+
+    # ------------------------------------------------------------------------------------------------------------
+
+    def _claim(self, name: str, unit_name: str, what: str) -> ca.SX:
+        unit(unit_name)
+        if not _NAME.match(name):
+            raise DeclarationError(f"{self.name}: {name!r} cannot be {what}; use words joined by dots")
+        if name.split(".")[0] in _RESERVED and what != "a start value":
+            raise DeclarationError(f"{self.name}: {name!r} is a name that alfmu uses itself")
+        if name in self._names:
+            raise DeclarationError(f"{self.name}: {name!r} is {self._names[name]} already")
+        self._names[name] = what
+        return ca.SX.sym(name)
+
+    def _coordinate(self, symbol: ca.SX) -> Coordinate:
+        for c in self.coordinates:
+            if ca.is_equal(c.q, symbol):
+                return c
+        raise DeclarationError(f"{self.name}: {symbol} is not a coordinate of this mechanism")
+
+    def _add(self, body: Body) -> Body:
+        self._claim(body.name, "1", "a body")
+        self.bodies.append(body)
+        return body
+
+    def _join(self, joint: Joint) -> Joint:
+        self._claim(joint.name, "1", "a joint")
+        self._own((joint.first, joint.second), joint.name)
+        first, second = joint.first.body, joint.second.body
+        if first is second:
+            raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
+        if second is self.ground:
+            raise DeclarationError(f"{self.name}: joint {joint.name} ends on the ground; name the ground first")
+        if joint.coordinate is not None:
+            # The joint places whichever body has no place yet, the second one if it can.
+            target = second if not second.is_placed else first
+            if target.is_placed:
+                raise DeclarationError(
+                    f"{self.name}: joint {joint.name} has a coordinate, but {first.name} and {second.name} are placed "
+                    "already; leave the coordinate out to close the joint by constraints"
+                )
+            target.placed_by = joint
+        else:
+            self.closures.append(joint)
+        self.joints.append(joint)
+        return joint
+
+    def _own(self, markers: Iterable[Marker], user: str) -> None:
+        for marker in markers:
+            if marker.body is not self.ground and all(marker.body is not b for b in self.bodies):
+                raise DeclarationError(f"{self.name}: {user} uses {marker.body.name}, a body of another mechanism")
+
+    def _free(self, joint: Joint) -> None:
+        if joint.kind not in ("revolute", "prismatic"):
+            raise DeclarationError(
+                f"{self.name}: {joint.name} is a {joint.kind}, which has no single free motion; "
+                "use force() or torque() on its bodies"
+            )
+
+
+def stack(expressions: Sequence[Scalar]) -> ca.SX:
+    """A column of expressions, empty ones included."""
+    return ca.vertcat(*(ca.SX(e) for e in expressions)) if expressions else ca.SX(0, 1)

@@ -1,0 +1,305 @@
+"""The method on NumPy arrays, with loops that stop on convergence: slow, readable, and the measure of every kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from . import method
+from .equations import Equations
+from .errors import InputError, StepError
+
+__all__ = ["FORMULATIONS", "Counters", "Oracle", "Settings"]
+
+FORMULATIONS: dict[str, str] = {
+    "residual": "augmented Lagrangian (8) in residual form",
+    "classic": "augmented Lagrangian (8) as printed",
+    "penalty": "full penalty (6)",
+    "stiffness": "penalty of stiffness only (5)",
+    "baumgarte": "index-1 DAE (9) with Baumgarte's stabilisation",
+    "dae": "index-1 DAE (9)",
+}
+"""Names of the formulations and the equations they stand for."""
+
+PROJECTED = ("residual", "classic")
+"""Formulations that correct the state with (10) after each step; the others are run as they are known."""
+
+PENALTY_RATIO = 1e8
+"""Default penalty over the largest entry of the mass matrix: far from round-off at either end in residual form."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Numbers of the method; every default that a user sees comes from here."""
+
+    step_size: float = 0.02
+    """Largest internal step [s]."""
+    penalty: float | Sequence[float] = 0.0
+    """alpha [kg or kg.m2 by row], one for all or one per constraint; 0 (alone) scales it with the masses."""
+    tolerance: float = 1e-13
+    """Of multiplier iterations (relative), and of |Phi| and |Phi-dot| after projection [m, rad; per s]."""
+    max_iterations: int = 10
+    """Of the multiplier iteration, and of each projection."""
+    formulation: str = "residual"
+    """One of FORMULATIONS."""
+    zeta: float = 1.0
+    """Damping of `penalty` and `baumgarte`."""
+    omega: float = 10.0
+    """Frequency of `penalty` and `baumgarte` [1/s]."""
+    projection: bool | None = None
+    """Whether to correct the state after each step; None leaves it to the formulation."""
+
+    def checked(self, name: str, rows: int) -> Settings:
+        """These settings, or InputError naming the mechanism and what is wrong."""
+        if self.formulation not in FORMULATIONS:
+            raise InputError(
+                f"{name}: solver.formulation is {self.formulation!r}; use one of {', '.join(FORMULATIONS)}"
+            )
+        for field, low in (("step_size", 0.0), ("tolerance", 0.0)):
+            value = getattr(self, field)
+            if not (np.isfinite(value) and value > low):
+                raise InputError(f"{name}: solver.{field} is {value}; it must be a finite number above {low:g}")
+        if self.max_iterations < 1:
+            raise InputError(f"{name}: solver.max_iterations is {self.max_iterations}; it must be at least 1")
+        alpha = np.asarray(self.penalty, float)
+        if alpha.shape not in ((), (rows,)) or not np.isfinite(alpha).all() or (alpha < 0).any():
+            raise InputError(
+                f"{name}: solver.penalty is {self.penalty}; it must be one finite number, 0 or above, or one for each "
+                f"of the {rows} constraints"
+            )
+        return self
+
+    @property
+    def projects(self) -> bool:
+        return self.formulation in PROJECTED if self.projection is None else self.projection
+
+
+@dataclass
+class Counters:
+    """Work done and the largest errors seen since initialisation."""
+
+    steps: int = 0
+    evaluations: int = 0
+    """Of accelerations and multipliers, those for outputs included."""
+    multiplier_iterations: int = 0
+    unconverged: int = 0
+    """Evaluations in which the multiplier iteration reached its limit."""
+    projection_iterations: int = 0
+    position_error: float = 0.0
+    """Largest |Phi| after a step [m, rad]."""
+    velocity_error: float = 0.0
+    """Largest |Phi-dot| after a step [m/s, rad/s]."""
+    acceleration_error: float = 0.0
+    """Largest |Phi-ddot| at an output [m/s2, rad/s2]."""
+    energy_error: float = 0.0
+    """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
+
+
+class Call:
+    """A CasADi function called on arrays of its own: `x` are its arguments, `y` its dense results."""
+
+    def __init__(self, f: ca.Function):
+        self.x = [np.zeros(f.nnz_in(i)) for i in range(f.n_in())]
+        self.y = [np.zeros(f.size_out(i), order="F") for i in range(f.n_out())]
+        self.y = [y[:, 0] if y.shape[1] == 1 else y for y in self.y]
+        self._buffer, self._run = f.buffer()
+        for i, x in enumerate(self.x):
+            self._buffer.set_arg(i, memoryview(x))
+        for i, y in enumerate(self.y):
+            self._buffer.set_res(i, memoryview(y.reshape(-1, order="A")))
+
+    def __call__(self, *arguments: NDArray | float) -> list[NDArray]:
+        for x, value in zip(self.x, arguments, strict=True):
+            x[:] = value
+        self._run()
+        return self.y
+
+
+def fuse(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> Call:
+    """One function with dense results and shared subexpressions, ready to be called."""
+    return Call(ca.Function(name, arguments, [ca.densify(r) for r in results], {"cse": True}))
+
+
+def symbols(equations: Equations) -> dict[str, ca.SX]:
+    """Fresh symbols for the arguments of the functions of `equations`."""
+    sizes = {
+        "q": equations.n,
+        "v": equations.n,
+        "a": equations.n,
+        "lam": equations.l,
+        "u": len(equations.inputs),
+        "p": len(equations.parameters),
+        "t": 1,
+    }
+    return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+
+class Oracle:
+    """Accelerations, multipliers and projections of one mechanism.
+
+    Arrays handed in are left alone; arrays handed out are the caller's.
+    """
+
+    def __init__(self, equations: Equations):
+        self.equations = equations
+        e, s = equations, symbols(equations)
+        q, v, u, p, t = (s[k] for k in "qvupt")
+        M, C, xi, Phi = e.M(q, p), e.C(q, p), e.xi(q, v, p), e.Phi(q, p)
+        F = e.f(q, v, u, p, t) - e.d(q, v, p)
+        self._dynamics = fuse("dynamics", [q, v, u, p, t], [M, F, C, xi])
+        self._constraints = fuse("constraints", [q, v, p], [M, C, Phi, C @ v])
+        power = e.input_power(q, v, u, p, t) + e.other_power(q, v, p, t)
+        self._power = fuse("power", [q, v, u, p, t], [power])
+        self._energy = fuse("energy", [q, v, p], [e.kinetic_energy(q, v, p) + e.potential_energy(q, p)])
+        self._outputs = fuse("outputs", list(s.values()), [e.readings(*s.values())])
+
+    def prepare(self, settings: Settings, p: NDArray, q: NDArray) -> None:
+        """Begin a run: settings and parameters fixed, the penalty scaled with the masses at q (n,) if left open."""
+        self.settings = settings.checked(self.equations.name, self.equations.l)
+        self.p = p
+        self.counters = Counters()
+        alpha = np.asarray(settings.penalty, float)
+        if alpha.ndim == 0:
+            M = self._constraints(q, np.zeros_like(q), p)[0]
+            alpha = np.full(self.equations.l, alpha or PENALTY_RATIO * max(np.diag(M).max(initial=0.0), 1e-300))
+        self.penalty = alpha
+
+    @property
+    def penalty(self) -> NDArray:
+        """alpha (l,) [kg or kg.m2 by row]; a constraint with zero is switched off."""
+        return np.diag(self.alpha).copy()
+
+    @penalty.setter
+    def penalty(self, alpha: NDArray) -> None:
+        self.alpha = np.diag(alpha)
+        self.active = np.asarray(alpha) > 0
+
+    def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> tuple[NDArray, NDArray, int, NDArray]:
+        """a (n,), lam (l,), the multiplier iterations used, and Phi-ddot (l,) that is left."""
+        M, F, C, xi = self._dynamics(q, v, u, self.p, t)
+        self.counters.evaluations += 1
+        kind, alpha, most = self.settings.formulation, self.alpha, self.settings.max_iterations
+        if not (np.isfinite(M).all() and np.isfinite(F).all() and np.isfinite(xi).all()):
+            raise StepError(self._say(t, "the equations of motion are not finite", "reduce solver.step_size"))
+        if kind in ("residual", "classic"):
+            solve = self._factor(method.augmented_mass(M, C, alpha), t)
+            scale = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300)
+            limit = self.settings.tolerance
+
+            def done(da: NDArray, a: NDArray) -> bool:
+                return np.abs(da).max() <= limit * max(np.abs(a).max(), scale)
+
+            iterate = method.residual if kind == "residual" else method.classic
+            a, lam, used, converged = iterate(M, F, C, xi, alpha, solve, np.zeros_like(q), np.zeros_like(xi), most, done)
+            self.counters.multiplier_iterations += used
+            self.counters.unconverged += not converged
+        else:
+            used = 1
+            self.counters.multiplier_iterations += 1
+            if kind != "dae":
+                _, _, Phi, Cv = self._constraints(q, v, self.p)
+                stabilised = method.stabilised(xi, Cv, Phi, self.settings.zeta, self.settings.omega)
+            if kind == "penalty":
+                a, lam = method.penalty(F, C, stabilised, alpha, self._factor(method.augmented_mass(M, C, alpha), t))
+            elif kind == "stiffness":
+                a, lam = method.stiffness(F, C, Phi, self.settings.omega**2 * alpha, self._factor(M, t))
+            else:
+                held = np.flatnonzero(self.active)
+                lam = np.zeros_like(xi)
+                right = (xi if kind == "dae" else stabilised)[held]
+                a, lam[held] = method.dae(M, F, C[held], right, _least_squares)
+        return a, lam, used, C @ a - xi
+
+    def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray, t: float) -> NDArray:
+        """Multipliers of least norm that act like lam (l,)."""
+        M, C, _, _ = self._constraints(q, v, self.p)
+        solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
+        return method.minimum_norm(C, self.alpha, solve, lam, passes=3)
+
+    def project(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray, float, float]:
+        """q and v brought back to the constraints with (10), and the largest |Phi| and |Phi-dot| left.
+
+        Raises StepError where the tolerance is not reached.
+        """
+        most, q, v = self.settings.max_iterations, q.copy(), v.copy()
+        M, C, Phi, Cv = self._constraints(q, v, self.p)
+        done = 0
+        while not self._closed(Phi, C, q):
+            if done == most or not np.isfinite(Phi).all():
+                raise StepError(self._open(t, "|Phi|", Phi, done))
+            solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
+            q += method.project(C, self.alpha, solve, Phi)  # (10)
+            M, C, Phi, Cv = self._constraints(q, v, self.p)
+            done += 1
+        self.counters.projection_iterations += done
+        done = 0
+        if not self._closed(Cv, C, v):
+            solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
+        while not self._closed(Cv, C, v):
+            if done == most or not np.isfinite(Cv).all():
+                raise StepError(self._open(t, "|Phi-dot|", Cv, done))
+            v += method.project(C, self.alpha, solve, Cv)  # (10)
+            Cv = C @ v
+            done += 1
+        self.counters.projection_iterations += done
+        return q, v, self._largest(Phi), self._largest(Cv)
+
+    def residues(self, q: NDArray, v: NDArray) -> tuple[float, float]:
+        """The largest |Phi| and |Phi-dot|."""
+        _, _, Phi, Cv = self._constraints(q, v, self.p)
+        return self._largest(Phi), self._largest(Cv)
+
+    def power(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> float:
+        """Power [W] of inputs, loads and dampers."""
+        return float(self._power(q, v, u, self.p, t)[0][0])
+
+    def energy(self, q: NDArray, v: NDArray) -> float:
+        """Kinetic and potential energy [J]."""
+        return float(self._energy(q, v, self.p)[0][0])
+
+    def outputs(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> NDArray:
+        """Everything a user can read, in the order of `equations.outputs`."""
+        return self._outputs(q, v, a, lam, u, self.p, t)[0].copy()
+
+    def _largest(self, residue: NDArray) -> float:
+        return float(np.abs(residue[self.active]).max(initial=0.0))
+
+    def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
+        """Whether a residue of C is within the tolerance, or within the round-off of the row where that is larger."""
+        limit = np.maximum(self.settings.tolerance, 8 * np.finfo(float).eps * (np.abs(C) @ np.abs(x)))
+        return bool((np.abs(residue) <= limit)[self.active].all())
+
+    def _factor(self, H: NDArray, t: float) -> method.Solve:
+        def solve(b: NDArray) -> NDArray:
+            try:
+                return np.linalg.solve(H, b)
+            except np.linalg.LinAlgError:
+                advice = "give the massless body a mass, or hold it by constraints"
+                raise StepError(self._say(t, "the augmented mass matrix is singular", advice)) from None
+
+        return solve
+
+    def _open(self, t: float, what: str, residue: NDArray, done: int) -> str:
+        worst = int(np.argmax(np.where(self.active, np.abs(residue), 0)))
+        row = self.equations.rows[worst]
+        measured = (
+            f"{what} = {abs(residue[worst]):.1e} at {row.name} {row.direction} > {self.settings.tolerance:.0e} "
+            f"after {done} corrections"
+        )
+        return self._say(t, measured, "reduce solver.step_size")
+
+    def _say(self, t: float, measured: str, remedy: str) -> str:
+        return f"{self.equations.name}, t = {t:.6g} s: {measured}; {remedy}"
+
+
+def _least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:
+    """Least-squares solution of least norm of a block system, each unknown scaled to the size of its diagonal block."""
+    (M, Ct), (C, _) = blocks
+    n, l = M.shape[0], C.shape[0]
+    K = np.block([[M, Ct], [C, np.zeros((l, l))]])
+    x = np.linalg.lstsq(K, np.concatenate(right), rcond=None)[0]
+    return x[:n], x[n:]

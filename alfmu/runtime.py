@@ -1,0 +1,296 @@
+"""One mechanism in motion: values by name, initialisation, communication steps, outputs, complete state.
+
+The run side's top: this is what an FMU carries, and what `alfmu.simulate` drives.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .assembly import assemble, assemble_rates, check_masses
+from .equations import Equations, Variable
+from .errors import AlfmuError, InputError, StepError
+from .integrators import rk4
+from .oracle import FORMULATIONS, Counters, Oracle, Settings
+
+__all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
+
+SOLVER_VARIABLES = (
+    Variable("solver.step_size", "s", Settings.step_size, 1e-9, None, "largest internal step"),
+    Variable(
+        "solver.penalty", "kg", Settings.penalty, 0.0, None, "artificial mass alpha; 0 scales it with the masses"
+    ),
+    Variable(
+        "solver.tolerance",
+        "1",
+        Settings.tolerance,
+        1e-16,
+        1e-3,
+        "of multiplier iterations (relative) and of projected constraints (m, rad)",
+    ),
+    Variable(
+        "solver.max_iterations", "1", Settings.max_iterations, 1, 1000, "limit of each iteration of the method"
+    ),
+)
+"""Numbers of the method that a user may set; `solver.formulation` (text) comes beside them."""
+
+FORMULATION = "solver.formulation"
+FORMULATION_TEXT = "one of " + ", ".join(f"{name} ({text})" for name, text in FORMULATIONS.items())
+
+MONITORS = (
+    Variable("monitor.position_error", "1", description="largest |Phi| (m, rad)"),
+    Variable("monitor.velocity_error", "1", description="largest |Phi-dot| (m/s, rad/s)"),
+    Variable("monitor.energy", "J", description="kinetic and potential energy"),
+    Variable("monitor.iterations", "1", description="multiplier iterations used at this instant", instant=True),
+)
+"""What every instance says about its own accuracy."""
+
+
+class Instance:
+    """A mechanism with its own parameters, inputs and state.
+
+    Use: `set` parameters and start values, `initialize`, then `step` and `get`, with `set` on inputs at any time::
+
+        i = Instance(equations)
+        i.set("m2", 0.0)
+        i.initialize()
+        i.step(0.02)
+        i.get("link1.angle")
+
+    A call that raises leaves the instance as it was before.
+    """
+
+    def __init__(self, equations: Equations, settings: Settings | None = None):
+        self.equations = e = equations
+        self._given = settings or Settings(step_size=e.step_size)
+        solver = [replace(v, start=self._solver_default(v.name)) for v in SOLVER_VARIABLES]
+        self.parameters = [*e.parameters, *e.starts, *e.start_rates, *solver]
+        self.outputs = [*e.outputs, *MONITORS]
+        self.values = np.array([v.start for v in self.parameters])
+        self.inputs = np.array([v.start for v in e.inputs])
+        self.formulation = self._given.formulation
+        self._parameter = {v.name: i for i, v in enumerate(self.parameters)}
+        self._input = {v.name: i for i, v in enumerate(e.inputs)}
+        self._output = {v.name: i for i, v in enumerate(self.outputs)}
+        self._wrapped = [(self._output[name], start) for name, start in e.wrapped.items()]
+        self.oracle = Oracle(e)
+        self.initialized = self._known = False
+        self.time = 0.0
+
+    def _solver_default(self, name: str) -> float:
+        value = getattr(self._given, name.removeprefix("solver."))
+        return float(value) if np.ndim(value) == 0 else 0.0
+
+    # Values ------------------------------------------------------------------------------------------------------
+
+    def set(self, name: str, value: float | str) -> None:
+        """Set an input (any time), or a parameter, start value or solver number (before `initialize`)."""
+        e = self.equations
+        if name in self._input:
+            self._check(e.inputs[self._input[name]], value)
+            self.inputs[self._input[name]] = value
+            self._known = False
+            return
+        if name not in self._parameter and name != FORMULATION:
+            names = [*self._input, *self._parameter, FORMULATION]
+            raise InputError(f"{e.name} has no input or parameter {name!r}; it has {', '.join(names)}")
+        if self.initialized:
+            raise InputError(f"{e.name}: {name} is fixed once the run has begun; set it before initialising")
+        if name == FORMULATION:
+            replace(self._given, formulation=value).checked(e.name, e.l)
+            self.formulation = value
+        else:
+            self._check(self.parameters[self._parameter[name]], value)
+            self.values[self._parameter[name]] = value
+
+    def get(self, name: str) -> float | str:
+        """The value of an output, input, parameter, start value or solver number."""
+        if name in self._output:
+            return float(self.read()[self._output[name]])
+        if name in self._input:
+            return float(self.inputs[self._input[name]])
+        if name in self._parameter:
+            return float(self.values[self._parameter[name]])
+        if name == FORMULATION:
+            return self.formulation
+        raise InputError(f"{self.equations.name} has no variable {name!r}")
+
+    def _check(self, v: Variable, value: float) -> None:
+        if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+            raise InputError(f"{self.equations.name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
+        if v.minimum is not None and value < v.minimum or v.maximum is not None and value > v.maximum:
+            low, high = ("-inf" if v.minimum is None else v.minimum), ("inf" if v.maximum is None else v.maximum)
+            raise InputError(f"{self.equations.name}: {v.name} = {value:g} {v.unit} is outside [{low}, {high}]")
+
+    # Life --------------------------------------------------------------------------------------------------------
+
+    def initialize(self, time: float = 0.0) -> None:
+        """Assemble the mechanism from its start values; parameters are fixed from here on."""
+        e = self.equations
+        for v, value in zip(self.parameters, self.values, strict=True):
+            self._check(v, float(value))
+        self._check_inputs()
+        p, s, sdot = self._start_values()
+        q = assemble(e, p, s)
+        v = assemble_rates(e, q, p, s, sdot)
+        check_masses(e, q, p)
+        oracle = self.oracle
+        oracle.prepare(self._settings(), p, q)
+        if oracle.settings.projects:
+            q, v, _, _ = oracle.project(q, v, time)
+        self.q, self.v, self.work, self.time = q, v, 0.0, float(time)
+        self.angles = np.array([s[start] if start >= 0 else 0.0 for _, start in self._wrapped])
+        self.energy_start = oracle.energy(q, v)
+        self._known = False
+        self.initialized = True
+
+    def _start_values(self) -> list[NDArray]:
+        """Parameters, start values and start rates."""
+        e = self.equations
+        return np.split(self.values, np.cumsum([len(e.parameters), len(e.starts), len(e.start_rates)]))[:3]
+
+    def _settings(self) -> Settings:
+        """Settings from the values of the solver variables, and from what has no variable."""
+        values = {v.name.removeprefix("solver."): self.values[self._parameter[v.name]] for v in SOLVER_VARIABLES}
+        values["max_iterations"] = int(values["max_iterations"])
+        if np.ndim(self._given.penalty):
+            values["penalty"] = self._given.penalty
+        return replace(self._given, **values, formulation=self.formulation)
+
+    def step(self, communication_step: float, time: float | None = None) -> None:
+        """Cover one communication step [s] with internal steps no longer than solver.step_size.
+
+        `time` is the communication point where the step begins, if the caller keeps time; it must be the instance's.
+        Raises InputError or StepError and keeps the state before the step where the step cannot be taken.
+        """
+        e, h = self.equations, communication_step
+        if not self.initialized:
+            raise InputError(f"{e.name}: initialise before the first step")
+        if not (math.isfinite(h) and h > 0):
+            raise InputError(f"{e.name}, t = {self.time:.6g} s: a communication step of {h} s; it must be above zero")
+        start = self.time if time is None else time
+        if not abs(start - self.time) <= 1e-6 * h + 1e-12 * abs(self.time):
+            raise InputError(f"{e.name}: a step from t = {start} s is asked for, but the state is at t = {self.time} s")
+        self._check_inputs()
+        oracle, u, c = self.oracle, self.inputs, self.counters
+        n = max(1, math.ceil(h / oracle.settings.step_size * (1 - 1e-12)))
+        dt = h / n
+        q, v, work, angles = self.q, self.v, self.work, self.angles
+        before = replace(c)
+        size = len(q)
+
+        def rate(t: float, y: NDArray) -> NDArray:
+            if first and t == start and self._known:
+                a = self._accelerations
+            else:
+                a, _, _, _ = oracle.accelerations(y[:size], y[size : 2 * size], u, t)
+            dy = np.concatenate([y[size : 2 * size], a, [0.0]])
+            if e.works:
+                dy[-1] = oracle.power(y[:size], y[size : 2 * size], u, t)
+            return dy
+
+        try:
+            for k in range(n):
+                first = k == 0
+                t = start + (k + 1) * dt
+                y = rk4(rate, start + k * dt, np.concatenate([q, v, [work]]), dt)
+                q, v, work = y[:size], y[size : 2 * size], float(y[-1])
+                if not np.isfinite(y).all():
+                    raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
+                if oracle.settings.projects:
+                    q, v, position, velocity = oracle.project(q, v, t)
+                else:
+                    position, velocity = oracle.residues(q, v)
+                c.steps += 1
+                c.position_error = max(c.position_error, position)
+                c.velocity_error = max(c.velocity_error, velocity)
+                if self._wrapped:
+                    zeros = np.zeros(size), np.zeros(e.l)
+                    angles = self._unwrap(oracle.outputs(q, v, *zeros, u, t), angles)
+        except AlfmuError:
+            oracle.counters = before
+            raise
+        self.q, self.v, self.work, self.angles, self.time = q, v, work, angles, start + h
+        self._known = False
+
+    def read(self) -> NDArray:
+        """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
+        if not self.initialized:
+            raise InputError(f"{self.equations.name}: outputs are known after initialising")
+        if self._known:
+            return self._y
+        oracle, q, v, t = self.oracle, self.q, self.v, self.time
+        a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
+        if oracle.settings.projects:
+            lam = oracle.minimum_norm(q, v, lam, t)
+        y = oracle.outputs(q, v, a, lam, self.inputs, t)
+        self.angles = self._unwrap(y, self.angles)
+        energy = oracle.energy(q, v)
+        self._y = np.concatenate([y, [*oracle.residues(q, v), energy, used]])
+        for (i, _), angle in zip(self._wrapped, self.angles, strict=True):
+            self._y[i] = angle
+        self._accelerations, self._known = a, True
+        c = self.counters
+        c.acceleration_error = max(c.acceleration_error, float(np.abs(left[oracle.active]).max(initial=0.0)))
+        c.energy_error = max(c.energy_error, abs(energy - self.energy_start - self.work))
+        return self._y
+
+    # State -------------------------------------------------------------------------------------------------------
+
+    @property
+    def counters(self) -> Counters:
+        """Work done and largest errors since initialisation."""
+        return self.oracle.counters
+
+    def save(self) -> bytes:
+        """The complete state, from which `restore` continues to the last bit."""
+        head = {
+            "initialized": self.initialized,
+            "formulation": self.formulation,
+            "counters": asdict(self.counters) if self.initialized else None,
+        }
+        numbers = [self.values, self.inputs]
+        if self.initialized:
+            scalars = np.array([self.time, self.work, self.energy_start])
+            numbers += [self.q, self.v, self.angles, scalars, self.oracle.penalty]
+        text = json.dumps(head, sort_keys=True).encode()
+        return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
+
+    def restore(self, state: bytes) -> None:
+        """Continue from a state that `save` gave, of this mechanism."""
+        e = self.equations
+        try:
+            size = int.from_bytes(state[:8], "little")
+            head = json.loads(state[8 : 8 + size])
+            numbers = np.frombuffer(state[8 + size :]).copy()
+            sizes = [len(self.parameters), len(e.inputs)]
+            if head["initialized"]:
+                sizes += [e.n, e.n, len(self._wrapped), 3, e.l]
+            if numbers.size != sum(sizes):
+                raise ValueError(numbers.size)
+        except (ValueError, KeyError) as error:
+            raise InputError(f"{e.name}: the saved state is not one of this mechanism; save it again") from error
+        parts = np.split(numbers, np.cumsum(sizes)[:-1])
+        self.values, self.inputs = parts[:2]
+        self.formulation = head["formulation"]
+        self.initialized, self._known = head["initialized"], False
+        if self.initialized:
+            self.q, self.v, self.angles = parts[2:5]
+            self.time, self.work, self.energy_start = map(float, parts[5])
+            self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
+            self.oracle.penalty = parts[6]
+            self.oracle.counters = Counters(**head["counters"])
+
+    def _check_inputs(self) -> None:
+        for v, value in zip(self.equations.inputs, self.inputs, strict=True):
+            self._check(v, float(value))
+
+    def _unwrap(self, y: NDArray, near: NDArray) -> NDArray:
+        """Computed angles moved by whole turns to the values nearest to `near`."""
+        raw = y[[i for i, _ in self._wrapped]] if self._wrapped else near
+        return raw + 2 * np.pi * np.round((near - raw) / (2 * np.pi))

@@ -1,0 +1,65 @@
+"""SI units as data: the exponents that FMI unit definitions carry, and the units people read them in."""
+
+from dataclasses import dataclass, field
+
+from .errors import DeclarationError
+
+__all__ = ["UNITS", "Unit", "rate_of", "unit"]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit: exponents of the SI base units, and display units as name -> factor (display = factor * value)."""
+
+    name: str
+    exponents: dict[str, int]
+    display: dict[str, float] = field(default_factory=dict)
+
+
+_DEGREES = 57.29577951308232
+
+UNITS: dict[str, Unit] = {
+    u.name: u
+    for u in (
+        Unit("1", {}),
+        Unit("s", {"s": 1}, {"ms": 1e3}),
+        Unit("1/s", {"s": -1}),
+        Unit("1/s2", {"s": -2}),
+        Unit("m", {"m": 1}, {"mm": 1e3}),
+        Unit("m/s", {"m": 1, "s": -1}),
+        Unit("m/s2", {"m": 1, "s": -2}),
+        Unit("rad", {"rad": 1}, {"deg": _DEGREES}),
+        Unit("rad/s", {"rad": 1, "s": -1}, {"deg/s": _DEGREES, "r/min": 9.549296585513721}),
+        Unit("rad/s2", {"rad": 1, "s": -2}),
+        Unit("kg", {"kg": 1}),
+        Unit("kg.m2", {"kg": 1, "m": 2}),
+        Unit("N", {"kg": 1, "m": 1, "s": -2}, {"kN": 1e-3}),
+        Unit("N.m", {"kg": 1, "m": 2, "s": -2}),
+        Unit("N/m", {"kg": 1, "s": -2}),
+        Unit("N.s/m", {"kg": 1, "s": -1}),
+        Unit("N.m/rad", {"kg": 1, "m": 2, "s": -2, "rad": -1}),
+        Unit("N.m.s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}),
+        Unit("J", {"kg": 1, "m": 2, "s": -2}),
+        Unit("W", {"kg": 1, "m": 2, "s": -3}),
+        Unit("m2", {"m": 2}),
+        Unit("kg/m3", {"kg": 1, "m": -3}),
+    )
+}
+
+_RATES = {"m": "m/s", "rad": "rad/s", "m/s": "m/s2", "rad/s": "rad/s2", "1": "1/s", "1/s": "1/s2"}
+
+
+def unit(name: str) -> Unit:
+    """The unit called `name`; DeclarationError where it is not one that alfmu knows."""
+    try:
+        return UNITS[name]
+    except KeyError:
+        raise DeclarationError(f"unknown unit {name!r}; use one of: {', '.join(UNITS)}") from None
+
+
+def rate_of(name: str) -> str:
+    """Name of the unit of the time derivative of a quantity in the unit called `name`."""
+    try:
+        return _RATES[unit(name).name]
+    except KeyError:
+        raise DeclarationError(f"a coordinate is in m, rad or 1, not in {name!r}") from None

@@ -1,0 +1,1 @@
+"""The mechanisms that come with alfmu, one folder each."""
