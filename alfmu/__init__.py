@@ -20,21 +20,21 @@ _HOME = {
     "Joint": "mechanism",
     "Marker": "mechanism",
     "Mechanism": "mechanism",
-    "Result": "simulate",
+    "Result": "simulation",
     "Settings": "oracle",
     "StepError": "errors",
-    "derive": "derive",
+    "derive": "derivation",
     "export": "fmi.export",
     "load": "registry",
     "mechanisms": "registry",
-    "simulate": "simulate",
+    "simulate": "simulation",
 }
 """Public name -> module; imported when first used."""
 
 __all__ = list(_HOME)
 
 if TYPE_CHECKING:
-    from .derive import derive as derive
+    from .derivation import derive as derive
     from .equations import Equations as Equations
     from .errors import AlfmuError as AlfmuError
     from .errors import AssemblyError as AssemblyError
@@ -52,14 +52,11 @@ if TYPE_CHECKING:
     from .registry import load as load
     from .registry import mechanisms as mechanisms
     from .runtime import Instance as Instance
-    from .simulate import Result as Result
-    from .simulate import simulate as simulate
+    from .simulation import Result as Result
+    from .simulation import simulate as simulate
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'alfmu' has no attribute {name!r}")
-    # Bound at once: importing a submodule of the same name (derive, simulate) would otherwise bind the module.
-    value = getattr(import_module(f".{_HOME[name]}", __name__), name)
-    globals()[name] = value
-    return value
+    return getattr(import_module(f".{_HOME[name]}", __name__), name)

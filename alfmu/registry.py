@@ -1,0 +1,99 @@
+"""Mechanisms by name or file: entry points of installed packages, or a user's own Python file."""
+
+from __future__ import annotations
+
+import inspect
+import runpy
+import typing
+from collections.abc import Callable
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+from .errors import InputError
+from .mechanism import Mechanism
+
+__all__ = ["GROUP", "load", "mechanisms", "options"]
+
+GROUP = "alfmu.mechanisms"
+"""Entry-point group in which any package can register functions that return a Mechanism."""
+
+Factory = Callable[..., Mechanism]
+
+
+def mechanisms() -> list[str]:
+    """Names of all registered mechanisms, in alphabetical order."""
+    return sorted({e.name for e in entry_points(group=GROUP)})
+
+
+def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
+    """The mechanism of a registered name or of a Python file, with its options.
+
+    A file declares one: a function named like the file (or the only one annotated `-> Mechanism`), or a `Mechanism`
+    object. Raises InputError where there is no such name, file, declaration or option.
+    """
+    if isinstance(mechanism, Mechanism):
+        if chosen:
+            raise InputError(f"{mechanism.name} is declared already and takes no options")
+        return mechanism
+    factory = _factory(mechanism)
+    known = options(mechanism)
+    for name, value in chosen.items():
+        if name not in known:
+            has = f"it has {', '.join(known)}" if known else "it has none"
+            raise InputError(f"{mechanism} has no option {name!r}; {has}")
+        if known[name] and value not in known[name]:
+            raise InputError(f"{mechanism}: option {name} is {value!r}; use one of {', '.join(map(str, known[name]))}")
+    declared = factory(**chosen)
+    if not isinstance(declared, Mechanism):
+        raise InputError(f"{mechanism}: {factory.__name__}() returns {type(declared).__name__}, not a Mechanism")
+    defaults = {k: p.default for k, p in inspect.signature(factory).parameters.items()}
+    declared.options = {**defaults, **chosen}
+    readme = Path(inspect.getsourcefile(factory) or "").with_name("README.md")
+    if readme.is_file() and (not str(mechanism).endswith(".py")):
+        declared.documentation = readme.read_text(encoding="utf-8")
+    return declared
+
+
+def options(mechanism: str | Path) -> dict[str, tuple]:
+    """Options of a mechanism: name -> the values it takes (empty: any)."""
+    factory = _factory(mechanism)
+    hints = typing.get_type_hints(factory)
+    return {
+        name: typing.get_args(hints[name]) if typing.get_origin(hints.get(name)) is typing.Literal else ()
+        for name in inspect.signature(factory).parameters
+    }
+
+
+def _factory(mechanism: str | Path) -> Factory:
+    if str(mechanism).endswith(".py"):
+        return _from_file(Path(mechanism))
+    for entry in entry_points(group=GROUP):
+        if entry.name == str(mechanism):
+            return entry.load()
+    raise InputError(
+        f"there is no mechanism {str(mechanism)!r}; use one of {', '.join(mechanisms())}, or the path of a Python file "
+        "that declares one"
+    )
+
+
+def _from_file(path: Path) -> Factory:
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    try:
+        names = runpy.run_path(str(path), run_name=path.stem)
+    except SyntaxError as error:
+        raise InputError(f"{path}, line {error.lineno}: {error.msg}") from None
+    functions = {k: f for k, f in names.items() if inspect.isfunction(f) and f.__module__ == path.stem}
+    if path.stem in functions:
+        return functions[path.stem]
+    annotated = [f for f in functions.values() if f.__annotations__.get("return") in (Mechanism, "Mechanism")]
+    if len(annotated) == 1:
+        return annotated[0]
+    declared = [m for m in names.values() if isinstance(m, Mechanism)]
+    if len(declared) == 1:
+        return lambda: declared[0]
+    raise InputError(
+        f"{path} declares no single mechanism; give it a function {path.stem}() that returns a Mechanism, or one "
+        "Mechanism object"
+    )

@@ -1,0 +1,143 @@
+"""Run a mechanism from Python: the driver that tests, reports and the command line share."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .derivation import derive
+from .equations import Equations
+from .errors import InputError
+from .mechanism import Mechanism
+from .oracle import Counters, Settings
+from .registry import load
+from .runtime import Instance
+
+__all__ = ["Result", "communication_points", "read_inputs", "simulate"]
+
+Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
+"""An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """Outputs and inputs over time, with what it took: `result["link1.angle"]` is an array like `result.time`."""
+
+    mechanism: str
+    time: NDArray
+    names: list[str]
+    units: dict[str, str]
+    values: NDArray
+    """One row per communication point, one column per name."""
+    counters: Counters | None = None
+    """Work and largest errors; None where the run was made by somebody else's solver."""
+
+    def __getitem__(self, name: str) -> NDArray:
+        try:
+            return self.values[:, self.names.index(name)]
+        except ValueError:
+            raise InputError(f"the result of {self.mechanism} has no {name!r}; it has {', '.join(self.names)}") from None
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write time and all columns with 17 significant digits; the first row holds the names."""
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(["time", *self.names])
+            for t, row in zip(self.time, self.values, strict=True):
+                writer.writerow([f"{x:.17g}" for x in (t, *row)])
+
+
+def simulate(
+    mechanism: str | Path | Mechanism | Equations,
+    stop_time: float | None = None,
+    step: float | None = None,
+    *,
+    inputs: Mapping[str, Signal] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    settings: Settings | None = None,
+    outputs: Sequence[str] | None = None,
+    progress: Callable[[Sequence[float]], Iterator[float]] = iter,
+) -> Result:
+    """Run a mechanism from 0 to `stop_time` [s] with communication steps of `step` [s].
+
+    `parameters` sets parameters, start values and solver variables by name; `inputs` are held over each communication
+    step at their value at its beginning; `outputs` keeps only those names. Defaults are the mechanism's own.
+    Raises AlfmuError where a name, a value or the mechanism is at fault.
+    """
+    equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+    stop_time = equations.stop_time if stop_time is None else stop_time
+    step = equations.step_size if step is None else step
+    times = communication_points(equations.name, stop_time, step)
+    instance = Instance(equations, settings)
+    for name, value in (parameters or {}).items():
+        instance.set(name, value)
+    signals = {name: _signal(signal) for name, signal in (inputs or {}).items()}
+
+    def apply(t: float) -> None:
+        for name, signal in signals.items():
+            instance.set(name, signal(t))
+
+    known = [v.name for v in instance.outputs]
+    if outputs is not None and (missing := [name for name in outputs if name not in known]):
+        raise InputError(f"{equations.name} has no output {missing[0]!r}; it has {', '.join(known)}")
+    kept = [known.index(name) for name in (known if outputs is None else outputs)]
+    table = np.empty((len(times), len(kept) + len(equations.inputs)))
+
+    def record(row: int) -> None:
+        table[row, : len(kept)] = instance.read()[kept]
+        table[row, len(kept) :] = instance.inputs
+
+    apply(0.0)
+    instance.initialize()
+    record(0)
+    for i, t in enumerate(progress(times[:-1])):
+        apply(t)
+        instance.step(times[i + 1] - t, t)
+        apply(times[i + 1])
+        record(i + 1)
+    variables = [*(instance.outputs[k] for k in kept), *equations.inputs]
+    names = [v.name for v in variables]
+    return Result(equations.name, times, names, {v.name: v.unit for v in variables}, table, instance.counters)
+
+
+def communication_points(name: str, stop_time: float, step: float) -> NDArray:
+    """0, step, 2 step, ... and stop_time itself."""
+    if not (math.isfinite(step) and step > 0):
+        raise InputError(f"{name}: the step is {step} s; it must be a finite number above zero")
+    if not (math.isfinite(stop_time) and stop_time > 0):
+        raise InputError(f"{name}: the stop time is {stop_time} s; it must be a finite number above zero")
+    whole = math.floor(stop_time / step * (1 + 1e-12))
+    times = np.arange(whole + 1) * step
+    if stop_time - times[-1] > 1e-9 * step:
+        return np.append(times, stop_time)
+    return times
+
+
+def read_inputs(path: str | Path) -> dict[str, Signal]:
+    """Inputs from a CSV file: a column `time` [s], and a column for each input."""
+    try:
+        with Path(path).open(newline="", encoding="utf-8") as file:
+            rows = [row for row in csv.reader(file) if row]
+        head, body = [name.strip() for name in rows[0]], np.array(rows[1:], float)
+    except (OSError, IndexError, ValueError) as error:
+        raise InputError(f"{path} is not a table of numbers under a row of names ({error})") from None
+    if body.ndim != 2 or body.shape[1] != len(head) or head[0] != "time" or not np.isfinite(body).all():
+        raise InputError(f"{path}: the first column must be time, each column as long as the others, all values finite")
+    if (np.diff(body[:, 0]) < 0).any():
+        raise InputError(f"{path}: time must not go back")
+    return {name: (body[:, 0], body[:, i]) for i, name in enumerate(head) if i}
+
+
+def _signal(signal: Signal) -> Callable[[float], float]:
+    if callable(signal):
+        return signal
+    if isinstance(signal, tuple):
+        times, values = signal
+        return lambda t: float(np.interp(t, times, values))
+    return lambda t: signal
