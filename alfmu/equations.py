@@ -27,6 +27,8 @@ class Variable:
     minimum: float | None = None
     maximum: float | None = None
     description: str = ""
+    type: str = "Real"
+    """FMI type: Real, Integer or String."""
     instant: bool = False
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
 
@@ -83,6 +85,9 @@ class Equations:
     stop_time: float
     step_size: float
     options: dict[str, Any] = field(default_factory=dict)
+    """Options that the mechanism was declared with."""
+    solver: dict[str, float | str] = field(default_factory=dict)
+    """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
 
     @property

@@ -34,7 +34,13 @@ SOLVER_VARIABLES = (
         "of multiplier iterations (relative) and of projected constraints (m, rad)",
     ),
     Variable(
-        "solver.max_iterations", "1", Settings.max_iterations, 1, 1000, "limit of each iteration of the method"
+        "solver.max_iterations",
+        "1",
+        Settings.max_iterations,
+        1,
+        1000,
+        "limit of each iteration of the method",
+        type="Integer",
     ),
 )
 """Numbers of the method that a user may set; `solver.formulation` (text) comes beside them."""
@@ -46,7 +52,13 @@ MONITORS = (
     Variable("monitor.position_error", "1", description="largest |Phi| (m, rad)"),
     Variable("monitor.velocity_error", "1", description="largest |Phi-dot| (m/s, rad/s)"),
     Variable("monitor.energy", "J", description="kinetic and potential energy"),
-    Variable("monitor.iterations", "1", description="multiplier iterations used at this instant", instant=True),
+    Variable(
+        "monitor.iterations",
+        "1",
+        description="multiplier iterations used at this instant",
+        type="Integer",
+        instant=True,
+    ),
 )
 """What every instance says about its own accuracy."""
 
@@ -67,7 +79,7 @@ class Instance:
 
     def __init__(self, equations: Equations, settings: Settings | None = None):
         self.equations = e = equations
-        self._given = settings or Settings(step_size=e.step_size)
+        self._given = settings or Settings(**{"step_size": e.step_size, **e.solver})
         solver = [replace(v, start=self._solver_default(v.name)) for v in SOLVER_VARIABLES]
         self.parameters = [*e.parameters, *e.starts, *e.start_rates, *solver]
         self.outputs = [*e.outputs, *MONITORS]
@@ -93,8 +105,7 @@ class Instance:
         e = self.equations
         if name in self._input:
             self._check(e.inputs[self._input[name]], value)
-            self.inputs[self._input[name]] = value
-            self._known = False
+            self.override(self._input[name], value)
             return
         if name not in self._parameter and name != FORMULATION:
             names = [*self._input, *self._parameter, FORMULATION]
@@ -107,6 +118,11 @@ class Instance:
         else:
             self._check(self.parameters[self._parameter[name]], value)
             self.values[self._parameter[name]] = value
+
+    def override(self, i: int, value: float) -> None:
+        """Set input number i without looking at the value; the next `step` or `read` refuses a bad one."""
+        self.inputs[i] = value
+        self._known = False
 
     def get(self, name: str) -> float | str:
         """The value of an output, input, parameter, start value or solver number."""
@@ -129,8 +145,8 @@ class Instance:
 
     # Life --------------------------------------------------------------------------------------------------------
 
-    def initialize(self, time: float = 0.0) -> None:
-        """Assemble the mechanism from its start values; parameters are fixed from here on."""
+    def initialize(self) -> None:
+        """Assemble the mechanism from its start values at `time`; parameters are fixed from here on."""
         e = self.equations
         for v, value in zip(self.parameters, self.values, strict=True):
             self._check(v, float(value))
@@ -142,8 +158,8 @@ class Instance:
         oracle = self.oracle
         oracle.prepare(self._settings(), p, q)
         if oracle.settings.projects:
-            q, v, _, _ = oracle.project(q, v, time)
-        self.q, self.v, self.work, self.time = q, v, 0.0, float(time)
+            q, v, _, _ = oracle.project(q, v, self.time)
+        self.q, self.v, self.work = q, v, 0.0
         self.angles = np.array([s[start] if start >= 0 else 0.0 for _, start in self._wrapped])
         self.energy_start = oracle.energy(q, v)
         self._known = False
@@ -224,21 +240,29 @@ class Instance:
             raise InputError(f"{self.equations.name}: outputs are known after initialising")
         if self._known:
             return self._y
+        self._check_inputs()
         oracle, q, v, t = self.oracle, self.q, self.v, self.time
         a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
         if oracle.settings.projects:
             lam = oracle.minimum_norm(q, v, lam, t)
-        y = oracle.outputs(q, v, a, lam, self.inputs, t)
-        self.angles = self._unwrap(y, self.angles)
-        energy = oracle.energy(q, v)
-        self._y = np.concatenate([y, [*oracle.residues(q, v), energy, used]])
-        for (i, _), angle in zip(self._wrapped, self.angles, strict=True):
-            self._y[i] = angle
+        self._y = self._outputs(a, lam, used)
         self._accelerations, self._known = a, True
         c = self.counters
         c.acceleration_error = max(c.acceleration_error, float(np.abs(left[oracle.active]).max(initial=0.0)))
-        c.energy_error = max(c.energy_error, abs(energy - self.energy_start - self.work))
+        c.energy_error = max(c.energy_error, abs(oracle.energy(q, v) - self.energy_start - self.work))
         return self._y
+
+    def read_state(self) -> NDArray:
+        """Like `read` where accelerations and reactions cannot be computed: they are NaN, the rest is known."""
+        e = self.equations
+        return self._outputs(np.full(e.n, np.nan), np.full(e.l, np.nan), 0)
+
+    def _outputs(self, a: NDArray, lam: NDArray, used: int) -> NDArray:
+        oracle, q, v = self.oracle, self.q, self.v
+        y = oracle.outputs(q, v, a, lam, self.inputs, self.time)
+        self.angles = self._unwrap(y, self.angles)
+        y[[i for i, _ in self._wrapped]] = self.angles
+        return np.concatenate([y, [*oracle.residues(q, v), oracle.energy(q, v), used]])
 
     # State -------------------------------------------------------------------------------------------------------
 
@@ -254,10 +278,9 @@ class Instance:
             "formulation": self.formulation,
             "counters": asdict(self.counters) if self.initialized else None,
         }
-        numbers = [self.values, self.inputs]
+        numbers = [self.values, self.inputs, [self.time]]
         if self.initialized:
-            scalars = np.array([self.time, self.work, self.energy_start])
-            numbers += [self.q, self.v, self.angles, scalars, self.oracle.penalty]
+            numbers += [self.q, self.v, self.angles, [self.work, self.energy_start], self.oracle.penalty]
         text = json.dumps(head, sort_keys=True).encode()
         return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
 
@@ -268,22 +291,22 @@ class Instance:
             size = int.from_bytes(state[:8], "little")
             head = json.loads(state[8 : 8 + size])
             numbers = np.frombuffer(state[8 + size :]).copy()
-            sizes = [len(self.parameters), len(e.inputs)]
+            sizes = [len(self.parameters), len(e.inputs), 1]
             if head["initialized"]:
-                sizes += [e.n, e.n, len(self._wrapped), 3, e.l]
+                sizes += [e.n, e.n, len(self._wrapped), 2, e.l]
             if numbers.size != sum(sizes):
                 raise ValueError(numbers.size)
         except (ValueError, KeyError) as error:
             raise InputError(f"{e.name}: the saved state is not one of this mechanism; save it again") from error
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
-        self.values, self.inputs = parts[:2]
+        self.values, self.inputs, self.time = parts[0], parts[1], float(parts[2][0])
         self.formulation = head["formulation"]
         self.initialized, self._known = head["initialized"], False
         if self.initialized:
-            self.q, self.v, self.angles = parts[2:5]
-            self.time, self.work, self.energy_start = map(float, parts[5])
+            self.q, self.v, self.angles = parts[3:6]
+            self.work, self.energy_start = map(float, parts[6])
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
-            self.oracle.penalty = parts[6]
+            self.oracle.penalty = parts[7]
             self.oracle.counters = Counters(**head["counters"])
 
     def _check_inputs(self) -> None:

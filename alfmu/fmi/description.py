@@ -1,0 +1,170 @@
+"""The modelDescription.xml of an FMU, and its documentation page: everything a tool shows before the first step."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from xml.etree import ElementTree as ET
+
+import markdown
+
+from ..equations import Equations, Variable
+from ..runtime import Instance
+from ..units import unit
+from .slave import interface
+
+__all__ = ["documentation", "model_description"]
+
+LICENSE = "MIT"
+
+_LOG_CATEGORIES = {
+    "logStatusWarning": "A value could not be computed",
+    "logStatusDiscard": "A step was not taken, and why",
+    "logStatusError": "Errors of the slave",
+    "logStatusFatal": "Errors that end the run",
+    "logAll": "All messages",
+}
+
+
+def model_description(equations: Equations, version: str, generator: str, guid: str) -> bytes:
+    """modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments."""
+    e = equations
+    variables = interface(Instance(e))
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=e.name,
+        guid=guid,
+        description=e.description,
+        version=version,
+        license=LICENSE,
+        generationTool=generator,
+        variableNamingConvention="structured",
+    )
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=e.name,
+        needsExecutionTool="false",
+        canHandleVariableCommunicationStepSize="true",
+        canInterpolateInputs="false",
+        canRunAsynchronuously="false",
+        canBeInstantiatedOnlyOncePerProcess="false",
+        canNotUseMemoryManagementFunctions="true",
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+        providesDirectionalDerivative="false",
+    )
+    _units(root, sorted({v.unit for _, v in variables if v.type == "Real"}))
+    categories = ET.SubElement(root, "LogCategories")
+    for name, text in _LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=text)
+    ET.SubElement(
+        root, "DefaultExperiment", startTime="0", stopTime=_number(e.stop_time), stepSize=_number(e.step_size)
+    )
+    model_variables = ET.SubElement(root, "ModelVariables")
+    for reference, (causality, v) in enumerate(variables):
+        _variable(model_variables, reference, causality, v)
+    _structure(root, [causality for causality, _ in variables], [v for _, v in variables])
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _units(root: ET.Element, names: Sequence[str]) -> None:
+    definitions = ET.SubElement(root, "UnitDefinitions")
+    for name in names:
+        element = ET.SubElement(definitions, "Unit", name=name)
+        ET.SubElement(element, "BaseUnit", {k: str(n) for k, n in unit(name).exponents.items()})
+        for display, factor in unit(name).display.items():
+            ET.SubElement(element, "DisplayUnit", name=display, factor=_number(factor))
+
+
+def _variable(parent: ET.Element, reference: int, causality: str, v: Variable) -> None:
+    variability = "fixed" if causality == "parameter" else "continuous" if v.type == "Real" else "discrete"
+    head = {"name": v.name, "valueReference": str(reference), "causality": causality, "variability": variability}
+    if v.description:
+        head["description"] = v.description
+    if causality != "input":
+        head["initial"] = "calculated" if causality == "output" else "exact"
+    kind: dict[str, str] = {}
+    if causality != "output":
+        kind["start"] = v.start if isinstance(v.start, str) else _number(v.start, v.type)
+    if v.type == "Real":
+        kind["unit"] = v.unit
+        if display := _display(v.unit):
+            kind["displayUnit"] = display
+    if v.type != "String":
+        kind |= {key: _number(x, v.type) for key, x in (("min", v.minimum), ("max", v.maximum)) if x is not None}
+    ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), v.type, kind)
+
+
+def _structure(root: ET.Element, causalities: Sequence[str], variables: Sequence[Variable]) -> None:
+    """Outputs with what they depend on: reactions and accelerations follow every input at once, the rest none."""
+    structure = ET.SubElement(root, "ModelStructure")
+    inputs = [str(i + 1) for i, causality in enumerate(causalities) if causality == "input"]
+    outputs, unknowns = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
+    for i, (causality, v) in enumerate(zip(causalities, variables, strict=True)):
+        if causality == "output":
+            on = inputs if v.instant else []
+            ET.SubElement(
+                outputs,
+                "Unknown",
+                index=str(i + 1),
+                dependencies=" ".join(on),
+                dependenciesKind=" ".join("dependent" for _ in on),
+            )
+            ET.SubElement(unknowns, "Unknown", index=str(i + 1))
+
+
+def _display(unit_name: str) -> str | None:
+    """Angles are read in degrees."""
+    return {"rad": "deg", "rad/s": "deg/s"}.get(unit_name)
+
+
+def _number(value: float, kind: str = "Real") -> str:
+    return str(int(value)) if kind == "Integer" else f"{value:.17g}"
+
+
+_STYLE = """
+body { font-family: system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
+pre { background: #f5f5f2; padding: 1rem; overflow-x: auto; }
+table { border-collapse: collapse; margin: 1rem 0; } td, th { border: 1px solid #ccc; padding: 0.2rem 0.6rem; }
+th { text-align: left; background: #f5f5f2; } img { max-width: 100%; }
+"""
+
+
+def documentation(equations: Equations, sketch: str, readme: str, generator: str) -> str:
+    """documentation/index.html: picture, sketch, equations, all variables, and what the FMU needs."""
+    e = equations
+    body = markdown.markdown(readme, extensions=["tables", "fenced_code"]) if readme else f"<h1>{e.name}</h1>"
+    sketch_block = f"<pre>{html.escape(sketch.strip())}</pre>" if sketch and not readme else ""
+    rows = "\n".join(
+        f"<tr><td><code>{html.escape(v.name)}</code></td><td>{causality}</td><td>{v.unit}</td>"
+        f"<td>{'' if causality == 'output' else html.escape(f'{v.start:g}' if v.type != 'String' else str(v.start))}</td>"
+        f"<td>{html.escape(v.description)}</td></tr>"
+        for causality, v in interface(Instance(e))
+    )
+    options = "".join(f"<li><code>{html.escape(k)}</code> = {html.escape(str(x))}</li>" for k, x in e.options.items())
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{html.escape(e.name)}</title><style>{_STYLE}</style></head>
+<body>
+<p><img src="model.png" alt="{html.escape(e.description)} at its start"></p>
+{sketch_block}
+{body}
+{f"<h2>Options of this FMU</h2><ul>{options}</ul>" if options else ""}
+<h2>Variables of this FMU</h2>
+<table><tr><th>name</th><th>causality</th><th>unit</th><th>start</th><th>description</th></tr>
+{rows}
+</table>
+<h2>What it needs</h2>
+<p>{html.escape(DEPENDENCIES)}</p>
+<p>Made by {html.escape(generator)}.</p>
+</body></html>
+"""
+
+
+DEPENDENCIES = (
+    "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later) whose packages include "
+    "numpy and casadi. Python hosts such as fmpy have one; other hosts must load libpython first."
+)
+"""What the FMU needs from outside, in one line."""

@@ -1,0 +1,187 @@
+"""Export: equations and the run side of alfmu packed as an FMU by pythonfmu, reproducible to the byte."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import os
+import re
+import sys
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pythonfmu.builder import FmuBuilder
+
+from ..derivation import derive
+from ..equations import Equations
+from ..errors import ExportError
+from ..mechanism import Mechanism
+from ..picture import model_png
+from ..registry import load
+from ..runtime import FORMULATION, SOLVER_VARIABLES, Instance
+from .description import DEPENDENCIES, documentation, model_description
+from .slave import SCENE
+
+__all__ = ["RUN_SIDE", "export", "with_defaults"]
+
+GROUP = "alfmu.fmus"
+"""Entry-point group of modules with a pythonfmu class for the mechanism of the same name."""
+
+RUN_SIDE = (
+    "errors.py",
+    "equations.py",
+    "method.py",
+    "integrators.py",
+    "oracle.py",
+    "assembly.py",
+    "runtime.py",
+    "fmi/slave.py",
+)
+"""Modules of alfmu that travel inside an FMU."""
+
+_ENTRY = '''"""FMU entry of a mechanism that has none of its own."""
+
+from alfmu.fmi.slave import Slave
+
+
+class Entry(Slave):
+    """The mechanism behind FMI 2.0."""
+'''
+
+_PINNED = (1980, 1, 1, 0, 0, 0)
+"""Time stamp of every file in the archive: the earliest that zip can hold."""
+
+
+def export(
+    mechanism: str | Path | Mechanism,
+    path: str | Path | None = None,
+    *,
+    options: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+) -> Path:
+    """Write the FMU (FMI 2.0, co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
+
+    `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
+    variables. The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the
+    defaults, and ExportError where the file cannot be written.
+    """
+    declared = load(mechanism, **(options or {}))
+    equations = with_defaults(derive(declared), parameters or {})
+    Instance(equations).initialize()  # an FMU that cannot start is not worth writing
+    path = Path(path or f"{equations.name}.fmu")
+    if path.is_dir():
+        path = path / f"{equations.name}.fmu"
+    if path.suffix != ".fmu":
+        raise ExportError(f"{equations.name}: {path} does not end in .fmu")
+
+    version = importlib.metadata.version("alfmu")
+    generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
+    scene = equations.to_json()
+    entry = _entry(equations.name)
+    sources = {name: _source(name) for name in RUN_SIDE}
+    digest = hashlib.sha256("\0".join([scene, entry, *sources.values()]).encode()).hexdigest()[:16]
+    package = f"alfmu_{equations.name}_{digest}"
+    guid = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, f"alfmu:{generator}:{digest}")) + "}"
+    picture = model_png(declared, parameters)
+
+    with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+        top = Path(folder)
+        script = _write(top / f"{equations.name}_{digest}.py", entry.replace("alfmu.fmi.slave", f"{package}.fmi.slave"))
+        _write(top / package / "__init__.py", '"""The run side of alfmu."""\n')
+        _write(top / package / "fmi" / "__init__.py", '"""The slave."""\n')
+        for name, text in sources.items():
+            _write(top / package / name, text)
+        _write(top / SCENE, scene)
+        documents = top / "documentation"
+        _write(documents / "index.html", documentation(equations, declared.sketch, declared.documentation, generator))
+        _write(documents / "externalDependencies.txt", DEPENDENCIES + "\n")
+        for name in ("alfmu", "pythonfmu"):
+            _write(documents / "licenses" / f"{name}.txt", _license(name))
+        (documents / "model.png").write_bytes(picture)
+        packed = top / f"{equations.name}.fmu"
+        with _imports_undone(package, script.stem):
+            FmuBuilder.build_FMU(script, packed, [top / package, top / SCENE], documents)
+        described = {"modelDescription.xml": model_description(equations, version, generator, guid), "model.png": picture}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            partial = path.with_name(f".{path.name}.{os.getpid()}")
+            _repack(packed, partial, described)
+            partial.replace(path)
+        except OSError as error:
+            raise ExportError(f"{equations.name}: cannot write {path} ({error.strerror})") from error
+    return path
+
+
+def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
+    """The same equations with other defaults for parameters, start values, inputs and solver variables.
+
+    Raises InputError where a name is unknown or a value out of bounds.
+    """
+    probe = Instance(equations)
+    for name, value in values.items():
+        probe.set(name, value)
+    changed = {
+        field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
+        for field in ("parameters", "starts", "start_rates", "inputs")
+    }
+    solver = {v.name for v in SOLVER_VARIABLES} | {FORMULATION}
+    own = {name.removeprefix("solver."): probe.get(name) for name in values if name in solver}
+    return replace(equations, **changed, solver={**equations.solver, **own})
+
+
+def _entry(name: str) -> str:
+    for entry in importlib.metadata.entry_points(group=GROUP):
+        if entry.name == name:
+            spec = importlib.util.find_spec(entry.module)
+            return Path(spec.origin).read_text(encoding="utf-8")
+    return _ENTRY
+
+
+def _source(name: str) -> str:
+    return (Path(__file__).parents[1] / name).read_text(encoding="utf-8")
+
+
+def _write(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8", newline="\n")
+    return path
+
+
+def _license(distribution: str) -> str:
+    """Licence text of an installed package, or its declared licence."""
+    for file in importlib.metadata.files(distribution) or ():
+        if re.search(r"LICEN[CS]E", file.name) and file.locate().is_file():
+            return file.read_text()
+    about = importlib.metadata.metadata(distribution)
+    return f"{distribution} {about['Version']}: {about.get('License-Expression') or about.get('License') or 'see its site'}\n"
+
+
+@contextmanager
+def _imports_undone(*names: str) -> Iterator[None]:
+    """Leave no trace of modules and search paths that packing imports."""
+    path = list(sys.path)
+    try:
+        yield
+    finally:
+        sys.path[:] = path
+        for module in [m for m in sys.modules if m.split(".")[0] in names]:
+            del sys.modules[module]
+
+
+def _repack(source: Path, target: Path, replaced: Mapping[str, bytes]) -> None:
+    """The archive again with some files replaced, sorted, compressed, and free of time stamps and owners."""
+    with zipfile.ZipFile(source) as old:
+        files = {info.filename: old.read(info) for info in old.infolist() if not info.is_dir()}
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in sorted({**files, **replaced}):
+            info = zipfile.ZipInfo(name, _PINNED)
+            info.external_attr = 0o644 << 16
+            info.compress_type = zipfile.ZIP_DEFLATED
+            new.writestr(info, replaced.get(name, files.get(name)))
