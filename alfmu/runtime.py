@@ -79,6 +79,8 @@ class Instance:
 
     def __init__(self, equations: Equations, settings: Settings | None = None):
         self.equations = e = equations
+        self.name = e.name
+        self.input_variables = e.inputs
         self._given = settings or Settings(**{"step_size": e.step_size, **e.solver})
         solver = [replace(v, start=self._solver_default(v.name)) for v in SOLVER_VARIABLES]
         self.parameters = [*e.parameters, *e.starts, *e.start_rates, *solver]
@@ -105,7 +107,8 @@ class Instance:
         e = self.equations
         if name in self._input:
             self._check(e.inputs[self._input[name]], value)
-            self.override(self._input[name], value)
+            self.inputs[self._input[name]] = value
+            self._known = False
             return
         if name not in self._parameter and name != FORMULATION:
             names = [*self._input, *self._parameter, FORMULATION]
@@ -118,11 +121,6 @@ class Instance:
         else:
             self._check(self.parameters[self._parameter[name]], value)
             self.values[self._parameter[name]] = value
-
-    def override(self, i: int, value: float) -> None:
-        """Set input number i without looking at the value; the next `step` or `read` refuses a bad one."""
-        self.inputs[i] = value
-        self._known = False
 
     def get(self, name: str) -> float | str:
         """The value of an output, input, parameter, start value or solver number."""
@@ -240,7 +238,6 @@ class Instance:
             raise InputError(f"{self.equations.name}: outputs are known after initialising")
         if self._known:
             return self._y
-        self._check_inputs()
         oracle, q, v, t = self.oracle, self.q, self.v, self.time
         a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
         if oracle.settings.projects:
@@ -251,6 +248,10 @@ class Instance:
         c.acceleration_error = max(c.acceleration_error, float(np.abs(left[oracle.active]).max(initial=0.0)))
         c.energy_error = max(c.energy_error, abs(oracle.energy(q, v) - self.energy_start - self.work))
         return self._y
+
+    def read_inputs(self) -> NDArray:
+        """The inputs as they are now, in the order of `input_variables`."""
+        return self.inputs
 
     def read_state(self) -> NDArray:
         """Like `read` where accelerations and reactions cannot be computed: they are NaN, the rest is known."""

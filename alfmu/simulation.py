@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .derivation import derive
-from .equations import Equations
+from .equations import Equations, Variable
 from .errors import InputError
 from .mechanism import Mechanism
 from .oracle import Counters, Settings
 from .registry import load
 from .runtime import Instance
 
-__all__ = ["Result", "communication_points", "read_inputs", "simulate"]
+__all__ = ["Result", "Unit", "communication_points", "read_inputs", "run", "simulate"]
 
 Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
+
+Progress = Callable[[Sequence[float]], Iterable[float]]
+"""Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,20 @@ class Result:
                 writer.writerow([f"{x:.17g}" for x in (t, *row)])
 
 
+class Unit(Protocol):
+    """What the driver needs of a mechanism, whether it is an `Instance` or an FMU."""
+
+    name: str
+    outputs: Sequence[Variable]
+    input_variables: Sequence[Variable]
+
+    def set(self, name: str, value: float | str) -> None: ...
+    def initialize(self) -> None: ...
+    def step(self, communication_step: float, time: float) -> None: ...
+    def read(self) -> NDArray: ...
+    def read_inputs(self) -> NDArray: ...
+
+
 def simulate(
     mechanism: str | Path | Mechanism | Equations,
     stop_time: float | None = None,
@@ -62,7 +80,7 @@ def simulate(
     parameters: Mapping[str, float | str] | None = None,
     settings: Settings | None = None,
     outputs: Sequence[str] | None = None,
-    progress: Callable[[Sequence[float]], Iterator[float]] = iter,
+    progress: Progress = iter,
 ) -> Result:
     """Run a mechanism from 0 to `stop_time` [s] with communication steps of `step` [s].
 
@@ -71,39 +89,46 @@ def simulate(
     Raises AlfmuError where a name, a value or the mechanism is at fault.
     """
     equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+    instance = Instance(equations, settings)
     stop_time = equations.stop_time if stop_time is None else stop_time
     step = equations.step_size if step is None else step
-    times = communication_points(equations.name, stop_time, step)
-    instance = Instance(equations, settings)
+    return run(instance, stop_time, step, inputs, parameters, outputs, progress)
+
+
+def run(
+    unit: Unit,
+    stop_time: float,
+    step: float,
+    inputs: Mapping[str, Signal] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    outputs: Sequence[str] | None = None,
+    progress: Progress = iter,
+) -> Result:
+    """Drive a unit that is not yet initialised as `simulate` does."""
+    times = communication_points(unit.name, stop_time, step)
     for name, value in (parameters or {}).items():
-        instance.set(name, value)
+        unit.set(name, value)
     signals = {name: _signal(signal) for name, signal in (inputs or {}).items()}
+    known = [v.name for v in unit.outputs]
+    if outputs is not None and (missing := [name for name in outputs if name not in known]):
+        raise InputError(f"{unit.name} has no output {missing[0]!r}; it has {', '.join(known)}")
+    kept = [known.index(name) for name in (known if outputs is None else outputs)]
+    variables = [*(unit.outputs[k] for k in kept), *unit.input_variables]
+    table = np.empty((len(times), len(variables)))
 
     def apply(t: float) -> None:
         for name, signal in signals.items():
-            instance.set(name, signal(t))
-
-    known = [v.name for v in instance.outputs]
-    if outputs is not None and (missing := [name for name in outputs if name not in known]):
-        raise InputError(f"{equations.name} has no output {missing[0]!r}; it has {', '.join(known)}")
-    kept = [known.index(name) for name in (known if outputs is None else outputs)]
-    table = np.empty((len(times), len(kept) + len(equations.inputs)))
-
-    def record(row: int) -> None:
-        table[row, : len(kept)] = instance.read()[kept]
-        table[row, len(kept) :] = instance.inputs
+            unit.set(name, signal(t))
 
     apply(0.0)
-    instance.initialize()
-    record(0)
+    unit.initialize()
+    table[0] = np.concatenate([unit.read()[kept], unit.read_inputs()])
     for i, t in enumerate(progress(times[:-1])):
-        apply(t)
-        instance.step(times[i + 1] - t, t)
+        unit.step(times[i + 1] - t, t)
         apply(times[i + 1])
-        record(i + 1)
-    variables = [*(instance.outputs[k] for k in kept), *equations.inputs]
+        table[i + 1] = np.concatenate([unit.read()[kept], unit.read_inputs()])
     names = [v.name for v in variables]
-    return Result(equations.name, times, names, {v.name: v.unit for v in variables}, table, instance.counters)
+    return Result(unit.name, times, names, {v.name: v.unit for v in variables}, table, getattr(unit, "counters", None))
 
 
 def communication_points(name: str, stop_time: float, step: float) -> NDArray:

@@ -5,6 +5,9 @@ This module and everything it imports travel inside the FMU, under a package nam
 
 from __future__ import annotations
 
+import ctypes
+import logging
+import sys
 from pathlib import Path
 
 from pythonfmu import Fmi2Slave
@@ -15,6 +18,8 @@ from ..errors import AlfmuError, InputError
 from ..runtime import FORMULATION, FORMULATION_TEXT, Instance
 
 __all__ = ["SCENE", "Slave", "interface"]
+
+_LOGGER = logging.getLogger("alfmu")
 
 SCENE = "scene.json"
 """Name of the file with the equations, in the resources of the FMU."""
@@ -34,9 +39,17 @@ def interface(instance: Instance) -> list[tuple[str, Variable]]:
 class Slave(Fmi2Slave):
     """One mechanism behind FMI 2.0; an FMU entry subclasses it under the name of its mechanism.
 
-    Errors: a step that cannot be taken is discarded with the reason in the log and the state before it kept; an error
-    before the first step (a loop that cannot be closed) is raised, which is fatal in FMI.
+    A step that cannot be taken is discarded and the state before it kept; a value that is refused discards the next
+    step, or ends the initialisation, unless a good one follows; a mechanism that cannot be assembled ends the
+    initialisation (fatal in FMI). The reason goes to the FMI log and, as hosts often have that switched off, to the
+    Python logger `alfmu`.
     """
+
+    def __init_subclass__(cls) -> None:
+        # pythonfmu's library runs the entry module at each instantiation and then drops a reference to the module's
+        # dictionary that it does not own; one that nobody else drops keeps the module alive for the next instance.
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(sys.modules[cls.__module__].__dict__))
+        super().__init_subclass__()
 
     def __init__(self, **kwargs):  # noqa: ANN003 - the signature of pythonfmu
         super().__init__(**kwargs)
@@ -48,6 +61,7 @@ class Slave(Fmi2Slave):
         self._first_input = len(self.instance.parameters) + 1
         self._first_output = causalities.index("output")
         self._running = False
+        self._refused: dict[str, str] = {}
 
     # Life --------------------------------------------------------------------------------------------------------
 
@@ -55,38 +69,44 @@ class Slave(Fmi2Slave):
         self.instance.time = start_time
 
     def exit_initialization_mode(self) -> None:
-        self._assembled()
+        try:
+            self._no_refusals()
+            if not self.instance.initialized:
+                self.instance.initialize()
+        except AlfmuError as error:
+            # Not to the FMI log: pythonfmu loses the text of an exception once anything was logged.
+            _LOGGER.error("%s", error)
+            raise
         self._running = True
 
     def do_step(self, current_time: float, step_size: float) -> bool:
         try:
+            self._no_refusals()
             self.instance.step(step_size, current_time)
         except AlfmuError as error:
-            self.log(str(error), Fmi2Status.discard)
+            self._say(error, Fmi2Status.discard)
             return False
         return True
 
-    def _assembled(self) -> Instance:
-        if not self.instance.initialized:
-            self.instance.initialize()
-        return self.instance
+    def _no_refusals(self) -> None:
+        refused, self._refused = self._refused, {}
+        if refused:
+            raise InputError("; ".join(refused.values()))
+
+    def _say(self, error: AlfmuError, status: Fmi2Status) -> None:
+        _LOGGER.warning("%s", error)
+        self.log(str(error), status)
 
     # Values ------------------------------------------------------------------------------------------------------
 
     def get_real(self, vrs: list[int]) -> list[float]:
-        i, first_input, first_output = self.instance, self._first_input, self._first_output
-        if vrs and min(vrs) >= first_output:
-            y = self._read()
-            return [float(y[vr - first_output]) for vr in vrs]
-        values = []
-        for vr in vrs:
-            if vr >= first_output:
-                values.append(float(self._read()[vr - first_output]))
-            elif vr >= first_input:
-                values.append(float(i.inputs[vr - first_input]))
-            else:
-                values.append(float(i.values[vr]))
-        return values
+        inputs, values = self.instance.inputs, self.instance.values
+        first_input, first_output = self._first_input, self._first_output
+        y = self._read() if vrs and max(vrs) >= first_output else values
+        return [
+            float(y[i - first_output] if i >= first_output else inputs[i - first_input] if i >= first_input else values[i])
+            for i in vrs
+        ]
 
     def get_integer(self, vrs: list[int]) -> list[int]:
         return [int(value) for value in self.get_real(vrs)]
@@ -95,36 +115,32 @@ class Slave(Fmi2Slave):
         return [str(self.instance.get(self._names[vr])) for vr in vrs]
 
     def set_real(self, vrs: list[int], values: list[float]) -> None:
-        i = self.instance
         for vr, value in zip(vrs, values, strict=True):
+            self._set(vr, value)
+
+    set_integer = set_string = set_real
+
+    def _set(self, vr: int, value: float | str) -> None:
+        name = self._names[vr]
+        self._refused.pop(name, None)
+        try:
             if vr >= self._first_output:
-                raise InputError(f"{self.modelName}: {self._names[vr]} is an output and cannot be set")
-            if vr >= self._first_input:
-                # Taken as it is: a bad value discards the next step, which can be repeated with a good one.
-                i.override(vr - self._first_input, value)
-            else:
-                self._set(self._names[vr], value)
-
-    def set_integer(self, vrs: list[int], values: list[int]) -> None:
-        self.set_real(vrs, values)
-
-    def set_string(self, vrs: list[int], values: list[str]) -> None:
-        for vr, value in zip(vrs, values, strict=True):
-            self._set(self._names[vr], value)
-
-    def _set(self, name: str, value: float | str) -> None:
-        if not self._running:
-            self.instance.initialized = False
-        self.instance.set(name, value)
+                raise InputError(f"{self.modelName}: {name} is an output and cannot be set")
+            if vr < self._first_input and not self._running:
+                self.instance.initialized = False
+            self.instance.set(name, value)
+        except AlfmuError as error:
+            self._refused[name] = str(error)
 
     def _read(self):  # noqa: ANN202 - an array
+        instance = self.instance
+        if not instance.initialized:
+            instance.initialize()
         try:
-            return self._assembled().read()
+            return instance.read()
         except AlfmuError as error:
-            if not self.instance.initialized:
-                raise
-            self.log(str(error), Fmi2Status.warning)
-            return self.instance.read_state()
+            self._say(error, Fmi2Status.warning)
+            return instance.read_state()
 
     # State -------------------------------------------------------------------------------------------------------
 

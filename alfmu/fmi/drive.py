@@ -1,0 +1,185 @@
+"""An FMU driven through fmpy, behind the same calls as an `Instance`; and its validation."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from fmpy import extract, instantiate_fmu, read_model_description
+from fmpy.fmi1 import FMICallException
+from fmpy.model_description import ModelVariable
+from fmpy.validation import validate_fmu
+from numpy.typing import NDArray
+
+from ..equations import Variable
+from ..errors import ExportError, InputError, StepError
+
+__all__ = ["Fmu", "validate"]
+
+
+class Fmu:
+    """An FMI 2.0 co-simulation FMU from a file, unpacked and instantiated; close it, or use it in a `with` statement."""
+
+    def __init__(self, path: str | Path):
+        try:
+            self.description = read_model_description(str(path))
+        except Exception as error:  # fmpy raises whatever the archive or the XML parser raised
+            raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
+        if self.description.fmiVersion != "2.0" or self.description.coSimulation is None:
+            raise ExportError(f"{path} is no FMI 2.0 co-simulation FMU; alfmu drives no other")
+        self.name = self.description.modelName
+        self._by_name = {v.name: v for v in self.description.modelVariables}
+        self.outputs = [_variable(v) for v in self._of("output") if v.type in ("Real", "Integer")]
+        self.input_variables = [_variable(v) for v in self._of("input") if v.type == "Real"]
+        experiment = self.description.defaultExperiment
+        self.stop_time = float(experiment.stopTime) if experiment and experiment.stopTime else 10.0
+        self.step_size = float(experiment.stepSize) if experiment and experiment.stepSize else 0.02
+        self._inputs = [self._by_name[v.name].valueReference for v in self.input_variables]
+        self._real, self._integer = (
+            [(i, self._by_name[v.name].valueReference) for i, v in enumerate(self.outputs) if v.type == kind]
+            for kind in ("Real", "Integer")
+        )
+        self.log: list[str] = []
+        self._folder = extract(str(path))
+        try:
+            self.slave = instantiate_fmu(
+                self._folder, self.description, "CoSimulation", debug_logging=True, logger=self._logged
+            )
+        except Exception:
+            self._clean()
+            raise ExportError(self._why(f"{path} cannot be instantiated")) from None
+        self.begun = False
+
+    def __enter__(self) -> Fmu:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
+        self.close()
+
+    def close(self) -> None:
+        """Free the instance and remove the unpacked files."""
+        if self.slave is not None:
+            slave, self.slave = self.slave, None
+            slave.freeInstance()
+        self._clean()
+
+    def set(self, name: str, value: float | str) -> None:
+        """Set a variable by name; the FMU itself refuses a bad value at the next step or at initialisation."""
+        variable = self._by_name.get(name)
+        if variable is None or variable.causality not in ("parameter", "input"):
+            settable = [v.name for v in self.description.modelVariables if v.causality in ("parameter", "input")]
+            raise InputError(f"{self.name} has no input or parameter {name!r}; it has {', '.join(settable)}")
+        try:
+            value = {"Real": float, "Integer": int, "Boolean": bool, "String": str}[variable.type](value)
+        except (TypeError, ValueError):
+            raise InputError(f"{self.name}: {name} is {value!r}; it must be a {variable.type} value") from None
+        self._call(f"set{variable.type}", [variable.valueReference], [value])
+
+    def initialize(self) -> None:
+        self._call("setupExperiment", startTime=0.0)
+        self._call("enterInitializationMode")
+        self._call("exitInitializationMode")
+        self.begun = True
+
+    def step(self, communication_step: float, time: float) -> None:
+        self._call("doStep", time, communication_step)
+
+    def read(self) -> NDArray:
+        y = np.empty(len(self.outputs))
+        for getter, pairs in (("getReal", self._real), ("getInteger", self._integer)):
+            if pairs:
+                y[[i for i, _ in pairs]] = self._call(getter, [reference for _, reference in pairs])
+        return y
+
+    def read_inputs(self) -> NDArray:
+        return np.array(self._call("getReal", self._inputs) if self._inputs else [])
+
+    def reset(self) -> None:
+        """Back to the state after instantiation."""
+        self._call("reset")
+        self.begun = False
+
+    def save(self) -> bytes:
+        """The complete state, serialised by the FMU."""
+        state = self._call("getFMUstate")
+        try:
+            return self._call("serializeFMUstate", state)
+        finally:
+            self._call("freeFMUstate", state)
+
+    def restore(self, data: bytes) -> None:
+        state = self._call("deSerializeFMUstate", data)
+        try:
+            self._call("setFMUstate", state)
+        finally:
+            self._call("freeFMUstate", state)
+
+    def _of(self, causality: str) -> Iterator[ModelVariable]:
+        return (v for v in self.description.modelVariables if v.causality == causality)
+
+    def _call(self, function: str, *arguments, **named):  # noqa: ANN002, ANN003, ANN202 - as in FMI
+        self.log.clear()
+        try:
+            return getattr(self.slave, function)(*arguments, **named)
+        except FMICallException as error:
+            raise StepError(self._why(f"{self.name}: {function} failed ({error})")) from None
+
+    def _logged(self, environment, instance, status, category, message) -> None:  # noqa: ANN001 - as in FMI
+        self.log.append((message or b"").decode(errors="replace"))
+
+    def _why(self, what: str) -> str:
+        """What failed, with the FMU's own words where it left any."""
+        words = [line.split("InputError('")[-1].split("Error('")[-1].removesuffix("')") for line in self.log]
+        return words[-1] if words and words[-1] else what
+
+    def _clean(self) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+
+def validate(path: str | Path, steps: int = 50) -> list[str]:
+    """Problems of an FMU: fmpy's validation, then a run, a reset, a rewind, and a second instance, to the last bit.
+
+    An empty list means that none was found. Raises ExportError where the file is no FMU that can be opened.
+    """
+    problems = [f"fmpy: {problem}" for problem in validate_fmu(str(path))]
+    with Fmu(path) as fmu, Fmu(path) as other:
+        step = min(fmu.step_size, fmu.stop_time / steps)
+        try:
+            first = _run(fmu, step, steps)
+            state = fmu.save()
+            onward = _run(fmu, step, steps, begin=steps)
+            if not all(math.isfinite(x) for row in (*first, *onward) for x in row):
+                problems.append("run: an output is not finite")
+            fmu.restore(state)
+            if not _same(onward, _run(fmu, step, steps, begin=steps)):
+                problems.append("rewind: after restoring a state the run is not the same")
+            fmu.reset()
+            if not _same(first, _run(fmu, step, steps)):
+                problems.append("reset: after a reset the run is not the same")
+            if not _same(first, _run(other, step, steps)):
+                problems.append("reproducibility: a second instance does not give the same run")
+        except StepError as error:
+            problems.append(f"run: {error}")
+    return problems
+
+
+def _run(fmu: Fmu, step: float, steps: int, begin: int = 0) -> list[NDArray]:
+    if not fmu.begun:
+        fmu.initialize()
+    rows = [fmu.read()]
+    for i in range(begin, begin + steps):
+        fmu.step(step, i * step)
+        rows.append(fmu.read())
+    return rows
+
+
+def _same(a: list[NDArray], b: list[NDArray]) -> bool:
+    return len(a) == len(b) and all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
+
+
+def _variable(v: ModelVariable) -> Variable:
+    return Variable(v.name, v.unit or "1", description=v.description or "", type=v.type)
