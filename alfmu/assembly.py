@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from .equations import Equations
 from .errors import AssemblyError
 
-__all__ = ["assemble", "assemble_rates", "check_masses"]
+__all__ = ["Mobility", "assemble", "assemble_rates", "check_masses", "mobility"]
 
 _TOLERANCE = 1e-12
 _MOST = 100
@@ -94,6 +96,36 @@ def check_masses(equations: Equations, q: NDArray, p: NDArray) -> None:
         f"{smallest:.0e} of [M; C] at the start); a massless body must be held by constraints at both ends: never the "
         "last body of an open chain, never one placed by a joint coordinate alone"
     )
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """How a mechanism can move: in general, and at one position."""
+
+    freedom: int
+    """Degrees of freedom at a regular position."""
+    redundant: int
+    """Constraints that follow from the others on the whole of the motion."""
+    freedom_here: int
+    """Independent velocities at the given position; more than `freedom` where it is singular."""
+
+
+def mobility(equations: Equations, p: NDArray, q: NDArray) -> Mobility:
+    """Degrees of freedom and redundant constraints, from the rank of C at q (n,) and at assembled positions near it."""
+    e = equations
+    random = np.random.default_rng(0)
+    ranks = [_rank(np.array(e.C(q, p)))]
+    for _ in range(8):
+        near = q + 0.3 * random.standard_normal(e.n) * max(1.0, np.abs(q).max()) / np.sqrt(e.n)
+        for _ in range(30):
+            near = near - np.linalg.lstsq(np.array(e.C(near, p)), _array(e.Phi(near, p)), rcond=1e-8)[0]
+        if np.abs(_array(e.Phi(near, p))).max(initial=0.0) < 1e-9:
+            ranks.append(_rank(np.array(e.C(near, p))))
+    return Mobility(e.n - max(ranks), e.l - max(ranks), e.n - ranks[0])
+
+
+def _rank(C: NDArray) -> int:
+    return int(np.linalg.matrix_rank(C, tol=1e-7 * max(1.0, np.abs(C).max()))) if C.size else 0
 
 
 def _refuse(e: Equations, r: NDArray) -> None:

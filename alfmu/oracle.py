@@ -100,17 +100,17 @@ class Counters:
 
 
 class Call:
-    """A CasADi function called on arrays of its own: `x` are its arguments, `y` its dense results."""
+    """A CasADi function called on arrays of its own; it returns its first `matrices` results as matrices, then vectors."""
 
-    def __init__(self, f: ca.Function):
+    def __init__(self, f: ca.Function, matrices: int):
         self.x = [np.zeros(f.nnz_in(i)) for i in range(f.n_in())]
-        self.y = [np.zeros(f.size_out(i), order="F") for i in range(f.n_out())]
-        self.y = [y[:, 0] if y.shape[1] == 1 else y for y in self.y]
+        results = [np.zeros(f.size_out(i), order="F") for i in range(f.n_out())]
         self._buffer, self._run = f.buffer()
         for i, x in enumerate(self.x):
             self._buffer.set_arg(i, memoryview(x))
-        for i, y in enumerate(self.y):
+        for i, y in enumerate(results):
             self._buffer.set_res(i, memoryview(y.reshape(-1, order="A")))
+        self.y = [y if i < matrices else y.reshape(-1, order="A") for i, y in enumerate(results)]
 
     def __call__(self, *arguments: NDArray | float) -> list[NDArray]:
         for x, value in zip(self.x, arguments, strict=True):
@@ -119,9 +119,10 @@ class Call:
         return self.y
 
 
-def fuse(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> Call:
+def fuse(name: str, arguments: list[ca.SX], matrices: list[ca.SX], vectors: list[ca.SX]) -> Call:
     """One function with dense results and shared subexpressions, ready to be called."""
-    return Call(ca.Function(name, arguments, [ca.densify(r) for r in results], {"cse": True}))
+    results = [ca.densify(result) for result in (*matrices, *vectors)]
+    return Call(ca.Function(name, arguments, results, {"cse": True}), len(matrices))
 
 
 def symbols(equations: Equations) -> dict[str, ca.SX]:
@@ -150,12 +151,12 @@ class Oracle:
         q, v, u, p, t = (s[k] for k in "qvupt")
         M, C, xi, Phi = e.M(q, p), e.C(q, p), e.xi(q, v, p), e.Phi(q, p)
         F = e.f(q, v, u, p, t) - e.d(q, v, p)
-        self._dynamics = fuse("dynamics", [q, v, u, p, t], [M, F, C, xi])
-        self._constraints = fuse("constraints", [q, v, p], [M, C, Phi, C @ v])
+        self._dynamics = fuse("dynamics", [q, v, u, p, t], [M, C], [F, xi])
+        self._constraints = fuse("constraints", [q, v, p], [M, C], [Phi, C @ v])
         power = e.input_power(q, v, u, p, t) + e.other_power(q, v, p, t)
-        self._power = fuse("power", [q, v, u, p, t], [power])
-        self._energy = fuse("energy", [q, v, p], [e.kinetic_energy(q, v, p) + e.potential_energy(q, p)])
-        self._outputs = fuse("outputs", list(s.values()), [e.readings(*s.values())])
+        self._power = fuse("power", [q, v, u, p, t], [], [power])
+        self._energy = fuse("energy", [q, v, p], [], [e.kinetic_energy(q, v, p) + e.potential_energy(q, p)])
+        self._outputs = fuse("outputs", list(s.values()), [], [e.readings(*s.values())])
 
     def prepare(self, settings: Settings, p: NDArray, q: NDArray) -> None:
         """Begin a run: settings and parameters fixed, the penalty scaled with the masses at q (n,) if left open."""
@@ -180,7 +181,7 @@ class Oracle:
 
     def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> tuple[NDArray, NDArray, int, NDArray]:
         """a (n,), lam (l,), the multiplier iterations used, and Phi-ddot (l,) that is left."""
-        M, F, C, xi = self._dynamics(q, v, u, self.p, t)
+        M, C, F, xi = self._dynamics(q, v, u, self.p, t)
         self.counters.evaluations += 1
         kind, alpha, most = self.settings.formulation, self.alpha, self.settings.max_iterations
         if not (np.isfinite(M).all() and np.isfinite(F).all() and np.isfinite(xi).all()):

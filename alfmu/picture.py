@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from html import escape
@@ -298,6 +298,8 @@ class Scene:
     origin: Vector
     unit: float
     back: tuple[Part, ...]
+    trails: dict[str, str]
+    """Colour of the trail of each dot."""
     front: tuple[Part, ...]
     labels: tuple[Label, ...]
 
@@ -316,7 +318,8 @@ def _scene(shapes: Shapes, view: View, size: Size) -> Scene:
     pen = _Pen.fitting(shapes, view, size)
     guides = list(zip(shapes.guides, view.travel, strict=True))
     knots = _knots(shapes)
-    colors = {link.name: COLORS[i % len(COLORS)] for i, link in enumerate(shapes.links)}
+    colors = _colors(link.name for link in shapes.links)
+    dots = _colors(shapes.dots)
     back = [pen.grid(), pen.marks()]
     back += [pen.support(at, legs) for at, legs in _supports(shapes).items()]
     back += [pen.guide(guide, travel) for guide, travel in guides]
@@ -324,15 +327,15 @@ def _scene(shapes: Shapes, view: View, size: Size) -> Scene:
     front += [pen.link(link, colors[link.name]) for link in shapes.links]
     front += [pen.block(guide, colors[guide.rider.body]) for guide in shapes.guides if guide.block is not None]
     front += [pen.knot(knot) for knot in knots]
-    front += [pen.dot(dot, COLORS[i % len(COLORS)]) for i, dot in enumerate(shapes.dots)]
+    front += [pen.dot(dot, color) for dot, color in dots.items()]
     labels = pen.mark_labels()
     if pen.unit >= 0.5 * pen.base:
         labels += [pen.label(", ".join(k.names), k.anchors[:1], _occupied(shapes, k), 10) for k in knots]
         labels += [pen.label(tie.name, (tie.first, tie.second), (), 5) for tie in shapes.ties if tie.name]
-        labels += [pen.label(dot, (Anchor(dot, 0.0, 0.0),), (), 10) for dot in shapes.dots]
+        labels += [pen.label(dot, (Anchor(dot, 0.0, 0.0),), (), 10) for dot in dots]
         labels += [pen.guide_label(guide, travel) for guide, travel in guides]
         labels += [pen.link_label(link, shapes.guides, _shade(colors[link.name])) for link in shapes.links]
-    return Scene(size, pen.scale, pen.origin, pen.unit, tuple(back), tuple(front), tuple(labels))
+    return Scene(size, pen.scale, pen.origin, pen.unit, tuple(back), dots, tuple(front), tuple(labels))
 
 
 @dataclass(frozen=True)
@@ -575,6 +578,10 @@ def _occupied(shapes: Shapes, knot: _Knot) -> tuple[Anchor, ...]:
     return tuple(directions)
 
 
+def _colors(names: Iterable[str]) -> dict[str, str]:
+    return {name: COLORS[i % len(COLORS)] for i, name in enumerate(names)}
+
+
 def _direction(start: Vector, end: Vector) -> Vector:
     length = math.dist(start, end)
     return (end[0] - start[0]) / length, (end[1] - start[1]) / length
@@ -631,15 +638,174 @@ def draw(
     `view` is what the frame must hold (this instant alone, otherwise), `trails` the path [m] of dots by name, `caption`
     stands in the left upper corner. Raises InputError where a column is missing.
     """
-    scene = _scene(shapes, view or view_of(shapes, columns), size)
     poses = _poses(shapes, columns)
-    canvas = _Canvas(scene, poses)
-    for part in scene.back:
-        canvas.part(part)
-    for i, (dot, path) in enumerate((trails or {}).items()):
-        canvas.trail(path, COLORS[i % len(COLORS)])
-    for part in scene.front:
-        canvas.part(part)
-    for label in scene.labels:
-        canvas.label(label)
-    return canvas.finished(caption)
+    canvas = _Canvas(_scene(shapes, view or view_of(shapes, columns), size), poses)
+    canvas.parts(canvas.scene.back)
+    for dot, path in (trails or {}).items():
+        canvas.trail(path, canvas.scene.trails[dot])
+    canvas.parts(canvas.scene.front)
+    canvas.labels(caption)
+    return canvas.image.resize(size, Image.Resampling.LANCZOS)
+
+
+class _Canvas:
+    """A scene at one instant, painted larger than it is shown."""
+
+    def __init__(self, scene: Scene, poses: Mapping[str, Pose]):
+        self.scene, self.poses = scene, poses
+        self.image = Image.new("RGB", (SAMPLES * scene.size[0], SAMPLES * scene.size[1]), BACKGROUND)
+        self.pen = ImageDraw.Draw(self.image)
+
+    def parts(self, parts: Sequence[Part]) -> None:
+        """Strokes where their frames are."""
+        for part in parts:
+            (ox, oy), *rest = [self._pixels(_place(self.poses, at)) for at in part.at]
+            if rest:
+                ax, ay = rest[0][0] - ox, rest[0][1] - oy
+                length = math.hypot(ax, ay) or 1.0
+                bx, by = -ay / length, ax / length
+            else:
+                angle = float(self.poses[part.at[0].body][2]) + part.angle
+                ax, ay = math.cos(angle), math.sin(angle)
+                bx, by = -ay, ax
+            for stroke in part.strokes:
+                self._stroke([(ox + x * ax + y * bx, oy + x * ay + y * by) for x, y in stroke.points], stroke)
+
+    def trail(self, path: Sequence[Vector], color: str) -> None:
+        """A path in metres."""
+        points = [self._pixels(p) for p in path]
+        self._stroke(points, Stroke((), 2.5 * self.scene.unit, color))
+
+    def labels(self, caption: str) -> None:
+        """All labels, and a caption in the left upper corner."""
+        for label in self.scene.labels:
+            xs, ys = zip(*(self._pixels(_place(self.poses, at)) for at in label.at), strict=True)
+            x, y = sum(xs) / len(xs), sum(ys) / len(ys)
+            if label.gap:
+                dx, dy = 0.0, 0.4
+                for link in label.links:
+                    c, s = math.cos(self.poses[link.body][2]), math.sin(self.poses[link.body][2])
+                    dx, dy = dx - c * link.x + s * link.y, dy - s * link.x - c * link.y
+                length = math.hypot(dx, dy) or 1.0
+                x += dx / length * (label.gap + _width(label.text, label.size) / 2)
+                y += dy / length * (label.gap + label.size / 2.6)
+            self._text(x, y, label.text, label.size, label.color, "mm")
+        unit = min(self.scene.size) / 480
+        self._text(20 * unit, self.scene.size[1] - 24 * unit, caption, 14 * unit, FAINT, "lm")
+
+    def _pixels(self, place: Vector) -> Vector:
+        (ox, oy), scale = self.scene.origin, self.scene.scale
+        return ox + scale * float(place[0]), oy + scale * float(place[1])
+
+    def _stroke(self, points: Sequence[Vector], stroke: Stroke) -> None:
+        top, width = self.scene.size[1], max(1, round(SAMPLES * stroke.width))
+        points = [(SAMPLES * x, SAMPLES * (top - y)) for x, y in points]
+        if stroke.filled:
+            self.pen.polygon(points, stroke.color)
+            points = [*points, points[0]]
+        if len(points) > 1:
+            self.pen.line(points, stroke.color, width)
+        r = width / 2
+        for x, y in points:
+            self.pen.ellipse((x - r, y - r, x + r, y + r), stroke.color)
+
+    def _text(self, x: float, y: float, text: str, size: float, color: str, anchor: str) -> None:
+        place = SAMPLES * x, SAMPLES * (self.scene.size[1] - y)
+        halo = round(SAMPLES * size / 5)
+        self.pen.text(place, text, color, _font(SAMPLES * size), anchor, stroke_width=halo, stroke_fill=BACKGROUND)
+
+
+@cache
+def _font(size: float) -> ImageFont.FreeTypeFont:
+    return ImageFont.load_default(size)
+
+
+def _width(text: str, size: float) -> float:
+    return _font(SAMPLES * size).getlength(text) / SAMPLES
+
+
+# Pictures of a model and of a motion ------------------------------------------------------------------------------
+
+
+def model_png(mechanism: Mechanism, size: Size = (640, 480)) -> bytes:
+    """A PNG of a mechanism at its start, the same bytes each time.
+
+    Where bars hide each other at the start (singular positions do that), the first start angle is taken 1 rad further,
+    and the picture says so. Dots have the trail of the mechanism's own experiment, as far as it can be run.
+    """
+    shapes, equations = geometry(mechanism), derive(mechanism)
+    columns, caption = _start(shapes, equations), ""
+    angle = next((start for start in equations.starts if start.unit == "rad"), None)
+    if angle and _hides(shapes, columns):
+        with suppress(AlfmuError):
+            columns = _start(shapes, equations, {angle.name: angle.start + 1})
+            caption = f"shown at {angle.name} = {angle.start + 1:.4g} rad"
+    trails, seen = {}, columns
+    if shapes.dots:
+        with suppress(AlfmuError):
+            result = simulate(equations, outputs=shapes.columns)
+            trails = {dot: list(zip(result[f"{dot}.x"], result[f"{dot}.y"], strict=True)) for dot in shapes.dots}
+            seen = {name: result[name] for name in shapes.columns}
+    buffer = io.BytesIO()
+    draw(shapes, columns, size, view_of(shapes, seen), trails, caption).save(buffer, "PNG", optimize=True)
+    return buffer.getvalue()
+
+
+def _start(shapes: Shapes, equations: Equations, starts: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:
+    """The columns of a picture at the start."""
+    instance = Instance(equations)
+    for name, value in starts.items():
+        instance.set(name, value)
+    instance.initialize()
+    return {name: instance.get(name) for name in shapes.columns}
+
+
+def _hides(shapes: Shapes, columns: Mapping[str, float]) -> bool:
+    """Whether two bars lie on each other over some length."""
+    poses = _poses(shapes, columns)
+    bars = [_hull(link.points) for link in shapes.links]
+    places = [
+        [np.array(_place(poses, Anchor(link.name, *p))) for p in hull]
+        for link, hull in zip(shapes.links, bars, strict=True)
+        if len(hull) == 2
+    ]
+    for (a, b), other in combinations(places, 2):
+        along, length = (b - a) / np.linalg.norm(b - a), np.linalg.norm(b - a)
+        s, n = zip(*((along @ (p - a), along[0] * (p - a)[1] - along[1] * (p - a)[0]) for p in other), strict=True)
+        if max(map(abs, n)) < 1e-3 * length < min(max(s), length) - max(min(s), 0.0):
+            return True
+    return False
+
+
+def animate(
+    mechanism: Mechanism,
+    result: Result,
+    path: str | Path,
+    *,
+    parameters: Mapping[str, Any] | None = None,
+    fps: float = 25,
+    speed: float = 1.0,
+    size: Size = (640, 480),
+    progress: Callable[[Sequence[float]], Iterator[float]] = iter,
+) -> None:
+    """Write a motion as an endless `.gif`, or as an `.html` page that needs nothing else and can be stopped and scrolled.
+
+    `result` has `time` [s], `names` and arrays by name; `parameters` are those it was run with. `fps` is that of a GIF (a
+    page draws as often as the browser does), `speed` the time [s] shown per second. `progress` wraps the instants of the
+    frames. Raises InputError where the suffix is another one, a column is missing, or fps or speed is not above zero.
+    """
+    path = Path(path)
+    if path.suffix not in (".gif", ".html"):
+        raise InputError(f"{path} cannot hold an animation; its name must end in .gif or .html")
+    for name, value in (("fps", fps), ("speed", speed)):
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"{mechanism.name}: {name} is {value}; it must be a finite number above zero")
+    shapes = geometry(mechanism, parameters)
+    columns = {name: result[name] for name in shapes.columns if name in result.names}
+    view = view_of(shapes, columns)
+    if path.suffix == ".gif":
+        delay, instants = _instants(result.time, fps, speed)
+        _write_gif(shapes, view, size, delay, progress(instants), _sampled(result.time, columns, instants), path)
+    else:
+        time = result.time
+        ...

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import inspect
 import runpy
+import traceback
 import typing
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from .errors import InputError
+from .errors import AlfmuError, InputError
 from .mechanism import Mechanism
 
 __all__ = ["GROUP", "load", "mechanisms", "options"]
@@ -44,7 +45,7 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
             raise InputError(f"{mechanism} has no option {name!r}; {has}")
         if known[name] and value not in known[name]:
             raise InputError(f"{mechanism}: option {name} is {value!r}; use one of {', '.join(map(str, known[name]))}")
-    declared = factory(**chosen)
+    declared = _guarded(mechanism, lambda: factory(**chosen))
     if not isinstance(declared, Mechanism):
         raise InputError(f"{mechanism}: {factory.__name__}() returns {type(declared).__name__}, not a Mechanism")
     defaults = {k: p.default for k, p in inspect.signature(factory).parameters.items()}
@@ -58,7 +59,7 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
 def options(mechanism: str | Path) -> dict[str, tuple]:
     """Options of a mechanism: name -> the values it takes (empty: any)."""
     factory = _factory(mechanism)
-    hints = typing.get_type_hints(factory)
+    hints = _guarded(mechanism, lambda: typing.get_type_hints(factory))
     return {
         name: typing.get_args(hints[name]) if typing.get_origin(hints.get(name)) is typing.Literal else ()
         for name in inspect.signature(factory).parameters
@@ -80,10 +81,7 @@ def _factory(mechanism: str | Path) -> Factory:
 def _from_file(path: Path) -> Factory:
     if not path.is_file():
         raise InputError(f"there is no file {path}")
-    try:
-        names = runpy.run_path(str(path), run_name=path.stem)
-    except SyntaxError as error:
-        raise InputError(f"{path}, line {error.lineno}: {error.msg}") from None
+    names = _guarded(path, lambda: runpy.run_path(str(path), run_name=path.stem))
     functions = {k: f for k, f in names.items() if inspect.isfunction(f) and f.__module__ == path.stem}
     if path.stem in functions:
         return functions[path.stem]
@@ -97,3 +95,17 @@ def _from_file(path: Path) -> Factory:
         f"{path} declares no single mechanism; give it a function {path.stem}() that returns a Mechanism, or one "
         "Mechanism object"
     )
+
+
+def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
+    """Run a user's code; what goes wrong in a file of theirs is said with its line."""
+    try:
+        return run()
+    except AlfmuError:
+        raise
+    except Exception as error:
+        if not str(mechanism).endswith(".py"):
+            raise
+        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(mechanism)]
+        line = getattr(error, "lineno", None) or (lines[-1] if lines else "?")
+        raise InputError(f"{mechanism}, line {line}: {type(error).__name__}: {error}") from error

@@ -12,7 +12,7 @@ from dataclasses import asdict, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .assembly import assemble, assemble_rates, check_masses
+from .assembly import Mobility, assemble, assemble_rates, check_masses, mobility
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
@@ -264,6 +264,10 @@ class Instance:
         self.angles = self._unwrap(y, self.angles)
         y[[i for i, _ in self._wrapped]] = self.angles
         return np.concatenate([y, [*oracle.residues(q, v), oracle.energy(q, v), used]])
+
+    def mobility(self) -> Mobility:
+        """Degrees of freedom and redundant constraints, in general and at the present position."""
+        return mobility(self.equations, self._start_values()[0], self.q)
 
     # State -------------------------------------------------------------------------------------------------------
 

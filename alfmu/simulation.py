@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -18,9 +18,9 @@ from .errors import InputError
 from .mechanism import Mechanism
 from .oracle import Counters, Settings
 from .registry import load
-from .runtime import Instance
+from .runtime import FORMULATION, SOLVER_VARIABLES, Instance
 
-__all__ = ["Result", "Unit", "communication_points", "read_inputs", "run", "simulate"]
+__all__ = ["Result", "Unit", "communication_points", "read_inputs", "run", "simulate", "with_defaults"]
 
 Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
@@ -47,6 +47,12 @@ class Result:
             return self.values[:, self.names.index(name)]
         except ValueError:
             raise InputError(f"the result of {self.mechanism} has no {name!r}; it has {', '.join(self.names)}") from None
+
+    @classmethod
+    def from_csv(cls, path: str | Path) -> Result:
+        """A table with a column `time` and columns of numbers, called after its file; units are not known."""
+        names, table = _table(path)
+        return cls(Path(path).stem, table[:, 0], names[1:], {}, table[:, 1:])
 
     def to_csv(self, path: str | Path) -> None:
         """Write time and all columns with 17 significant digits; the first row holds the names."""
@@ -146,17 +152,23 @@ def communication_points(name: str, stop_time: float, step: float) -> NDArray:
 
 def read_inputs(path: str | Path) -> dict[str, Signal]:
     """Inputs from a CSV file: a column `time` [s], and a column for each input."""
+    names, table = _table(path)
+    return {name: (table[:, 0], table[:, i]) for i, name in enumerate(names) if i}
+
+
+def _table(path: str | Path) -> tuple[list[str], NDArray]:
+    """Names and numbers of a CSV file whose first column is time."""
     try:
         with Path(path).open(newline="", encoding="utf-8") as file:
             rows = [row for row in csv.reader(file) if row]
-        head, body = [name.strip() for name in rows[0]], np.array(rows[1:], float)
+        names, table = [name.strip() for name in rows[0]], np.array(rows[1:], float)
     except (OSError, IndexError, ValueError) as error:
         raise InputError(f"{path} is not a table of numbers under a row of names ({error})") from None
-    if body.ndim != 2 or body.shape[1] != len(head) or head[0] != "time" or not np.isfinite(body).all():
-        raise InputError(f"{path}: the first column must be time, each column as long as the others, all values finite")
-    if (np.diff(body[:, 0]) < 0).any():
+    if table.ndim != 2 or table.shape[1] != len(names) or names[0] != "time" or not np.isfinite(table[:, 0]).all():
+        raise InputError(f"{path}: the first column must be time, and every row as long as the row of names")
+    if (np.diff(table[:, 0]) < 0).any():
         raise InputError(f"{path}: time must not go back")
-    return {name: (body[:, 0], body[:, i]) for i, name in enumerate(head) if i}
+    return names, table
 
 
 def _signal(signal: Signal) -> Callable[[float], float]:
@@ -166,3 +178,20 @@ def _signal(signal: Signal) -> Callable[[float], float]:
         times, values = signal
         return lambda t: float(np.interp(t, times, values))
     return lambda t: signal
+
+
+def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
+    """The same equations with other defaults for parameters, start values, inputs and solver variables.
+
+    Raises InputError where a name is unknown or a value out of bounds.
+    """
+    probe = Instance(equations)
+    for name, value in values.items():
+        probe.set(name, value)
+    changed = {
+        field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
+        for field in ("parameters", "starts", "start_rates", "inputs")
+    }
+    solver = {v.name for v in SOLVER_VARIABLES} | {FORMULATION}
+    own = {name.removeprefix("solver."): probe.get(name) for name in values if name in solver}
+    return replace(equations, **changed, solver={**equations.solver, **own})

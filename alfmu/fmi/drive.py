@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..equations import Variable
 from ..errors import ExportError, InputError, StepError
+from .slave import SCENE
 
 __all__ = ["Fmu", "validate"]
 
@@ -44,7 +46,12 @@ class Fmu:
             for kind in ("Real", "Integer")
         )
         self.log: list[str] = []
+        self.parameters = {v.name: float(v.start) for v in self._of("parameter") if v.type == "Real" and v.start}
+        """Defaults of the numbers that can be set before the run."""
         self._folder = extract(str(path))
+        scene = Path(self._folder, "resources", SCENE)
+        self.options = json.loads(scene.read_text())["options"] if scene.is_file() else {}
+        """Options that the mechanism was exported with, if alfmu exported it."""
         try:
             self.slave = instantiate_fmu(
                 self._folder, self.description, "CoSimulation", debug_logging=True, logger=self._logged

@@ -13,23 +13,22 @@ import uuid
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pythonfmu.builder import FmuBuilder
 
 from ..derivation import derive
-from ..equations import Equations
 from ..errors import ExportError
 from ..mechanism import Mechanism
 from ..picture import model_png
 from ..registry import load
-from ..runtime import FORMULATION, SOLVER_VARIABLES, Instance
+from ..runtime import Instance
+from ..simulation import with_defaults
 from .description import DEPENDENCIES, documentation, model_description
 from .slave import SCENE
 
-__all__ = ["RUN_SIDE", "export", "with_defaults"]
+__all__ = ["RUN_SIDE", "export"]
 
 GROUP = "alfmu.fmus"
 """Entry-point group of modules with a pythonfmu class for the mechanism of the same name."""
@@ -117,23 +116,6 @@ def export(
         except OSError as error:
             raise ExportError(f"{equations.name}: cannot write {path} ({error.strerror})") from error
     return path
-
-
-def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
-    """The same equations with other defaults for parameters, start values, inputs and solver variables.
-
-    Raises InputError where a name is unknown or a value out of bounds.
-    """
-    probe = Instance(equations)
-    for name, value in values.items():
-        probe.set(name, value)
-    changed = {
-        field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
-        for field in ("parameters", "starts", "start_rates", "inputs")
-    }
-    solver = {v.name for v in SOLVER_VARIABLES} | {FORMULATION}
-    own = {name.removeprefix("solver."): probe.get(name) for name in values if name in solver}
-    return replace(equations, **changed, solver={**equations.solver, **own})
 
 
 def _entry(name: str) -> str:

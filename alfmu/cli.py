@@ -1,0 +1,281 @@
+"""The command line: parse, call, print."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from .errors import AlfmuError, InputError
+
+__all__ = ["main"]
+
+_NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage."""
+    parser = _parser()
+    chosen = parser.parse_args(arguments)
+    try:
+        return chosen.run(chosen) or 0
+    except AlfmuError as error:
+        print(f"alfmu: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:
+        # Whoever reads our output has seen enough; keep the interpreter from complaining about it at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        print("alfmu: interrupted", file=sys.stderr)
+        return 130
+
+
+def _parser() -> argparse.ArgumentParser:
+    from importlib.metadata import version
+
+    parser = argparse.ArgumentParser(
+        prog="alfmu",
+        description="Closed-loop mechanisms as FMUs for co-simulation: export, run, check and watch them.",
+        epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage. `alfmu COMMAND --help` explains a command.",
+    )
+    parser.add_argument("--version", action="version", version=f"alfmu {version('alfmu')}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def command(name: str, run: Callable[[argparse.Namespace], int | None], text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        sub.set_defaults(run=run)
+        return sub
+
+    command("list", _list, "list the registered mechanisms")
+
+    sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
+    sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
+    _add_option(sub)
+    _add_set(sub)
+
+    sub = command("export", _export, "write the FMU (FMI 2.0, co-simulation) of a mechanism")
+    sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
+    sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
+    _add_option(sub)
+    _add_set(sub)
+
+    sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
+    sub.add_argument("unit", metavar="NAME|FMU", help=f"{_NAME_HELP}, or an .fmu file")
+    sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the unit's own)")
+    sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the unit's own)")
+    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
+    sub.add_argument("-o", "--output", metavar="FILE.csv", help="where to write the result (default: NAME.csv here)")
+    sub.add_argument("--plot", metavar="FILE.png", help="also draw the result (PNG, SVG or PDF)")
+    sub.add_argument(
+        "--plot-names", metavar="PATTERN", nargs="+", help='what to draw, such as "link*.angle" "*.force.*"'
+    )
+    _add_option(sub)
+    _add_set(sub)
+
+    sub = command("validate", _validate, "check an FMU: fmpy's validation, a run, reset, rewind, reproducibility")
+    sub.add_argument("fmu", metavar="FMU", help="an .fmu file")
+
+    sub = command("animate", _animate, "turn a result into a film that a person can watch (GIF or HTML)")
+    sub.add_argument("result", metavar="RESULT.csv", help="a result that `alfmu simulate` wrote, or any CSV with its names")
+    sub.add_argument("-o", "--output", metavar="FILE", help=".gif or .html (default: RESULT.gif)")
+    sub.add_argument("--mechanism", metavar="NAME", help="the mechanism, where the result does not come with its .json")
+    sub.add_argument("--fps", type=float, default=25.0, help="frames per second (default: %(default)g)")
+    sub.add_argument("--speed", type=float, default=1.0, help="times real time (default: %(default)g)")
+    _add_option(sub)
+    _add_set(sub)
+    return parser
+
+
+def _add_set(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        type=_pair,
+        default=[],
+        help="a parameter, start value, input or solver variable; may be given many times",
+    )
+
+
+def _add_option(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--option",
+        metavar="KEY=VALUE",
+        action="append",
+        type=_pair,
+        default=[],
+        help="an option of the mechanism, such as coordinates=natural; may be given many times",
+    )
+
+
+def _pair(text: str) -> tuple[str, float | str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    try:
+        return name, float(value)
+    except ValueError:
+        return name, value
+
+
+# Commands ------------------------------------------------------------------------------------------------------------
+
+
+def _list(chosen: argparse.Namespace) -> None:
+    from .registry import load, mechanisms, options
+
+    for name in mechanisms():
+        print(f"{name:20} {load(name).description}")
+        for option, values in options(name).items():
+            print(f"{'':20}   --option {option}={'|'.join(map(str, values)) or '...'}")
+
+
+def _info(chosen: argparse.Namespace) -> None:
+    from .derivation import derive
+    from .registry import load, options
+    from .runtime import FORMULATION, FORMULATION_TEXT, Instance
+    from .simulation import with_defaults
+
+    mechanism = load(chosen.mechanism, **dict(chosen.option))
+    equations = with_defaults(derive(mechanism), dict(chosen.set))
+    instance = Instance(equations)
+    instance.initialize()
+    size = instance.mobility()
+    print(f"{mechanism.name}: {mechanism.description}\n\n{mechanism.sketch.strip()}\n")
+    for option, values in options(chosen.mechanism).items():
+        print(f"option {option} = {mechanism.options[option]} ({' | '.join(map(str, values)) or 'any'})")
+    print(f"\ncoordinates ({equations.n}): {', '.join(f'{c.name} [{c.unit}]' for c in equations.coordinates)}")
+    print(f"constraints ({equations.l}): {', '.join(f'{r.name} {r.direction}'.strip() for r in equations.rows) or 'none'}")
+    print(f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}", end="")
+    print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
+    for title, variables in (
+        ("parameters and start values", instance.parameters),
+        ("inputs", equations.inputs),
+        ("outputs", instance.outputs),
+    ):
+        print(f"\n{title}:")
+        for v in variables:
+            start = "" if title == "outputs" else f"{v.start:g}"
+            print(f"  {v.name:32} {start:>10} {v.unit:12} {v.description}".rstrip())
+    print(f"  {FORMULATION:32} {instance.formulation:>10} {'':12} {FORMULATION_TEXT}")
+
+
+def _export(chosen: argparse.Namespace) -> None:
+    from .fmi.export import export
+
+    path = export(chosen.mechanism, chosen.output, options=dict(chosen.option), parameters=dict(chosen.set))
+    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
+
+
+def _simulate(chosen: argparse.Namespace) -> None:
+    from .simulation import read_inputs, run
+
+    inputs = read_inputs(chosen.input) if chosen.input else {}
+    if chosen.plot:
+        from .plot import plot
+    unit, about = _unit(chosen)
+    try:
+        stop_time = about["stop_time"] if chosen.stop_time is None else chosen.stop_time
+        step = about["step_size"] if chosen.step is None else chosen.step
+        result = run(unit, stop_time, step, inputs, dict(chosen.set), None, _progress("simulating"))
+    finally:
+        if hasattr(unit, "close"):
+            unit.close()
+    table = Path(chosen.output or f"{result.mechanism}.csv")
+    _writing(table, result.to_csv)
+    facts = {k: about[k] for k in ("mechanism", "options")}
+    facts["parameters"] = {**about["parameters"], **dict(chosen.set)}
+    _writing(table.with_suffix(".json"), lambda path: path.write_text(json.dumps(facts, indent=1) + "\n"))
+    if result.counters is not None:
+        c = result.counters
+        print(
+            f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
+            f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections"
+        )
+        print(
+            f"largest |Phi| {c.position_error:.1e}, |Phi-dot| {c.velocity_error:.1e}, |Phi-ddot| "
+            f"{c.acceleration_error:.1e}, energy balance {c.energy_error:.1e} J"
+        )
+    print(f"wrote {table} ({len(result.time)} rows, {len(result.names) + 1} columns)")
+    if chosen.plot:
+        _writing(Path(chosen.plot), lambda path: plot(result, path, chosen.plot_names))
+        print(f"wrote {chosen.plot}")
+
+
+def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
+    """What to run, and what a later look at the result needs to know."""
+    if chosen.unit.endswith(".fmu"):
+        from .fmi.drive import Fmu
+
+        if chosen.option:
+            raise InputError(f"{chosen.unit}: the options of an FMU are fixed when it is exported")
+        fmu = Fmu(chosen.unit)
+        about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters}
+        return fmu, {**about, "stop_time": fmu.stop_time, "step_size": fmu.step_size}
+    from .derivation import derive
+    from .registry import load
+    from .runtime import Instance
+
+    mechanism = load(chosen.unit, **dict(chosen.option))
+    equations = derive(mechanism)
+    about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}}
+    return Instance(equations), {**about, "stop_time": equations.stop_time, "step_size": equations.step_size}
+
+
+def _validate(chosen: argparse.Namespace) -> int:
+    from .fmi.drive import validate
+
+    problems = validate(chosen.fmu)
+    for problem in problems:
+        print(problem)
+    print(f"{chosen.fmu}: {len(problems)} problem{'s' * (len(problems) != 1)} found")
+    return int(bool(problems))
+
+
+def _animate(chosen: argparse.Namespace) -> None:
+    from .picture import animate
+    from .registry import load
+    from .simulation import Result
+
+    result = Result.from_csv(chosen.result)
+    facts: dict[str, Any] = {"mechanism": None, "options": {}, "parameters": {}}
+    beside = Path(chosen.result).with_suffix(".json")
+    if beside.is_file():
+        facts.update(json.loads(beside.read_text()))
+    name = chosen.mechanism or facts["mechanism"]
+    if name is None:
+        raise InputError(f"{chosen.result} comes without {beside.name}; say which mechanism it is with --mechanism")
+    options = dict(chosen.option) if chosen.mechanism else {**facts["options"], **dict(chosen.option)}
+    mechanism = load(name, **options)
+    path = Path(chosen.output or Path(chosen.result).with_suffix(".gif"))
+    if chosen.fps <= 0 or chosen.speed <= 0:
+        raise InputError("--fps and --speed must be above zero")
+    parameters = {**facts["parameters"], **dict(chosen.set)}
+    progress = _progress("drawing")
+    _writing(
+        path,
+        lambda p: animate(
+            mechanism, result, p, parameters=parameters, fps=chosen.fps, speed=chosen.speed, progress=progress
+        ),
+    )
+    print(f"wrote {path}")
+
+
+def _writing(path: Path, write: Callable[[Path], Any]) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(path)
+    except OSError as error:
+        raise InputError(f"cannot write {path} ({error.strerror})") from None
+
+
+def _progress(what: str) -> Callable[[Iterable[float]], Iterable[float]]:
+    """A progress bar on a terminal, for what takes longer than a second."""
+    from tqdm import tqdm
+
+    return lambda steps: tqdm(steps, desc=what, unit="step", delay=1.0, disable=None, leave=False)
