@@ -145,5 +145,5 @@ def _name(e: Equations, r: NDArray) -> str:
     return f"{start.name} missed by {abs(r[worst]):.3g} {start.unit}"
 
 
-def _array(x) -> NDArray:  # noqa: ANN001 - whatever CasADi returns
+def _array(x) -> NDArray:
     return np.array(x, float).reshape(-1)

@@ -41,7 +41,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="alfmu",
         description="Closed-loop mechanisms as FMUs for co-simulation: export, run, check and watch them.",
-        epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage. `alfmu COMMAND --help` explains a command.",
+        epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage. See `alfmu COMMAND --help`.",
     )
     parser.add_argument("--version", action="version", version=f"alfmu {version('alfmu')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -81,7 +81,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("fmu", metavar="FMU", help="an .fmu file")
 
     sub = command("animate", _animate, "turn a result into a film that a person can watch (GIF or HTML)")
-    sub.add_argument("result", metavar="RESULT.csv", help="a result that `alfmu simulate` wrote, or any CSV with its names")
+    sub.add_argument(
+        "result", metavar="RESULT.csv", help="a result that `alfmu simulate` wrote, or any CSV with its names"
+    )
     sub.add_argument("-o", "--output", metavar="FILE", help=".gif or .html (default: RESULT.gif)")
     sub.add_argument("--mechanism", metavar="NAME", help="the mechanism, where the result does not come with its .json")
     sub.add_argument("--fps", type=float, default=25.0, help="frames per second (default: %(default)g)")
@@ -150,7 +152,9 @@ def _info(chosen: argparse.Namespace) -> None:
     for option, values in options(chosen.mechanism).items():
         print(f"option {option} = {mechanism.options[option]} ({' | '.join(map(str, values)) or 'any'})")
     print(f"\ncoordinates ({equations.n}): {', '.join(f'{c.name} [{c.unit}]' for c in equations.coordinates)}")
-    print(f"constraints ({equations.l}): {', '.join(f'{r.name} {r.direction}'.strip() for r in equations.rows) or 'none'}")
+    print(
+        f"constraints ({equations.l}): {', '.join(f'{r.name} {r.direction}'.strip() for r in equations.rows) or 'none'}"
+    )
     print(f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}", end="")
     print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
     for title, variables in (
@@ -195,7 +199,8 @@ def _simulate(chosen: argparse.Namespace) -> None:
         c = result.counters
         print(
             f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
-            f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections"
+            f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections "
+            f"({c.unprojected} steps left above the tolerance)"
         )
         print(
             f"largest |Phi| {c.position_error:.1e}, |Phi-dot| {c.velocity_error:.1e}, |Phi-ddot| "
@@ -279,3 +284,7 @@ def _progress(what: str) -> Callable[[Iterable[float]], Iterable[float]]:
     from tqdm import tqdm
 
     return lambda steps: tqdm(steps, desc=what, unit="step", delay=1.0, disable=None, leave=False)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -5,8 +5,8 @@ with the inertia), so that
 
     T = v' M v / 2,  M = X_q' w X_q,  d = X_q' w (d(X_q)/dt) v.
 
-Reactions are found in one way, whether a joint is closed by a coordinate or by constraints: each suppressed direction of
-a joint gets a virtual displacement eps that moves the second body away from the first, and the reaction is the
+Reactions are found in one way, whether a joint is closed by a coordinate or by constraints: each suppressed direction
+of a joint gets a virtual displacement eps that moves the second body away from the first, and the reaction is the
 generalised force that holds eps at zero,
 
     r = X_eps' w a_X + V_eps - s_eps' F + Phi_eps' lambda   at eps = 0,
@@ -211,7 +211,7 @@ def derive(mechanism: Mechanism) -> Equations:
     held = _held(m, q)
     plain = Kinematics(m, held, {})
     rows, Phi = _closures(m, plain, held, {})
-    l = len(rows)  # noqa: E741 - the paper's letter
+    l = len(rows)
     lam = ca.SX.sym("lam", l)
 
     X, w = _inertia(m, plain)
@@ -254,7 +254,9 @@ def derive(mechanism: Mechanism) -> Equations:
     for i, row in enumerate(rows):
         values.append(lam[i])
         force = "N.m" if row.unit == "rad" else "N" if row.unit == "m" else "1"
-        outputs.append(Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}"))
+        outputs.append(
+            Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}")
+        )
     values += [o.expression for o in m.outputs]
     outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
     y = stack(values)
@@ -371,8 +373,8 @@ def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
                         slope = ca.jacobian(moved.residual(other, direction), symbols)
                         if not ca.substitute(slope, symbols, ca.SX.zeros(symbols.shape)).is_zero():
                             raise DeclarationError(
-                                f"{m.name}: the coordinates of {body.name} close both {joint.name} and {other.name}, and "
-                                "their reactions cannot be told apart; put both joints at one point of the body or give "
+                                f"{m.name}: the coordinates of {body.name} close both {joint.name} and {other.name}; "
+                                "their reactions cannot be told apart; put both at one point of the body, or give "
                                 "the body an angle coordinate"
                             )
 
@@ -405,7 +407,7 @@ def _closures(
 
 
 def _inertia(m: Mechanism, kinematics: Kinematics) -> tuple[ca.SX, ca.SX]:
-    """Displacements X and their weights w: places of centres of mass, angles (or directions, in natural coordinates)."""
+    """Displacements X and their weights w: places of centres of mass, angles (natural coordinates: directions)."""
     X: list[Scalar] = []
     w: list[Scalar] = []
     for body in m.bodies:

@@ -46,8 +46,8 @@ class Row:
 class Equations:
     """Everything that `alfmu.derive` found out about a mechanism with n coordinates and l constraints.
 
-    `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs), p (parameters), s (start values),
-    t (s); the name of each is the paper's letter or the quantity:
+    `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs), p (parameters), s (start values)
+    and t (s); the name of each is the paper's letter or the quantity:
 
     ==============================  =============================================  ==================================
     M(q, p)                         mass matrix (n, n)                             kinetic energy v'Mv/2

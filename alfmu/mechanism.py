@@ -280,7 +280,7 @@ class Mechanism:
     ) -> ca.SX:
         """A constant with a default, a unit and inclusive bounds; returns its symbol."""
         symbol = self._claim(name, unit, "a parameter")
-        if minimum is not None and default < minimum or maximum is not None and default > maximum:
+        if (minimum is not None and default < minimum) or (maximum is not None and default > maximum):
             raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{minimum}, {maximum}]")
         self.parameters.append(Parameter(name, symbol, float(default), unit, minimum, maximum, description))
         return symbol
@@ -454,7 +454,7 @@ class Mechanism:
     # Forces -----------------------------------------------------------------------------------------------------
 
     def drive(self, joint: Joint, effort: Scalar) -> None:
-        """A torque [N.m] (revolute) or force [N] (prismatic) on the second body from the first, along the free motion."""
+        """A torque [N.m] (revolute) or force along the guide [N] (prismatic) on the second body from the first."""
         self._free(joint)
         self.drives.append(Drive(joint, effort))
 

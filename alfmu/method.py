@@ -4,9 +4,10 @@ W. Blajer, "Augmented Lagrangian Formulation: Geometrical Interpretation and App
 and Redundancy", Multibody System Dynamics 8 (2002) 141-159. Equation numbers stand at the lines.
 
 Written with `@`, `.T`, `+` and the `solve` they are handed, so that the same lines run on NumPy arrays (the oracle) and
-can be traced with symbols (the kernel). M (n, n) mass matrix, F = f - d (n,) applied forces less velocity terms, C (l, n)
-constraint matrix of any rank, xi (l,) constraint-induced accelerations, alpha (l, l) diagonal artificial masses, a (n,)
-accelerations, lam (l,) multipliers, with M a + d = f - C' lam. `solve` applies the inverse of H, the augmented mass.
+can be traced with symbols (the kernel). M (n, n) mass matrix, F = f - d (n,) applied forces less velocity terms,
+C (l, n) constraint matrix of any rank, xi (l,) constraint-induced accelerations, alpha (l, l) diagonal artificial
+masses, a (n,) accelerations, lam (l,) multipliers, with M a + d = f - C' lam. `solve` applies the inverse of H, the
+augmented mass.
 """
 
 from collections.abc import Callable
@@ -30,7 +31,7 @@ Done = Callable[[Array, Array], bool]
 
 
 def augmented_mass(M: Array, C: Array, alpha: Array) -> Array:
-    """H (n, n): the mass matrix completed by the artificial masses, positive definite where M or C holds every motion."""
+    """H (n, n): M completed by artificial masses; positive definite where M or C holds every motion."""
     return M + C.T @ alpha @ C  # (8)
 
 
@@ -63,7 +64,7 @@ def residual(
 
 
 def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, passes: int) -> Array:
-    """lam without what redundant rows add to it: the multipliers of least norm (weighted by 1/alpha) with the same C' lam.
+    """lam without what redundant rows add to it: of all with the same C' lam, that of least norm (weighted by 1/alpha).
 
     lam = alpha C z with C' alpha C z = C' lam by iterated (10); each pass gains a factor of mass / alpha.
     """

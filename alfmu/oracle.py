@@ -31,6 +31,12 @@ PROJECTED = ("residual", "classic")
 PENALTY_RATIO = 1e8
 """Default penalty over the largest entry of the mass matrix: far from round-off at either end in residual form."""
 
+CORRECTIONS = 20
+"""Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
+
+GROSS = 1e-6
+"""Residue of a constraint [m, rad; per s] above which a projected step is refused."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -43,7 +49,7 @@ class Settings:
     tolerance: float = 1e-13
     """Of multiplier iterations (relative), and of |Phi| and |Phi-dot| after projection [m, rad; per s]."""
     max_iterations: int = 10
-    """Of the multiplier iteration, and of each projection."""
+    """Of the multiplier iteration."""
     formulation: str = "residual"
     """One of FORMULATIONS."""
     zeta: float = 1.0
@@ -89,6 +95,8 @@ class Counters:
     unconverged: int = 0
     """Evaluations in which the multiplier iteration reached its limit."""
     projection_iterations: int = 0
+    unprojected: int = 0
+    """Steps after which a constraint was left above the tolerance."""
     position_error: float = 0.0
     """Largest |Phi| after a step [m, rad]."""
     velocity_error: float = 0.0
@@ -100,7 +108,7 @@ class Counters:
 
 
 class Call:
-    """A CasADi function called on arrays of its own; it returns its first `matrices` results as matrices, then vectors."""
+    """A CasADi function called on arrays of its own; its first `matrices` results are matrices, the others vectors."""
 
     def __init__(self, f: ca.Function, matrices: int):
         self.x = [np.zeros(f.nnz_in(i)) for i in range(f.n_in())]
@@ -195,7 +203,9 @@ class Oracle:
                 return np.abs(da).max() <= limit * max(np.abs(a).max(), scale)
 
             iterate = method.residual if kind == "residual" else method.classic
-            a, lam, used, converged = iterate(M, F, C, xi, alpha, solve, np.zeros_like(q), np.zeros_like(xi), most, done)
+            a, lam, used, converged = iterate(
+                M, F, C, xi, alpha, solve, np.zeros_like(q), np.zeros_like(xi), most, done
+            )
             self.counters.multiplier_iterations += used
             self.counters.unconverged += not converged
         else:
@@ -224,29 +234,28 @@ class Oracle:
     def project(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray, float, float]:
         """q and v brought back to the constraints with (10), and the largest |Phi| and |Phi-dot| left.
 
-        Raises StepError where the tolerance is not reached.
+        Near a singular position the corrections gain little in the direction that the constraints hardly hold; what is
+        left above the tolerance is counted. Raises StepError where more than `GROSS` is left.
         """
-        most, q, v = self.settings.max_iterations, q.copy(), v.copy()
+        q, v, c = q.copy(), v.copy(), self.counters
         M, C, Phi, Cv = self._constraints(q, v, self.p)
-        done = 0
-        while not self._closed(Phi, C, q):
-            if done == most or not np.isfinite(Phi).all():
-                raise StepError(self._open(t, "|Phi|", Phi, done))
-            solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
-            q += method.project(C, self.alpha, solve, Phi)  # (10)
+        for _ in range(CORRECTIONS):
+            if self._closed(Phi, C, q):
+                break
+            q += method.project(C, self.alpha, self._factor(method.augmented_mass(M, C, self.alpha), t), Phi)  # (10)
             M, C, Phi, Cv = self._constraints(q, v, self.p)
-            done += 1
-        self.counters.projection_iterations += done
-        done = 0
-        if not self._closed(Cv, C, v):
-            solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
-        while not self._closed(Cv, C, v):
-            if done == most or not np.isfinite(Cv).all():
-                raise StepError(self._open(t, "|Phi-dot|", Cv, done))
+            c.projection_iterations += 1
+        solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
+        for _ in range(CORRECTIONS):
+            if self._closed(Cv, C, v):
+                break
             v += method.project(C, self.alpha, solve, Cv)  # (10)
             Cv = C @ v
-            done += 1
-        self.counters.projection_iterations += done
+            c.projection_iterations += 1
+        for what, residue in (("|Phi|", Phi), ("|Phi-dot|", Cv)):
+            if not self._largest(residue) <= GROSS:
+                raise StepError(self._open(t, what, residue))
+        c.unprojected += not (self._closed(Phi, C, q) and self._closed(Cv, C, v))
         return q, v, self._largest(Phi), self._largest(Cv)
 
     def residues(self, q: NDArray, v: NDArray) -> tuple[float, float]:
@@ -284,13 +293,11 @@ class Oracle:
 
         return solve
 
-    def _open(self, t: float, what: str, residue: NDArray, done: int) -> str:
-        worst = int(np.argmax(np.where(self.active, np.abs(residue), 0)))
+    def _open(self, t: float, what: str, residue: NDArray) -> str:
+        worst = int(np.argmax(np.where(self.active, np.nan_to_num(np.abs(residue), nan=np.inf), 0)))
         row = self.equations.rows[worst]
-        measured = (
-            f"{what} = {abs(residue[worst]):.1e} at {row.name} {row.direction} > {self.settings.tolerance:.0e} "
-            f"after {done} corrections"
-        )
+        where = f"{row.name} {row.direction}".strip()
+        measured = f"{what} = {abs(residue[worst]):.1e} at {where} > {GROSS:.0e} after {CORRECTIONS} corrections"
         return self._say(t, measured, "reduce solver.step_size")
 
     def _say(self, t: float, measured: str, remedy: str) -> str:

@@ -10,12 +10,15 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from html import escape
+from itertools import combinations, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -23,13 +26,11 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from .derivation import derive
-from .errors import AssemblyError, DeclarationError, InputError, StepError
+from .equations import Equations
+from .errors import AlfmuError, DeclarationError, InputError
 from .mechanism import Joint, Marker, Mechanism, Scalar
 from .runtime import Instance
-from .simulation import simulate
-
-if TYPE_CHECKING:
-    from .simulation import Result
+from .simulation import Progress, Result, simulate, with_defaults
 
 __all__ = ["Shapes", "View", "animate", "draw", "geometry", "model_png", "view_of"]
 
@@ -38,8 +39,11 @@ GROUND = "ground"
 MAX_FRAMES = 750
 """Frames of a GIF, at most; a longer motion is shown with fewer frames per second."""
 
+COLORS_OF_GIF = 96
+"""Colours that all frames of a GIF share."""
+
 MAX_SAMPLES = 5000
-"""Instants in an HTML page, at most; the page interpolates between them."""
+"""Instants of a result that an animation uses, at most; it interpolates between them."""
 
 Vector = tuple[float, float]
 
@@ -51,7 +55,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class Anchor:
-    """A point fixed on a body, by its place [m] from the centre of mass in the body's axes (from the origin: ground)."""
+    """A point fixed on a body, by its place [m] from the centre of mass (the ground's origin) in its axes."""
 
     body: str
     x: float
@@ -97,7 +101,7 @@ class Guide:
 
 @dataclass(frozen=True)
 class Tie:
-    """What acts between two points: a "rod" (constant distance, named), a "spring", "damper" or torsional "spiral"."""
+    """What acts between two points: a "rod" (a joint's), "spring", "damper", "spring-damper" or torsional "spiral"."""
 
     name: str
     kind: str
@@ -143,11 +147,10 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) 
     for spring in m.springs:
         between = spring.between
         first, second = (between.first, between.second) if isinstance(between, Joint) else between
-        elastic, viscous = number(spring.stiffness) != 0, number(spring.damping) != 0
+        kinds = {"spring": spring.stiffness, "damper": spring.damping}
+        kind = "-".join(kind for kind, strength in kinds.items() if not ca.SX(strength).is_zero())
         if isinstance(between, Joint) and between.kind == "revolute":
-            kind = "spiral" if elastic else ""
-        else:
-            kind = "spring" if elastic else "damper" if viscous else ""
+            kind = "spiral" if "spring" in kind else ""
         if kind:
             ties.append(Tie("", kind, anchor(first), anchor(second)))
 
@@ -213,7 +216,7 @@ def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> View:
         if not all(np.isfinite(q).all() for q in pose):
             raise InputError(f"{shapes.name}: the place of {name} is not finite all the time, so it cannot be drawn")
     points = [_place(poses, Anchor(link.name, *p)) for link in shapes.links for p in link.points]
-    points += [_place(poses, a) for pair in (*shapes.joints, *shapes.ties) for a in (pair.first, pair.second)]
+    points += [_place(poses, at) for at in _supports(shapes)]
     points += [poses[dot][:2] for dot in shapes.dots]
     xs, ys = (np.concatenate([np.ravel(p[k]) for p in points] or [[0.0]]) for k in (0, 1))
     travel = []
@@ -229,8 +232,8 @@ def _poses(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> dict[str, Pose]:
     """Pose of every frame: the ground, the bodies and the dots."""
     if missing := [name for name in shapes.columns if name not in columns]:
         raise InputError(
-            f"{shapes.name}: a picture needs {missing[0]}; the result must hold x, y and angle of every body, and every "
-            "dot, so keep all outputs when you run it"
+            f"{shapes.name}: a picture needs {missing[0]}; the result must hold all outputs of bodies (x, y and angle "
+            "of each) and of dots, so run it without choosing outputs"
         )
     poses: dict[str, Pose] = {GROUND: (0.0, 0.0, 0.0)}
     for link in shapes.links:
@@ -298,8 +301,8 @@ class Scene:
     origin: Vector
     unit: float
     back: tuple[Part, ...]
-    trails: dict[str, str]
-    """Colour of the trail of each dot."""
+    colors: dict[str, str]
+    """Of bodies and dots."""
     front: tuple[Part, ...]
     labels: tuple[Label, ...]
 
@@ -318,24 +321,24 @@ def _scene(shapes: Shapes, view: View, size: Size) -> Scene:
     pen = _Pen.fitting(shapes, view, size)
     guides = list(zip(shapes.guides, view.travel, strict=True))
     knots = _knots(shapes)
-    colors = _colors(link.name for link in shapes.links)
-    dots = _colors(shapes.dots)
+    names = [*(link.name for link in shapes.links), *shapes.dots]
+    colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(names)}
     back = [pen.grid(), pen.marks()]
     back += [pen.support(at, legs) for at, legs in _supports(shapes).items()]
-    back += [pen.guide(guide, travel) for guide, travel in guides]
-    front = [pen.tie(tie) for tie in shapes.ties]
-    front += [pen.link(link, colors[link.name]) for link in shapes.links]
-    front += [pen.block(guide, colors[guide.rider.body]) for guide in shapes.guides if guide.block is not None]
+    front = [pen.link(link, colors[link.name]) for link in shapes.links]
+    for guide, travel in guides:
+        (back if guide.base.body == GROUND else front).extend(pen.guide(guide, travel, colors[guide.rider.body]))
+    front += [pen.tie(tie) for tie in shapes.ties]
     front += [pen.knot(knot) for knot in knots]
-    front += [pen.dot(dot, color) for dot, color in dots.items()]
+    front += [pen.dot(dot, colors[dot]) for dot in shapes.dots]
     labels = pen.mark_labels()
     if pen.unit >= 0.5 * pen.base:
-        labels += [pen.label(", ".join(k.names), k.anchors[:1], _occupied(shapes, k), 10) for k in knots]
         labels += [pen.label(tie.name, (tie.first, tie.second), (), 5) for tie in shapes.ties if tie.name]
-        labels += [pen.label(dot, (Anchor(dot, 0.0, 0.0),), (), 10) for dot in dots]
+        labels += [pen.label(dot, (Anchor(dot, 0.0, 0.0),), (), 10) for dot in shapes.dots]
         labels += [pen.guide_label(guide, travel) for guide, travel in guides]
         labels += [pen.link_label(link, shapes.guides, _shade(colors[link.name])) for link in shapes.links]
-    return Scene(size, pen.scale, pen.origin, pen.unit, tuple(back), dots, tuple(front), tuple(labels))
+        labels += [pen.knot_label(knot, shapes) for knot in knots if knot.names]
+    return Scene(size, pen.scale, pen.origin, pen.unit, tuple(back), colors, tuple(front), tuple(labels))
 
 
 @dataclass(frozen=True)
@@ -369,8 +372,13 @@ class _Pen:
         power = 10.0 ** math.floor(math.log10(wanted))
         return next(m * power for m in (1, 2, 5, 10) if m * power >= wanted * (1 - 1e-9))
 
+    @property
+    def overhang(self) -> float:
+        """How far rails go beyond the places where they are used [pixels]."""
+        return 50 * self.unit
+
     def corner(self, x: float, y: float) -> Vector:
-        """A place `base` pixels from the left lower corner (from the right one: x < 0), seen from the ground's origin."""
+        """A place so many `base` pixels from the left lower corner (x < 0: the right one), seen from the origin."""
         return x * self.base + (self.size[0] if x < 0 else 0) - self.origin[0], y * self.base - self.origin[1]
 
     # The ground
@@ -413,20 +421,28 @@ class _Pen:
     def support(self, at: Anchor, legs: bool) -> Part:
         """Ground under a point; with legs, under a hinge."""
         u, foot = self.unit, (-24 if legs else -9) * self.unit
-        triangle = self._outlined([(0, 0), (-13 * u, foot), (13 * u, foot)], 2 * u, STEEL, True) if legs else ()
-        return Part((at,), (*self._hatch(-24 * u, 24 * u, foot), *triangle, self._line([(-24 * u, foot), (24 * u, foot)])))
+        strokes = [*self._hatch(-24 * u, 24 * u, foot), self._line([(-24 * u, foot), (24 * u, foot)])]
+        if legs:
+            strokes += self._outlined([(0, 0), (-13 * u, foot), (13 * u, foot)], 2 * u, STEEL, True)
+        return Part((at,), tuple(strokes))
 
-    def guide(self, guide: Guide, travel: Vector) -> Part:
-        """Rails along the range in which a guide is used, hatched on the ground, about a dash-dotted centre line."""
+    def guide(self, guide: Guide, travel: Vector, color: str) -> list[Part]:
+        """Rails about a dash-dotted centre line where a guide is used, hatched on the ground, and the block in them."""
         u, half = self.unit, self._half(guide)
-        low, high = (end * self.scale + side * 44 * u for end, side in zip(travel, (-1, 1), strict=True))
-        sides = (-half,) if guide.block is not None else (-half, half)
-        strokes = [self._line([(low, y), (high, y)]) for y in sides]
+        low, high = (end * self.scale + side * self.overhang for end, side in zip(travel, (-1, 1), strict=True))
+        strokes = [self._line([(low, -half), (high, -half)])]
         if guide.base.body == GROUND:
-            strokes = [*self._hatch(low, high, -half), *strokes]
+            strokes += self._hatch(low, high, -half)
+        if guide.base.body != GROUND or guide.block is None:
+            strokes += [self._line([(low, half), (high, half)])]
         for x in np.arange(low, high, 20 * u):
             strokes += [self._line([(x, 0), (x + 10 * u, 0)], 1, FAINT), self._line([(x + 15 * u, 0)], 1.5, FAINT)]
-        return Part((guide.base,), tuple(strokes), guide.axis)
+        rails = Part((guide.base,), tuple(strokes), guide.axis)
+        if guide.block is None:
+            return [rails]
+        x, y = 24 * u, half - 2 * u
+        corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
+        return [rails, Part((guide.rider,), self._outlined(corners, 4 * u, color, True), guide.block)]
 
     # What moves
 
@@ -439,12 +455,6 @@ class _Pen:
         if link.kind == "mass":
             strokes += self._outlined([(0.0, 0.0)], 28 * u, color)
         return Part((Anchor(link.name, 0.0, 0.0),), tuple(strokes))
-
-    def block(self, guide: Guide, color: str) -> Part:
-        """The block that rides in a guide."""
-        x, y = 24 * self.unit, self._half(guide) - 2 * self.unit
-        corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
-        return Part((guide.rider,), self._outlined(corners, 4 * self.unit, color, True), guide.block)
 
     def knot(self, knot: _Knot) -> Part:
         """A hinge as a circle, a weld as a square."""
@@ -467,7 +477,7 @@ class _Pen:
         apart = 9 * u if tie.kind == "spring-damper" else 0
         strokes = []
         if "spring" in tie.kind:
-            teeth = [(0.26 + 0.06 * i, apart + (6 if i % 2 else -6) * u) for i in range(9)]
+            teeth = [(0.26 + 0.04 * i, apart + (7 if i % 2 else -7) * u) for i in range(13)]
             coil = [(0, 0), (0.15, 0), (0.15, apart), (0.23, apart), *teeth]
             strokes += [self._line([*coil, (0.77, apart), (0.85, apart), (0.85, 0), (1, 0)])]
         if "damper" in tie.kind:
@@ -487,35 +497,55 @@ class _Pen:
     # Labels
 
     def label(
-        self, text: str, at: tuple[Anchor, ...], links: tuple[Anchor, ...], gap: float, size: float = 14, color: str = INK
+        self,
+        text: str,
+        at: tuple[Anchor, ...],
+        links: tuple[Anchor, ...],
+        gap: float,
+        size: float = 14,
+        color: str = INK,
     ) -> Label:
         """A label with its sizes in units."""
         return Label(text, at, links, gap * self.unit, size * self.unit, color)
 
+    def knot_label(self, knot: _Knot, shapes: Shapes) -> Label:
+        """On the side that links, rails and ground leave free."""
+        points = {link.name: link.points for link in shapes.links}
+        directions = [Anchor(GROUND, 0.0, -1.0) for at in knot.anchors if at.body == GROUND]
+        for at in knot.anchors:
+            others = [p for p in points.get(at.body, ()) if p != (at.x, at.y)]
+            directions += [Anchor(at.body, *_direction((at.x, at.y), p)) for p in others]
+        blocks = [g for g in shapes.guides if g.block is not None and g.rider in knot.anchors]
+        directions += [Anchor(g.rider.body, math.sin(g.block), -math.cos(g.block)) for g in blocks]
+        spirals = [tie for tie in shapes.ties if tie.kind == "spiral" and tie.first in knot.anchors]
+        return self.label(", ".join(knot.names), knot.anchors[:1], tuple(directions), 26 if blocks or spirals else 11)
+
     def guide_label(self, guide: Guide, travel: Vector) -> Label:
         """Under the beginning of the rails."""
-        along = travel[0] - 44 * self.unit / self.scale
+        along = travel[0] - self.overhang / self.scale
         c, s = math.cos(guide.axis), math.sin(guide.axis)
         at = replace(guide.base, x=guide.base.x + c * along, y=guide.base.y + s * along)
-        return self.label(guide.name, (at,), (Anchor(guide.base.body, -s, c),), self._half(guide) / self.unit + 10)
+        return self.label(guide.name, (at,), (Anchor(guide.base.body, -s, c),), self._half(guide) / self.unit + 12)
 
-    def link_label(self, link: Link, guides: tuple[Guide, ...], color: str) -> Label:
+    def link_label(self, link: Link, guides: Sequence[Guide], color: str) -> Label:
         """Beside the longest free stretch of a bar, in the middle of a plate, under a block."""
+
+        def label(at: Sequence[Vector], away: Sequence[Vector], gap: float) -> Label:
+            anchors = (tuple(Anchor(link.name, *p) for p in group) for group in (at, away))
+            return self.label(link.name, *anchors, gap, 13, color)
+
+        hull = _hull(link.points)
         for guide in guides:
             if link.kind == "block" and guide.rider.body == link.name:
-                up = Anchor(link.name, -math.sin(guide.block), math.cos(guide.block))
-                return self.label(link.name, (guide.rider,), (up,), self._half(guide) / self.unit + 10, 13, color)
-        hull = _hull(link.points)
+                up = -math.sin(guide.block), math.cos(guide.block)
+                return label([(guide.rider.x, guide.rider.y)], [up], self._half(guide) / self.unit + 12)
         if len(hull) == 1:
-            return self.label(link.name, (Anchor(link.name, *hull[0]),), (), 18, 13, color)
+            return label(hull, [], 18)
         if len(hull) > 2:
-            return self.label(link.name, tuple(Anchor(link.name, *p) for p in hull), (), 0, 13, color)
-        (x, y), (ex, ey) = hull[0], _direction(*hull)
-        if ex < 0 or (ex == 0 and ey < 0):
-            ex, ey = -ex, -ey
-        ordered = sorted(link.points, key=lambda p: (p[0] - x) * ex + (p[1] - y) * ey)
-        gap = max(zip(ordered, ordered[1:], strict=False), key=lambda ends: round(math.dist(*ends), 9))
-        return self.label(link.name, tuple(Anchor(link.name, *p) for p in gap), (Anchor(link.name, ey, -ex),), 10, 13, color)
+            return label(hull, [], 0)
+        ex, ey = max(_direction(*hull), _direction(*hull[::-1]))
+        gap = max(pairwise(sorted(link.points)), key=lambda ends: round(math.dist(*ends), 9))
+        return label(gap, [(ey, -ex)], 15)
 
     # Strokes
 
@@ -548,9 +578,10 @@ def _knots(shapes: Shapes) -> list[_Knot]:
     for joint in shapes.joints:
         if joint.kind in ("prismatic", "distance"):
             continue
-        anchors = (joint.second,) if joint.kind == "point_on_line" else (joint.first, joint.second)
-        knot = _Knot((joint.name,), joint.kind, anchors)
-        for other in [k for k in knots if set(k.anchors) & set(anchors)]:
+        knot = _Knot((joint.name,), joint.kind, (joint.first, joint.second))
+        if joint.kind == "point_on_line":  # its guide has the name
+            knot = _Knot((), joint.kind, (joint.second,))
+        for other in [k for k in knots if set(k.anchors) & set(knot.anchors)]:
             knots.remove(other)
             knot = _Knot(other.names + knot.names, other.kind, tuple(dict.fromkeys(other.anchors + knot.anchors)))
         knots.append(knot)
@@ -562,24 +593,6 @@ def _supports(shapes: Shapes) -> dict[Anchor, bool]:
     held = [(j.first, j.kind != "weld") for j in shapes.joints if j.kind in ("revolute", "weld", "distance")]
     held += [(at, True) for tie in shapes.ties if tie.kind != "spiral" for at in (tie.first, tie.second)]
     return {at: legs for at, legs in held if at.body == GROUND}
-
-
-def _occupied(shapes: Shapes, knot: _Knot) -> tuple[Anchor, ...]:
-    """Directions in which links, rails and ground lie, seen from a knot."""
-    points = {link.name: link.points for link in shapes.links}
-    directions = []
-    for at in knot.anchors:
-        if at.body == GROUND:
-            directions.append(Anchor(GROUND, 0.0, -1.0))
-        here = (at.x, at.y)
-        directions += [Anchor(at.body, *_direction(here, p)) for p in points.get(at.body, ()) if math.dist(here, p) > 0]
-        rails = [g.block for g in shapes.guides if g.block is not None and g.rider == at]
-        directions += [Anchor(at.body, math.sin(angle), -math.cos(angle)) for angle in rails]
-    return tuple(directions)
-
-
-def _colors(names: Iterable[str]) -> dict[str, str]:
-    return {name: COLORS[i % len(COLORS)] for i, name in enumerate(names)}
 
 
 def _direction(start: Vector, end: Vector) -> Vector:
@@ -642,10 +655,10 @@ def draw(
     canvas = _Canvas(_scene(shapes, view or view_of(shapes, columns), size), poses)
     canvas.parts(canvas.scene.back)
     for dot, path in (trails or {}).items():
-        canvas.trail(path, canvas.scene.trails[dot])
+        canvas.trail(path, canvas.scene.colors[dot])
     canvas.parts(canvas.scene.front)
     canvas.labels(caption)
-    return canvas.image.resize(size, Image.Resampling.LANCZOS)
+    return canvas.image.reduce(SAMPLES)
 
 
 class _Canvas:
@@ -687,8 +700,9 @@ class _Canvas:
                     c, s = math.cos(self.poses[link.body][2]), math.sin(self.poses[link.body][2])
                     dx, dy = dx - c * link.x + s * link.y, dy - s * link.x - c * link.y
                 length = math.hypot(dx, dy) or 1.0
-                x += dx / length * (label.gap + _width(label.text, label.size) / 2)
-                y += dy / length * (label.gap + label.size / 2.6)
+                dx, dy = dx / length, dy / length
+                clear = label.gap + abs(dx) * _width(label.text, label.size) / 2 + abs(dy) * label.size / 3
+                x, y = x + dx * clear, y + dy * clear
             self._text(x, y, label.text, label.size, label.color, "mm")
         unit = min(self.scene.size) / 480
         self._text(20 * unit, self.scene.size[1] - 24 * unit, caption, 14 * unit, FAINT, "lm")
@@ -711,7 +725,7 @@ class _Canvas:
 
     def _text(self, x: float, y: float, text: str, size: float, color: str, anchor: str) -> None:
         place = SAMPLES * x, SAMPLES * (self.scene.size[1] - y)
-        halo = round(SAMPLES * size / 5)
+        halo = round(SAMPLES * size / 7)
         self.pen.text(place, text, color, _font(SAMPLES * size), anchor, stroke_width=halo, stroke_fill=BACKGROUND)
 
 
@@ -727,52 +741,58 @@ def _width(text: str, size: float) -> float:
 # Pictures of a model and of a motion ------------------------------------------------------------------------------
 
 
-def model_png(mechanism: Mechanism, size: Size = (640, 480)) -> bytes:
-    """A PNG of a mechanism at its start, the same bytes each time.
+def model_png(
+    mechanism: Mechanism, parameters: Mapping[str, float | str] | None = None, size: Size = (640, 480)
+) -> bytes:
+    """A PNG of a mechanism at its start, the same bytes each time; `parameters` changes defaults as `export` does.
 
     Where bars hide each other at the start (singular positions do that), the first start angle is taken 1 rad further,
-    and the picture says so. Dots have the trail of the mechanism's own experiment, as far as it can be run.
+    and the picture says so. Dots have the trail of the mechanism's own experiment, as far as 500 steps and as it can be
+    run. Raises AlfmuError where the mechanism cannot start.
     """
-    shapes, equations = geometry(mechanism), derive(mechanism)
-    columns, caption = _start(shapes, equations), ""
+    equations = with_defaults(derive(mechanism), parameters or {})
+    shapes = geometry(mechanism, parameters)
+    columns = _start(shapes, equations)
+    caption = "" if columns else f"{mechanism.name} declares no bodies and no points"
     angle = next((start for start in equations.starts if start.unit == "rad"), None)
     if angle and _hides(shapes, columns):
+        turned = {angle.name: round(angle.start + 1, 4)}
         with suppress(AlfmuError):
-            columns = _start(shapes, equations, {angle.name: angle.start + 1})
-            caption = f"shown at {angle.name} = {angle.start + 1:.4g} rad"
-    trails, seen = {}, columns
+            columns = _start(shapes, with_defaults(equations, turned))
+            caption = f"shown at {angle.name} = {turned[angle.name]:g} rad"
+    covered, trails = columns, {}
     if shapes.dots:
+        stop_time = min(equations.stop_time, 500 * equations.step_size)
         with suppress(AlfmuError):
-            result = simulate(equations, outputs=shapes.columns)
-            trails = {dot: list(zip(result[f"{dot}.x"], result[f"{dot}.y"], strict=True)) for dot in shapes.dots}
-            seen = {name: result[name] for name in shapes.columns}
+            result = simulate(equations, stop_time, outputs=shapes.columns)
+            covered = {name: result[name] for name in shapes.columns}
+            trails = {dot: _path(covered, dot) for dot in shapes.dots}
     buffer = io.BytesIO()
-    draw(shapes, columns, size, view_of(shapes, seen), trails, caption).save(buffer, "PNG", optimize=True)
+    draw(shapes, columns, size, view_of(shapes, covered), trails, caption).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
 
 
-def _start(shapes: Shapes, equations: Equations, starts: Mapping[str, float] = MappingProxyType({})) -> dict[str, float]:
+def _start(shapes: Shapes, equations: Equations) -> dict[str, float]:
     """The columns of a picture at the start."""
     instance = Instance(equations)
-    for name, value in starts.items():
-        instance.set(name, value)
     instance.initialize()
     return {name: instance.get(name) for name in shapes.columns}
+
+
+def _path(columns: Mapping[str, Sequence[float]], dot: str) -> list[Vector]:
+    """Where a dot has been [m]."""
+    return list(zip(columns[f"{dot}.x"], columns[f"{dot}.y"], strict=True))
 
 
 def _hides(shapes: Shapes, columns: Mapping[str, float]) -> bool:
     """Whether two bars lie on each other over some length."""
     poses = _poses(shapes, columns)
-    bars = [_hull(link.points) for link in shapes.links]
-    places = [
-        [np.array(_place(poses, Anchor(link.name, *p))) for p in hull]
-        for link, hull in zip(shapes.links, bars, strict=True)
-        if len(hull) == 2
-    ]
-    for (a, b), other in combinations(places, 2):
-        along, length = (b - a) / np.linalg.norm(b - a), np.linalg.norm(b - a)
-        s, n = zip(*((along @ (p - a), along[0] * (p - a)[1] - along[1] * (p - a)[0]) for p in other), strict=True)
-        if max(map(abs, n)) < 1e-3 * length < min(max(s), length) - max(min(s), 0.0):
+    bars = [(link.name, hull) for link in shapes.links if len(hull := _hull(link.points)) == 2]
+    places = [[complex(*_place(poses, Anchor(name, *p))) for p in hull] for name, hull in bars]
+    for (start, end), other in combinations(places, 2):
+        along = [(p - start) / (end - start) for p in other]  # real part along the first bar, imaginary part across
+        near, far = sorted(p.real for p in along)
+        if max(abs(p.imag) for p in along) < 1e-3 < min(far, 1.0) - max(near, 0.0):
             return True
     return False
 
@@ -782,17 +802,18 @@ def animate(
     result: Result,
     path: str | Path,
     *,
-    parameters: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
     fps: float = 25,
     speed: float = 1.0,
     size: Size = (640, 480),
-    progress: Callable[[Sequence[float]], Iterator[float]] = iter,
+    progress: Progress = iter,
 ) -> None:
-    """Write a motion as an endless `.gif`, or as an `.html` page that needs nothing else and can be stopped and scrolled.
+    """Write a motion as an endless `.gif`, or as an `.html` page with controls that needs nothing else.
 
-    `result` has `time` [s], `names` and arrays by name; `parameters` are those it was run with. `fps` is that of a GIF (a
-    page draws as often as the browser does), `speed` the time [s] shown per second. `progress` wraps the instants of the
-    frames. Raises InputError where the suffix is another one, a column is missing, or fps or speed is not above zero.
+    `result` has `time` [s], `names` and arrays by name; `parameters` is what it was run with. `speed` is the time [s]
+    shown per second. `fps` and `progress` (wraps the instants of the frames [s]) are those of a GIF; a page draws as
+    often as the browser does. Raises InputError where the suffix is another one, a column is missing, or a number is
+    not above zero.
     """
     path = Path(path)
     if path.suffix not in (".gif", ".html"):
@@ -801,11 +822,286 @@ def animate(
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"{mechanism.name}: {name} is {value}; it must be a finite number above zero")
     shapes = geometry(mechanism, parameters)
-    columns = {name: result[name] for name in shapes.columns if name in result.names}
+    if not shapes.columns:
+        raise InputError(
+            f"{mechanism.name} has nothing to draw; it needs bodies, or outputs NAME.x and NAME.y in m for each point"
+        )
+    time, columns = result.time, {name: result[name] for name in shapes.columns if name in result.names}
     view = view_of(shapes, columns)
+    if len(time) > MAX_SAMPLES:
+        instants = np.linspace(time[0], time[-1], MAX_SAMPLES)
+        time, columns = instants, {name: np.interp(instants, time, x) for name, x in columns.items()}
     if path.suffix == ".gif":
-        delay, instants = _instants(result.time, fps, speed)
-        _write_gif(shapes, view, size, delay, progress(instants), _sampled(result.time, columns, instants), path)
+        delay, instants = _instants(time, fps, speed)
+        some = instants[:: math.ceil(len(instants) / 5)]
+        sheet = np.concatenate([np.asarray(f) for f in _frames(shapes, view, size, time, columns, some)])
+        palette = Image.fromarray(sheet).quantize(COLORS_OF_GIF)
+        frames = _frames(shapes, view, size, time, columns, progress(instants))
+        first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+        first.save(path, save_all=True, append_images=rest, duration=delay, loop=0)
     else:
-        time = result.time
-        ...
+        page = _page(mechanism, shapes, _scene(shapes, view, size), time, columns, speed)
+        path.write_text(page, encoding="utf-8")
+
+
+def _instants(time: NDArray, fps: float, speed: float) -> tuple[int, list[float]]:
+    """Duration of each frame of a GIF [ms], whole hundredths of a second as GIF counts, and their instants [s]."""
+    seconds = (time[-1] - time[0]) / speed
+    hundredths = max(2, round(100 / fps), math.ceil(100 * seconds / MAX_FRAMES))
+    count = 1 + math.floor(100 * seconds / hundredths * (1 + 1e-12))
+    return 10 * hundredths, [float(time[0] + i * hundredths / 100 * speed) for i in range(count)]
+
+
+def _frames(
+    shapes: Shapes,
+    view: View,
+    size: Size,
+    time: NDArray,
+    columns: Mapping[str, NDArray],
+    instants: Iterable[float],
+) -> Iterator[Image.Image]:
+    """Pictures of a motion at some instants [s], dots with the trail behind them."""
+    for t in instants:
+        now = {name: float(np.interp(t, time, x)) for name, x in columns.items()}
+        past = {name: [*columns[name][time < t], now[name]] for name in now}
+        trails = {dot: _path(past, dot) for dot in shapes.dots}
+        yield draw(shapes, now, size, view, trails, f"t = {t:.2f} s")
+
+
+def _page(
+    mechanism: Mechanism, shapes: Shapes, scene: Scene, time: NDArray, columns: Mapping[str, NDArray], speed: float
+) -> str:
+    """The page of a motion: its scene, and the poses of all frames over time, to a hundredth of a pixel and 1e-4 rad."""
+    digits = _digits(0.01 / scene.scale)
+    data = {
+        "scene": asdict(scene),
+        "dots": shapes.dots,
+        "time": np.round(time, _digits(1e-6 * (time[-1] - time[0]) or 1.0)).tolist(),
+        "poses": {
+            name: [np.round(q + 0 * time, n).tolist() for q, n in zip(pose, (digits, digits, 4), strict=True)]
+            for name, pose in _poses(shapes, columns).items()
+        },
+        "speed": speed,
+    }
+    values = {
+        "title": escape(mechanism.name.replace("_", " ")),
+        "description": escape(mechanism.description),
+        "background": BACKGROUND,
+        "data": json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], PAGE)
+
+
+def _digits(step: float) -> int:
+    """Decimals that tell values apart that differ by `step`."""
+    return -math.floor(math.log10(step))
+
+
+PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{{title}}</title>
+<style>
+  :root { color-scheme: light; font-family: system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
+  body { margin: 0; min-height: 100vh; display: grid; place-items: center; background: #e9edf2; color: #2b3440; }
+  main { width: min(94vw, 960px, calc((100vh - 11rem) * var(--aspect))); min-width: min(94vw, 320px); margin: 1rem; }
+  main, header { display: block; }
+  h1 { font-size: 1.15rem; font-weight: 600; margin: 0; }
+  header p { margin: .15rem 0 .8rem; color: #66727f; font-size: .92rem; }
+  figure { margin: 0; background: {{background}}; border: 1px solid #d5dce4; border-radius: 10px; overflow: hidden;
+    box-shadow: 0 1px 2px #2b344014, 0 8px 28px #2b34401c; }
+  canvas { display: block; width: 100%; aspect-ratio: var(--aspect); }
+  nav { display: flex; align-items: center; gap: .8rem; padding: .6rem .9rem; border-top: 1px solid #e3e8ee;
+    background: #fff; }
+  button { display: grid; place-items: center; width: 2.3rem; height: 2.3rem; flex: none; border: 0; border-radius: 50%;
+    background: #3f6f9e; cursor: pointer; }
+  button:hover { background: #335c85; }
+  button svg { width: 1rem; height: 1rem; fill: #fff; }
+  button .pause, button.playing .play { display: none; }
+  button.playing .pause { display: block; }
+  input { flex: 1; min-width: 4rem; accent-color: #3f6f9e; }
+  output { font-variant-numeric: tabular-nums; white-space: nowrap; font-size: .92rem; min-width: 7.6rem;
+    text-align: right; }
+  select { font: inherit; font-size: .92rem; padding: .2rem .3rem; border: 1px solid #d5dce4; border-radius: 6px;
+    background: #fff; color: inherit; }
+  :focus-visible { outline: 2px solid #e3b05f; outline-offset: 2px; }
+</style>
+</head>
+<body>
+<main>
+  <header><h1>{{title}}</h1><p>{{description}}</p></header>
+  <figure>
+    <canvas role="img" aria-label="Moving picture of {{title}}"></canvas>
+    <nav>
+      <button type="button" aria-label="Play or pause" title="Play or pause (space)">
+        <svg class="play" viewBox="0 0 16 16"><path d="M4 2l10 6-10 6z"/></svg>
+        <svg class="pause" viewBox="0 0 16 16"><path d="M3 2h4v12H3zM9 2h4v12H9z"/></svg>
+      </button>
+      <input type="range" min="0" max="1" step="any" value="0" aria-label="Time" title="Time (arrow keys)">
+      <output></output>
+      <select aria-label="Speed" title="Speed"></select>
+    </nav>
+  </figure>
+</main>
+<script type="application/json" id="data">{{data}}</script>
+<script>
+"use strict";
+const { scene, dots, time, poses, speed } = JSON.parse(document.getElementById("data").textContent);
+const [width, height] = scene.size;
+const first = time[0], last = time[time.length - 1];
+const find = (tag) => document.querySelector(tag);
+const canvas = find("canvas"), button = find("button"), slider = find("input"), shown = find("output");
+const select = find("select"), pen = canvas.getContext("2d");
+const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+let now = first, playing = !still && last > first, before = null;
+
+document.documentElement.style.setProperty("--aspect", width / height);
+slider.min = first;
+slider.max = last;
+for (const s of [...new Set([0.1, 0.25, 0.5, 1, 2, 5, 10, speed])].sort((a, b) => a - b)) {
+  select.add(new Option(s + " \u00d7", s, s === speed, s === speed));
+}
+
+// The last instant not after t.
+function latest(t) {
+  let low = 0, high = time.length - 1;
+  while (low < high) {
+    const middle = (low + high + 1) >> 1;
+    if (time[middle] <= t) low = middle; else high = middle - 1;
+  }
+  return low;
+}
+
+// Pixels and angle of every frame at t, interpolated.
+function posesAt(t) {
+  const i = latest(t), j = Math.min(i + 1, time.length - 1);
+  const share = j > i ? (t - time[i]) / (time[j] - time[i]) : 0;
+  const now = {};
+  for (const name in poses) {
+    const [x, y, angle] = poses[name].map((q) => q[i] + share * (q[j] - q[i]));
+    now[name] = { x, y, angle };
+  }
+  return [now, i];
+}
+
+const pixels = (x, y) => [scene.origin[0] + scene.scale * x, scene.origin[1] + scene.scale * y];
+
+function turned(pose, x, y) {
+  const c = Math.cos(pose.angle), s = Math.sin(pose.angle);
+  return [c * x - s * y, s * x + c * y];
+}
+
+function place(frames, at) {
+  const pose = frames[at.body], [dx, dy] = turned(pose, at.x, at.y);
+  return pixels(pose.x + dx, pose.y + dy);
+}
+
+function stroke(points, { width, color, filled }) {
+  pen.lineWidth = width;
+  pen.strokeStyle = pen.fillStyle = color;
+  pen.beginPath();
+  if (points.length === 1) {
+    pen.arc(...points[0], width / 2, 0, 2 * Math.PI);
+    pen.fill();
+    return;
+  }
+  points.forEach(([x, y]) => pen.lineTo(x, y));
+  if (filled) { pen.closePath(); pen.fill(); }
+  pen.stroke();
+}
+
+function part(frames, { at, strokes, angle }) {
+  const [[ox, oy], end] = at.map((a) => place(frames, a));
+  const turn = angle + frames[at[0].body].angle;
+  let ax = Math.cos(turn), ay = Math.sin(turn), across = 1;
+  if (end) {
+    [ax, ay] = [end[0] - ox, end[1] - oy];
+    across = 1 / (Math.hypot(ax, ay) || 1);
+  }
+  for (const s of strokes) {
+    stroke(s.points.map(([x, y]) => [ox + x * ax - y * across * ay, oy + x * ay + y * across * ax]), s);
+  }
+}
+
+function trail(dot, frames, i) {
+  const [xs, ys] = poses[dot], points = [];
+  for (let k = 0; k <= i; k++) points.push(pixels(xs[k], ys[k]));
+  points.push(pixels(frames[dot].x, frames[dot].y));
+  stroke(points, { width: 2.5 * scene.unit, color: scene.colors[dot] });
+}
+
+function label(frames, { text, at, links, gap, size, color }) {
+  const places = at.map((a) => place(frames, a));
+  let [x, y] = [0, 1].map((k) => places.reduce((sum, p) => sum + p[k], 0) / places.length);
+  pen.font = `${size}px system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif`;
+  if (gap) {
+    let dx = 0, dy = 0.4;
+    for (const link of links) {
+      const [ex, ey] = turned(frames[link.body], link.x, link.y);
+      [dx, dy] = [dx - ex, dy - ey];
+    }
+    const length = Math.hypot(dx, dy) || 1;
+    [dx, dy] = [dx / length, dy / length];
+    const clear = gap + Math.abs(dx) * pen.measureText(text).width / 2 + Math.abs(dy) * size / 3;
+    [x, y] = [x + dx * clear, y + dy * clear];
+  }
+  pen.save();
+  pen.translate(x, y);
+  pen.scale(1, -1);
+  pen.lineWidth = 2 * size / 7;
+  pen.strokeStyle = "{{background}}";
+  pen.fillStyle = color;
+  pen.strokeText(text, 0, 0);
+  pen.fillText(text, 0, 0);
+  pen.restore();
+}
+
+function draw() {
+  const [frames, i] = posesAt(now), k = canvas.width / width;
+  pen.setTransform(k, 0, 0, -k, 0, k * height);
+  pen.fillStyle = "{{background}}";
+  pen.fillRect(0, 0, width, height);
+  pen.lineCap = pen.lineJoin = "round";
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  scene.back.forEach((p) => part(frames, p));
+  dots.forEach((dot) => trail(dot, frames, i));
+  scene.front.forEach((p) => part(frames, p));
+  scene.labels.forEach((l) => label(frames, l));
+  slider.value = now;
+  shown.value = `${now.toFixed(2)} s / ${last.toFixed(2)} s`;
+  button.classList.toggle("playing", playing);
+}
+
+function tick(stamp) {
+  if (playing && before !== null) {
+    now += Math.min(stamp - before, 100) / 1000 * Number(select.value);
+    if (now > last) now = first + (now - last) % (last - first);
+    draw();
+  }
+  before = stamp;
+  requestAnimationFrame(tick);
+}
+
+function toggle() {
+  playing = !playing && last > first;
+  draw();
+}
+
+button.addEventListener("click", toggle);
+slider.addEventListener("input", () => { now = Number(slider.value); playing = false; draw(); });
+document.addEventListener("keydown", (event) => {
+  if (event.code === "Space" && event.target !== button) { event.preventDefault(); toggle(); }
+});
+new ResizeObserver(() => {
+  canvas.width = Math.round(canvas.clientWidth * devicePixelRatio);
+  canvas.height = Math.round(canvas.width * height / width);
+  draw();
+}).observe(canvas);
+requestAnimationFrame(tick);
+</script>
+</body>
+</html>
+"""

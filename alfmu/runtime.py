@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +22,7 @@ __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
 
 SOLVER_VARIABLES = (
     Variable("solver.step_size", "s", Settings.step_size, 1e-9, None, "largest internal step"),
-    Variable(
-        "solver.penalty", "kg", Settings.penalty, 0.0, None, "artificial mass alpha; 0 scales it with the masses"
-    ),
+    Variable("solver.penalty", "kg", Settings.penalty, 0.0, None, "artificial mass alpha; 0 scales it with the masses"),
     Variable(
         "solver.tolerance",
         "1",
@@ -39,7 +37,7 @@ SOLVER_VARIABLES = (
         Settings.max_iterations,
         1,
         1000,
-        "limit of each iteration of the method",
+        "limit of the multiplier iteration",
         type="Integer",
     ),
 )
@@ -137,7 +135,7 @@ class Instance:
     def _check(self, v: Variable, value: float) -> None:
         if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
             raise InputError(f"{self.equations.name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
-        if v.minimum is not None and value < v.minimum or v.maximum is not None and value > v.maximum:
+        if (v.minimum is not None and value < v.minimum) or (v.maximum is not None and value > v.maximum):
             low, high = ("-inf" if v.minimum is None else v.minimum), ("inf" if v.maximum is None else v.maximum)
             raise InputError(f"{self.equations.name}: {v.name} = {value:g} {v.unit} is outside [{low}, {high}]")
 

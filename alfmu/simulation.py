@@ -46,7 +46,9 @@ class Result:
         try:
             return self.values[:, self.names.index(name)]
         except ValueError:
-            raise InputError(f"the result of {self.mechanism} has no {name!r}; it has {', '.join(self.names)}") from None
+            raise InputError(
+                f"the result of {self.mechanism} has no {name!r}; it has {', '.join(self.names)}"
+            ) from None
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Result:

@@ -125,6 +125,10 @@ def _number(value: float, kind: str = "Real") -> str:
     return str(int(value)) if kind == "Integer" else f"{value:.17g}"
 
 
+def _start(causality: str, v: Variable) -> str:
+    return "" if causality == "output" else f"{v.start:g}" if v.type != "String" else html.escape(str(v.start))
+
+
 _STYLE = """
 body { font-family: system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; color: #222; }
 pre { background: #f5f5f2; padding: 1rem; overflow-x: auto; }
@@ -140,7 +144,7 @@ def documentation(equations: Equations, sketch: str, readme: str, generator: str
     sketch_block = f"<pre>{html.escape(sketch.strip())}</pre>" if sketch and not readme else ""
     rows = "\n".join(
         f"<tr><td><code>{html.escape(v.name)}</code></td><td>{causality}</td><td>{v.unit}</td>"
-        f"<td>{'' if causality == 'output' else html.escape(f'{v.start:g}' if v.type != 'String' else str(v.start))}</td>"
+        f"<td>{_start(causality, v)}</td>"
         f"<td>{html.escape(v.description)}</td></tr>"
         for causality, v in interface(Instance(e))
     )
@@ -164,7 +168,7 @@ def documentation(equations: Equations, sketch: str, readme: str, generator: str
 
 
 DEPENDENCIES = (
-    "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later) whose packages include "
-    "numpy and casadi. Python hosts such as fmpy have one; other hosts must load libpython first."
+    "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later) whose packages "
+    "include numpy and casadi. Python hosts such as fmpy have one; other hosts must load libpython first."
 )
 """What the FMU needs from outside, in one line."""

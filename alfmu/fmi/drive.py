@@ -24,7 +24,7 @@ __all__ = ["Fmu", "validate"]
 
 
 class Fmu:
-    """An FMI 2.0 co-simulation FMU from a file, unpacked and instantiated; close it, or use it in a `with` statement."""
+    """An FMI 2.0 co-simulation FMU, unpacked and instantiated; close it, or use it in a `with` statement."""
 
     def __init__(self, path: str | Path):
         try:
@@ -128,14 +128,14 @@ class Fmu:
     def _of(self, causality: str) -> Iterator[ModelVariable]:
         return (v for v in self.description.modelVariables if v.causality == causality)
 
-    def _call(self, function: str, *arguments, **named):  # noqa: ANN002, ANN003, ANN202 - as in FMI
+    def _call(self, function: str, *arguments, **named):
         self.log.clear()
         try:
             return getattr(self.slave, function)(*arguments, **named)
         except FMICallException as error:
             raise StepError(self._why(f"{self.name}: {function} failed ({error})")) from None
 
-    def _logged(self, environment, instance, status, category, message) -> None:  # noqa: ANN001 - as in FMI
+    def _logged(self, environment, instance, status, category, message) -> None:
         self.log.append((message or b"").decode(errors="replace"))
 
     def _why(self, what: str) -> str:

@@ -107,7 +107,10 @@ def export(
         packed = top / f"{equations.name}.fmu"
         with _imports_undone(package, script.stem):
             FmuBuilder.build_FMU(script, packed, [top / package, top / SCENE], documents)
-        described = {"modelDescription.xml": model_description(equations, version, generator, guid), "model.png": picture}
+        described = {
+            "modelDescription.xml": model_description(equations, version, generator, guid),
+            "model.png": picture,
+        }
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             partial = path.with_name(f".{path.name}.{os.getpid()}")
@@ -142,7 +145,8 @@ def _license(distribution: str) -> str:
         if re.search(r"LICEN[CS]E", file.name) and file.locate().is_file():
             return file.read_text()
     about = importlib.metadata.metadata(distribution)
-    return f"{distribution} {about['Version']}: {about.get('License-Expression') or about.get('License') or 'see its site'}\n"
+    terms = about.get("License-Expression") or about.get("License") or "see its site"
+    return f"{distribution} {about['Version']}: {terms}\n"
 
 
 @contextmanager

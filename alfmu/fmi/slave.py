@@ -51,7 +51,7 @@ class Slave(Fmi2Slave):
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(sys.modules[cls.__module__].__dict__))
         super().__init_subclass__()
 
-    def __init__(self, **kwargs):  # noqa: ANN003 - the signature of pythonfmu
+    def __init__(self, **kwargs):
         super().__init__(**kwargs)
         equations = Equations.from_json((Path(self.resources) / SCENE).read_text(encoding="utf-8"))
         self.modelName = equations.name
@@ -104,7 +104,9 @@ class Slave(Fmi2Slave):
         first_input, first_output = self._first_input, self._first_output
         y = self._read() if vrs and max(vrs) >= first_output else values
         return [
-            float(y[i - first_output] if i >= first_output else inputs[i - first_input] if i >= first_input else values[i])
+            float(
+                y[i - first_output] if i >= first_output else inputs[i - first_input] if i >= first_input else values[i]
+            )
             for i in vrs
         ]
 
@@ -132,7 +134,7 @@ class Slave(Fmi2Slave):
         except AlfmuError as error:
             self._refused[name] = str(error)
 
-    def _read(self):  # noqa: ANN202 - an array
+    def _read(self):
         instance = self.instance
         if not instance.initialized:
             instance.initialize()

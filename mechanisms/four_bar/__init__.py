@@ -27,7 +27,7 @@ def four_bar() -> Mechanism:
 
 def parallelogram(m: Mechanism) -> tuple[ca.SX, ca.SX, dict[str, Body]]:
     """Links 1 to 3 of a parallelogram with joints A, B, C, D; returns l, th1 and the links by name."""
-    l = m.parameter("l", 1.0, "m", minimum=1e-6, description="length of every link and of the base")  # noqa: E741
+    l = m.parameter("l", 1.0, "m", minimum=1e-6, description="length of every link and of the base")
     masses = [m.parameter(f"m{i}", 1.0, "kg", minimum=0.0, description=f"mass of link {i}") for i in (1, 2, 3)]
     g = m.parameter("g", 9.81, "m/s2", description="gravity, along -y")
     angle = m.start("angle", 0.0, "rad", rate=2.0, rate_name="angular_velocity", description="angle of link 1")

@@ -1,0 +1,127 @@
+"""The import graph: every module imports only what stands below it, and the run side no declaration."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import alfmu
+from alfmu.fmi.export import RUN_SIDE
+
+PACKAGE = Path(alfmu.__file__).parent
+
+ALLOWED: dict[str, set[str]] = {
+    "errors": set(),
+    "units": {"errors"},
+    "mechanism": {"errors", "units"},
+    "equations": set(),
+    "derivation": {"equations", "errors", "mechanism", "units"},
+    "method": set(),
+    "integrators": set(),
+    "oracle": {"equations", "errors", "method"},
+    "assembly": {"equations", "errors"},
+    "runtime": {"assembly", "equations", "errors", "integrators", "oracle"},
+    "registry": {"errors", "mechanism"},
+    "simulation": {"derivation", "equations", "errors", "mechanism", "oracle", "registry", "runtime"},
+    "picture": {"derivation", "errors", "mechanism", "runtime", "simulation"},
+    "plot": {"errors", "simulation"},
+    "fmi": set(),
+    "fmi.slave": {"equations", "errors", "runtime"},
+    "fmi.description": {"equations", "fmi.slave", "runtime", "units"},
+    "fmi.export": {
+        "derivation",
+        "errors",
+        "fmi.description",
+        "fmi.slave",
+        "mechanism",
+        "picture",
+        "registry",
+        "runtime",
+        "simulation",
+    },
+    "fmi.drive": {"equations", "errors", "fmi.slave"},
+    "cli": {
+        "derivation",
+        "errors",
+        "fmi.drive",
+        "fmi.export",
+        "picture",
+        "plot",
+        "registry",
+        "runtime",
+        "simulation",
+    },
+}
+"""Module -> the modules of alfmu that it may import: the layer table of CONTRIBUTING.md."""
+
+
+def imports(path: Path) -> tuple[set[str], set[str]]:
+    """Modules of alfmu, and top-level packages from elsewhere, that a file imports anywhere in its text."""
+    own: set[str] = set()
+    foreign: set[str] = set()
+    package = list(path.relative_to(PACKAGE).parent.parts)
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = package[: len(package) - node.level + 1]
+            own.add(".".join([*base, *(node.module or "").split(".")]).strip("."))
+        elif isinstance(node, ast.ImportFrom):
+            foreign.add(node.module.split(".")[0])
+        elif isinstance(node, ast.Import):
+            foreign |= {name.name.split(".")[0] for name in node.names}
+    return own, foreign
+
+
+def modules() -> dict[str, Path]:
+    found = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        name = ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
+        if name != "__init__":
+            found[name] = path
+    return found
+
+
+def test_the_table_names_every_module():
+    assert set(modules()) == set(ALLOWED)
+
+
+@pytest.mark.parametrize("name", sorted(ALLOWED))
+def test_imports_point_down(name: str):
+    own, _ = imports(modules()[name])
+    assert own <= ALLOWED[name], f"{name} imports {sorted(own - ALLOWED[name])}, which the layer table does not allow"
+
+
+def test_the_table_allows_nothing_that_is_not_used():
+    unused = {name: sorted(allowed - imports(modules()[name])[0]) for name, allowed in ALLOWED.items()}
+    assert {name: rest for name, rest in unused.items() if rest} == {}
+
+
+def test_the_table_has_no_circle():
+    order: list[str] = []
+    rest = dict(ALLOWED)
+    while rest:
+        free = [name for name, below in rest.items() if below <= set(order)]
+        assert free, f"these import each other: {sorted(rest)}"
+        order += free
+        for name in free:
+            del rest[name]
+
+
+def test_the_method_imports_only_typing():
+    own, foreign = imports(PACKAGE / "method.py")
+    assert own == set()
+    assert foreign <= {"typing", "collections"}
+
+
+def test_the_run_side_is_closed_and_declares_nothing():
+    names = {file.removesuffix(".py").replace("/", ".") for file in RUN_SIDE}
+    for name in names:
+        own, foreign = imports(modules()[name])
+        assert own <= names, f"{name} needs {sorted(own - names)} at run time, which an FMU does not carry"
+        assert not foreign & {"fmpy", "markdown", "PIL", "tqdm", "scipy", "matplotlib"}
+
+
+def test_every_public_name_is_there():
+    for name in alfmu.__all__:
+        assert getattr(alfmu, name) is not None
+    with pytest.raises(AttributeError, match="nonsense"):
+        alfmu.nonsense  # noqa: B018

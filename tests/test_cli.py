@@ -1,0 +1,186 @@
+"""The command line as its users call it: every command, every help text, and no traceback for a user's mistake."""
+
+import csv
+import json
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import alfmu
+from alfmu.cli import main
+
+PENDULUM = """
+from alfmu import Mechanism
+
+def pendulum() -> Mechanism:
+    m = Mechanism("pendulum", "A bar on a hinge")
+    l = m.parameter("l", 1.0, "m", minimum=1e-6)
+    th = m.coordinate("th", "rad", start=0.5, independent=True)
+    rod = m.bar("rod", mass=1.0, length=l)
+    m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=th)
+    m.gravity(0, -9.81)
+    return m
+"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+    with path.open(newline="") as file:
+        rows = list(csv.reader(file))
+    return {name: np.array([float(row[i]) for row in rows[1:]]) for i, name in enumerate(rows[0])}
+
+
+def test_the_whole_job_export_validate_simulate_plot_animate(here, capsys):
+    assert main(["export", "five_bar"]) == 0
+    assert main(["validate", "five_bar.fmu"]) == 0
+    assert "0 problems found" in capsys.readouterr().out
+    arguments = ["simulate", "five_bar.fmu", "--stop-time", "1", "--step", "0.02", "-o", "out/r.csv", "--plot", "r.png"]
+    assert main(arguments) == 0
+    result = read(here / "out" / "r.csv")
+    library = alfmu.simulate("five_bar", 1.0, 0.02)
+    assert np.array_equal(result["link1.angle"], library["link1.angle"])
+    assert np.array_equal(result["time"], library.time)
+    assert (here / "r.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((here / "out" / "r.json").read_text())["mechanism"] == "five_bar"
+    assert main(["animate", "out/r.csv", "-o", "film.html", "--fps", "10"]) == 0
+    assert "<canvas" in (here / "film.html").read_text()
+
+
+def test_a_mechanism_of_the_users_own_works_wherever_a_name_does(here, capsys):
+    (here / "pendulum.py").write_text(PENDULUM)
+    assert main(["info", "pendulum.py"]) == 0
+    assert "degrees of freedom: 1, redundant constraints: 0" in capsys.readouterr().out
+    assert main(["export", "pendulum.py", "--set", "l=2"]) == 0
+    assert main(["validate", "pendulum.fmu"]) == 0
+    assert main(["simulate", "pendulum.fmu", "--stop-time", "0.5", "-o", "fmu.csv"]) == 0
+    assert main(["simulate", "pendulum.py", "--set", "l=2", "--stop-time", "0.5", "-o", "file.csv"]) == 0
+    a, b = read(here / "fmu.csv"), read(here / "file.csv")
+    assert all(np.array_equal(a[name], b[name]) for name in b)
+    assert main(["animate", "file.csv"]) == 0
+    assert (here / "file.gif").read_bytes().startswith(b"GIF89a")
+
+
+def test_options_parameters_and_inputs_reach_the_run(here):
+    (here / "in.csv").write_text("time,A.torque\n0,1\n0.5,2\n1,2\n")
+    arguments = ["simulate", "slider_crank", "--option", "coordinates=joint", "--set", "b=0.1", "--input", "in.csv"]
+    assert main([*arguments, "--stop-time", "1", "--step", "0.05"]) == 0
+    result = read(here / "slider_crank.csv")
+    assert result["A.torque"] == pytest.approx(np.interp(result["time"], [0, 0.5, 1], [1, 2, 2]))
+    equations = alfmu.derive(alfmu.load("slider_crank", coordinates="joint"))
+    torque = ([0.0, 0.5, 1.0], [1.0, 2.0, 2.0])
+    library = alfmu.simulate(equations, 1.0, 0.05, parameters={"b": 0.1}, inputs={"A.torque": torque})
+    assert np.array_equal(result["guide.force"], library["guide.force"])
+
+
+def test_list_names_every_registered_mechanism_and_its_options(capsys):
+    assert main(["list"]) == 0
+    out = capsys.readouterr().out
+    for name in alfmu.mechanisms():
+        assert f"\n{name} " in f"\n{out}"
+    assert "coordinates=absolute|joint|mixed|natural" in out
+
+
+def test_info_counts_freedoms_and_redundancy_and_shows_names_and_units(capsys):
+    assert main(["info", "five_bar"]) == 0
+    out = capsys.readouterr().out
+    assert "degrees of freedom: 1, redundant constraints: 1, singular at the start: 2 motions possible" in out
+    assert "E ---- link4 ---- F" in out
+    for name in ("A.torque", "link4.angular_acceleration", "multiplier[8]", "monitor.energy", "solver.formulation"):
+        assert name in out
+
+
+@pytest.mark.parametrize("command", ["list", "info", "export", "simulate", "validate", "animate"])
+def test_help_explains_every_command(command, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        main([command, "--help"])
+    assert exit_.value.code == 0
+    assert "usage: alfmu" in capsys.readouterr().out
+
+
+MISTAKES = [
+    (["info", "nonsense"], "no mechanism 'nonsense'"),
+    (["info", "missing.py"], "there is no file missing.py"),
+    (["info", "broken.py"], "broken.py, line 1: ZeroDivisionError"),
+    (["info", "typo.py"], "typo.py, line 1: "),
+    (["info", "empty.py"], "declares no single mechanism"),
+    (["info", "slider_crank", "--option", "coordinates=polar"], "use one of absolute, joint, mixed, natural"),
+    (["info", "five_bar", "--option", "colour=red"], "has no option 'colour'; it has none"),
+    (["export", "five_bar", "--set", "m9=1"], "no input or parameter 'm9'"),
+    (["export", "five_bar", "--set", "m2=heavy"], "must be a finite number in kg"),
+    (["export", "five_bar", "--set", "m2=nan"], "must be a finite number in kg"),
+    (["export", "slider_crank", "--set", "l2=0.2"], "the loops cannot be closed"),
+    (["export", "five_bar", "-o", "five_bar.zip"], "does not end in .fmu"),
+    (["simulate", "five_bar", "--step", "0"], "must be a finite number above zero"),
+    (["simulate", "five_bar", "--stop-time", "-1"], "must be a finite number above zero"),
+    (["simulate", "missing.fmu"], "missing.fmu"),
+    (["simulate", "broken.fmu"], "not an FMU that can be read"),
+    (["simulate", "five_bar", "--input", "missing.csv"], "missing.csv"),
+    (["simulate", "five_bar", "--input", "words.csv"], "not a table of numbers"),
+    (["simulate", "five_bar", "--input", "unknown.csv"], "no input or parameter 'Z.torque'"),
+    (["simulate", "five_bar", "--input", "bad.csv", "--stop-time", "1"], "A.torque is nan"),
+    (["simulate", "five_bar", "--stop-time", "0.1", "-o", "/dev/null/r.csv"], "cannot write"),
+    (["validate", "missing.fmu"], "missing.fmu"),
+    (["animate", "missing.csv"], "missing.csv"),
+    (["animate", "bare.csv"], "--mechanism"),
+    (["animate", "bare.csv", "--mechanism", "five_bar"], "link1"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), MISTAKES, ids=[" ".join(a) for a, _ in MISTAKES])
+def test_a_mistake_is_one_clear_line_and_exit_code_1(arguments, words, here, capsys):
+    (here / "broken.py").write_text("1 / 0\n")
+    (here / "typo.py").write_text("def f(:\n")
+    (here / "empty.py").write_text("x = 1\n")
+    (here / "broken.fmu").write_text("no archive")
+    (here / "words.csv").write_text("time,A.torque\n0,many\n")
+    (here / "unknown.csv").write_text("time,Z.torque\n0,1\n")
+    (here / "bad.csv").write_text("time,A.torque\n0,1\n0.5,nan\n1,1\n")
+    (here / "bare.csv").write_text("time,x\n0,1\n1,2\n")
+    assert main(arguments) == 1
+    err = capsys.readouterr().err
+    assert words in err
+    assert err.startswith("alfmu: ")
+    assert "Traceback" not in err
+    assert err.count("\n") == 1
+
+
+def test_wrong_usage_is_exit_code_2(capsys):
+    for arguments in (
+        [],
+        ["fly"],
+        ["export"],
+        ["export", "five_bar", "--set", "m2"],
+        ["simulate", "x", "--step", "soon"],
+    ):
+        with pytest.raises(SystemExit) as exit_:
+            main(arguments)
+        assert exit_.value.code == 2
+        assert "usage: alfmu" in capsys.readouterr().err
+
+
+def test_a_reader_that_stops_listening_gets_no_traceback():
+    command = f"{sys.executable} -m alfmu.cli info five_bar | head -1"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=120)
+    assert done.stdout.startswith("five_bar")
+    assert done.stderr == ""
+
+
+def test_a_long_run_shows_its_progress_on_a_terminal(tmp_path):
+    master, terminal = pty.openpty()
+    command = [sys.executable, "-m", "alfmu.cli", "simulate", "slider_crank", "--stop-time", "60", "--step", "0.02"]
+    subprocess.run(command, cwd=tmp_path, stderr=terminal, stdout=subprocess.PIPE, timeout=120, check=True)
+    os.close(terminal)
+    shown = os.read(master, 100000).decode()
+    os.close(master)
+    assert "simulating" in shown
+    assert "%" in shown
