@@ -23,7 +23,7 @@ class Variable:
 
     name: str
     unit: str
-    start: float = 0.0
+    start: float | str = 0.0
     minimum: float | None = None
     maximum: float | None = None
     description: str = ""

@@ -23,7 +23,7 @@ ALLOWED: dict[str, set[str]] = {
     "runtime": {"assembly", "equations", "errors", "integrators", "oracle"},
     "registry": {"errors", "mechanism"},
     "simulation": {"derivation", "equations", "errors", "mechanism", "oracle", "registry", "runtime"},
-    "picture": {"derivation", "errors", "mechanism", "runtime", "simulation"},
+    "picture": {"derivation", "equations", "errors", "mechanism", "runtime", "simulation"},
     "plot": {"errors", "simulation"},
     "fmi": set(),
     "fmi.slave": {"equations", "errors", "runtime"},
@@ -62,8 +62,9 @@ def imports(path: Path) -> tuple[set[str], set[str]]:
     package = list(path.relative_to(PACKAGE).parent.parts)
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.level:
-            base = package[: len(package) - node.level + 1]
-            own.add(".".join([*base, *(node.module or "").split(".")]).strip("."))
+            base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
+            names = [""] if node.module else [name.name for name in node.names]
+            own |= {".".join([*base, name]).strip(".") for name in names}
         elif isinstance(node, ast.ImportFrom):
             foreign.add(node.module.split(".")[0])
         elif isinstance(node, ast.Import):

@@ -258,7 +258,7 @@ for p in paths + paths:
     units.append((f, [(v.name, v.valueReference) for v in outputs]))
 for i in range(50):
     for f, _ in units:
-        f.doStep(i * step, step)
+        f.doStep(i * step, (i + 1) * step - i * step)
 for (f, outputs), result in zip(units, single + single):
     values = f.getReal([r for _, r in outputs])
     assert all(result[n][-1] == x for (n, _), x in zip(outputs, values))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +22,13 @@ from ..errors import ExportError, InputError, StepError
 from .slave import SCENE
 
 __all__ = ["Fmu", "validate"]
+
+_LOG: list[str] = []
+"""Messages of the call under way; one list for all, for fmpy hands every message to the newest instance's logger."""
+
+
+def _logged(environment, instance, status, category, message) -> None:
+    _LOG.append((message or b"").decode(errors="replace"))
 
 
 class Fmu:
@@ -45,7 +53,6 @@ class Fmu:
             [(i, self._by_name[v.name].valueReference) for i, v in enumerate(self.outputs) if v.type == kind]
             for kind in ("Real", "Integer")
         )
-        self.log: list[str] = []
         self.parameters = {v.name: float(v.start) for v in self._of("parameter") if v.type == "Real" and v.start}
         """Defaults of the numbers that can be set before the run."""
         self._folder = extract(str(path))
@@ -54,7 +61,7 @@ class Fmu:
         """Options that the mechanism was exported with, if alfmu exported it."""
         try:
             self.slave = instantiate_fmu(
-                self._folder, self.description, "CoSimulation", debug_logging=True, logger=self._logged
+                self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
             )
         except Exception:
             self._clean()
@@ -129,18 +136,15 @@ class Fmu:
         return (v for v in self.description.modelVariables if v.causality == causality)
 
     def _call(self, function: str, *arguments, **named):
-        self.log.clear()
+        _LOG.clear()
         try:
             return getattr(self.slave, function)(*arguments, **named)
         except FMICallException as error:
             raise StepError(self._why(f"{self.name}: {function} failed ({error})")) from None
 
-    def _logged(self, environment, instance, status, category, message) -> None:
-        self.log.append((message or b"").decode(errors="replace"))
-
     def _why(self, what: str) -> str:
         """What failed, with the FMU's own words where it left any."""
-        words = [line.split("InputError('")[-1].split("Error('")[-1].removesuffix("')") for line in self.log]
+        words = [line.split("InputError('")[-1].split("Error('")[-1].removesuffix("')") for line in _LOG]
         return words[-1] if words and words[-1] else what
 
     def _clean(self) -> None:
@@ -148,11 +152,15 @@ class Fmu:
 
 
 def validate(path: str | Path, steps: int = 50) -> list[str]:
-    """Problems of an FMU: fmpy's validation, then a run, a reset, a rewind, and a second instance, to the last bit.
+    """Problems of an FMU: fmpy's validation; if that finds none, a run, a reset, a rewind and a second instance.
 
     An empty list means that none was found. Raises ExportError where the file is no FMU that can be opened.
     """
+    if not zipfile.is_zipfile(path):
+        raise ExportError(f"{path} is not an FMU that can be read (no zip archive)")
     problems = [f"fmpy: {problem}" for problem in validate_fmu(str(path))]
+    if problems:
+        return problems
     with Fmu(path) as fmu, Fmu(path) as other:
         step = min(fmu.step_size, fmu.stop_time / steps)
         try:

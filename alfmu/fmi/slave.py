@@ -8,7 +8,10 @@ from __future__ import annotations
 import ctypes
 import logging
 import sys
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
+from typing import Any
 
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
@@ -27,13 +30,39 @@ SCENE = "scene.json"
 
 def interface(instance: Instance) -> list[tuple[str, Variable]]:
     """Every variable of the FMU with its causality; the place in the list is the value reference."""
-    formulation = Variable(FORMULATION, "1", description=FORMULATION_TEXT, type="String")
+    formulation = Variable(FORMULATION, "1", instance.formulation, description=FORMULATION_TEXT, type="String")
     return [
         *(("parameter", v) for v in instance.parameters),
         ("parameter", formulation),
         *(("input", v) for v in instance.equations.inputs),
         *(("output", v) for v in instance.outputs),
     ]
+
+
+def _kept(*objects: object) -> None:
+    """Give objects a reference that nobody drops, against one that pythonfmu's library drops but does not own."""
+    for each in objects:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(each))
+
+
+def _called_from_fmi(call: Callable[..., Any]) -> Callable[..., Any]:
+    """A call whose exceptions reach pythonfmu's library, and so the host as fmi2Fatal.
+
+    The library drops its references to class, instance and log at the exception, and again when the instance is freed.
+    The reason goes to the Python logger, not to the FMI log: with anything logged,
+    the text of the exception is lost there.
+    """
+
+    @wraps(call)
+    def guarded(self: Slave, *arguments: Any, **named: Any) -> Any:
+        try:
+            return call(self, *arguments, **named)
+        except Exception as error:
+            _LOGGER.error("%s", error)
+            _kept(type(self), self, self.log_queue)
+            raise
+
+    return guarded
 
 
 class Slave(Fmi2Slave):
@@ -46,9 +75,8 @@ class Slave(Fmi2Slave):
     """
 
     def __init_subclass__(cls) -> None:
-        # pythonfmu's library runs the entry module at each instantiation and then drops a reference to the module's
-        # dictionary that it does not own; one that nobody else drops keeps the module alive for the next instance.
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(sys.modules[cls.__module__].__dict__))
+        # The library runs the entry module at each instantiation, and then drops the module's dictionary.
+        _kept(sys.modules[cls.__module__].__dict__)
         super().__init_subclass__()
 
     def __init__(self, **kwargs):
@@ -68,17 +96,14 @@ class Slave(Fmi2Slave):
     def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
         self.instance.time = start_time
 
+    @_called_from_fmi
     def exit_initialization_mode(self) -> None:
-        try:
-            self._no_refusals()
-            if not self.instance.initialized:
-                self.instance.initialize()
-        except AlfmuError as error:
-            # Not to the FMI log: pythonfmu loses the text of an exception once anything was logged.
-            _LOGGER.error("%s", error)
-            raise
+        self._no_refusals()
+        if not self.instance.initialized:
+            self.instance.initialize()
         self._running = True
 
+    @_called_from_fmi
     def do_step(self, current_time: float, step_size: float) -> bool:
         try:
             self._no_refusals()
@@ -99,6 +124,7 @@ class Slave(Fmi2Slave):
 
     # Values ------------------------------------------------------------------------------------------------------
 
+    @_called_from_fmi
     def get_real(self, vrs: list[int]) -> list[float]:
         inputs, values = self.instance.inputs, self.instance.values
         first_input, first_output = self._first_input, self._first_output
@@ -110,12 +136,15 @@ class Slave(Fmi2Slave):
             for i in vrs
         ]
 
+    @_called_from_fmi
     def get_integer(self, vrs: list[int]) -> list[int]:
         return [int(value) for value in self.get_real(vrs)]
 
+    @_called_from_fmi
     def get_string(self, vrs: list[int]) -> list[str]:
         return [str(self.instance.get(self._names[vr])) for vr in vrs]
 
+    @_called_from_fmi
     def set_real(self, vrs: list[int], values: list[float]) -> None:
         for vr, value in zip(vrs, values, strict=True):
             self._set(vr, value)
@@ -146,9 +175,11 @@ class Slave(Fmi2Slave):
 
     # State -------------------------------------------------------------------------------------------------------
 
+    @_called_from_fmi
     def _get_fmu_state(self) -> bytes:
         return bytes([self._running]) + self.instance.save()
 
+    @_called_from_fmi
     def _set_fmu_state(self, state: bytes) -> None:
         self.instance.restore(state[1:])
         self._running = bool(state[0])
