@@ -63,14 +63,17 @@ def residual(
     return a, lam, most, False
 
 
-def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, passes: int) -> Array:
+def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, most: int, done: Done) -> Array:
     """lam without what redundant rows add to it: of all with the same C' lam, that of least norm (weighted by 1/alpha).
 
     lam = alpha C z with C' alpha C z = C' lam by iterated (10); each pass gains a factor of mass / alpha.
     """
     z = solve(C.T @ lam)
-    for _ in range(passes - 1):
-        z = z + solve(C.T @ (lam - alpha @ (C @ z)))
+    for _ in range(most):
+        dz = solve(C.T @ (lam - alpha @ (C @ z)))
+        z = z + dz
+        if done(C @ dz, C @ z):
+            break
     return alpha @ (C @ z)
 
 

@@ -229,7 +229,12 @@ class Oracle:
         """Multipliers of least norm that act like lam (l,)."""
         M, C, _, _ = self._constraints(q, v, self.p)
         solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
-        return method.minimum_norm(C, self.alpha, solve, lam, passes=3)
+        limit = np.finfo(float).eps
+
+        def done(change: NDArray, value: NDArray) -> bool:
+            return np.abs(change).max(initial=0.0) <= limit * np.abs(value).max(initial=0.0)
+
+        return method.minimum_norm(C, self.alpha, solve, lam, CORRECTIONS, done)
 
     def project(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray, float, float]:
         """q and v brought back to the constraints with (10), and the largest |Phi| and |Phi-dot| left.

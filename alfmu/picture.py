@@ -62,6 +62,9 @@ class Anchor:
     y: float
 
 
+_ORIGIN = (Anchor(GROUND, 0.0, 0.0),)
+
+
 @dataclass(frozen=True)
 class Link:
     """A body: the points that its joints, springs and ends have on it, from its centre of mass [m].
@@ -354,7 +357,7 @@ class _Pen:
     @classmethod
     def fitting(cls, shapes: Shapes, view: View, size: Size) -> _Pen:
         """Scale and origin that put the box of a view into the picture, with room for symbols around it."""
-        base = min(size[0] / 640, size[1] / 480)
+        base = _base(size)
         spans = [high - low for low, high in zip(view.low, view.high, strict=True)]
         if max(spans) < 1e-9:
             spans = [1.0, 1.0]
@@ -392,7 +395,7 @@ class _Pen:
             for i in range(math.ceil(-self.origin[k] / step), math.floor((self.size[k] - self.origin[k]) / step) + 1):
                 ends = [(i * step, low), (i * step, high)] if k == 0 else [(low, i * step), (high, i * step)]
                 lines.append(Stroke(_rounded(ends), u, GRID if i else ZERO))
-        return Part(_GROUND, tuple(sorted(lines, key=lambda line: line.color == ZERO)))
+        return Part(_ORIGIN, tuple(sorted(lines, key=lambda line: line.color == ZERO)))
 
     def marks(self) -> Part:
         """Directions of the axes in the left lower corner, the scale in the right one."""
@@ -402,7 +405,7 @@ class _Pen:
         lines += [[(end, y - 4 * u), (end, y + 4 * u)] for end in (left, right)]
         tips = [[(36, 0), (28, 3), (28, -3)], [(0, 36), (3, 28), (-3, 28)]]
         return Part(
-            _GROUND,
+            _ORIGIN,
             (
                 *(Stroke(_rounded(line), 1.5 * u, FAINT) for line in lines),
                 *(Stroke(_rounded((x + dx * u, y + dy * u) for dx, dy in tip), u, FAINT, True) for tip in tips),
@@ -569,7 +572,9 @@ class _Pen:
         return (9 if guide.block is None else 15) * self.unit
 
 
-_GROUND = (Anchor(GROUND, 0.0, 0.0),)
+def _base(size: Size) -> float:
+    """Size of a picture compared with 640 x 480."""
+    return min(size[0] / 640, size[1] / 480)
 
 
 def _knots(shapes: Shapes) -> list[_Knot]:
@@ -704,8 +709,8 @@ class _Canvas:
                 clear = label.gap + abs(dx) * _width(label.text, label.size) / 2 + abs(dy) * label.size / 3
                 x, y = x + dx * clear, y + dy * clear
             self._text(x, y, label.text, label.size, label.color, "mm")
-        unit = min(self.scene.size) / 480
-        self._text(20 * unit, self.scene.size[1] - 24 * unit, caption, 14 * unit, FAINT, "lm")
+        base = _base(self.scene.size)
+        self._text(20 * base, self.scene.size[1] - 24 * base, caption, 14 * base, FAINT, "lm")
 
     def _pixels(self, place: Vector) -> Vector:
         (ox, oy), scale = self.scene.origin, self.scene.scale
@@ -765,8 +770,8 @@ def model_png(
         stop_time = min(equations.stop_time, 500 * equations.step_size)
         with suppress(AlfmuError):
             result = simulate(equations, stop_time, outputs=shapes.columns)
-            covered = {name: result[name] for name in shapes.columns}
-            trails = {dot: _path(covered, dot) for dot in shapes.dots}
+            covered = {name: np.append(result[name], columns[name]) for name in shapes.columns}
+            trails = {dot: _path(result, dot) for dot in shapes.dots}
     buffer = io.BytesIO()
     draw(shapes, columns, size, view_of(shapes, covered), trails, caption).save(buffer, "PNG", optimize=True)
     return buffer.getvalue()
@@ -779,7 +784,7 @@ def _start(shapes: Shapes, equations: Equations) -> dict[str, float]:
     return {name: instance.get(name) for name in shapes.columns}
 
 
-def _path(columns: Mapping[str, Sequence[float]], dot: str) -> list[Vector]:
+def _path(columns: Mapping[str, Sequence[float]] | Result, dot: str) -> list[Vector]:
     """Where a dot has been [m]."""
     return list(zip(columns[f"{dot}.x"], columns[f"{dot}.y"], strict=True))
 
@@ -837,8 +842,8 @@ def animate(
         sheet = np.concatenate([np.asarray(f) for f in _frames(shapes, view, size, time, columns, some)])
         palette = Image.fromarray(sheet).quantize(COLORS_OF_GIF)
         frames = _frames(shapes, view, size, time, columns, progress(instants))
-        first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-        first.save(path, save_all=True, append_images=rest, duration=delay, loop=0)
+        indexed = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+        next(indexed).save(path, save_all=True, append_images=indexed, duration=delay, loop=0)
     else:
         page = _page(mechanism, shapes, _scene(shapes, view, size), time, columns, speed)
         path.write_text(page, encoding="utf-8")
@@ -871,7 +876,7 @@ def _frames(
 def _page(
     mechanism: Mechanism, shapes: Shapes, scene: Scene, time: NDArray, columns: Mapping[str, NDArray], speed: float
 ) -> str:
-    """The page of a motion: its scene, and the poses of all frames over time, to a hundredth of a pixel and 1e-4 rad."""
+    """The page of a motion: its scene, and all poses over time to a hundredth of a pixel and 1e-4 rad."""
     digits = _digits(0.01 / scene.scale)
     data = {
         "scene": asdict(scene),
@@ -907,7 +912,6 @@ PAGE = """<!DOCTYPE html>
   :root { color-scheme: light; font-family: system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif; }
   body { margin: 0; min-height: 100vh; display: grid; place-items: center; background: #e9edf2; color: #2b3440; }
   main { width: min(94vw, 960px, calc((100vh - 11rem) * var(--aspect))); min-width: min(94vw, 320px); margin: 1rem; }
-  main, header { display: block; }
   h1 { font-size: 1.15rem; font-weight: 600; margin: 0; }
   header p { margin: .15rem 0 .8rem; color: #66727f; font-size: .92rem; }
   figure { margin: 0; background: {{background}}; border: 1px solid #d5dce4; border-radius: 10px; overflow: hidden;
