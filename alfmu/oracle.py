@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -191,21 +191,12 @@ class Oracle:
         """a (n,), lam (l,), the multiplier iterations used, and Phi-ddot (l,) that is left."""
         M, C, F, xi = self._dynamics(q, v, u, self.p, t)
         self.counters.evaluations += 1
-        kind, alpha, most = self.settings.formulation, self.alpha, self.settings.max_iterations
+        kind, alpha = self.settings.formulation, self.alpha
         if not (np.isfinite(M).all() and np.isfinite(F).all() and np.isfinite(xi).all()):
             raise StepError(self._say(t, "the equations of motion are not finite", "reduce solver.step_size"))
         if kind in ("residual", "classic"):
-            solve = self._factor(method.augmented_mass(M, C, alpha), t)
-            scale = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300)
-            limit = self.settings.tolerance
-
-            def done(da: NDArray, a: NDArray) -> bool:
-                return np.abs(da).max() <= limit * max(np.abs(a).max(), scale)
-
             iterate = method.residual if kind == "residual" else method.classic
-            a, lam, used, converged = iterate(
-                M, F, C, xi, alpha, solve, np.zeros_like(q), np.zeros_like(xi), most, done
-            )
+            a, lam, used, converged = self._iterated(iterate, M, F, C, xi, t)
             self.counters.multiplier_iterations += used
             self.counters.unconverged += not converged
         else:
@@ -224,6 +215,29 @@ class Oracle:
                 right = (xi if kind == "dae" else stabilised)[held]
                 a, lam[held] = method.dae(M, F, C[held], right, _least_squares)
         return a, lam, used, C @ a - xi
+
+    def impact(self, q: NDArray, v: NDArray, t: float) -> NDArray:
+        """v (n,) after a plastic impact that makes it consistent with the constraints: the nearest in the metric of M.
+
+        M dv + C' impulse = 0, C dv = -C v in residual form, so that large changes are as exact as small ones.
+        """
+        M, C, _, Cv = self._constraints(q, v, self.p)
+        dv, _, _, _ = self._iterated(method.residual, M, np.zeros_like(v), C, -Cv, t)
+        return v + dv
+
+    def _iterated(
+        self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, t: float
+    ) -> tuple[NDArray, NDArray, int, bool]:
+        """(8), classic or residual, until the change is within the tolerance of the accelerations it changes."""
+        solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
+        scale = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300)
+        limit = self.settings.tolerance
+
+        def done(da: NDArray, a: NDArray) -> bool:
+            return np.abs(da).max() <= limit * max(np.abs(a).max(), scale)
+
+        zeros = np.zeros_like(F), np.zeros_like(xi)
+        return iterate(M, F, C, xi, self.alpha, solve, *zeros, self.settings.max_iterations, done)
 
     def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray, t: float) -> NDArray:
         """Multipliers of least norm that act like lam (l,)."""

@@ -16,7 +16,7 @@ from .assembly import Mobility, assemble, assemble_rates, check_masses, mobility
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
-from .oracle import FORMULATIONS, Counters, Oracle, Settings
+from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
 
@@ -266,6 +266,30 @@ class Instance:
     def mobility(self) -> Mobility:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
         return mobility(self.equations, self._start_values()[0], self.q)
+
+    @property
+    def penalty(self) -> NDArray:
+        """alpha (l,) [kg or kg.m2 by row], settable while running; a constraint with zero is switched off.
+
+        A constraint that is switched on again must be closed; its velocity becomes consistent at once (10), as in a
+        plastic impact. Raises InputError otherwise, and keeps the old values.
+        """
+        return self.oracle.penalty
+
+    @penalty.setter
+    def penalty(self, alpha: NDArray) -> None:
+        e, oracle, before = self.equations, self.oracle, self.oracle.penalty
+        alpha = np.array(alpha, float)
+        replace(oracle.settings, penalty=alpha).checked(e.name, e.l)
+        oracle.penalty = np.broadcast_to(alpha, (e.l,))
+        gap, _ = oracle.residues(self.q, self.v)
+        if gap > GROSS:
+            oracle.penalty = before
+            raise InputError(
+                f"{e.name}, t = {self.time:.6g} s: a constraint that is open by {gap:.3g} cannot be switched on; "
+                "wait until it closes"
+            )
+        self.v, self._known = oracle.impact(self.q, self.v, self.time), False
 
     # State -------------------------------------------------------------------------------------------------------
 
