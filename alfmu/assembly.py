@@ -13,65 +13,112 @@ from .errors import AssemblyError
 __all__ = ["Mobility", "assemble", "assemble_rates", "check_masses", "mobility"]
 
 _TOLERANCE = 1e-12
-_MOST = 100
+_ROUGH = 1e-9
+_MOST = 200
+_TURN = 0.3
+"""Longest turn of a coordinate in one step [rad]."""
+_TRIES = 32
+"""Places around the guess from which a nearer assembly is looked for."""
 
 
-def assemble(equations: Equations, p: NDArray, s: NDArray) -> NDArray:
-    """Coordinates (n,) that close every loop and keep the start values s, nearest to the guess.
+@dataclass(frozen=True)
+class _Loops:
+    """What an assembly closes: the constraints that are held, and the start values."""
 
-    Gauss-Newton steps of least norm with backtracking. Raises AssemblyError, with the loop and its gap, where the loops
-    cannot be closed, where the start values contradict each other, and where the guess leads to a far assembly.
+    e: Equations
+    p: NDArray
+    s: NDArray
+    held: NDArray
+
+    def misfit(self, q: NDArray) -> NDArray:
+        """How far [m, rad] each constraint is open (0 where it is not held), and each start value missed."""
+        return np.concatenate([_array(self.e.gaps(q, self.p)) * self.held, _array(self.e.ties(q, self.p, self.s))])
+
+    def matrix(self, q: NDArray) -> NDArray:
+        gaps = np.array(self.e.gaps_matrix(q, self.p)) * self.held[:, None]
+        return np.vstack([gaps, np.array(self.e.ties_matrix(q, self.p, self.s))])
+
+    def closes(self, q: NDArray) -> bool:
+        return bool(np.abs(self.misfit(q)).max(initial=0.0) <= _ROUGH * max(1.0, np.abs(q).max()))
+
+    def followed(self, q: NDArray) -> tuple[NDArray, float]:
+        """Where the way from q ends, and the length of the first full step."""
+        turns = np.array([c.unit == "rad" for c in self.e.coordinates])
+        r, first = self.misfit(q), None
+        for _ in range(_MOST):
+            if np.abs(r).max(initial=0.0) <= _TOLERANCE * max(1.0, np.abs(q).max()):
+                break
+            dq = np.linalg.lstsq(self.matrix(q), -r, rcond=1e-10)[0]
+            first = float(np.linalg.norm(dq)) if first is None else first
+            part = min(1.0, _TURN / max(np.abs(dq[turns]).max(initial=0.0), 1e-300))
+            while part > 1e-4 and not np.linalg.norm(self.misfit(q + part * dq)) < (1 - part / 10) * np.linalg.norm(r):
+                part /= 2
+            if part <= 1e-4:
+                break
+            q = q + part * dq
+            r = self.misfit(q)
+        return q, first or 0.0
+
+    def nearest(self, guess: NDArray, size: float) -> NDArray | None:
+        """The assembly nearest to the guess among those found from places around it; None where none is found."""
+        random, sizes = np.random.default_rng(0), size * np.linspace(0.2, 1.5, _TRIES)[:, None]
+        starts = guess + sizes * random.standard_normal((_TRIES, self.e.n)) / np.sqrt(self.e.n)
+        found = [q for q, _ in map(self.followed, starts) if self.closes(q)]
+        return min(found, key=lambda q: np.linalg.norm(q - guess), default=None)
+
+    def say(self, q: NDArray) -> str:
+        """The widest gap at q, or the start value that is missed most."""
+        return _name(self.e, self.misfit(q))
+
+
+def assemble(equations: Equations, p: NDArray, s: NDArray, held: NDArray) -> NDArray:
+    """Coordinates (n,) that close the loops `held` (l,) and keep the start values s, nearest to the guess.
+
+    Gauss-Newton steps of least norm, short enough to stay on the way. Raises AssemblyError, with the loop and its gap,
+    where the loops cannot be closed, where the start values contradict each other, and where the way from the guess
+    leads elsewhere than to the nearest assembly that is found around it.
     """
-    e = equations
+    e, loops = equations, _Loops(equations, p, s, held)
     guess = _array(e.guess(p, s))
     if not np.isfinite(guess).all():
         raise AssemblyError(f"{e.name}: the start guess is not finite; check the dimensions and start values")
-
-    def misfit(q: NDArray) -> NDArray:
-        return np.concatenate([_array(e.Phi(q, p)), _array(e.ties(q, p, s))])
-
-    q, r = guess, misfit(guess)
-    first_gap, first_step = r, 0.0
-    for i in range(_MOST):
-        if np.abs(r).max(initial=0.0) <= _TOLERANCE * max(1.0, np.abs(q).max()):
-            break
-        J = np.vstack([np.array(e.C(q, p)), np.array(e.ties_matrix(q, p, s))])
-        dq = np.linalg.lstsq(J, -r, rcond=1e-10)[0]
-        if i == 0:
-            first_step = float(np.linalg.norm(dq))
-        part = 1.0
-        while part > 1e-4 and not np.linalg.norm(misfit(q + part * dq)) < (1 - part / 10) * np.linalg.norm(r):
-            part /= 2
-        if part <= 1e-4:
-            break
-        q = q + part * dq
-        r = misfit(q)
-    if np.abs(r).max(initial=0.0) > 1e-9 * max(1.0, np.abs(q).max()):
-        _refuse(e, r)
-    moved = float(np.linalg.norm(q - guess))
-    if moved > 3 * first_step + 1e-6:
-        worst = int(np.argmax(np.abs(q - guess)))
+    q, step = loops.followed(guess)
+    moved = float(np.linalg.norm(q - guess)) if loops.closes(q) else np.inf
+    if moved <= 1.5 * step + 1e-6:
+        return q
+    # A long way, or none: is there an assembly nearer to the guess?
+    other = loops.nearest(guess, min(moved, 3.0))
+    if other is None and moved == np.inf:
+        closed = np.abs(loops.misfit(q)[: e.l]).max(initial=0.0) <= _ROUGH
+        reason = "the start values contradict each other" if closed else "the loops cannot be closed"
+        advice = (
+            "give fewer or consistent start values" if len(e.tied) > 1 else "check lengths, offsets and start values"
+        )
+        raise AssemblyError(f"{e.name}: {reason}; the nearest assembly leaves {loops.say(q)}; {advice}")
+    if other is not None and np.linalg.norm(other - guess) < 0.99 * moved:
+        worst = int(np.argmax(np.abs(other - guess)))
         raise AssemblyError(
-            f"{e.name}: the guess leaves {_name(e, first_gap)} and leads to an assembly elsewhere "
-            f"({e.coordinates[worst].name} moves by {abs(q - guess)[worst]:.3g} {e.coordinates[worst].unit}); "
+            f"{e.name}: the guess leaves {loops.say(guess)} and leads to an assembly elsewhere than the nearest one, "
+            f"where {e.coordinates[worst].name} is {other[worst]:.6g} {e.coordinates[worst].unit}; "
             "give start values or guesses closer to the assembly you want"
         )
     return q
 
 
-def assemble_rates(equations: Equations, q: NDArray, p: NDArray, s: NDArray, sdot: NDArray) -> NDArray:
-    """Velocities (n,) that keep the loops closed and have the start rates sdot, nearest to the rate of the guess.
+def assemble_rates(equations: Equations, q: NDArray, p: NDArray, s: NDArray, sdot: NDArray, held: NDArray) -> NDArray:
+    """Velocities (n,) that keep the loops `held` (l,) closed and have the start rates sdot, nearest to the guess.
 
-    At a singular position, where several motions are possible, the guess decides which one begins.
+    At a singular position, where several motions are possible, the rate of the guess decides which one begins.
     """
     e = equations
     v = _array(e.guess_rate(p, s, sdot))
-    J = np.vstack([np.array(e.C(q, p)), np.array(e.ties_matrix(q, p, s))])
+    C = np.array(e.C(q, p)) * held[:, None]
+    J = np.vstack([C, np.array(e.ties_matrix(q, p, s))])
     wanted = np.concatenate([np.zeros(e.l), sdot[e.tied]])
     for _ in range(2):
         v = v + np.linalg.lstsq(J, wanted - J @ v, rcond=1e-10)[0]
     left = J @ v - wanted
-    if np.abs(left).max(initial=0.0) > 1e-9 * max(1.0, np.abs(v).max()):
+    if np.abs(left).max(initial=0.0) > _ROUGH * max(1.0, np.abs(v).max()):
         worst = int(np.argmax(np.abs(left)))
         what = e.rows[worst].name if worst < e.l else e.start_rates[e.tied[worst - e.l]].name
         raise AssemblyError(
@@ -81,12 +128,12 @@ def assemble_rates(equations: Equations, q: NDArray, p: NDArray, s: NDArray, sdo
     return v
 
 
-def check_masses(equations: Equations, q: NDArray, p: NDArray) -> None:
+def check_masses(equations: Equations, q: NDArray, p: NDArray, held: NDArray) -> None:
     """AssemblyError where a motion has neither mass nor constraint, so that H cannot complete M."""
     e = equations
-    M, C = np.array(e.M(q, p)), np.array(e.C(q, p))
-    held = np.vstack([M / max(np.abs(M).max(initial=0.0), 1e-300), C]) if e.l else M
-    _, sizes, motions = np.linalg.svd(held, full_matrices=True)
+    M, C = np.array(e.M(q, p)), np.array(e.C(q, p)) * held[:, None]
+    both = np.vstack([M / max(np.abs(M).max(initial=0.0), 1e-300), C]) if e.l else M
+    _, sizes, motions = np.linalg.svd(both, full_matrices=True)
     smallest = sizes[-1] if len(sizes) == e.n else 0.0
     if smallest > 1e-13:
         return
@@ -126,13 +173,6 @@ def mobility(equations: Equations, p: NDArray, q: NDArray) -> Mobility:
 
 def _rank(C: NDArray) -> int:
     return int(np.linalg.matrix_rank(C, tol=1e-7 * max(1.0, np.abs(C).max()))) if C.size else 0
-
-
-def _refuse(e: Equations, r: NDArray) -> None:
-    closed = e.l == 0 or np.abs(r[: e.l]).max() <= 1e-9
-    reason = "the start values contradict each other" if closed else "the loops cannot be closed"
-    advice = "give fewer or consistent start values" if len(e.tied) > 1 else "check lengths, offsets and start values"
-    raise AssemblyError(f"{e.name}: {reason}; the nearest assembly leaves {_name(e, r)}; {advice}")
 
 
 def _name(e: Equations, r: NDArray) -> str:

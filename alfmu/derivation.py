@@ -59,8 +59,15 @@ Displacement = dict[str, ca.SX]
 class Kinematics:
     """Places of all bodies and residuals of all closures as expressions in q, and in virtual displacements if given."""
 
-    def __init__(self, mechanism: Mechanism, held: dict[Joint, tuple[str, ...]], eps: dict[Joint, Displacement]):
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        held: dict[Joint, tuple[str, ...]],
+        eps: dict[Joint, Displacement],
+        in_metres: bool = False,
+    ):
         self.mechanism = mechanism
+        self.stretch = _gap if in_metres else _stretch
         self.eps = eps
         self.held: dict[Body, list[Joint]] = {}
         for joint in held:
@@ -122,14 +129,14 @@ class Kinematics:
             return closure.expression
         if isinstance(closure, Rigidity):
             (x1, y1), (x2, y2) = self._ends(closure.body)
-            return _stretch(x2 - x1, y2 - y1, closure.body.length)
+            return self.stretch(x2 - x1, y2 - y1, closure.body.length)
         (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
         if direction == "x":
             return x2 - x1
         if direction == "y":
             return y2 - y1
         if direction == "length":
-            return _stretch(x2 - x1, y2 - y1, closure.length)
+            return self.stretch(x2 - x1, y2 - y1, closure.length)
         if direction == "normal":
             _, _, nx, ny = self.axes(closure)
             return nx * (x2 - x1) + ny * (y2 - y1) - closure.offset
@@ -214,7 +221,7 @@ def derive(mechanism: Mechanism) -> Equations:
     l = len(rows)
     lam = ca.SX.sym("lam", l)
 
-    X, w = _inertia(m, plain)
+    X, w = _inertia(m, plain, pivoted=True)
     Xq = ca.jacobian(X, q)
     Xv = ca.jtimes(X, q, v)
     bias = ca.jtimes(Xv, q, v)
@@ -237,6 +244,7 @@ def derive(mechanism: Mechanism) -> Equations:
 
     C = ca.jacobian(Phi, q)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
+    _, gaps = _closures(m, Kinematics(m, held, {}, in_metres=True), held, {})
 
     # Everything a user can read.
     values: list[Scalar] = []
@@ -248,7 +256,7 @@ def derive(mechanism: Mechanism) -> Equations:
     for body in m.bodies:
         if plain.frame(body).wrapped:
             wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
-    reactions, reaction_outputs = _reactions(m, held, X, w, bias, q, a, efforts, lam)
+    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam)
     values += reactions
     outputs += reaction_outputs
     for i, row in enumerate(rows):
@@ -275,6 +283,8 @@ def derive(mechanism: Mechanism) -> Equations:
         "Phi": ([q, p], Phi),
         "C": ([q, p], C),
         "xi": ([q, v, p], xi),
+        "gaps": ([q, p], gaps),
+        "gaps_matrix": ([q, p], ca.jacobian(gaps, q)),
         "kinetic_energy": ([q, v, p], T),
         "potential_energy": ([q, p], V),
         "input_power": ([q, v, u, p, t], ca.dot(f_applied - passive, v)),
@@ -309,15 +319,15 @@ def derive(mechanism: Mechanism) -> Equations:
 
 
 def _function(m: Mechanism, name: str, arguments: list[ca.SX], value: ca.SX) -> ca.Function:
-    try:
-        return ca.Function(name, arguments, [ca.densify(value) if value.is_column() else value], {"cse": True})
-    except RuntimeError as error:
-        if "free variables" not in str(error) and "are free" not in str(error):
-            raise
-        free = str(error).split("free")[-1].split("[")[-1].split("]")[0]
+    value = ca.densify(value) if value.is_column() else value
+    function = ca.Function(name, arguments, [value], {"cse": True, "allow_free": True})
+    if function.has_free():
+        free = ", ".join(map(str, function.get_free()))
         raise DeclarationError(
-            f"{m.name}: {name} uses {free}, which is no coordinate, rate, parameter or input of this mechanism"
-        ) from None
+            f"{m.name}: {name} uses {free}, which is no coordinate, rate, parameter or input of this mechanism; "
+            "declare it here"
+        )
+    return ca.Function(name, arguments, [value], {"cse": True})
 
 
 def _held(m: Mechanism, q: ca.SX) -> dict[Joint, tuple[str, ...]]:
@@ -406,12 +416,21 @@ def _closures(
     return rows, stack(Phi)
 
 
-def _inertia(m: Mechanism, kinematics: Kinematics) -> tuple[ca.SX, ca.SX]:
-    """Displacements X and their weights w: places of centres of mass, angles (natural coordinates: directions)."""
+def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
+    """Displacements X and their weights w: places of centres of mass, angles (natural coordinates: directions).
+
+    With `pivoted`, a body that a hinge on the ground places counts by its angle and its inertia about the hinge alone.
+    """
     X: list[Scalar] = []
     w: list[Scalar] = []
     for body in m.bodies:
         frame = kinematics.frame(body)
+        hinge = body.placed_by
+        if pivoted and hinge is not None and hinge.kind == "revolute" and hinge.first.body is m.ground:
+            arm = (body.center[0] - hinge.second.x) ** 2 + (body.center[1] - hinge.second.y) ** 2
+            X.append(frame.angle)
+            w.append(body.inertia + body.mass * arm)
+            continue
         if not ca.SX(body.mass).is_zero():
             X += frame.place(*body.center)
             w += [body.mass, body.mass]
@@ -470,11 +489,10 @@ _REACTIONS = {
 
 def _reactions(
     m: Mechanism,
+    plain: Kinematics,
     held: dict[Joint, tuple[str, ...]],
-    X: ca.SX,
-    w: ca.SX,
-    bias: ca.SX,
     q: ca.SX,
+    v: ca.SX,
     a: ca.SX,
     efforts: ca.SX,
     lam: ca.SX,
@@ -490,7 +508,8 @@ def _reactions(
     moved = Kinematics(m, held, in_frames)
     Xe, _ = _inertia(m, moved)
     _, Phie = _closures(m, moved, held, eps)
-    aX = ca.jtimes(X, q, a) + bias
+    X, w = _inertia(m, plain)
+    aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
     work = (
         ca.dot(Xe, w * aX)
         + _potential(m, moved)
@@ -600,6 +619,11 @@ def _turned(base: Frame, by: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
 def _stretch(dx: ca.SX, dy: ca.SX, length: Scalar) -> ca.SX:
     """Zero at the given length, polynomial, and with a multiplier that is the force along the line."""
     return (dx**2 + dy**2 - length**2) / (2 * length)
+
+
+def _gap(dx: ca.SX, dy: ca.SX, length: Scalar) -> ca.SX:
+    """The same in metres, wherever the points are."""
+    return ca.sqrt(dx**2 + dy**2 + 1e-300) - length
 
 
 def _same(a: Scalar, b: Scalar) -> bool:

@@ -56,6 +56,8 @@ class Equations:
     Phi(q, p)                       constraints (l,)                               (1)
     C(q, p)                         constraint matrix (l, n)                       (2)
     xi(q, v, p)                     constraint-induced accelerations (l,)          (3)
+    gaps(q, p)                      how far each constraint is open (l,), m or rad zero where Phi is
+    gaps_matrix(q, p)               its derivative (l, n)
     kinetic_energy(q, v, p)         J
     potential_energy(q, p)          J
     input_power(q, v, u, p, t)      power of the inputs, W

@@ -135,6 +135,8 @@ class Instance:
     def _check(self, v: Variable, value: float) -> None:
         if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
             raise InputError(f"{self.equations.name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
+        if v.type == "Integer" and value != int(value):
+            raise InputError(f"{self.equations.name}: {v.name} is {value:g}; it must be a whole number")
         if (v.minimum is not None and value < v.minimum) or (v.maximum is not None and value > v.maximum):
             low, high = ("-inf" if v.minimum is None else v.minimum), ("inf" if v.maximum is None else v.maximum)
             raise InputError(f"{self.equations.name}: {v.name} = {value:g} {v.unit} is outside [{low}, {high}]")
@@ -148,11 +150,14 @@ class Instance:
             self._check(v, float(value))
         self._check_inputs()
         p, s, sdot = self._start_values()
-        q = assemble(e, p, s)
-        v = assemble_rates(e, q, p, s, sdot)
-        check_masses(e, q, p)
+        settings = self._settings()
+        alpha = np.asarray(settings.penalty, float)
+        held = np.ones(e.l, bool) if alpha.ndim == 0 else alpha > 0
+        q = assemble(e, p, s, held)
+        v = assemble_rates(e, q, p, s, sdot, held)
+        check_masses(e, q, p, held)
         oracle = self.oracle
-        oracle.prepare(self._settings(), p, q)
+        oracle.prepare(settings, p, q)
         if oracle.settings.projects:
             q, v, _, _ = oracle.project(q, v, self.time)
         self.q, self.v, self.work = q, v, 0.0

@@ -1,0 +1,30 @@
+"""The pendulum phi'' = -w^2 sin phi in elliptic functions (Whittaker, Analytical Dynamics, section 44)."""
+
+from mpmath import asin, cos, ellipf, ellipfun, ellipk, mp, mpf, sin, sqrt
+
+DIGITS = 30
+
+
+def swing(w, phi, rate, t) -> tuple[float, float]:
+    """Angle and rate at t of a pendulum that swings (does not turn over) from phi, rate at t = 0, by closed form."""
+    with mp.workdps(DIGITS):
+        w, phi, rate, t = mpf(w), mpf(phi), mpf(rate), mpf(t)
+        k = sqrt(rate**2 / (4 * w**2) + sin(phi / 2) ** 2)
+        assert k < 1, "the pendulum turns over"
+        begin = ellipf(asin(sin(phi / 2) / k), k**2)
+        if rate < 0:
+            begin = 2 * ellipk(k**2) - begin
+        u = w * t + begin
+        return 2 * asin(k * ellipfun("sn", u, m=k**2)), 2 * w * k * ellipfun("cn", u, m=k**2)
+
+
+def period(w, amplitude) -> float:
+    """Period of a swing between -amplitude and amplitude."""
+    with mp.workdps(DIGITS):
+        return 4 / mpf(w) * ellipk(sin(mpf(amplitude) / 2) ** 2)
+
+
+def rate_of_energy(w, phi, amplitude) -> float:
+    """Rate at phi of a swing with that amplitude."""
+    with mp.workdps(DIGITS):
+        return mpf(w) * sqrt(2 * (cos(mpf(phi)) - cos(mpf(amplitude))))

@@ -1,0 +1,128 @@
+"""Small mechanisms that the tests declare themselves, and helpers that put one into any state."""
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+import casadi as ca
+import numpy as np
+
+import alfmu
+from alfmu.oracle import Oracle
+
+ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
+"""Mass, inertia, centre of mass of the bodies of `arm`."""
+
+SLIDE = {"axis": 0.4, "offset": 0.15, "angle": 0.7}
+GLUE = 0.9
+
+
+def arm(closed_by: str) -> alfmu.Mechanism:
+    """A carriage on an inclined guide, a boom hinged to it, a tip welded to the boom: every load and spring there is.
+
+    The joints are closed by coordinates [s, th], or by constraints between bodies in absolute coordinates.
+    """
+    m = alfmu.Mechanism("arm")
+    absolute = closed_by == "constraints"
+    s = th = None
+    if not absolute:
+        s = m.coordinate("s", "m", start=0.3, independent=True)
+        th = m.coordinate("th", "rad", start=-0.4, independent=True)
+    bodies = []
+    for name, (mass, inertia, center) in ARM.items():
+        pose = tuple(m.coordinate(f"{name}_{k}", "rad" if k == "a" else "m") for k in "xya") if absolute else None
+        bodies.append(m.body(name, mass=mass, inertia=inertia, center=center, pose=pose))
+    carriage, boom, tip = bodies
+    slide = m.prismatic("slide", m.ground.at(0.1, 0.2), carriage.at(0.02, 0.03), coordinate=s, **SLIDE)
+    hinge = m.revolute("hinge", carriage.at(0.1, -0.05), boom.at(-0.02, 0.04), coordinate=th)
+    m.weld("glue", boom.at(0.5, 0.1), tip.at(-0.03, 0.02), angle=GLUE)
+    m.gravity(0.5, -9.81)
+    m.drive(slide, m.input("slide.drive", "N"))
+    m.drive(hinge, m.input("hinge.drive", "N.m"))
+    m.force(tip.at(0.3, 0.1), x=m.input("tip.pull", "N"), y=2.0 * ca.cos(m.time))
+    m.torque(boom, m.input("boom.torque", "N.m"))
+    m.spring_damper(slide, stiffness=30.0, damping=2.0, rest=0.2)
+    m.spring_damper(hinge, stiffness=4.0, damping=0.3, rest=0.1)
+    m.spring_damper((m.ground.at(0.4, 1.5), tip.at(0.2, 0.0)), stiffness=12.0, damping=0.7, rest=0.5)
+    m.friction(hinge, 0.2)
+    return m
+
+
+QUICK_RETURN = {
+    "crank": (0.6, 0.02, (0.15, 0.03)),
+    "rocker": (1.1, 0.12, (0.5, -0.02)),
+    "ram": (0.9, 0.0, (0.0, 0.0)),
+    "box": (0.5, 0.02, (0.02, 0.06)),
+    "sleeve": (0.3, 0.004, (0.01, 0.02)),
+}
+"""Mass, inertia, centre of mass of the bodies of `quick_return`."""
+
+
+def quick_return() -> alfmu.Mechanism:
+    """A crank whose pin runs in a slot of a rocker, a massless rod from the rocker to a ram, a box welded to the ram by
+    constraints, a sleeve on the rocker by constraints: two degrees of freedom in nine coordinates."""
+    m = alfmu.Mechanism("quick_return")
+    th = m.coordinate("th", "rad", start=0.5, rate=2.0, independent=True)
+    phi = m.coordinate("phi", "rad", start=1.3)
+    s = m.coordinate("s", "m", start=0.9)
+    bodies = {}
+    poses = {
+        "box": tuple(
+            m.coordinate(f"box_{k}", u, start=x) for k, u, x in (("x", "m", 1.0), ("y", "m", 0.6), ("a", "rad", 0.3))
+        ),
+        "sleeve": tuple(
+            m.coordinate(f"sleeve_{k}", u, start=x) for k, u, x in (("x", "m", 0.1), ("y", "m", 0.0), ("a", "rad", 1.5))
+        ),
+    }
+    for name, (mass, inertia, center) in QUICK_RETURN.items():
+        bodies[name] = m.body(name, mass=mass, inertia=inertia, center=center, pose=poses.get(name))
+    crank, rocker, ram, box, sleeve = bodies.values()
+    axle = m.revolute("axle", m.ground.at(0.0, 0.0), crank.at(0.0, 0.0), coordinate=th)
+    pivot = m.revolute("pivot", m.ground.at(0.0, -0.6), rocker.at(0.0, 0.0), coordinate=phi)
+    track = m.prismatic("track", m.ground.at(0.0, 0.5), ram.at(0.0, 0.0), axis=0.1, coordinate=s)
+    m.point_on_line("slot", rocker.at(0.0, 0.01), crank.at(0.3, 0.0), axis=0.05, offset=0.02)
+    m.distance("rod", rocker.at(1.1, 0.05), ram.at(0.05, 0.02), length=0.8)
+    m.weld("bolts", ram.at(0.1, 0.1), box.at(-0.02, 0.01), angle=0.3)
+    sliding = m.prismatic("bush", rocker.at(0.1, 0.03), sleeve.at(0.01, -0.01), axis=0.05, offset=-0.04, angle=0.2)
+    m.gravity(0.0, -9.81)
+    m.drive(axle, m.input("axle.torque", "N.m"))
+    m.force(ram.at(0.2, 0.05), x=m.input("ram.load", "N"), y=-1.5)
+    m.torque(box, m.input("box.torque", "N.m"))
+    m.spring_damper(pivot, stiffness=3.0, damping=0.4, rest=1.2)
+    m.spring_damper(sliding, stiffness=60.0, damping=1.5, rest=0.4)
+    m.spring_damper((sleeve.at(0.0, 0.05), ram.at(0.0, -0.05)), stiffness=8.0, damping=0.6, rest=0.3)
+    m.friction(track, 0.8)
+    return m
+
+
+@cache
+def derived(name: str, **options: str) -> alfmu.Equations:
+    """Equations of a registered mechanism, derived once."""
+    return alfmu.derive(alfmu.load(name, **options))
+
+
+def evaluate(
+    equations: alfmu.Equations, q: Sequence, v: Sequence, u: Sequence = (), t: float = 0.0, p: Sequence | None = None
+) -> dict[str, float]:
+    """Everything that can be read of a mechanism put into the state q, v, with multipliers of least norm."""
+    q, v, u = (np.array(x, float) for x in (q, v, u))
+    p = np.array([x.start for x in equations.parameters] if p is None else p, float)
+    oracle = Oracle(equations)
+    oracle.prepare(alfmu.Settings(), p, q)
+    a, lam, _, _ = oracle.accelerations(q, v, u, t)
+    y = oracle.outputs(q, v, a, oracle.minimum_norm(q, v, lam, t), u, t)
+    names = [x.name for x in equations.outputs]
+    return dict(zip(names, y, strict=True)) | {c.name: x for c, x in zip(equations.coordinates, q, strict=True)}
+
+
+def started(equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings) -> alfmu.Instance:
+    """An initialised instance with parameters, start values, inputs and solver numbers by name."""
+    instance = alfmu.Instance(equations, alfmu.Settings(step_size=equations.step_size, **settings))
+    for name, value in (given or {}).items():
+        instance.set(name, value)
+    instance.initialize()
+    return instance
+
+
+def readings(instance: alfmu.Instance) -> dict[str, float]:
+    """All outputs by name."""
+    return {v.name: x for v, x in zip(instance.outputs, instance.read(), strict=True)}
