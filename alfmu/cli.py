@@ -139,8 +139,9 @@ def _list(chosen: argparse.Namespace) -> None:
 
 def _info(chosen: argparse.Namespace) -> None:
     from .derivation import derive
+    from .fmi.slave import interface
     from .registry import load, options
-    from .runtime import FORMULATION, FORMULATION_TEXT, Instance
+    from .runtime import Instance
     from .simulation import with_defaults
 
     mechanism = load(chosen.mechanism, **dict(chosen.option))
@@ -158,15 +159,14 @@ def _info(chosen: argparse.Namespace) -> None:
     print(f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}", end="")
     print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
     for title, variables in (
-        ("parameters and start values", instance.parameters),
+        ("parameters and start values", [v for causality, v in interface(instance) if causality == "parameter"]),
         ("inputs", equations.inputs),
         ("outputs", instance.outputs),
     ):
         print(f"\n{title}:")
         for v in variables:
-            start = "" if title == "outputs" else f"{v.start:g}"
+            start = "" if title == "outputs" else v.start if v.type == "String" else f"{v.start:g}"
             print(f"  {v.name:32} {start:>10} {v.unit:12} {v.description}".rstrip())
-    print(f"  {FORMULATION:32} {instance.formulation:>10} {'':12} {FORMULATION_TEXT}")
 
 
 def _export(chosen: argparse.Namespace) -> None:

@@ -45,6 +45,7 @@ ALLOWED: dict[str, set[str]] = {
         "errors",
         "fmi.drive",
         "fmi.export",
+        "fmi.slave",
         "picture",
         "plot",
         "registry",

@@ -387,6 +387,8 @@ def test_the_archive_is_clean_and_complete(exported):
             "documentation/licenses/pythonfmu.txt",
         } <= set(names)
         assert archive.read("model.png").startswith(b"\x89PNG")
+        entry = archive.read("resources/slavemodule.txt").decode()
+        assert "class FiveBar(Slave)" in archive.read(f"resources/{entry}.py").decode()  # that of fmus/five_bar.py
         page = archive.read("documentation/index.html").decode()
         assert "link1" in page
         assert "E ---- link4 ---- F" in page
