@@ -108,7 +108,8 @@ def assemble(equations: Equations, p: NDArray, s: NDArray, held: NDArray) -> NDA
 def assemble_rates(equations: Equations, q: NDArray, p: NDArray, s: NDArray, sdot: NDArray, held: NDArray) -> NDArray:
     """Velocities (n,) that keep the loops `held` (l,) closed and have the start rates sdot, nearest to the guess.
 
-    At a singular position, where several motions are possible, the rate of the guess decides which one begins.
+    At a singular position, where several motions are possible, the rate of the guess decides which one begins; it must
+    be one of them, not a mixture, for which no accelerations keep the loops closed.
     """
     e = equations
     v = _array(e.guess_rate(p, s, sdot))
@@ -124,6 +125,15 @@ def assemble_rates(equations: Equations, q: NDArray, p: NDArray, s: NDArray, sdo
         raise AssemblyError(
             f"{e.name}: no motion has the given start rates; {what} is missed by {abs(left[worst]):.3g} per second; "
             "give the rates of fewer coordinates, or rates that belong together"
+        )
+    xi = _array(e.xi(q, v, p)) * held
+    # A motion keeps what C hardly holds (a relative singular value below 1e-5) within that times its acceleration.
+    lost = xi - C @ np.linalg.lstsq(C, xi, rcond=1e-5)[0] if e.l else xi
+    if np.abs(lost).max(initial=0.0) > 1e-3 * max(1.0, np.abs(xi).max(initial=0.0)):
+        worst = e.rows[int(np.argmax(np.abs(lost)))]
+        raise AssemblyError(
+            f"{e.name}: the start is a singular position, and its rates belong to none of the motions possible there "
+            f"({worst.name} would open by {np.abs(lost).max():.3g} {worst.unit}/s2); start a little beside it"
         )
     return v
 

@@ -61,6 +61,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("export", _export, "write the FMU (FMI 2.0, co-simulation) of a mechanism")
     sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
+    _add_kernel(sub)
     _add_option(sub)
     _add_set(sub)
 
@@ -70,6 +71,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the unit's own)")
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
     sub.add_argument("-o", "--output", metavar="FILE.csv", help="where to write the result (default: NAME.csv here)")
+    _add_kernel(sub)
     sub.add_argument("--plot", metavar="FILE.png", help="also draw the result (PNG, SVG or PDF)")
     sub.add_argument(
         "--plot-names", metavar="PATTERN", nargs="+", help='what to draw, such as "link*.angle" "*.force.*"'
@@ -91,6 +93,15 @@ def _parser() -> argparse.ArgumentParser:
     _add_option(sub)
     _add_set(sub)
     return parser
+
+
+def _add_kernel(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--kernel",
+        choices=("vm", "oracle"),
+        default="vm",
+        help="what runs the method (default: %(default)s, the fast one)",
+    )
 
 
 def _add_set(sub: argparse.ArgumentParser) -> None:
@@ -172,7 +183,9 @@ def _info(chosen: argparse.Namespace) -> None:
 def _export(chosen: argparse.Namespace) -> None:
     from .fmi.export import export
 
-    path = export(chosen.mechanism, chosen.output, options=dict(chosen.option), parameters=dict(chosen.set))
+    path = export(
+        chosen.mechanism, chosen.output, options=dict(chosen.option), parameters=dict(chosen.set), kernel=chosen.kernel
+    )
     print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 
@@ -225,9 +238,10 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     from .derivation import derive
     from .registry import load
     from .runtime import Instance
+    from .simulation import prepared
 
     mechanism = load(chosen.unit, **dict(chosen.option))
-    equations = derive(mechanism)
+    equations = prepared(derive(mechanism), chosen.kernel)
     about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}}
     return Instance(equations), {**about, "stop_time": equations.stop_time, "step_size": equations.step_size}
 

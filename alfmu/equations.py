@@ -67,6 +67,7 @@ class Equations:
     guess_rate(p, s, sdot)          its time derivative (n,)
     ties(q, p, s)                   independent quantities minus their start values
     ties_matrix(q, p, s)            its derivative with respect to q
+    step, step_careful, instant     the kernel, see `alfmu.kernel.trace` (once traced)
     ==============================  =============================================  ==================================
     """
 
@@ -88,6 +89,8 @@ class Equations:
     step_size: float
     options: dict[str, Any] = field(default_factory=dict)
     """Options that the mechanism was declared with."""
+    unrolled: list[list[int]] = field(default_factory=list)
+    """Multiplier iterations and projections that the quick and the careful step of the kernel unroll, once traced."""
     solver: dict[str, float | str] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)

@@ -434,10 +434,10 @@ class Mechanism:
     def weld(self, name: str, first: Marker, second: Marker, *, angle: Scalar = 0.0) -> Joint:
         """A rigid connection: markers coincide, the second body at `angle` [rad] from the first.
 
-        Where nothing else places the second body, the weld does; otherwise it is closed by constraints.
+        Where nothing else places one of the bodies, the weld does; otherwise it is closed by constraints.
         """
         joint = Joint(name, "weld", first, second, angle=angle)
-        if not second.body.is_placed:
+        if not (first.body.is_placed and second.body.is_placed):
             joint.coordinate = 0.0
         return self._join(joint)
 

@@ -164,6 +164,7 @@ class Oracle:
         power = e.input_power(q, v, u, p, t) + e.other_power(q, v, p, t)
         self._power = fuse("power", [q, v, u, p, t], [], [power])
         self._energy = fuse("energy", [q, v, p], [], [e.kinetic_energy(q, v, p) + e.potential_energy(q, p)])
+        self.counters = Counters()
         self._outputs = fuse("outputs", list(s.values()), [], [e.readings(*s.values())])
 
     def prepare(self, settings: Settings, p: NDArray, q: NDArray) -> None:

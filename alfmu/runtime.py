@@ -16,6 +16,7 @@ from .assembly import Mobility, assemble, assemble_rates, check_masses, mobility
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
+from .kernel.machine import Machine
 from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
@@ -60,6 +61,9 @@ MONITORS = (
 )
 """What every instance says about its own accuracy."""
 
+State = tuple[NDArray, NDArray, NDArray, float]
+"""q (n,), v (n,), unwrapped angles, work of inputs, loads and dampers [J]."""
+
 
 class Instance:
     """A mechanism with its own parameters, inputs and state.
@@ -91,6 +95,8 @@ class Instance:
         self._output = {v.name: i for i, v in enumerate(self.outputs)}
         self._wrapped = [(self._output[name], start) for name, start in e.wrapped.items()]
         self.oracle = Oracle(e)
+        self.machine = Machine(e) if "step" in e.functions else None
+        self._fast = False
         self.initialized = self._known = False
         self.time = 0.0
 
@@ -133,7 +139,7 @@ class Instance:
         raise InputError(f"{self.equations.name} has no variable {name!r}")
 
     def _check(self, v: Variable, value: float) -> None:
-        if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
             raise InputError(f"{self.equations.name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
         if v.type == "Integer" and value != int(value):
             raise InputError(f"{self.equations.name}: {v.name} is {value:g}; it must be a whole number")
@@ -165,6 +171,23 @@ class Instance:
         self.energy_start = oracle.energy(q, v)
         self._known = False
         self.initialized = True
+        self._choose()
+
+    def _choose(self) -> None:
+        """Take the kernel where it does what the settings ask for, otherwise the oracle."""
+        oracle, machine = self.oracle, self.machine
+        settings, alpha = oracle.settings, oracle.penalty
+        self._fast = bool(
+            machine is not None
+            and settings.formulation == "residual"
+            and settings.projects
+            and settings.max_iterations >= self.equations.unrolled[-1][0]
+            and (alpha == alpha[:1]).all()
+            and oracle.active.all()
+        )
+        if self._fast:
+            machine.p[:] = oracle.p
+            machine.k[:] = alpha[0] if len(alpha) else 1.0, settings.tolerance
 
     def _start_values(self) -> list[NDArray]:
         """Parameters, start values and start rates."""
@@ -188,21 +211,43 @@ class Instance:
         e, h = self.equations, communication_step
         if not self.initialized:
             raise InputError(f"{e.name}: initialise before the first step")
-        if not (math.isfinite(h) and h > 0):
+        if not (isinstance(h, (int, float, np.number)) and math.isfinite(h) and h > 0):
             raise InputError(f"{e.name}, t = {self.time:.6g} s: a communication step of {h} s; it must be above zero")
         start = self.time if time is None else time
         if not abs(start - self.time) <= 1e-6 * h + 1e-12 * abs(self.time):
             raise InputError(f"{e.name}: a step from t = {start} s is asked for, but the state is at t = {self.time} s")
         self._check_inputs()
-        oracle, u, c = self.oracle, self.inputs, self.counters
-        n = max(1, math.ceil(h / oracle.settings.step_size * (1 - 1e-12)))
-        dt = h / n
+        n = max(1, math.ceil(h / self.oracle.settings.step_size * (1 - 1e-12)))
+        after = self._advanced(start, n, h / n) or self._followed(start, n, h / n)
+        self.q, self.v, self.angles, self.work = after
+        self.time, self._known = start + h, False
+
+    def _advanced(self, start: float, n: int, dt: float) -> State | None:
+        """n internal steps by the kernel; None where that is not enough."""
+        if not self._fast:
+            return None
+        self.machine.load(self.q, self.v, self.angles, self.work, start, self.inputs)
+        advanced = self.machine.advance(n, dt)
+        if advanced is None:
+            return None
+        after, (iterations, corrections) = advanced
+        c = self.counters
+        c.steps += n
+        c.evaluations += 4 * n
+        c.multiplier_iterations += 4 * n * iterations
+        c.projection_iterations += 2 * n * corrections
+        return after
+
+    @np.errstate(all="ignore")
+    def _followed(self, start: float, n: int, dt: float) -> State:
+        """n internal steps by the oracle, which iterates until it converges."""
+        e, oracle, u, c = self.equations, self.oracle, self.inputs, self.counters
         q, v, work, angles = self.q, self.v, self.work, self.angles
         before = replace(c)
         size = len(q)
 
         def rate(t: float, y: NDArray) -> NDArray:
-            if first and t == start and self._known:
+            if first and t == start and self._known and self._accelerations is not None:
                 a = self._accelerations
             else:
                 a, _, _, _ = oracle.accelerations(y[:size], y[size : 2 * size], u, t)
@@ -232,24 +277,40 @@ class Instance:
         except AlfmuError:
             oracle.counters = before
             raise
-        self.q, self.v, self.work, self.angles, self.time = q, v, work, angles, start + h
-        self._known = False
+        return q, v, angles, work
 
+    @np.errstate(all="ignore")
     def read(self) -> NDArray:
         """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
         if not self.initialized:
             raise InputError(f"{self.equations.name}: outputs are known after initialising")
         if self._known:
             return self._y
-        oracle, q, v, t = self.oracle, self.q, self.v, self.time
-        a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
-        if oracle.settings.projects:
-            lam = oracle.minimum_norm(q, v, lam, t)
-        self._y = self._outputs(a, lam, used)
-        self._accelerations, self._known = a, True
-        c = self.counters
-        c.acceleration_error = max(c.acceleration_error, float(np.abs(left[oracle.active]).max(initial=0.0)))
-        c.energy_error = max(c.energy_error, abs(oracle.energy(q, v) - self.energy_start - self.work))
+        oracle, q, v, t, c = self.oracle, self.q, self.v, self.time, self.counters
+        seen = None
+        if self._fast:
+            self.machine.load(q, v, self.angles, self.work, t, self.inputs)
+            seen = self.machine.read()
+        if seen is not None:
+            y, acceleration = seen
+            used = self.equations.unrolled[-1][0]
+            self._y, self._accelerations = np.append(y, used), None
+            c.evaluations += 1
+            c.multiplier_iterations += used
+        else:
+            a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
+            if oracle.settings.projects:
+                lam = oracle.minimum_norm(q, v, lam, t)
+            self._y, self._accelerations = self._outputs(a, lam, used), a
+            acceleration = float(np.abs(left[oracle.active]).max(initial=0.0))
+        self._known = True
+        position, velocity, energy, _ = self._y[-len(MONITORS) :]
+        if self._fast:
+            # float(): counters go into the saved state as JSON.
+            c.position_error = max(c.position_error, float(position))
+            c.velocity_error = max(c.velocity_error, float(velocity))
+        c.acceleration_error = max(c.acceleration_error, acceleration)
+        c.energy_error = max(c.energy_error, abs(float(energy) - self.energy_start - self.work))
         return self._y
 
     def read_inputs(self) -> NDArray:
@@ -295,6 +356,7 @@ class Instance:
                 "wait until it closes"
             )
         self.v, self._known = oracle.impact(self.q, self.v, self.time), False
+        self._choose()
 
     # State -------------------------------------------------------------------------------------------------------
 
@@ -340,10 +402,12 @@ class Instance:
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
             self.oracle.penalty = parts[7]
             self.oracle.counters = Counters(**head["counters"])
+            self._choose()
 
     def _check_inputs(self) -> None:
-        for v, value in zip(self.equations.inputs, self.inputs, strict=True):
-            self._check(v, float(value))
+        if not np.isfinite(self.inputs).all():
+            for v, value in zip(self.equations.inputs, self.inputs, strict=True):
+                self._check(v, float(value))
 
     def _unwrap(self, y: NDArray, near: NDArray) -> NDArray:
         """Computed angles moved by whole turns to the values nearest to `near`."""

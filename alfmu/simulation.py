@@ -14,16 +14,33 @@ from numpy.typing import NDArray
 
 from .derivation import derive
 from .equations import Equations, Variable
-from .errors import InputError
+from .errors import AlfmuError, InputError
+from .kernel.trace import traced
 from .mechanism import Mechanism
 from .oracle import Counters, Settings
 from .registry import load
 from .runtime import FORMULATION, SOLVER_VARIABLES, Instance
 
-__all__ = ["Result", "Unit", "communication_points", "read_inputs", "run", "simulate", "with_defaults"]
+__all__ = [
+    "KERNELS",
+    "Result",
+    "Unit",
+    "communication_points",
+    "prepared",
+    "read_inputs",
+    "run",
+    "simulate",
+    "with_defaults",
+]
 
 Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
+
+KERNELS = {
+    "vm": "the method traced into one function for the scene, run by CasADi's virtual machine",
+    "oracle": "the method on NumPy arrays with loops that stop on convergence: slow, for comparison",
+}
+"""Ways to run a mechanism."""
 
 Progress = Callable[[Sequence[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
@@ -88,16 +105,17 @@ def simulate(
     parameters: Mapping[str, float | str] | None = None,
     settings: Settings | None = None,
     outputs: Sequence[str] | None = None,
+    kernel: str = "vm",
     progress: Progress = iter,
 ) -> Result:
     """Run a mechanism from 0 to `stop_time` [s] with communication steps of `step` [s].
 
     `parameters` sets parameters, start values and solver variables by name; `inputs` are held over each communication
-    step at their value at its beginning; `outputs` keeps only those names. Defaults are the mechanism's own.
-    Raises AlfmuError where a name, a value or the mechanism is at fault.
+    step at their value at its beginning; `outputs` keeps only those names. Defaults are the mechanism's own. `kernel`
+    is one of KERNELS. Raises AlfmuError where a name, a value or the mechanism is at fault.
     """
     equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
-    instance = Instance(equations, settings)
+    instance = Instance(prepared(equations, kernel), settings)
     stop_time = equations.stop_time if stop_time is None else stop_time
     step = equations.step_size if step is None else step
     return run(instance, stop_time, step, inputs, parameters, outputs, progress)
@@ -180,6 +198,20 @@ def _signal(signal: Signal) -> Callable[[float], float]:
         times, values = signal
         return lambda t: float(np.interp(t, times, values))
     return lambda t: signal
+
+
+def prepared(equations: Equations, kernel: str = "vm") -> Equations:
+    """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
+    if kernel not in KERNELS:
+        raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
+    if kernel == "oracle" or "step" in equations.functions:
+        return equations
+    probe = Instance(equations)
+    try:
+        probe.initialize()
+    except AlfmuError:
+        return traced(equations, None)  # the defaults have no start, so nothing is known of its freedoms
+    return traced(equations, probe.mobility())
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:

@@ -1,6 +1,6 @@
 """The slider-crank in four coordinate sets, against one coordinate and free-body diagrams, and against each other."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -219,6 +219,6 @@ def test_equal_links_pass_from_any_phase(angle: float) -> None:
     """Other starts meet the vertical at other phases of a step."""
     e = derived("slider_crank", coordinates="absolute")
     r = alfmu.simulate(e, 4.0, 0.02, parameters={"l1": 1.0, "l2": 1.0, "start.angle": angle})
-    exact = replace(ALIGNED).motion(angle, 0.0, r.time)[:, 0]
+    exact = ALIGNED.motion(angle, 0.0, r.time)[:, 0]
     plain = plain_steps(ALIGNED.acceleration, angle, 0.0, 0.02, 200)
     assert np.abs(r["crank.angle"] - exact).max() <= np.abs(plain - exact).max()

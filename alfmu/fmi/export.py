@@ -24,7 +24,7 @@ from ..mechanism import Mechanism
 from ..picture import model_png
 from ..registry import load
 from ..runtime import Instance
-from ..simulation import with_defaults
+from ..simulation import prepared, with_defaults
 from .description import DEPENDENCIES, documentation, model_description
 from .slave import SCENE
 
@@ -40,6 +40,7 @@ RUN_SIDE = (
     "integrators.py",
     "oracle.py",
     "assembly.py",
+    "kernel/machine.py",
     "runtime.py",
     "fmi/slave.py",
 )
@@ -64,15 +65,16 @@ def export(
     *,
     options: Mapping[str, Any] | None = None,
     parameters: Mapping[str, float | str] | None = None,
+    kernel: str = "vm",
 ) -> Path:
     """Write the FMU (FMI 2.0, co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
 
     `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
-    variables. The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the
-    defaults, and ExportError where the file cannot be written.
+    variables; `kernel` is what runs inside (`alfmu.simulation.KERNELS`). The same arguments give the same bytes. Raises
+    AlfmuError where the mechanism cannot start from the defaults, and ExportError where the file cannot be written.
     """
     declared = load(mechanism, **(options or {}))
-    equations = with_defaults(derive(declared), parameters or {})
+    equations = prepared(with_defaults(derive(declared), parameters or {}), kernel)
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
@@ -94,7 +96,8 @@ def export(
         top = Path(folder)
         script = _write(top / f"{equations.name}_{digest}.py", entry.replace("alfmu.fmi.slave", f"{package}.fmi.slave"))
         _write(top / package / "__init__.py", '"""The run side of alfmu."""\n')
-        _write(top / package / "fmi" / "__init__.py", '"""The slave."""\n')
+        for name in sorted({str(Path(module).parent) for module in RUN_SIDE} - {"."}):
+            _write(top / package / name / "__init__.py", '"""Part of the run side."""\n')
         for name, text in sources.items():
             _write(top / package / name, text)
         _write(top / SCENE, scene)

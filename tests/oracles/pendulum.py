@@ -1,6 +1,6 @@
 """The pendulum phi'' = -w^2 sin phi in elliptic functions (Whittaker, Analytical Dynamics, section 44)."""
 
-from mpmath import asin, cos, ellipf, ellipfun, ellipk, mp, mpf, sin, sqrt
+from mpmath import asin, ellipf, ellipfun, ellipk, mp, mpf, sin, sqrt
 
 DIGITS = 30
 
@@ -22,9 +22,3 @@ def period(w, amplitude) -> float:
     """Period of a swing between -amplitude and amplitude."""
     with mp.workdps(DIGITS):
         return 4 / mpf(w) * ellipk(sin(mpf(amplitude) / 2) ** 2)
-
-
-def rate_of_energy(w, phi, amplitude) -> float:
-    """Rate at phi of a swing with that amplitude."""
-    with mp.workdps(DIGITS):
-        return mpf(w) * sqrt(2 * (cos(mpf(phi)) - cos(mpf(amplitude))))

@@ -1,0 +1,185 @@
+"""The kernel against the oracle, stage by stage and on random states; and when it must hand over to it."""
+
+import numpy as np
+import pytest
+from scenes import derived
+
+import alfmu
+from alfmu.simulation import prepared
+
+SCENES = [
+    ("five_bar", {}, {}),
+    ("five_bar", {}, {"m2": 0.0}),
+    ("four_bar", {}, {}),
+    ("particle_on_circle", {}, {"g": 9.81}),
+    *(("slider_crank", {"coordinates": c}, {"b": 0.1}) for c in ("absolute", "joint", "mixed", "natural")),
+]
+each_scene = pytest.mark.parametrize(
+    ("name", "options", "parameters"), SCENES, ids=["-".join([n, *o.values(), *p]) for n, o, p in SCENES]
+)
+
+
+def pair(name, options, parameters) -> tuple[alfmu.Instance, alfmu.Instance]:
+    """The same start by the kernel and by the oracle."""
+    equations = derived(name, **options)
+    both = alfmu.Instance(prepared(equations)), alfmu.Instance(equations)
+    for i in both:
+        for key, value in parameters.items():
+            i.set(key, value)
+        i.initialize()
+    assert both[0]._fast
+    assert not both[1]._fast
+    return both
+
+
+@each_scene
+def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, options, parameters):
+    """Equal to round-off: 1e-12 of the largest entry, as both leave up to 1e-13 in each constraint."""
+    random, compared = np.random.default_rng(3), 0
+    equations = derived(name, **options)
+    traced = prepared(equations)
+    for _ in range(12):
+        start = {"start.angle": random.uniform(0.3, 1.2), "start.angular_velocity": random.uniform(-3.0, 3.0)}
+        kernel, oracle = (alfmu.Instance(e) for e in (traced, equations))
+        for i in (kernel, oracle):
+            for key, value in {**parameters, **start}.items():
+                i.set(key, value)
+            for v in i.input_variables:
+                i.set(v.name, 0.7)
+            i.initialize()
+        kept = slice(0, -1)  # all but monitor.iterations
+        for _ in range(2):
+            a, b = kernel.read()[kept], oracle.read()[kept]
+            assert np.abs(a - b).max() <= 1e-12 * np.abs(b).max()
+            for i in (kernel, oracle):
+                i.step(0.01)
+            compared += kernel.machine.after[kernel.machine.layout.trouble] == 0.0  # by the kernel itself
+        assert np.abs(kernel.q - oracle.q).max() <= 1e-12 * max(1.0, np.abs(oracle.q).max())
+        assert np.abs(kernel.v - oracle.v).max() <= 1e-12 * max(1.0, np.abs(oracle.v).max())
+        assert kernel.work == pytest.approx(oracle.work, abs=1e-12)
+    assert compared == 24  # none was left to the oracle
+
+
+@each_scene
+def test_a_run_by_the_kernel_is_a_run_by_the_oracle(name, options, parameters):
+    """One second; differences of round-off grow where positions are nearly singular, motion by motion."""
+    equations = derived(name, **options)
+    parameters = {**parameters, "start.angle": 0.4}
+    runs = [alfmu.simulate(equations, 1.0, 0.02, parameters=parameters, kernel=k) for k in ("vm", "oracle")]
+    angles = [n for n in runs[0].names if n.endswith((".angle", ".x", ".y")) and "force" not in n]
+    for n in angles:
+        assert np.abs(runs[0][n] - runs[1][n]).max() < 1e-10
+    assert runs[0].counters.steps == runs[1].counters.steps == 50
+    assert runs[0].counters.position_error <= 1e-13
+    assert runs[0].counters.velocity_error <= 1e-13
+    assert runs[0].counters.energy_error == pytest.approx(runs[1].counters.energy_error, rel=1e-4, abs=1e-12)
+    assert runs[0].counters.unconverged <= runs[1].counters.unconverged
+
+
+@pytest.mark.parametrize("distance", [1e-1, 1e-2, 1e-3, 1e-4, 1e-6, 1e-9])
+def test_near_a_singular_position_the_kernel_is_as_good_as_the_oracle_or_hands_over(distance):
+    """Accelerations of the five-bar at th1 = distance, under gravity, where they are bounded."""
+    for parameters in ({}, {"m2": 0.0}):
+        kernel, oracle = pair("five_bar", {}, {**parameters, "start.angle": distance})
+        names = [v.name for v in kernel.outputs]
+        wanted = [i for i, n in enumerate(names) if n.endswith(("acceleration", ".ax", ".ay"))]
+        a, b = kernel.read()[wanted], oracle.read()[wanted]
+        assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
+
+
+@pytest.mark.parametrize("steps", [1, 7, 8, 9, 64, 77, 600])
+def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps):
+    equations = prepared(derived("slider_crank", coordinates="natural"))
+    one, many = alfmu.Instance(equations), alfmu.Instance(equations)
+    dt = 1 / 256  # exact in binary, so that no step differs from another
+    for i in (one, many):
+        i.set("start.angular_velocity", 4.0)
+        i.set("solver.step_size", dt)
+        i.initialize()
+    many.step(steps * dt)
+    for k in range(steps):
+        one.machine.load(one.q, one.v, one.angles, one.work, k * dt, one.inputs)
+        (one.q, one.v, one.angles, one.work), _ = one.machine.advance(1, dt)
+    assert many.counters.steps == steps
+    assert np.array_equal(one.q, many.q)
+    assert np.array_equal(one.v, many.v)
+    assert np.array_equal(one.angles, many.angles)
+
+
+def test_what_the_unrolled_loops_cannot_do_goes_to_the_oracle_unseen():
+    """A penalty of 100 masses needs more iterations than were unrolled: the same numbers as the oracle's."""
+    parameters = {"solver.penalty": 100.0, "solver.max_iterations": 50, "start.angle": 0.4}
+    runs = [alfmu.simulate("five_bar", 0.5, 0.02, parameters=parameters, kernel=k) for k in ("vm", "oracle")]
+    assert np.array_equal(runs[0].values, runs[1].values)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        alfmu.Settings(formulation="classic"),
+        alfmu.Settings(penalty=[1e8] * 7 + [1e9]),
+        alfmu.Settings(projection=False),
+        alfmu.Settings(max_iterations=1),
+    ],
+    ids=["classic", "per constraint", "no projection", "one iteration"],
+)
+def test_settings_that_were_not_traced_run_by_the_oracle(settings):
+    i = alfmu.Instance(prepared(derived("five_bar")), settings)
+    i.set("start.angle", 0.4)
+    i.initialize()
+    assert not i._fast
+    other = alfmu.Instance(derived("five_bar"), settings)
+    other.set("start.angle", 0.4)
+    other.initialize()
+    for each in (i, other):
+        each.step(0.1)
+    assert np.array_equal(i.read(), other.read())
+
+
+def test_a_step_that_neither_can_take_keeps_the_state():
+    i = alfmu.Instance(prepared(derived("four_bar")))
+    i.set("solver.step_size", 5.0)
+    i.set("start.angle", 0.4)
+    i.initialize()
+    i.set("A.torque", 1e6)
+    before = i.save()
+    with pytest.raises(alfmu.StepError, match=r"four_bar, t = 5 s: .*reduce solver\.step_size"):
+        i.step(5.0)
+    assert i.save() == before
+
+
+def test_only_what_the_scene_needs_is_traced():
+    """Fewer operations without redundant rows to clear, without constraints, without work."""
+    from alfmu.kernel.trace import Plan, trace_instant
+
+    five = derived("five_bar")
+    with_rows, without = (trace_instant(five, Plan(5, 3, None), redundant) for redundant in (True, False))
+    assert with_rows.n_instructions() > without.n_instructions()
+    pendulum = alfmu.Mechanism("pendulum")
+    th = pendulum.coordinate("th", "rad", start=0.5, independent=True)
+    rod = pendulum.bar("rod", mass=1.0, length=1.0)
+    pendulum.revolute("A", pendulum.ground.at(), rod.start, coordinate=th)
+    pendulum.gravity(0.0, -9.81)
+    step = prepared(alfmu.derive(pendulum)).functions["step"]
+    assert step.n_instructions() < 100
+    result = alfmu.simulate(pendulum, 1.0, 0.01)
+    assert result.counters.projection_iterations == 0
+    assert np.abs(result["rod.angle"] - alfmu.simulate(pendulum, 1.0, 0.01, kernel="oracle")["rod.angle"]).max() < 1e-13
+
+
+def test_an_unknown_kernel_is_refused():
+    with pytest.raises(alfmu.InputError, match="no kernel 'magic'; use one of vm, oracle"):
+        alfmu.simulate("five_bar", 1.0, 0.1, kernel="magic")
+
+
+def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
+    from alfmu.fmi.drive import Fmu
+    from alfmu.simulation import run
+
+    slow = alfmu.export("five_bar", tmp_path / "slow.fmu", kernel="oracle")
+    for path, kernel in ((exported("five_bar"), "vm"), (slow, "oracle")):
+        with Fmu(path) as fmu:
+            result = run(fmu, 0.5, 0.02, parameters={"start.angle": 0.4})
+        library = alfmu.simulate("five_bar", 0.5, 0.02, parameters={"start.angle": 0.4}, kernel=kernel)
+        assert np.array_equal(result.values, library.values)
+    assert (exported("five_bar").stat().st_size - slow.stat().st_size) > 10000
