@@ -185,8 +185,9 @@ class _Scene:
         return lambda b: ca.ldl_solve(b, D, L, order)
 
 
-_SMALL = 1e-2
-"""Pivot over diagonal entry of H below which two iterations may not reach round-off at the default penalty."""
+_SMALL = 1e-3
+"""Pivot over diagonal entry of H below which two iterations may be too few. Above it an iteration gains a factor of 1e5
+or more at the default penalty, so that a last change within the square root of the tolerance leaves 3e-12 at most."""
 
 _TINY = 1e-300
 """Lets a mechanism at rest pass the check of convergence."""
