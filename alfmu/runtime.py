@@ -95,7 +95,7 @@ class Instance:
         self._output = {v.name: i for i, v in enumerate(self.outputs)}
         self._wrapped = [(self._output[name], start) for name, start in e.wrapped.items()]
         self.oracle = Oracle(e)
-        self.machine = Machine(e) if "step" in e.functions else None
+        self.machine = Machine(e) if e.unrolled else None
         self._fast = False
         self.initialized = self._known = False
         self.time = 0.0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from .derivation import derive
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError
-from .kernel.trace import traced
+from .kernel.trace import traced, untraced
 from .mechanism import Mechanism
 from .oracle import Counters, Settings
 from .registry import load
@@ -204,7 +204,10 @@ def prepared(equations: Equations, kernel: str = "vm") -> Equations:
     """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
-    if kernel == "oracle" or "step" in equations.functions:
+    is_traced = bool(equations.unrolled)
+    if kernel == "oracle":
+        return untraced(equations) if is_traced else equations
+    if is_traced:
         return equations
     probe = Instance(equations)
     try:

@@ -167,6 +167,14 @@ def test_only_what_the_scene_needs_is_traced():
     assert np.abs(result["rod.angle"] - alfmu.simulate(pendulum, 1.0, 0.01, kernel="oracle")["rod.angle"]).max() < 1e-13
 
 
+def test_the_oracle_can_be_had_back_from_traced_equations():
+    traced = prepared(derived("four_bar"))
+    assert prepared(traced) is traced
+    assert not alfmu.Instance(prepared(traced, "oracle")).machine
+    a, b = (alfmu.simulate(e, 0.2, 0.02, kernel="oracle") for e in (traced, derived("four_bar")))
+    assert np.array_equal(a.values, b.values)
+
+
 def test_an_unknown_kernel_is_refused():
     with pytest.raises(alfmu.InputError, match="no kernel 'magic'; use one of vm, oracle"):
         alfmu.simulate("five_bar", 1.0, 0.1, kernel="magic")

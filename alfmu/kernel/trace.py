@@ -19,7 +19,10 @@ from ..integrators import rk4
 from ..oracle import symbols
 from .machine import Layout
 
-__all__ = ["Plan", "trace_instant", "trace_step", "traced"]
+__all__ = ["Plan", "trace_instant", "trace_step", "traced", "untraced"]
+
+FUNCTIONS = ("step", "step_careful", "instant")
+"""Names of the traced functions among those of the equations."""
 
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
@@ -45,10 +48,15 @@ def traced(equations: Equations, mobility: Mobility | None) -> Equations:
     careful = Plan(CAREFUL, 3, None) if e.l else Plan(1, 0, None)
     # Each iteration gains the ratio of penalty to mass, so two reach round-off at a regular position.
     quick = Plan(2, 1, mobility.freedom) if mobility and e.l else careful
-    steps = {"step": trace_step(e, quick), "step_careful": trace_step(e, careful)}
-    functions = {**e.functions, **steps, "instant": trace_instant(e, careful, redundant)}
+    kernel = trace_step(e, quick), trace_step(e, careful), trace_instant(e, careful, redundant)
     unrolled = [[plan.iterations, plan.corrections] for plan in (quick, careful)]
-    return replace(e, functions=functions, unrolled=unrolled)
+    return replace(e, functions={**e.functions, **dict(zip(FUNCTIONS, kernel, strict=True))}, unrolled=unrolled)
+
+
+def untraced(equations: Equations) -> Equations:
+    """The same equations without the functions of the kernel."""
+    functions = {name: f for name, f in equations.functions.items() if name not in FUNCTIONS}
+    return replace(equations, functions=functions, unrolled=[])
 
 
 def trace_step(equations: Equations, plan: Plan) -> ca.Function:
