@@ -5,6 +5,7 @@ The run side's top: this is what an FMU carries, and what `alfmu.simulate` drive
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 from dataclasses import asdict, replace
@@ -60,6 +61,9 @@ MONITORS = (
     ),
 )
 """What every instance says about its own accuracy."""
+
+_STRETCH = 512
+"""Internal steps after which the kernel's checks are looked at."""
 
 State = tuple[NDArray, NDArray, NDArray, float]
 """q (n,), v (n,), unwrapped angles, work of inputs, loads and dampers [J]."""
@@ -218,15 +222,23 @@ class Instance:
             raise InputError(f"{e.name}: a step from t = {start} s is asked for, but the state is at t = {self.time} s")
         self._check_inputs()
         n = max(1, math.ceil(h / self.oracle.settings.step_size * (1 - 1e-12)))
-        after = self._advanced(start, n, h / n) or self._followed(start, n, h / n)
-        self.q, self.v, self.angles, self.work = after
+        dt, before = h / n, copy.copy(self.counters)
+        state: State = (self.q, self.v, self.angles, self.work)
+        try:
+            for done in range(0, n, _STRETCH):
+                t, steps = start + done * dt, min(_STRETCH, n - done)
+                state = self._advanced(state, t, steps, dt) or self._followed(state, t, steps, dt)
+        except AlfmuError:
+            self.oracle.counters = before
+            raise
+        self.q, self.v, self.angles, self.work = state
         self.time, self._known = start + h, False
 
-    def _advanced(self, start: float, n: int, dt: float) -> State | None:
+    def _advanced(self, state: State, start: float, n: int, dt: float) -> State | None:
         """n internal steps by the kernel; None where that is not enough."""
         if not self._fast:
             return None
-        self.machine.load(self.q, self.v, self.angles, self.work, start, self.inputs)
+        self.machine.load(*state, start, self.inputs)
         advanced = self.machine.advance(n, dt)
         if advanced is None:
             return None
@@ -239,15 +251,14 @@ class Instance:
         return after
 
     @np.errstate(all="ignore")
-    def _followed(self, start: float, n: int, dt: float) -> State:
+    def _followed(self, state: State, start: float, n: int, dt: float) -> State:
         """n internal steps by the oracle, which iterates until it converges."""
         e, oracle, u, c = self.equations, self.oracle, self.inputs, self.counters
-        q, v, work, angles = self.q, self.v, self.work, self.angles
-        before = replace(c)
+        q, v, angles, work = state
         size = len(q)
 
         def rate(t: float, y: NDArray) -> NDArray:
-            if first and t == start and self._known and self._accelerations is not None:
+            if first and t == self.time and self._known and self._accelerations is not None:
                 a = self._accelerations
             else:
                 a, _, _, _ = oracle.accelerations(y[:size], y[size : 2 * size], u, t)
@@ -256,27 +267,23 @@ class Instance:
                 dy[-1] = oracle.power(y[:size], y[size : 2 * size], u, t)
             return dy
 
-        try:
-            for k in range(n):
-                first = k == 0
-                t = start + (k + 1) * dt
-                y = rk4(rate, start + k * dt, np.concatenate([q, v, [work]]), dt)
-                q, v, work = y[:size], y[size : 2 * size], float(y[-1])
-                if not np.isfinite(y).all():
-                    raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
-                if oracle.settings.projects:
-                    q, v, position, velocity = oracle.project(q, v, t)
-                else:
-                    position, velocity = oracle.residues(q, v)
-                c.steps += 1
-                c.position_error = max(c.position_error, position)
-                c.velocity_error = max(c.velocity_error, velocity)
-                if self._wrapped:
-                    zeros = np.zeros(size), np.zeros(e.l)
-                    angles = self._unwrap(oracle.outputs(q, v, *zeros, u, t), angles)
-        except AlfmuError:
-            oracle.counters = before
-            raise
+        for k in range(n):
+            first = k == 0
+            t = start + (k + 1) * dt
+            y = rk4(rate, start + k * dt, np.concatenate([q, v, [work]]), dt)
+            q, v, work = y[:size], y[size : 2 * size], float(y[-1])
+            if not np.isfinite(y).all():
+                raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
+            if oracle.settings.projects:
+                q, v, position, velocity = oracle.project(q, v, t)
+            else:
+                position, velocity = oracle.residues(q, v)
+            c.steps += 1
+            c.position_error = max(c.position_error, position)
+            c.velocity_error = max(c.velocity_error, velocity)
+            if self._wrapped:
+                zeros = np.zeros(size), np.zeros(e.l)
+                angles = self._unwrap(oracle.outputs(q, v, *zeros, u, t), angles)
         return q, v, angles, work
 
     @np.errstate(all="ignore")

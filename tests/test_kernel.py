@@ -191,3 +191,18 @@ def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
         library = alfmu.simulate("five_bar", 0.5, 0.02, parameters={"start.angle": 0.4}, kernel=kernel)
         assert np.array_equal(result.values, library.values)
     assert (exported("five_bar").stat().st_size - slow.stat().st_size) > 10000
+
+
+def test_a_long_communication_step_is_many_short_ones():
+    """More internal steps than are looked at in one stretch, the kernel's and the oracle's: the same motion."""
+    ends = []
+    for kernel in ("vm", "oracle"):
+        parts = 1200 if kernel == "oracle" else 1
+        i = alfmu.Instance(prepared(derived("slider_crank", coordinates="mixed"), kernel))
+        i.set("solver.step_size", 1 / 1024)
+        i.initialize()
+        for k in range(parts):
+            i.step(1200 / 1024 / parts, k * 1200 / 1024 / parts)
+        assert i.counters.steps == 1200
+        ends.append(np.concatenate([i.q, i.v]))
+    assert np.abs(ends[0] - ends[1]).max() < 1e-10
