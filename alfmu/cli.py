@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import AlfmuError, InputError
+from .kernel import DEFAULT, KERNELS
 
 __all__ = ["main"]
 
@@ -96,11 +97,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_kernel(sub: argparse.ArgumentParser) -> None:
+    each = "; ".join(f"{name}, {text}" for name, text in KERNELS.items())
     sub.add_argument(
         "--kernel",
-        choices=("vm", "oracle"),
-        default="vm",
-        help="what runs the method (default: %(default)s, the fast one)",
+        choices=list(KERNELS),
+        help=f"what runs the method (default: {DEFAULT}): {each}",
     )
 
 
@@ -183,9 +184,9 @@ def _info(chosen: argparse.Namespace) -> None:
 def _export(chosen: argparse.Namespace) -> None:
     from .fmi.export import export
 
-    path = export(
-        chosen.mechanism, chosen.output, options=dict(chosen.option), parameters=dict(chosen.set), kernel=chosen.kernel
-    )
+    kernel = chosen.kernel or DEFAULT
+    given = {"options": dict(chosen.option), "parameters": dict(chosen.set)}
+    path = export(chosen.mechanism, chosen.output, **given, kernel=kernel)
     print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 
@@ -193,6 +194,8 @@ def _simulate(chosen: argparse.Namespace) -> None:
     from .simulation import read_inputs, run
 
     inputs = read_inputs(chosen.input) if chosen.input else {}
+    if chosen.plot_names and not chosen.plot:
+        raise InputError("--plot-names needs --plot FILE")
     if chosen.plot:
         from .plot import plot
     unit, about = _unit(chosen)
@@ -230,8 +233,8 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     if chosen.unit.endswith(".fmu"):
         from .fmi.drive import Fmu
 
-        if chosen.option:
-            raise InputError(f"{chosen.unit}: the options of an FMU are fixed when it is exported")
+        if chosen.option or chosen.kernel:
+            raise InputError(f"{chosen.unit}: the options and the kernel of an FMU are fixed when it is exported")
         fmu = Fmu(chosen.unit)
         about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters}
         return fmu, {**about, "stop_time": fmu.stop_time, "step_size": fmu.step_size}
@@ -241,7 +244,7 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     from .simulation import prepared
 
     mechanism = load(chosen.unit, **dict(chosen.option))
-    equations = prepared(derive(mechanism), chosen.kernel)
+    equations = prepared(derive(mechanism), chosen.kernel or DEFAULT)
     about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}}
     return Instance(equations), {**about, "stop_time": equations.stop_time, "step_size": equations.step_size}
 

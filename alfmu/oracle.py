@@ -325,7 +325,7 @@ class Oracle:
 
 
 def _least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:
-    """Least-squares solution of least norm of a block system, each unknown scaled to the size of its diagonal block."""
+    """Least-squares solution of least norm of the block system (9)."""
     (M, Ct), (C, _) = blocks
     n, l = M.shape[0], C.shape[0]
     K = np.block([[M, Ct], [C, np.zeros((l, l))]])

@@ -100,7 +100,7 @@ class Instance:
         self._wrapped = [(self._output[name], start) for name, start in e.wrapped.items()]
         self.oracle = Oracle(e)
         self.machine = Machine(e) if e.unrolled else None
-        self._fast = False
+        self._fast = self._scaled = False
         self.initialized = self._known = False
         self.time = 0.0
 
@@ -168,6 +168,8 @@ class Instance:
         check_masses(e, q, p, held)
         oracle = self.oracle
         oracle.prepare(settings, p, q)
+        # Whether the penalty is the one for which the quick step of the kernel is known to be enough.
+        self._scaled = alpha.ndim == 0 and alpha == 0
         if oracle.settings.projects:
             q, v, _, _ = oracle.project(q, v, self.time)
         self.q, self.v, self.work = q, v, 0.0
@@ -192,6 +194,7 @@ class Instance:
         if self._fast:
             machine.p[:] = oracle.p
             machine.k[:] = alpha[0] if len(alpha) else 1.0, settings.tolerance
+            machine.first = 0 if self._scaled else 1
 
     def _start_values(self) -> list[NDArray]:
         """Parameters, start values and start rates."""
@@ -363,6 +366,7 @@ class Instance:
                 "wait until it closes"
             )
         self.v, self._known = oracle.impact(self.q, self.v, self.time), False
+        self._scaled = False
         self._choose()
 
     # State -------------------------------------------------------------------------------------------------------
@@ -377,6 +381,7 @@ class Instance:
         head = {
             "initialized": self.initialized,
             "formulation": self.formulation,
+            "scaled": bool(self._scaled),
             "counters": asdict(self.counters) if self.initialized else None,
         }
         numbers = [self.values, self.inputs, [self.time]]
@@ -409,6 +414,7 @@ class Instance:
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
             self.oracle.penalty = parts[7]
             self.oracle.counters = Counters(**head["counters"])
+            self._scaled = head["scaled"]
             self._choose()
 
     def _check_inputs(self) -> None:

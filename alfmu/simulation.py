@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .derivation import derive
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError
+from .kernel import DEFAULT, KERNELS
 from .kernel.trace import traced, untraced
 from .mechanism import Mechanism
 from .oracle import Counters, Settings
@@ -35,12 +36,6 @@ __all__ = [
 
 Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
-
-KERNELS = {
-    "vm": "the method traced into one function for the scene, run by CasADi's virtual machine",
-    "oracle": "the method on NumPy arrays with loops that stop on convergence: slow, for comparison",
-}
-"""Ways to run a mechanism."""
 
 Progress = Callable[[Sequence[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
@@ -105,14 +100,14 @@ def simulate(
     parameters: Mapping[str, float | str] | None = None,
     settings: Settings | None = None,
     outputs: Sequence[str] | None = None,
-    kernel: str = "vm",
+    kernel: str = DEFAULT,
     progress: Progress = iter,
 ) -> Result:
     """Run a mechanism from 0 to `stop_time` [s] with communication steps of `step` [s].
 
     `parameters` sets parameters, start values and solver variables by name; `inputs` are held over each communication
     step at their value at its beginning; `outputs` keeps only those names. Defaults are the mechanism's own. `kernel`
-    is one of KERNELS. Raises AlfmuError where a name, a value or the mechanism is at fault.
+    is one of `alfmu.kernel.KERNELS`. Raises AlfmuError where a name, a value or the mechanism is at fault.
     """
     equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
     instance = Instance(prepared(equations, kernel), settings)
@@ -200,7 +195,7 @@ def _signal(signal: Signal) -> Callable[[float], float]:
     return lambda t: signal
 
 
-def prepared(equations: Equations, kernel: str = "vm") -> Equations:
+def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")

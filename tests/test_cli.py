@@ -144,6 +144,8 @@ MISTAKES = [
     (["simulate", "five_bar", "--input", "unknown.csv"], "no input or parameter 'Z.torque'"),
     (["simulate", "five_bar", "--input", "bad.csv", "--stop-time", "1"], "A.torque is nan"),
     (["simulate", "five_bar", "--stop-time", "0.1", "-o", "/dev/null/r.csv"], "cannot write"),
+    (["simulate", "five_bar", "--plot-names", "*.angle"], "--plot-names needs --plot"),
+    (["simulate", "x.fmu", "--kernel", "oracle"], "the kernel of an FMU are fixed"),
     (["validate", "missing.fmu"], "missing.fmu"),
     (["animate", "missing.csv"], "missing.csv"),
     (["animate", "bare.csv"], "--mechanism"),

@@ -220,6 +220,15 @@ def test_a_bad_parameter_ends_the_initialisation_with_its_reason(exported, value
         assert words in str(caught.value)
 
 
+def test_a_refused_value_does_not_outlive_a_restored_state(exported):
+    with Fmu(exported("five_bar")) as fmu:
+        fmu.initialize()
+        state = fmu.save()
+        fmu.set("A.torque", np.nan)
+        fmu.restore(state)
+        fmu.step(0.02, 0.0)
+
+
 def test_a_bad_parameter_can_be_mended_before_initialisation(exported):
     with Fmu(exported("five_bar")) as fmu:
         fmu.set("m2", -1.0)

@@ -113,6 +113,29 @@ def test_what_the_unrolled_loops_cannot_do_goes_to_the_oracle_unseen():
     assert np.array_equal(runs[0].values, runs[1].values)
 
 
+@pytest.mark.parametrize("penalty", [1e4, 1e6, 1e10, 1e12])
+def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
+    """The quick step is for the default penalty; any other begins with the careful one, also after a restore."""
+    kernel, oracle = pair("five_bar", {}, {"start.angle": 0.4, "solver.penalty": penalty})
+    for i in (kernel, oracle):
+        i.step(0.1)
+    assert kernel.machine.first == 1
+    a, b = kernel.read()[:-1], oracle.read()[:-1]
+    assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
+    default = alfmu.Instance(kernel.equations)
+    default.set("start.angle", 0.4)
+    default.initialize()
+    assert default.machine.first == 0
+    default.penalty = np.full(8, penalty)
+    assert default.machine.first == 1
+    other = alfmu.Instance(kernel.equations)
+    other.restore(default.save())
+    assert other.machine.first == 1
+    for i in (default, other):
+        i.step(0.1)
+    assert np.array_equal(default.read(), other.read())
+
+
 @pytest.mark.parametrize(
     "settings",
     [

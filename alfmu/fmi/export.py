@@ -20,6 +20,7 @@ from pythonfmu.builder import FmuBuilder
 
 from ..derivation import derive
 from ..errors import ExportError
+from ..kernel import DEFAULT
 from ..mechanism import Mechanism
 from ..picture import model_png
 from ..registry import load
@@ -65,12 +66,12 @@ def export(
     *,
     options: Mapping[str, Any] | None = None,
     parameters: Mapping[str, float | str] | None = None,
-    kernel: str = "vm",
+    kernel: str = DEFAULT,
 ) -> Path:
     """Write the FMU (FMI 2.0, co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
 
     `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
-    variables; `kernel` is what runs inside (`alfmu.simulation.KERNELS`). The same arguments give the same bytes. Raises
+    variables; `kernel` is what runs inside (`alfmu.kernel.KERNELS`). The same arguments give the same bytes. Raises
     AlfmuError where the mechanism cannot start from the defaults, and ExportError where the file cannot be written.
     """
     declared = load(mechanism, **(options or {}))

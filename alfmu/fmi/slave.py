@@ -182,7 +182,7 @@ class Slave(Fmi2Slave):
     @_called_from_fmi
     def _set_fmu_state(self, state: bytes) -> None:
         self.instance.restore(state[1:])
-        self._running = bool(state[0])
+        self._running, self._refused = bool(state[0]), {}
 
     @staticmethod
     def _fmu_state_to_bytes(state: bytes) -> bytes:

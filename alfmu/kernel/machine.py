@@ -61,6 +61,8 @@ class Machine:
         self._steps = [_Steps(f, self._arguments, self.after) for f in (e.step, e.step_careful)]
         self._instant = _bound(e.instant, self._arguments[:4], self.seen)
         self.unrolled = e.unrolled
+        self.first = 0
+        """Whether `advance` begins with the quick step (0) or the careful one (1)."""
 
     def load(self, q: NDArray, v: NDArray, angles: NDArray, work: float, time: float, u: NDArray) -> None:
         """Take over a state and the inputs."""
@@ -72,11 +74,11 @@ class Machine:
     def advance(self, steps: int, dt: float) -> tuple[tuple[NDArray, NDArray, NDArray, float], list[int]] | None:
         """q, v, angles and work after that many internal steps of dt [s], and what was unrolled in each.
 
-        First the quick step, then the careful one.
+        First by the quick step, then by the careful one.
         """
         self.dt[0] = dt
         self._begin[:] = self.z
-        for run, unrolled in zip(self._steps, self.unrolled, strict=True):
+        for run, unrolled in zip(self._steps[self.first :], self.unrolled[self.first :], strict=True):
             run(steps)
             layout, n, z = self.layout, self.layout.n, self.after
             if z[layout.trouble] == 0.0:
