@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .equations import Equations
 from .errors import AssemblyError
+from .kernel.program import Backend, Call
 
-__all__ = ["Mobility", "assemble", "assemble_rates", "check_masses", "mobility"]
+__all__ = ["Assembly", "Mobility"]
 
 _TOLERANCE = 1e-12
 _ROUGH = 1e-9
@@ -21,22 +23,163 @@ _TRIES = 32
 """Places around the guess from which a nearer assembly is looked for."""
 
 
+Matrix = Any
+"""A dense array, or a sparse one where there are many coordinates."""
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """How a mechanism can move: in general, and at one position."""
+
+    freedom: int
+    """Degrees of freedom at a regular position."""
+    redundant: int
+    """Constraints that follow from the others on the whole of the motion."""
+    freedom_here: int
+    """Independent velocities at the given position; more than `freedom` where it is singular."""
+
+
+class Assembly:
+    """The start of one mechanism: places, rates, masses, freedoms. `held` (l,) says which constraints are closed."""
+
+    def __init__(self, equations: Equations, backend: Backend):
+        self.e = equations
+        self._closure, self._guesses, self._constraints, self._dynamics = (
+            Call(backend, name, equations.signatures[name])
+            for name in ("closure", "guesses", "constraints", "dynamics")
+        )
+
+    def assemble(self, p: NDArray, s: NDArray, held: NDArray) -> NDArray:
+        """Coordinates (n,) that close the loops and keep the start values s, nearest to the guess.
+
+        Gauss-Newton steps of least norm, short enough to stay on the way. Raises AssemblyError, with the loop and its
+        gap, where the loops cannot be closed, where the start values contradict each other, and where the way from the
+        guess leads elsewhere than to the nearest assembly that is found around it.
+        """
+        e, loops = self.e, _Loops(self.e, self._closure, p, s, held)
+        guess = self._guesses(p, s, np.zeros_like(s))[0].copy()
+        if not np.isfinite(guess).all():
+            raise AssemblyError(f"{e.name}: the start guess is not finite; check the dimensions and start values")
+        q, step = loops.followed(guess)
+        moved = float(np.linalg.norm(q - guess)) if loops.closes(q) else np.inf
+        if moved <= 1.5 * step + 1e-6:
+            return q
+        # A long way, or none: is there an assembly nearer to the guess?
+        other = loops.nearest(guess, min(moved, 3.0))
+        if other is None and moved == np.inf:
+            closed = np.abs(loops.misfit(q)[: e.l]).max(initial=0.0) <= _ROUGH
+            reason = "the start values contradict each other" if closed else "the loops cannot be closed"
+            many = len(e.tied) > 1
+            advice = "give fewer or consistent start values" if many else "check lengths, offsets and start values"
+            raise AssemblyError(f"{e.name}: {reason}; the nearest assembly leaves {loops.say(q)}; {advice}")
+        if other is not None and np.linalg.norm(other - guess) < 0.99 * moved:
+            worst = int(np.argmax(np.abs(other - guess)))
+            raise AssemblyError(
+                f"{e.name}: the guess leaves {loops.say(guess)} and leads to an assembly elsewhere than the nearest "
+                f"one, where {e.coordinates[worst].name} is {other[worst]:.6g} {e.coordinates[worst].unit}; "
+                "give start values or guesses closer to the assembly you want"
+            )
+        return q
+
+    def rates(self, q: NDArray, p: NDArray, s: NDArray, sdot: NDArray, held: NDArray) -> NDArray:
+        """Velocities (n,) that keep the loops closed and have the start rates sdot, nearest to the guess.
+
+        At a singular position, where several motions are possible, the rate of the guess decides which one begins; it
+        must be one of them, not a mixture, for which no accelerations keep the loops closed.
+        """
+        e = self.e
+        v = self._guesses(p, s, sdot)[1].copy()
+        C = _rows(held, self._constraints(q, v, p)[1])
+        J = _stacked(C, self._closure(q, p, s)[1])
+        wanted = np.concatenate([np.zeros(e.l), sdot[e.tied]])
+        for _ in range(2):
+            v = v + _least_norm(J, wanted - J @ v, 1e-10)
+        left = J @ v - wanted
+        if np.abs(left).max(initial=0.0) > _ROUGH * max(1.0, np.abs(v).max()):
+            worst = int(np.argmax(np.abs(left)))
+            what = e.rows[worst].name if worst < e.l else e.start_rates[e.tied[worst - e.l]].name
+            raise AssemblyError(
+                f"{e.name}: no motion has the given start rates; {what} is missed by {abs(left[worst]):.3g} per "
+                "second; give the rates of fewer coordinates, or rates that belong together"
+            )
+        xi = self._dynamics(q, v, np.zeros(len(e.inputs)), p, 0.0)[3] * held
+        # A motion keeps what C hardly holds (a relative singular value below 1e-5) within that times its acceleration.
+        lost = xi - C @ _least_norm(C, xi, 1e-5) if e.l else xi
+        if np.abs(lost).max(initial=0.0) > 1e-3 * max(1.0, np.abs(xi).max(initial=0.0)):
+            worst = e.rows[int(np.argmax(np.abs(lost)))]
+            raise AssemblyError(
+                f"{e.name}: the start is a singular position, and its rates belong to none of the motions possible "
+                f"there ({worst.name} would open by {np.abs(lost).max():.3g} {worst.unit}/s2); start a little beside it"
+            )
+        return v
+
+    def check_masses(self, q: NDArray, p: NDArray, held: NDArray) -> None:
+        """AssemblyError where a motion has neither mass nor constraint, so that H cannot complete M."""
+        e = self.e
+        M, C, _, _ = self._constraints(q, np.zeros(e.n), p)
+        C = _rows(held, C)
+        largest = max(abs(M).max(), 1e-300)
+        if not isinstance(M, np.ndarray):
+            motions, smallest = _weakest(M / largest + C.T @ C)
+        else:
+            _, sizes, all_motions = np.linalg.svd(np.vstack([M / largest, C]) if e.l else M, full_matrices=True)
+            motions, smallest = all_motions[-1], sizes[-1] if len(sizes) == e.n else 0.0
+        if smallest > 1e-13:
+            return
+        free = [e.coordinates[i].name for i in np.flatnonzero(np.abs(motions) > 0.1)]
+        raise AssemblyError(
+            f"{e.name}: the motion along {', '.join(free)} has no mass and no constraint that holds it (singular value "
+            f"{smallest:.0e} of [M; C] at the start); a massless body must be held by constraints at both ends: never "
+            "the last body of an open chain, never one placed by a joint coordinate alone"
+        )
+
+    def mobility(self, p: NDArray, q: NDArray) -> Mobility:
+        """Degrees of freedom and redundant constraints, from the rank of C at q (n,) and at assembled places near."""
+        e = self.e
+        random = np.random.default_rng(0)
+        C = self._at(q, p)[0]
+        sparse = not isinstance(C, np.ndarray)
+        ranks = [_rank(C)]
+        for _ in range(2 if sparse else 8):
+            aside = 0.3 * random.standard_normal(e.n) * max(1.0, np.abs(q).max()) / np.sqrt(e.n)
+            if sparse:  # Along the motion: in a long chain any other way leads far from an assembly.
+                aside = aside - _least_norm(C, C @ aside, 1e-8)
+                aside *= 0.3 / max(np.abs(aside).max(), 1e-300)
+            near = q + aside
+            for _ in range(30):
+                J, Phi = self._at(near, p)
+                if np.abs(Phi).max(initial=0.0) <= 1e-16 * np.abs(near).max():
+                    break
+                near = near - _least_norm(J, Phi, 1e-8)
+            J, Phi = self._at(near, p)
+            if np.abs(Phi).max(initial=0.0) < 1e-9:
+                ranks.append(_rank(J))
+        return Mobility(e.n - max(ranks), e.l - max(ranks), e.n - ranks[0])
+
+    def _at(self, q: NDArray, p: NDArray) -> tuple[Matrix, NDArray]:
+        """C and Phi."""
+        _, C, Phi, _ = self._constraints(q, np.zeros(self.e.n), p)
+        return C.copy(), Phi.copy()
+
+
 @dataclass(frozen=True)
 class _Loops:
     """What an assembly closes: the constraints that are held, and the start values."""
 
     e: Equations
+    closure: Call
     p: NDArray
     s: NDArray
     held: NDArray
 
     def misfit(self, q: NDArray) -> NDArray:
         """How far [m, rad] each constraint is open (0 where it is not held), and each start value missed."""
-        return np.concatenate([_array(self.e.gaps(q, self.p)) * self.held, _array(self.e.ties(q, self.p, self.s))])
+        _, _, gaps, ties = self.closure(q, self.p, self.s)
+        return np.concatenate([gaps * self.held, ties])
 
-    def matrix(self, q: NDArray) -> NDArray:
-        gaps = np.array(self.e.gaps_matrix(q, self.p)) * self.held[:, None]
-        return np.vstack([gaps, np.array(self.e.ties_matrix(q, self.p, self.s))])
+    def matrix(self, q: NDArray) -> Matrix:
+        gaps, ties, _, _ = self.closure(q, self.p, self.s)
+        return _stacked(_rows(self.held, gaps), ties)
 
     def closes(self, q: NDArray) -> bool:
         return bool(np.abs(self.misfit(q)).max(initial=0.0) <= _ROUGH * max(1.0, np.abs(q).max()))
@@ -48,7 +191,7 @@ class _Loops:
         for _ in range(_MOST):
             if np.abs(r).max(initial=0.0) <= _TOLERANCE * max(1.0, np.abs(q).max()):
                 break
-            dq = np.linalg.lstsq(self.matrix(q), -r, rcond=1e-10)[0]
+            dq = -_least_norm(self.matrix(q), r, 1e-10)
             first = float(np.linalg.norm(dq)) if first is None else first
             part = min(1.0, _TURN / max(np.abs(dq[turns]).max(initial=0.0), 1e-300))
             while part > 1e-4 and not np.linalg.norm(self.misfit(q + part * dq)) < (1 - part / 10) * np.linalg.norm(r):
@@ -71,117 +214,53 @@ class _Loops:
         return _name(self.e, self.misfit(q))
 
 
-def assemble(equations: Equations, p: NDArray, s: NDArray, held: NDArray) -> NDArray:
-    """Coordinates (n,) that close the loops `held` (l,) and keep the start values s, nearest to the guess.
-
-    Gauss-Newton steps of least norm, short enough to stay on the way. Raises AssemblyError, with the loop and its gap,
-    where the loops cannot be closed, where the start values contradict each other, and where the way from the guess
-    leads elsewhere than to the nearest assembly that is found around it.
-    """
-    e, loops = equations, _Loops(equations, p, s, held)
-    guess = _array(e.guess(p, s))
-    if not np.isfinite(guess).all():
-        raise AssemblyError(f"{e.name}: the start guess is not finite; check the dimensions and start values")
-    q, step = loops.followed(guess)
-    moved = float(np.linalg.norm(q - guess)) if loops.closes(q) else np.inf
-    if moved <= 1.5 * step + 1e-6:
-        return q
-    # A long way, or none: is there an assembly nearer to the guess?
-    other = loops.nearest(guess, min(moved, 3.0))
-    if other is None and moved == np.inf:
-        closed = np.abs(loops.misfit(q)[: e.l]).max(initial=0.0) <= _ROUGH
-        reason = "the start values contradict each other" if closed else "the loops cannot be closed"
-        advice = (
-            "give fewer or consistent start values" if len(e.tied) > 1 else "check lengths, offsets and start values"
-        )
-        raise AssemblyError(f"{e.name}: {reason}; the nearest assembly leaves {loops.say(q)}; {advice}")
-    if other is not None and np.linalg.norm(other - guess) < 0.99 * moved:
-        worst = int(np.argmax(np.abs(other - guess)))
-        raise AssemblyError(
-            f"{e.name}: the guess leaves {loops.say(guess)} and leads to an assembly elsewhere than the nearest one, "
-            f"where {e.coordinates[worst].name} is {other[worst]:.6g} {e.coordinates[worst].unit}; "
-            "give start values or guesses closer to the assembly you want"
-        )
-    return q
+def _rows(held: NDArray, matrix: Matrix) -> Matrix:
+    """The rows that are held, zero elsewhere."""
+    return matrix * held[:, None] if isinstance(matrix, np.ndarray) else matrix.multiply(held[:, None]).tocsc()
 
 
-def assemble_rates(equations: Equations, q: NDArray, p: NDArray, s: NDArray, sdot: NDArray, held: NDArray) -> NDArray:
-    """Velocities (n,) that keep the loops `held` (l,) closed and have the start rates sdot, nearest to the guess.
+def _stacked(above: Matrix, below: Matrix) -> Matrix:
+    if isinstance(above, np.ndarray):
+        return np.vstack([above, below])
+    from scipy.sparse import vstack
 
-    At a singular position, where several motions are possible, the rate of the guess decides which one begins; it must
-    be one of them, not a mixture, for which no accelerations keep the loops closed.
-    """
-    e = equations
-    v = _array(e.guess_rate(p, s, sdot))
-    C = np.array(e.C(q, p)) * held[:, None]
-    J = np.vstack([C, np.array(e.ties_matrix(q, p, s))])
-    wanted = np.concatenate([np.zeros(e.l), sdot[e.tied]])
-    for _ in range(2):
-        v = v + np.linalg.lstsq(J, wanted - J @ v, rcond=1e-10)[0]
-    left = J @ v - wanted
-    if np.abs(left).max(initial=0.0) > _ROUGH * max(1.0, np.abs(v).max()):
-        worst = int(np.argmax(np.abs(left)))
-        what = e.rows[worst].name if worst < e.l else e.start_rates[e.tied[worst - e.l]].name
-        raise AssemblyError(
-            f"{e.name}: no motion has the given start rates; {what} is missed by {abs(left[worst]):.3g} per second; "
-            "give the rates of fewer coordinates, or rates that belong together"
-        )
-    xi = _array(e.xi(q, v, p)) * held
-    # A motion keeps what C hardly holds (a relative singular value below 1e-5) within that times its acceleration.
-    lost = xi - C @ np.linalg.lstsq(C, xi, rcond=1e-5)[0] if e.l else xi
-    if np.abs(lost).max(initial=0.0) > 1e-3 * max(1.0, np.abs(xi).max(initial=0.0)):
-        worst = e.rows[int(np.argmax(np.abs(lost)))]
-        raise AssemblyError(
-            f"{e.name}: the start is a singular position, and its rates belong to none of the motions possible there "
-            f"({worst.name} would open by {np.abs(lost).max():.3g} {worst.unit}/s2); start a little beside it"
-        )
-    return v
+    return vstack([above, below], format="csc")
 
 
-def check_masses(equations: Equations, q: NDArray, p: NDArray, held: NDArray) -> None:
-    """AssemblyError where a motion has neither mass nor constraint, so that H cannot complete M."""
-    e = equations
-    M, C = np.array(e.M(q, p)), np.array(e.C(q, p)) * held[:, None]
-    both = np.vstack([M / max(np.abs(M).max(initial=0.0), 1e-300), C]) if e.l else M
-    _, sizes, motions = np.linalg.svd(both, full_matrices=True)
-    smallest = sizes[-1] if len(sizes) == e.n else 0.0
-    if smallest > 1e-13:
-        return
-    free = [e.coordinates[i].name for i in np.flatnonzero(np.abs(motions[-1]) > 0.1)]
-    raise AssemblyError(
-        f"{e.name}: the motion along {', '.join(free)} has no mass and no constraint that holds it (singular value "
-        f"{smallest:.0e} of [M; C] at the start); a massless body must be held by constraints at both ends: never the "
-        "last body of an open chain, never one placed by a joint coordinate alone"
-    )
+def _least_norm(J: Matrix, r: NDArray, rcond: float) -> NDArray:
+    """x of least norm with J x = r as nearly as possible, singular values below rcond of the largest left alone."""
+    if isinstance(J, np.ndarray):
+        return np.linalg.lstsq(J, r, rcond=rcond)[0]
+    H = _regular(J.T @ J, rcond**2)
+    x = H.solve(J.T @ r)
+    for _ in range(3):
+        x = x + H.solve(J.T @ (r - J @ x))
+    return x
 
 
-@dataclass(frozen=True)
-class Mobility:
-    """How a mechanism can move: in general, and at one position."""
+def _regular(square: Matrix, ratio: float) -> Any:
+    """LDL' factors of a sparse J' J made regular by a small multiple of its largest entry."""
+    from scipy.sparse import eye_array
+    from scipy.sparse.linalg import splu
 
-    freedom: int
-    """Degrees of freedom at a regular position."""
-    redundant: int
-    """Constraints that follow from the others on the whole of the motion."""
-    freedom_here: int
-    """Independent velocities at the given position; more than `freedom` where it is singular."""
+    size = ratio * abs(square).max()
+    matrix = (square + max(size, 1e-300) * eye_array(square.shape[0])).tocsc()
+    return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
-def mobility(equations: Equations, p: NDArray, q: NDArray) -> Mobility:
-    """Degrees of freedom and redundant constraints, from the rank of C at q (n,) and at assembled positions near it."""
-    e = equations
-    random = np.random.default_rng(0)
-    ranks = [_rank(np.array(e.C(q, p)))]
-    for _ in range(8):
-        near = q + 0.3 * random.standard_normal(e.n) * max(1.0, np.abs(q).max()) / np.sqrt(e.n)
-        for _ in range(30):
-            near = near - np.linalg.lstsq(np.array(e.C(near, p)), _array(e.Phi(near, p)), rcond=1e-8)[0]
-        if np.abs(_array(e.Phi(near, p))).max(initial=0.0) < 1e-9:
-            ranks.append(_rank(np.array(e.C(near, p))))
-    return Mobility(e.n - max(ranks), e.l - max(ranks), e.n - ranks[0])
+def _weakest(square: Matrix) -> tuple[NDArray, float]:
+    """The direction that a sparse positive matrix holds least, and how much."""
+    factors = _regular(square, 1e-30)
+    x = np.random.default_rng(0).standard_normal(square.shape[0])
+    for _ in range(3):
+        x = factors.solve(x / np.linalg.norm(x))
+    return x / np.linalg.norm(x), 1 / np.linalg.norm(x)
 
 
-def _rank(C: NDArray) -> int:
+def _rank(C: Matrix) -> int:
+    if not isinstance(C, np.ndarray):
+        pivots = _regular(C.T @ C, 1e-12).U.diagonal()
+        return int((pivots > 1e-8 * abs(pivots).max()).sum())
     return int(np.linalg.matrix_rank(C, tol=1e-7 * max(1.0, np.abs(C).max()))) if C.size else 0
 
 
@@ -193,7 +272,3 @@ def _name(e: Equations, r: NDArray) -> str:
         return f"a gap of {gap:.3g} {row.unit} at {row.name}"
     start = e.starts[e.tied[worst - e.l]]
     return f"{start.name} missed by {abs(r[worst]):.3g} {start.unit}"
-
-
-def _array(x) -> NDArray:
-    return np.array(x, float).reshape(-1)

@@ -17,13 +17,16 @@ with a_X the accelerations of X, V the potential, s the displacements along whic
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
 
 from .equations import Equations, Row, Variable
 from .errors import DeclarationError
-from .mechanism import Body, Constraint, Joint, Marker, Mechanism, Point, Rigidity, Scalar, stack
+from .evaluation import evaluable
+from .mechanism import Body, Constraint, Joint, Marker, Mechanism, Point, Rigidity, Scalar, key_of, stack, symbolic
 from .units import rate_of
 
 __all__ = ["derive"]
@@ -44,6 +47,8 @@ class Frame:
 
     def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
         """A vector of the body's frame in ground axes."""
+        if _vanishes(y):
+            return (x, y) if _vanishes(x) else (self.ex * x, self.ey * x)
         return self.ex * x - self.ey * y, self.ey * x + self.ex * y
 
     def place(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
@@ -57,22 +62,26 @@ Displacement = dict[str, ca.SX]
 
 
 class Kinematics:
-    """Places of all bodies and residuals of all closures as expressions in q, and in virtual displacements if given."""
+    """Places of all bodies and residuals of all closures as expressions in q, and in virtual displacements if given.
+
+    What has been worked out once is kept.
+    """
 
     def __init__(
         self,
         mechanism: Mechanism,
-        held: dict[Joint, tuple[str, ...]],
-        eps: dict[Joint, Displacement],
-        in_metres: bool = False,
+        held: Mapping[Joint, tuple[str, ...]] | None = None,
+        eps: Mapping[Joint, Displacement] | None = None,
     ):
         self.mechanism = mechanism
-        self.stretch = _gap if in_metres else _stretch
-        self.eps = eps
+        self.eps = {joint: e for joint, e in (eps or {}).items() if e}
         self.held: dict[Body, list[Joint]] = {}
-        for joint in held:
-            self.held.setdefault(joint.second.body, []).append(joint)
+        for joint in held or ():
+            if joint in self.eps:
+                self.held.setdefault(joint.second.body, []).append(joint)
         self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
+        self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
+        self.residuals: dict[tuple[Joint | Rigidity | Constraint, str], ca.SX] = {}
         self.pending: list[Body] = []
 
     def frame(self, body: Body) -> Frame:
@@ -103,8 +112,16 @@ class Kinematics:
     def place(self, at: Marker | Point) -> tuple[ca.SX, ca.SX]:
         """A marker or point in ground axes."""
         if isinstance(at, Point):
-            return ca.SX(at.x), ca.SX(at.y)
-        return self.frame(at.body).place(at.x, at.y)
+            return symbolic(at.x), symbolic(at.y)
+        if at not in self.places:
+            self.places[at] = self.frame(at.body).place(at.x, at.y)
+        return self.places[at]
+
+    def center(self, body: Body) -> tuple[ca.SX, ca.SX]:
+        """The centre of mass of a body in ground axes."""
+        if body not in self.places:
+            self.places[body] = self.frame(body).place(*body.center)
+        return self.places[body]
 
     def axes(self, joint: Joint) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Direction of a guide and its left normal."""
@@ -123,20 +140,33 @@ class Kinematics:
         (x1, y1), (x2, y2) = (self.place(m) for m in between)
         return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
 
+    def gap(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
+        """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
+        if direction == "length":
+            dx, dy, length = self._apart(closure)
+            return ca.sqrt(dx**2 + dy**2 + 1e-300) - length
+        return self.residual(closure, direction)
+
     def residual(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
-        """What a closure keeps at zero along one direction."""
+        """What a closure keeps at zero along one direction.
+
+        For lengths it is zero at the given one, polynomial, and with a multiplier that is the force along the line.
+        """
+        if (closure, direction) not in self.residuals:
+            self.residuals[closure, direction] = self._residual(closure, direction)
+        return self.residuals[closure, direction]
+
+    def _residual(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
         if isinstance(closure, Constraint):
             return closure.expression
-        if isinstance(closure, Rigidity):
-            (x1, y1), (x2, y2) = self._ends(closure.body)
-            return self.stretch(x2 - x1, y2 - y1, closure.body.length)
+        if direction == "length":
+            dx, dy, length = self._apart(closure)
+            return (dx**2 + dy**2 - length**2) / (2 * length)
         (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
         if direction == "x":
             return x2 - x1
         if direction == "y":
             return y2 - y1
-        if direction == "length":
-            return self.stretch(x2 - x1, y2 - y1, closure.length)
         if direction == "normal":
             _, _, nx, ny = self.axes(closure)
             return nx * (x2 - x1) + ny * (y2 - y1) - closure.offset
@@ -146,13 +176,21 @@ class Kinematics:
         ex, ey = first.turn(*_cis(closure.angle))
         return ex * second.ey - ey * second.ex
 
+    def _apart(self, closure: Joint | Rigidity) -> tuple[ca.SX, ca.SX, Scalar]:
+        """How two points are apart along x and y, and the distance that a closure keeps between them."""
+        if isinstance(closure, Rigidity):
+            ((x1, y1), (x2, y2)), length = self._ends(closure.body), closure.body.length
+        else:
+            (x1, y1), (x2, y2), length = self.place(closure.first), self.place(closure.second), closure.length
+        return x2 - x1, y2 - y1, length
+
     def _ends(self, body: Body) -> list[tuple[ca.SX, ca.SX]]:
         ends = []
         for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
             x, y = self.place(anchor)
             for joint in self.held.get(body, ()):
                 if _same(joint.second.x, marker.x) and _same(joint.second.y, marker.y):
-                    e = self.eps.get(joint, {})
+                    e = self.eps[joint]
                     x, y = x + e.get("x", 0), y + e.get("y", 0)
             ends.append((x, y))
         return ends
@@ -190,9 +228,7 @@ class Kinematics:
 
     def _displaced(self, frame: Frame, joint: Joint) -> Frame:
         """A body in absolute coordinates, displaced at a joint that its pose closes."""
-        e = self.eps.get(joint)
-        if not e:
-            return frame
+        e = self.eps[joint]
         x, y = frame.place(joint.second.x, joint.second.y)
         moved = _turned(frame, e["rotation"], (joint.second.x, joint.second.y)) if "rotation" in e else frame
         dx, dy = e.get("x", 0), e.get("y", 0)
@@ -215,11 +251,12 @@ def derive(mechanism: Mechanism) -> Equations:
     u, p = stack([i.symbol for i in m.inputs]), stack([x.symbol for x in m.parameters])
     s, t = stack([x.symbol for x in m.starts]), m.time
 
-    held = _held(m, q)
-    plain = Kinematics(m, held, {})
-    rows, Phi = _closures(m, plain, held, {})
-    l = len(rows)
-    lam = ca.SX.sym("lam", l)
+    plain = Kinematics(m)
+    held = _held(m, plain)
+    closures = _closures(m, held)
+    rows = [Row(c.name, direction, unit) for c, direction, _, unit in closures]
+    Phi = stack([sign * plain.residual(c, direction) for c, direction, sign, _ in closures])
+    lam = ca.SX.sym("lam", len(rows))
 
     X, w = _inertia(m, plain, pivoted=True)
     Xq = ca.jacobian(X, q)
@@ -238,13 +275,14 @@ def derive(mechanism: Mechanism) -> Equations:
     V = _potential(m, plain)
     paths, efforts = _efforts(m, plain, q, v)
     f_applied = ca.jacobian(paths, q).T @ efforts
+    place = {key_of(c.q): i for i, c in enumerate(m.coordinates)}
     for coordinate, expression in m.generalized:
-        f_applied += ca.jacobian(q, coordinate) * expression
+        f_applied[place[key_of(coordinate)]] += expression
     f = f_applied - ca.gradient(V, q)
 
     C = ca.jacobian(Phi, q)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
-    _, gaps = _closures(m, Kinematics(m, held, {}, in_metres=True), held, {})
+    gaps = stack([sign * plain.gap(c, direction) for c, direction, sign, _ in closures])
 
     # Everything a user can read.
     values: list[Scalar] = []
@@ -256,7 +294,7 @@ def derive(mechanism: Mechanism) -> Equations:
     for body in m.bodies:
         if plain.frame(body).wrapped:
             wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
-    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam)
+    reactions, reaction_outputs = _reactions(m, plain, held, closures, q, v, a, efforts, lam)
     values += reactions
     outputs += reaction_outputs
     for i, row in enumerate(rows):
@@ -295,7 +333,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "ties": ([q, p, s], ties),
         "ties_matrix": ([q, p, s], ca.jacobian(ties, q)),
     }
-    return Equations(
+    equations = Equations(
         name=m.name,
         description=m.description,
         coordinates=[Variable(c.name, c.unit) for c in m.coordinates],
@@ -316,36 +354,39 @@ def derive(mechanism: Mechanism) -> Equations:
         options=m.options,
         functions={name: _function(m, name, *io) for name, io in expressions.items()},
     )
+    return evaluable(equations)
 
 
 def _function(m: Mechanism, name: str, arguments: list[ca.SX], value: ca.SX) -> ca.Function:
     value = ca.densify(value) if value.is_column() else value
-    function = ca.Function(name, arguments, [value], {"cse": True, "allow_free": True})
+    # On a matrix, CasADi's search for common subexpressions takes time with the square of its size.
+    value = ca.SX(value.sparsity(), ca.cse(value.nz[:]))
+    function = ca.Function(name, arguments, [value], {"allow_free": True})
     if function.has_free():
         free = ", ".join(map(str, function.get_free()))
         raise DeclarationError(
             f"{m.name}: {name} uses {free}, which is no coordinate, rate, parameter or input of this mechanism; "
             "declare it here"
         )
-    return ca.Function(name, arguments, [value], {"cse": True})
+    return ca.Function(name, arguments, [value])
 
 
-def _held(m: Mechanism, q: ca.SX) -> dict[Joint, tuple[str, ...]]:
+def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
     """Directions of closures that hold by the choice of coordinates, so need no constraint; joint -> directions.
 
     Found by the residual being identically zero: two natural bars that share a point, a slider without an angle.
     """
-    kinematics = Kinematics(m, {}, {})
+    coordinates = {key_of(c.q) for c in m.coordinates}
     held: dict[Joint, tuple[str, ...]] = {}
     for closure in m.closures:
         if not isinstance(closure, Joint):
             continue
         zero = []
         for direction in closure.directions:
-            residual = ca.SX(kinematics.residual(closure, direction))
+            residual = kinematics.residual(closure, direction)
             if residual.is_zero():
                 zero.append(direction)
-            elif not ca.depends_on(residual, q):
+            elif not any(key_of(symbol) in coordinates for symbol in ca.symvar(residual)):
                 raise DeclarationError(
                     f"{m.name}: joint {closure.name} leaves a gap of {residual} along {direction} that no coordinate "
                     "can close; check its markers, offset and angle"
@@ -379,7 +420,7 @@ def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
                     continue
                 symbols = stack(list(eps[joint].values()))
                 for direction in held[other]:
-                    if ca.depends_on(ca.SX(moved.residual(other, direction)), symbols):
+                    if ca.depends_on(moved.residual(other, direction), symbols):
                         slope = ca.jacobian(moved.residual(other, direction), symbols)
                         if not ca.substitute(slope, symbols, ca.SX.zeros(symbols.shape)).is_zero():
                             raise DeclarationError(
@@ -389,31 +430,29 @@ def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
                             )
 
 
-def _closures(
-    m: Mechanism, kinematics: Kinematics, held: dict[Joint, tuple[str, ...]], eps: dict[Joint, Displacement]
-) -> tuple[list[Row], ca.SX]:
-    """Constraint rows in the order of declaration, each with the virtual displacement of its joint taken off.
+Closing = tuple[Joint | Rigidity | Constraint, str, int, str]
+"""What one constraint row closes: joint, body or constraint; direction; sign of the residual in the row; unit."""
+
+
+def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> list[Closing]:
+    """Constraint rows in the order of declaration.
 
     A row reads point of the second body minus point of the first, the other way round where only the first body is torn
     off (has absolute coordinates); this is the sign in which the paper writes the five-bar.
     """
-    rows: list[Row] = []
-    Phi: list[ca.SX] = []
+    closures: list[Closing] = []
     for closure in m.closures:
-        directions = closure.directions if isinstance(closure, Joint) else ("length",)
-        sign, displacement = 1, {}
-        if isinstance(closure, Joint):
-            displacement = eps.get(closure, {})
-            if closure.first.body.pose is not None and closure.second.body.pose is None:
-                sign = -1 if closure.first.body is not m.ground else 1
-        for direction in directions:
-            if isinstance(closure, Joint) and direction in held.get(closure, ()):
-                continue
-            unit = closure.unit if isinstance(closure, Constraint) else "rad" if direction == "rotation" else "m"
-            rows.append(Row(closure.name, "" if isinstance(closure, Constraint) else direction, unit))
-            residual = kinematics.residual(closure, direction)
-            Phi.append(sign * (residual - displacement.get(direction, 0)))
-    return rows, stack(Phi)
+        if isinstance(closure, Constraint):
+            closures.append((closure, "", 1, closure.unit))
+            continue
+        if isinstance(closure, Rigidity):
+            closures.append((closure, "length", 1, "m"))
+            continue
+        first, second = closure.first.body, closure.second.body
+        sign = -1 if first.pose is not None and second.pose is None and first is not m.ground else 1
+        open_directions = [k for k in closure.directions if k not in held.get(closure, ())]
+        closures += [(closure, k, sign, "rad" if k == "rotation" else "m") for k in open_directions]
+    return closures
 
 
 def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
@@ -431,10 +470,10 @@ def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tup
             X.append(frame.angle)
             w.append(body.inertia + body.mass * arm)
             continue
-        if not ca.SX(body.mass).is_zero():
-            X += frame.place(*body.center)
+        if not symbolic(body.mass).is_zero():
+            X += kinematics.center(body)
             w += [body.mass, body.mass]
-        if not ca.SX(body.inertia).is_zero():
+        if not symbolic(body.inertia).is_zero():
             # (ex, ey) is linear in natural coordinates, so that the mass matrix is constant.
             X += [frame.ex, frame.ey] if frame.wrapped else [frame.angle]
             w += [body.inertia, body.inertia] if frame.wrapped else [body.inertia]
@@ -446,7 +485,7 @@ def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
     gx, gy = m.gravity_vector
     V = sum(m.potential, ca.SX(0))
     for body in m.bodies:
-        x, y = kinematics.frame(body).place(*body.center)
+        x, y = kinematics.center(body)
         V -= body.mass * (gx * x + gy * y)
     for spring in m.springs:
         V += spring.stiffness * (_elongation(kinematics, spring.between) - spring.rest) ** 2 / 2
@@ -462,7 +501,7 @@ def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
     paths: list[Scalar] = [kinematics.free(drive.joint) for drive in m.drives]
     for load in m.loads:
         paths += [*kinematics.place(load.at), kinematics.frame(load.at.body).angle]
-    paths += [_elongation(kinematics, s.between) for s in m.springs if not ca.SX(s.damping).is_zero()]
+    paths += [_elongation(kinematics, s.between) for s in m.springs if not symbolic(s.damping).is_zero()]
     return paths
 
 
@@ -473,7 +512,7 @@ def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
     for load in m.loads:
         efforts += [*load.force, load.torque]
     rates = ca.jtimes(paths, q, v) if paths.numel() else paths
-    dampers = [s for s in m.springs if not ca.SX(s.damping).is_zero()]
+    dampers = [s for s in m.springs if not symbolic(s.damping).is_zero()]
     efforts += [-s.damping * rates[len(efforts) + i] for i, s in enumerate(dampers)]
     return paths, stack(efforts)
 
@@ -491,6 +530,7 @@ def _reactions(
     m: Mechanism,
     plain: Kinematics,
     held: dict[Joint, tuple[str, ...]],
+    closures: list[Closing],
     q: ca.SX,
     v: ca.SX,
     a: ca.SX,
@@ -505,9 +545,9 @@ def _reactions(
     in_frames = {
         j: {k: e for k, e in eps[j].items() if j.coordinate is not None or k in held.get(j, ())} for j in m.joints
     }
-    moved = Kinematics(m, held, in_frames)
+    moved = Kinematics(m, held, in_frames) if any(in_frames.values()) else plain
     Xe, _ = _inertia(m, moved)
-    _, Phie = _closures(m, moved, held, eps)
+    Phie = stack([sign * (moved.residual(c, k) - eps.get(c, {}).get(k, 0)) for c, k, sign, _ in closures])
     X, w = _inertia(m, plain)
     aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
     work = (
@@ -535,7 +575,7 @@ def _body_outputs(
     places: list[Scalar] = []
     for body in m.bodies:
         frame = kinematics.frame(body)
-        places += [*frame.place(*body.center), frame.angle]
+        places += [*kinematics.center(body), frame.angle]
         b = body.name
         names += [
             (f"{b}.x", f"{b}.vx", f"{b}.ax", "m", f"{{}} of the centre of mass of {b} along x"),
@@ -543,9 +583,10 @@ def _body_outputs(
             (f"{b}.angle", f"{b}.angular_velocity", f"{b}.angular_acceleration", "rad", f"angular {{}} of {b}"),
         ]
     sliders = [j for j in m.joints if j.kind == "prismatic"]
+    guides = Counter(j.second.body for j in sliders)
     for joint in sliders:
         b = joint.second.body.name
-        if sum(j.second.body is joint.second.body for j in sliders) == 1:
+        if guides[joint.second.body] == 1:
             places.append(kinematics.free(joint))
             along = f"{{}} of {b} along {joint.name}"
             names.append((f"{b}.position", f"{b}.velocity", f"{b}.acceleration", "m", along))
@@ -564,22 +605,22 @@ def _body_outputs(
 
 def _guess(m: Mechanism) -> ca.SX:
     """Guesses of the coordinates in parameters and start values alone."""
-    resolved: list[ca.SX] = []
-    for i, c in enumerate(m.coordinates):
-        guess = ca.SX(c.guess)
-        before = m.coordinates[:i]
-        if before and not guess.is_constant():
-            guess = ca.substitute(guess, stack([b.q for b in before]), stack(resolved))
-        resolved.append(guess)
-    return stack(resolved)
+    resolved: dict[int, ca.SX] = {}
+    for c in m.coordinates:
+        guess = symbolic(c.guess)
+        before = [symbol for symbol in ca.symvar(guess) if key_of(symbol) in resolved]
+        if before:
+            guess = ca.substitute(guess, stack(before), stack([resolved[key_of(b)] for b in before]))
+        resolved[key_of(c.q)] = guess
+    return stack(list(resolved.values()))
 
 
 def _ties(m: Mechanism) -> tuple[list[int], ca.SX]:
     """Which start quantity each tie uses, and the ties; an angle that is computed counts up to whole turns."""
     tied, residuals = [], []
-    symbols = [x.symbol for x in m.starts]
+    place = {key_of(x.symbol): i for i, x in enumerate(m.starts)}
     for symbol, expression in m.ties:
-        i = next(k for k, x in enumerate(symbols) if ca.is_equal(x, symbol))
+        i = place[key_of(symbol)]
         difference = expression - symbol
         if m.starts[i].unit == "rad" and not expression.is_symbolic():
             difference = ca.atan2(ca.sin(difference), ca.cos(difference))
@@ -592,7 +633,7 @@ def _tied_start(m: Mechanism, angle: ca.SX) -> int:
     """The start quantity near which a computed angle begins, -1 where there is none."""
     for symbol, expression in m.ties:
         if (expression - angle).is_zero() or ca.is_equal(expression, angle, 12):
-            return next(k for k, x in enumerate(m.starts) if ca.is_equal(x.symbol, symbol))
+            return next(k for k, x in enumerate(m.starts) if key_of(x.symbol) == key_of(symbol))
     return -1
 
 
@@ -604,35 +645,30 @@ def _depends_on_any(y: ca.SX, x: ca.SX) -> list[bool]:
 
 def _absolute(x: Scalar, y: Scalar, angle: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
     c, s = _cis(angle)
-    return Frame(ca.SX(x), ca.SX(y), local, ca.SX(c), ca.SX(s), ca.SX(angle))
+    return Frame(symbolic(x), symbolic(y), local, c, s, symbolic(angle))
 
 
 def _turned(base: Frame, by: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
     """A frame turned by an angle against another one; its place is set by whoever asks."""
-    by = ca.SX(by)
+    by = symbolic(by)
     angle = base.angle + by
     if base.wrapped:
         return Frame(ca.SX(0), ca.SX(0), local, *base.turn(*_cis(by)), angle, wrapped=True)
     return Frame(ca.SX(0), ca.SX(0), local, *_cis(angle), angle)
 
 
-def _stretch(dx: ca.SX, dy: ca.SX, length: Scalar) -> ca.SX:
-    """Zero at the given length, polynomial, and with a multiplier that is the force along the line."""
-    return (dx**2 + dy**2 - length**2) / (2 * length)
-
-
-def _gap(dx: ca.SX, dy: ca.SX, length: Scalar) -> ca.SX:
-    """The same in metres, wherever the points are."""
-    return ca.sqrt(dx**2 + dy**2 + 1e-300) - length
-
-
 def _same(a: Scalar, b: Scalar) -> bool:
-    return (ca.SX(a) - ca.SX(b)).is_zero()
+    return a is b or (symbolic(a) - symbolic(b)).is_zero()
+
+
+def _vanishes(x: Scalar) -> bool:
+    """Whether something is the number zero, so that no term of it needs to be written."""
+    return not isinstance(x, ca.SX) and x == 0
 
 
 def _cis(angle: Scalar) -> tuple[ca.SX, ca.SX]:
     """Cosine and sine, exact at the right angles that guides usually have."""
-    angle = ca.SX(angle)
+    angle = symbolic(angle)
     if angle.is_constant():
         quarters = float(angle) / (math.pi / 2)
         if quarters == round(quarters):

@@ -6,14 +6,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
-import casadi as ca
+if TYPE_CHECKING:
+    import casadi as ca
 
 __all__ = ["Equations", "Row", "Variable"]
 
-FORMAT = 1
+FORMAT = 2
 """Version of the scene file; raised whenever its content changes meaning."""
 
 
@@ -67,8 +68,10 @@ class Equations:
     guess_rate(p, s, sdot)          its time derivative (n,)
     ties(q, p, s)                   independent quantities minus their start values
     ties_matrix(q, p, s)            its derivative with respect to q
-    step, step_careful, instant     the kernel, see `alfmu.kernel.trace` (once traced)
     ==============================  =============================================  ==================================
+
+    Those that are evaluated with numbers are combined by `alfmu.evaluation`, and traced into a kernel by
+    `alfmu.kernel.trace`.
     """
 
     name: str
@@ -89,11 +92,19 @@ class Equations:
     step_size: float
     options: dict[str, Any] = field(default_factory=dict)
     """Options that the mechanism was declared with."""
-    unrolled: list[list[int]] = field(default_factory=list)
-    """Multiplier iterations and projections that the quick and the careful step of the kernel unroll, once traced."""
+    kernel: list[dict[str, Any]] = field(default_factory=list)
+    """The quick and the careful step of the kernel as calls of functions (`alfmu.kernel.program`), once traced."""
     solver: dict[str, float | str] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
+    monitors: list[str] = field(default_factory=list)
+    """Monitors that are left out."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
+    signatures: dict[str, dict[str, Any]] = field(default_factory=dict, repr=False)
+    """Sizes of the functions that run with numbers (`alfmu.kernel.program.Signature`)."""
+    workspace: int = 0
+    """Numbers that compiled functions need beside the memory of an instance."""
+    library: Any = field(default=None, repr=False)
+    """The functions compiled (`alfmu.kernel.compiled.Library`), where they are."""
 
     @property
     def n(self) -> int:
@@ -112,23 +123,31 @@ class Equations:
         raise AttributeError(name)
 
     def to_json(self) -> str:
-        """The scene file: plain JSON with serialised functions, the same bytes for the same equations."""
-        data = {k: v for k, v in asdict_shallow(self).items() if k != "functions"}
+        """The scene file: everything but the functions as plain JSON, the same bytes for the same equations."""
+        data = {k: v for k, v in asdict_shallow(self).items() if k not in ("functions", "library")}
         data["format"] = FORMAT
-        data["functions"] = {k: f.serialize() for k, f in self.functions.items()}
-        return json.dumps(data, indent=1, sort_keys=True)
+        return json.dumps(data, indent=1)
 
     @classmethod
     def from_json(cls, text: str) -> Equations:
-        """The equations that `to_json` wrote."""
+        """The equations that `to_json` wrote, without functions."""
         data = json.loads(text)
         if (found := data.pop("format", None)) != FORMAT:
             raise ValueError(f"scene file of format {found}, this alfmu reads {FORMAT}; export it again")
         for key in ("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs"):
             data[key] = [Variable(**v) for v in data[key]]
         data["rows"] = [Row(**r) for r in data["rows"]]
-        data["functions"] = {k: ca.Function.deserialize(f) for k, f in data["functions"].items()}
         return cls(**data)
+
+    def functions_to_json(self) -> str:
+        """The functions that run with numbers, serialised by CasADi."""
+        return json.dumps({k: self.functions[k].serialize() for k in self.signatures})
+
+    def with_functions_from(self, text: str) -> Equations:
+        """The same equations with the functions that `functions_to_json` wrote; needs CasADi."""
+        import casadi as ca
+
+        return replace(self, functions={k: ca.Function.deserialize(f) for k, f in json.loads(text).items()})
 
 
 def asdict_shallow(equations: Equations) -> dict[str, Any]:

@@ -265,6 +265,8 @@ class Mechanism:
         self.ground = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
         self.time = ca.SX.sym("time")
         self._names: dict[str, str] = {}
+        self._by_symbol: dict[int, Start | Coordinate] = {}
+        self._owned: set[Body] = {self.ground}
 
     # Quantities -------------------------------------------------------------------------------------------------
 
@@ -303,11 +305,12 @@ class Mechanism:
         symbol = self._claim(f"start.{name}", unit, "a start value")
         self._claim(f"start.{rate_name}", rate_of(unit), "a start value")
         self.starts.append(Start(name, symbol, float(value), unit, rate_name, float(rate), description))
+        self._by_symbol[key_of(symbol)] = self.starts[-1]
         return symbol
 
     def tie(self, start: ca.SX, expression: ca.SX) -> None:
         """Require `expression` (of the coordinates) to equal a start quantity when the run begins."""
-        if not any(ca.is_equal(start, s.symbol) for s in self.starts):
+        if not self._is_start(start):
             raise DeclarationError(f"{self.name}: tie() takes a symbol that start() returned")
         self.ties.append((start, expression))
 
@@ -336,7 +339,8 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: only an independent coordinate has a start rate; {name} is not")
         c = Coordinate(name, symbol, ca.SX.sym(f"{name}_v"), ca.SX.sym(f"{name}_a"), unit, start)
         self.coordinates.append(c)
-        if isinstance(start, ca.SX) and any(ca.is_equal(start, s.symbol) for s in self.starts):
+        self._by_symbol[key_of(symbol)] = c
+        if self._is_start(start):
             self.tie(start, symbol)
         return symbol
 
@@ -519,14 +523,18 @@ class Mechanism:
         return ca.SX.sym(name)
 
     def _coordinate(self, symbol: ca.SX) -> Coordinate:
-        for c in self.coordinates:
-            if ca.is_equal(c.q, symbol):
-                return c
-        raise DeclarationError(f"{self.name}: {symbol} is not a coordinate of this mechanism")
+        found = self._by_symbol.get(key_of(symbol))
+        if not isinstance(found, Coordinate):
+            raise DeclarationError(f"{self.name}: {symbol} is not a coordinate of this mechanism")
+        return found
+
+    def _is_start(self, symbol: Scalar) -> bool:
+        return isinstance(self._by_symbol.get(key_of(symbol)), Start)
 
     def _add(self, body: Body) -> Body:
         self._claim(body.name, "1", "a body")
         self.bodies.append(body)
+        self._owned.add(body)
         return body
 
     def _join(self, joint: Joint) -> Joint:
@@ -553,7 +561,7 @@ class Mechanism:
 
     def _own(self, markers: Iterable[Marker], user: str) -> None:
         for marker in markers:
-            if marker.body is not self.ground and all(marker.body is not b for b in self.bodies):
+            if marker.body not in self._owned:
                 raise DeclarationError(f"{self.name}: {user} uses {marker.body.name}, a body of another mechanism")
 
     def _free(self, joint: Joint) -> None:
@@ -564,6 +572,16 @@ class Mechanism:
             )
 
 
+def key_of(symbol: Scalar) -> int | None:
+    """What tells one scalar symbol or expression from all others; None for a number."""
+    return symbol.element_hash() if isinstance(symbol, ca.SX) and symbol.is_scalar(True) else None
+
+
+def symbolic(value: Scalar) -> ca.SX:
+    """A number or an expression as an expression; conversion is slow, so it is left out where it does nothing."""
+    return value if isinstance(value, ca.SX) else ca.SX(value)
+
+
 def stack(expressions: Sequence[Scalar]) -> ca.SX:
     """A column of expressions, empty ones included."""
-    return ca.vertcat(*(ca.SX(e) for e in expressions)) if expressions else ca.SX(0, 1)
+    return ca.vertcat(*map(symbolic, expressions)) if expressions else ca.SX(0, 1)

@@ -53,11 +53,11 @@ def residual(
 ) -> tuple[Array, Array, int, bool]:
     """(8) in residual form: the same fixed point without the cancellation; returns what `classic` returns."""
     for i in range(1, most + 1):
-        r1 = F - M @ a - C.T @ lam  # what (4) lacks
+        r1 = F - M @ a  # with -C' lam below, what (4) lacks
         r2 = xi - C @ a  # what (3) lacks
-        da = solve(r1 + C.T @ (alpha @ r2))  # (8) for the increment
+        da = solve(r1 + C.T @ (alpha @ r2 - lam))  # (8) for the increment
         a = a + da
-        lam = lam + alpha @ (C @ da - r2)  # (8) for the increment
+        lam = lam - alpha @ (r2 - C @ da)  # (8) for the increment
         if done(da, a):
             return a, lam, i, True
     return a, lam, most, False

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from . import method
 from .equations import Equations
 from .errors import InputError, StepError
+from .kernel.program import Backend, Call
 
 __all__ = ["FORMULATIONS", "Counters", "Oracle", "Settings"]
 
@@ -107,65 +108,19 @@ class Counters:
     """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
 
 
-class Call:
-    """A CasADi function called on arrays of its own; its first `matrices` results are matrices, the others vectors."""
-
-    def __init__(self, f: ca.Function, matrices: int):
-        self.x = [np.zeros(f.nnz_in(i)) for i in range(f.n_in())]
-        results = [np.zeros(f.size_out(i), order="F") for i in range(f.n_out())]
-        self._buffer, self._run = f.buffer()
-        for i, x in enumerate(self.x):
-            self._buffer.set_arg(i, memoryview(x))
-        for i, y in enumerate(results):
-            self._buffer.set_res(i, memoryview(y.reshape(-1, order="A")))
-        self.y = [y if i < matrices else y.reshape(-1, order="A") for i, y in enumerate(results)]
-
-    def __call__(self, *arguments: NDArray | float) -> list[NDArray]:
-        for x, value in zip(self.x, arguments, strict=True):
-            x[:] = value
-        self._run()
-        return self.y
-
-
-def fuse(name: str, arguments: list[ca.SX], matrices: list[ca.SX], vectors: list[ca.SX]) -> Call:
-    """One function with dense results and shared subexpressions, ready to be called."""
-    results = [ca.densify(result) for result in (*matrices, *vectors)]
-    return Call(ca.Function(name, arguments, results, {"cse": True}), len(matrices))
-
-
-def symbols(equations: Equations) -> dict[str, ca.SX]:
-    """Fresh symbols for the arguments of the functions of `equations`."""
-    sizes = {
-        "q": equations.n,
-        "v": equations.n,
-        "a": equations.n,
-        "lam": equations.l,
-        "u": len(equations.inputs),
-        "p": len(equations.parameters),
-        "t": 1,
-    }
-    return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-
-
 class Oracle:
     """Accelerations, multipliers and projections of one mechanism.
 
     Arrays handed in are left alone; arrays handed out are the caller's.
     """
 
-    def __init__(self, equations: Equations):
+    def __init__(self, equations: Equations, backend: Backend):
         self.equations = equations
-        e, s = equations, symbols(equations)
-        q, v, u, p, t = (s[k] for k in "qvupt")
-        M, C, xi, Phi = e.M(q, p), e.C(q, p), e.xi(q, v, p), e.Phi(q, p)
-        F = e.f(q, v, u, p, t) - e.d(q, v, p)
-        self._dynamics = fuse("dynamics", [q, v, u, p, t], [M, C], [F, xi])
-        self._constraints = fuse("constraints", [q, v, p], [M, C], [Phi, C @ v])
-        power = e.input_power(q, v, u, p, t) + e.other_power(q, v, p, t)
-        self._power = fuse("power", [q, v, u, p, t], [], [power])
-        self._energy = fuse("energy", [q, v, p], [], [e.kinetic_energy(q, v, p) + e.potential_energy(q, p)])
+        names = ("dynamics", "constraints", "power", "energy", "readings")
+        calls = (Call(backend, name, equations.signatures[name]) for name in names)
+        self._dynamics, self._constraints, self._power, self._energy, self._outputs = calls
+        self.sparse = not isinstance(self._dynamics.y[0], np.ndarray)
         self.counters = Counters()
-        self._outputs = fuse("outputs", list(s.values()), [], [e.readings(*s.values())])
 
     def prepare(self, settings: Settings, p: NDArray, q: NDArray) -> None:
         """Begin a run: settings and parameters fixed, the penalty scaled with the masses at q (n,) if left open."""
@@ -175,17 +130,17 @@ class Oracle:
         alpha = np.asarray(settings.penalty, float)
         if alpha.ndim == 0:
             M = self._constraints(q, np.zeros_like(q), p)[0]
-            alpha = np.full(self.equations.l, alpha or PENALTY_RATIO * max(np.diag(M).max(initial=0.0), 1e-300))
+            alpha = np.full(self.equations.l, alpha or PENALTY_RATIO * max(M.diagonal().max(initial=0.0), 1e-300))
         self.penalty = alpha
 
     @property
     def penalty(self) -> NDArray:
         """alpha (l,) [kg or kg.m2 by row]; a constraint with zero is switched off."""
-        return np.diag(self.alpha).copy()
+        return self.alpha.diagonal().copy()
 
     @penalty.setter
     def penalty(self, alpha: NDArray) -> None:
-        self.alpha = np.diag(alpha)
+        self.alpha = _sparse_diagonal(alpha) if self.sparse else np.diag(alpha)
         self.active = np.asarray(alpha) > 0
 
     def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> tuple[NDArray, NDArray, int, NDArray]:
@@ -193,7 +148,7 @@ class Oracle:
         M, C, F, xi = self._dynamics(q, v, u, self.p, t)
         self.counters.evaluations += 1
         kind, alpha = self.settings.formulation, self.alpha
-        if not (np.isfinite(M).all() and np.isfinite(F).all() and np.isfinite(xi).all()):
+        if not all(np.isfinite(_entries(x)).all() for x in (M, F, xi)):
             raise StepError(self._say(t, "the equations of motion are not finite", "reduce solver.step_size"))
         if kind in ("residual", "classic"):
             iterate = method.residual if kind == "residual" else method.classic
@@ -231,7 +186,7 @@ class Oracle:
     ) -> tuple[NDArray, NDArray, int, bool]:
         """(8), classic or residual, until the change is within the tolerance of the accelerations it changes."""
         solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
-        scale = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300)
+        scale = np.abs(F).max(initial=0.0) / np.abs(_entries(M)).max(initial=1e-300)
         limit = self.settings.tolerance
 
         def done(da: NDArray, a: NDArray) -> bool:
@@ -300,18 +255,28 @@ class Oracle:
 
     def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
         """Whether a residue of C is within the tolerance, or within the round-off of the row where that is larger."""
-        limit = np.maximum(self.settings.tolerance, 8 * np.finfo(float).eps * (np.abs(C) @ np.abs(x)))
+        limit = np.maximum(self.settings.tolerance, 8 * np.finfo(float).eps * (abs(C) @ np.abs(x)))
         return bool((np.abs(residue) <= limit)[self.active].all())
 
     def _factor(self, H: NDArray, t: float) -> method.Solve:
+        def refused() -> StepError:
+            advice = "give the massless body a mass, or hold it by constraints"
+            return StepError(self._say(t, "the augmented mass matrix is singular", advice))
+
         def solve(b: NDArray) -> NDArray:
             try:
                 return np.linalg.solve(H, b)
             except np.linalg.LinAlgError:
-                advice = "give the massless body a mass, or hold it by constraints"
-                raise StepError(self._say(t, "the augmented mass matrix is singular", advice)) from None
+                raise refused() from None
 
-        return solve
+        if not self.sparse:
+            return solve
+        from scipy.sparse.linalg import splu
+
+        try:
+            return splu(H.tocsc()).solve
+        except RuntimeError:
+            raise refused() from None
 
     def _open(self, t: float, what: str, residue: NDArray) -> str:
         worst = int(np.argmax(np.where(self.active, np.nan_to_num(np.abs(residue), nan=np.inf), 0)))
@@ -326,8 +291,19 @@ class Oracle:
 
 def _least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:
     """Least-squares solution of least norm of the block system (9)."""
-    (M, Ct), (C, _) = blocks
+    (M, Ct), (C, _) = ([x if isinstance(x, (np.ndarray, int)) else x.toarray() for x in row] for row in blocks)
     n, l = M.shape[0], C.shape[0]
     K = np.block([[M, Ct], [C, np.zeros((l, l))]])
     x = np.linalg.lstsq(K, np.concatenate(right), rcond=None)[0]
     return x[:n], x[n:]
+
+
+def _entries(matrix: Any) -> NDArray:
+    """The entries of a dense or sparse matrix, or of a vector."""
+    return matrix if isinstance(matrix, np.ndarray) else matrix.data
+
+
+def _sparse_diagonal(alpha: NDArray) -> Any:
+    from scipy.sparse import diags_array
+
+    return diags_array(alpha, format="csc")

@@ -8,16 +8,17 @@ from __future__ import annotations
 import copy
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .assembly import Mobility, assemble, assemble_rates, check_masses, mobility
+from .assembly import Assembly, Mobility
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
-from .kernel.machine import Machine
+from .kernel.program import Backend, Layout, Machine
 from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
@@ -62,12 +63,6 @@ MONITORS = (
 )
 """What every instance says about its own accuracy."""
 
-_STRETCH = 512
-"""Internal steps after which the kernel's checks are looked at."""
-
-State = tuple[NDArray, NDArray, NDArray, float]
-"""q (n,), v (n,), unwrapped angles, work of inputs, loads and dampers [J]."""
-
 
 class Instance:
     """A mechanism with its own parameters, inputs and state.
@@ -90,19 +85,55 @@ class Instance:
         self._given = settings or Settings(**{"step_size": e.step_size, **e.solver})
         solver = [replace(v, start=self._solver_default(v.name)) for v in SOLVER_VARIABLES]
         self.parameters = [*e.parameters, *e.starts, *e.start_rates, *solver]
-        self.outputs = [*e.outputs, *MONITORS]
+        self.outputs = [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors)]
         self.values = np.array([v.start for v in self.parameters])
-        self.inputs = np.array([v.start for v in e.inputs])
         self.formulation = self._given.formulation
         self._parameter = {v.name: i for i, v in enumerate(self.parameters)}
         self._input = {v.name: i for i, v in enumerate(e.inputs)}
         self._output = {v.name: i for i, v in enumerate(self.outputs)}
         self._wrapped = [(self._output[name], start) for name, start in e.wrapped.items()]
-        self.oracle = Oracle(e)
-        self.machine = Machine(e) if e.unrolled else None
+        backend: Backend = e.library or _portable(e)
+        self.oracle, self._assembly = Oracle(e, backend), Assembly(e, backend)
+        self.layout = Layout(e)
+        self.memory = backend.memory(self.layout)
+        self.state, self.inputs = self.memory["z"], self.memory["u"]
+        self.inputs[:] = [v.start for v in e.inputs]
+        self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
+        self._seen = self.memory["seen"]
+        self.machine: Machine | None = backend.machine(self.memory) if e.kernel else None
         self._fast = self._scaled = False
         self.initialized = self._known = False
-        self.time = 0.0
+
+    # State -------------------------------------------------------------------------------------------------------
+
+    @property
+    def q(self) -> NDArray:
+        """Coordinates (n,), a view."""
+        return self.state[: self.layout.n]
+
+    @property
+    def v(self) -> NDArray:
+        """Velocities (n,), a view."""
+        return self.state[self.layout.n : 2 * self.layout.n]
+
+    @property
+    def angles(self) -> NDArray:
+        """Computed angles, whole turns counted, a view."""
+        return self.state[2 * self.layout.n : self.layout.work]
+
+    @property
+    def work(self) -> float:
+        """Work of inputs, loads and dampers since the start [J]."""
+        return float(self.state[self.layout.work])
+
+    @property
+    def time(self) -> float:
+        """Time [s]."""
+        return float(self.state[self.layout.time])
+
+    @time.setter
+    def time(self, value: float) -> None:
+        self.state[self.layout.time] = value
 
     def _solver_default(self, name: str) -> float:
         value = getattr(self._given, name.removeprefix("solver."))
@@ -163,38 +194,43 @@ class Instance:
         settings = self._settings()
         alpha = np.asarray(settings.penalty, float)
         held = np.ones(e.l, bool) if alpha.ndim == 0 else alpha > 0
-        q = assemble(e, p, s, held)
-        v = assemble_rates(e, q, p, s, sdot, held)
-        check_masses(e, q, p, held)
+        q = self._assembly.assemble(p, s, held)
+        v = self._assembly.rates(q, p, s, sdot, held)
+        self._assembly.check_masses(q, p, held)
         oracle = self.oracle
         oracle.prepare(settings, p, q)
         # Whether the penalty is the one for which the quick step of the kernel is known to be enough.
         self._scaled = alpha.ndim == 0 and alpha == 0
         if oracle.settings.projects:
             q, v, _, _ = oracle.project(q, v, self.time)
-        self.q, self.v, self.work = q, v, 0.0
-        self.angles = np.array([s[start] if start >= 0 else 0.0 for _, start in self._wrapped])
-        self.energy_start = oracle.energy(q, v)
-        self._known = False
-        self.initialized = True
+        angles = [s[start] if start >= 0 else 0.0 for _, start in self._wrapped]
+        self._begin([*q, *v, *angles, 0.0], oracle.energy(q, v))
+
+    def _begin(self, state: Sequence[float], energy: float) -> None:
+        """Go on from q, v, angles and work."""
+        self.state[: self.layout.time] = state
+        self.state[self.layout.time + 1 :] = 0.0
+        self.memory["tally"][:] = 0.0
+        self.energy_start = energy
+        self._known, self.initialized = False, True
         self._choose()
 
     def _choose(self) -> None:
         """Take the kernel where it does what the settings ask for, otherwise the oracle."""
-        oracle, machine = self.oracle, self.machine
+        oracle, memory, programs = self.oracle, self.memory, self.equations.kernel
         settings, alpha = oracle.settings, oracle.penalty
         self._fast = bool(
-            machine is not None
+            self.machine is not None
             and settings.formulation == "residual"
             and settings.projects
-            and settings.max_iterations >= self.equations.unrolled[-1][0]
-            and (alpha == alpha[:1]).all()
-            and oracle.active.all()
+            and settings.max_iterations >= programs[-1]["iterations"]
+            and (not len(alpha) or alpha.max() > 0)
         )
         if self._fast:
-            machine.p[:] = oracle.p
-            machine.k[:] = alpha[0] if len(alpha) else 1.0, settings.tolerance
-            machine.first = 0 if self._scaled else 1
+            largest = alpha.max(initial=1e-300)
+            memory["p"][:] = oracle.p
+            memory["k"][:] = [largest if len(alpha) else 1.0, settings.tolerance, *(alpha / largest)]
+            memory["control"][:] = settings.step_size, not (self._scaled or programs[0] == programs[1])
 
     def _start_values(self) -> list[NDArray]:
         """Parameters, start values and start rates."""
@@ -215,113 +251,109 @@ class Instance:
         `time` is the communication point where the step begins, if the caller keeps time; it must be the instance's.
         Raises InputError or StepError and keeps the state before the step where the step cannot be taken.
         """
-        e, h = self.equations, communication_step
+        h = communication_step
+        start = self.time if time is None else time
+        if not (self._fast and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
+            self._step(h, start)
+        self._known = False
+
+    def _step(self, h: float, start: float) -> None:
+        """A communication step that the kernel cannot make in one go: everything is looked at."""
+        e = self.equations
         if not self.initialized:
             raise InputError(f"{e.name}: initialise before the first step")
         if not (isinstance(h, (int, float, np.number)) and math.isfinite(h) and h > 0):
             raise InputError(f"{e.name}, t = {self.time:.6g} s: a communication step of {h} s; it must be above zero")
-        start = self.time if time is None else time
         if not abs(start - self.time) <= 1e-6 * h + 1e-12 * abs(self.time):
             raise InputError(f"{e.name}: a step from t = {start} s is asked for, but the state is at t = {self.time} s")
         self._check_inputs()
         n = max(1, math.ceil(h / self.oracle.settings.step_size * (1 - 1e-12)))
-        dt, before = h / n, copy.copy(self.counters)
-        state: State = (self.q, self.v, self.angles, self.work)
+        dt, done = h / n, 0
+        before, counters = self.state.copy(), copy.copy(self.counters)
         try:
-            for done in range(0, n, _STRETCH):
-                t, steps = start + done * dt, min(_STRETCH, n - done)
-                state = self._advanced(state, t, steps, dt) or self._followed(state, t, steps, dt)
+            while done < n:
+                if self._fast:
+                    self.time = start + done * dt
+                    done += self.machine.advance(n - done, dt)
+                if done < n:
+                    self._follow(start + done * dt, dt)
+                    self._known, done = False, done + 1
         except AlfmuError:
-            self.oracle.counters = before
+            self.state[:] = before
+            self.memory["tally"][:] = 0.0
+            self.oracle.counters = counters
             raise
-        self.q, self.v, self.angles, self.work = state
-        self.time, self._known = start + h, False
-
-    def _advanced(self, state: State, start: float, n: int, dt: float) -> State | None:
-        """n internal steps by the kernel; None where that is not enough."""
-        if not self._fast:
-            return None
-        self.machine.load(*state, start, self.inputs)
-        advanced = self.machine.advance(n, dt)
-        if advanced is None:
-            return None
-        after, (iterations, corrections) = advanced
-        c = self.counters
-        c.steps += n
-        c.evaluations += 4 * n
-        c.multiplier_iterations += 4 * n * iterations
-        c.projection_iterations += 2 * n * corrections
-        return after
+        self.time = start + h
 
     @np.errstate(all="ignore")
-    def _followed(self, state: State, start: float, n: int, dt: float) -> State:
-        """n internal steps by the oracle, which iterates until it converges."""
-        e, oracle, u, c = self.equations, self.oracle, self.inputs, self.counters
-        q, v, angles, work = state
-        size = len(q)
+    def _follow(self, start: float, dt: float) -> None:
+        """One internal step by the oracle, which iterates until it converges."""
+        e, oracle, u, c = self.equations, self.oracle, self.inputs, self.oracle.counters
+        size = e.n
+        known = self._accelerations if self._known and start == self.time else None
 
         def rate(t: float, y: NDArray) -> NDArray:
-            if first and t == self.time and self._known and self._accelerations is not None:
-                a = self._accelerations
-            else:
+            a = known
+            if a is None or t != start:
                 a, _, _, _ = oracle.accelerations(y[:size], y[size : 2 * size], u, t)
             dy = np.concatenate([y[size : 2 * size], a, [0.0]])
             if e.works:
                 dy[-1] = oracle.power(y[:size], y[size : 2 * size], u, t)
             return dy
 
-        for k in range(n):
-            first = k == 0
-            t = start + (k + 1) * dt
-            y = rk4(rate, start + k * dt, np.concatenate([q, v, [work]]), dt)
-            q, v, work = y[:size], y[size : 2 * size], float(y[-1])
-            if not np.isfinite(y).all():
-                raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
-            if oracle.settings.projects:
-                q, v, position, velocity = oracle.project(q, v, t)
-            else:
-                position, velocity = oracle.residues(q, v)
-            c.steps += 1
-            c.position_error = max(c.position_error, position)
-            c.velocity_error = max(c.velocity_error, velocity)
-            if self._wrapped:
-                zeros = np.zeros(size), np.zeros(e.l)
-                angles = self._unwrap(oracle.outputs(q, v, *zeros, u, t), angles)
-        return q, v, angles, work
+        t = start + dt
+        y = rk4(rate, start, np.concatenate([self.q, self.v, [self.work]]), dt)
+        q, v = y[:size], y[size : 2 * size]
+        if not np.isfinite(y).all():
+            raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
+        if oracle.settings.projects:
+            q, v, position, velocity = oracle.project(q, v, t)
+        else:
+            position, velocity = oracle.residues(q, v)
+        c.steps += 1
+        c.position_error = max(c.position_error, position)
+        c.velocity_error = max(c.velocity_error, velocity)
+        angles = self.angles
+        if self._wrapped:
+            zeros = np.zeros(size), np.zeros(e.l)
+            angles = self._unwrap(oracle.outputs(q, v, *zeros, u, t), angles)
+        self.state[: self.layout.time + 1] = [*q, *v, *angles, y[-1], t]
 
-    @np.errstate(all="ignore")
     def read(self) -> NDArray:
         """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
         if not self.initialized:
             raise InputError(f"{self.equations.name}: outputs are known after initialising")
-        if self._known:
-            return self._y
-        oracle, q, v, t, c = self.oracle, self.q, self.v, self.time, self.counters
-        seen = None
-        if self._fast:
-            self.machine.load(q, v, self.angles, self.work, t, self.inputs)
-            seen = self.machine.read()
-        if seen is not None:
-            y, acceleration = seen
-            used = self.equations.unrolled[-1][0]
-            self._y, self._accelerations = np.append(y, used), None
-            c.evaluations += 1
-            c.multiplier_iterations += used
-        else:
-            a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
-            if oracle.settings.projects:
-                lam = oracle.minimum_norm(q, v, lam, t)
-            self._y, self._accelerations = self._outputs(a, lam, used), a
-            acceleration = float(np.abs(left[oracle.active]).max(initial=0.0))
-        self._known = True
-        position, velocity, energy, _ = self._y[-len(MONITORS) :]
-        if self._fast:
-            # float(): counters go into the saved state as JSON.
-            c.position_error = max(c.position_error, float(position))
-            c.velocity_error = max(c.velocity_error, float(velocity))
-        c.acceleration_error = max(c.acceleration_error, acceleration)
-        c.energy_error = max(c.energy_error, abs(float(energy) - self.energy_start - self.work))
+        if not self._known:
+            if self._fast and self.machine.read():
+                self._y = self._seen[:-2].copy()
+                self._accelerations = None
+                used, acceleration = self.equations.kernel[-1]["iterations"], float(self._seen[-2])
+                self.oracle.counters.evaluations += 1
+                self.oracle.counters.multiplier_iterations += used
+            else:
+                acceleration = self._read_by_oracle()
+            self._known = True
+            self._watch(acceleration)
         return self._y
+
+    @np.errstate(all="ignore")
+    def _read_by_oracle(self) -> float:
+        """All outputs by iterations that converge; returns the largest |Phi-ddot|."""
+        oracle, q, v, t = self.oracle, self.q, self.v, self.time
+        a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
+        if oracle.settings.projects:
+            lam = oracle.minimum_norm(q, v, lam, t)
+        self._y, self._accelerations = self._outputs(a, lam, used), a
+        return float(np.abs(left[oracle.active]).max(initial=0.0))
+
+    def _watch(self, acceleration: float) -> None:
+        """Keep the largest errors; NaN for what nobody watches. float(): counters go into the saved state as JSON."""
+        c, (position, velocity, energy) = self.oracle.counters, self._watched
+        c.position_error = math.nan if position is None else max(c.position_error, float(self._y[position]))
+        c.velocity_error = math.nan if velocity is None else max(c.velocity_error, float(self._y[velocity]))
+        c.acceleration_error = max(c.acceleration_error, acceleration)
+        balance = math.nan if energy is None else abs(float(self._y[energy]) - self.energy_start - self.work)
+        c.energy_error = balance if energy is None else max(c.energy_error, balance)
 
     def read_inputs(self) -> NDArray:
         """The inputs as they are now, in the order of `input_variables`."""
@@ -335,13 +367,14 @@ class Instance:
     def _outputs(self, a: NDArray, lam: NDArray, used: int) -> NDArray:
         oracle, q, v = self.oracle, self.q, self.v
         y = oracle.outputs(q, v, a, lam, self.inputs, self.time)
-        self.angles = self._unwrap(y, self.angles)
+        self.angles[:] = self._unwrap(y, self.angles)
         y[[i for i, _ in self._wrapped]] = self.angles
-        return np.concatenate([y, [*oracle.residues(q, v), oracle.energy(q, v), used]])
+        seen = zip(MONITORS, (*oracle.residues(q, v), oracle.energy(q, v), used), strict=True)
+        return np.concatenate([y, [value for v, value in seen if v.name in self._output]])
 
     def mobility(self) -> Mobility:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
-        return mobility(self.equations, self._start_values()[0], self.q)
+        return self._assembly.mobility(self._start_values()[0], self.q)
 
     @property
     def penalty(self) -> NDArray:
@@ -365,8 +398,8 @@ class Instance:
                 f"{e.name}, t = {self.time:.6g} s: a constraint that is open by {gap:.3g} cannot be switched on; "
                 "wait until it closes"
             )
-        self.v, self._known = oracle.impact(self.q, self.v, self.time), False
-        self._scaled = False
+        self.v[:] = oracle.impact(self.q, self.v, self.time)
+        self._known = self._scaled = False
         self._choose()
 
     # State -------------------------------------------------------------------------------------------------------
@@ -374,7 +407,14 @@ class Instance:
     @property
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
-        return self.oracle.counters
+        c, tally = self.oracle.counters, self.memory["tally"]
+        for steps, program in zip(map(int, tally), self.equations.kernel, strict=False):
+            c.steps += steps
+            c.evaluations += 4 * steps
+            c.multiplier_iterations += 4 * steps * program["iterations"]
+            c.projection_iterations += 2 * steps * program["corrections"]
+        tally[:] = 0.0
+        return c
 
     def save(self) -> bytes:
         """The complete state, from which `restore` continues to the last bit."""
@@ -384,9 +424,9 @@ class Instance:
             "scaled": bool(self._scaled),
             "counters": asdict(self.counters) if self.initialized else None,
         }
-        numbers = [self.values, self.inputs, [self.time]]
+        numbers = [self.values, self.inputs, self.state]
         if self.initialized:
-            numbers += [self.q, self.v, self.angles, [self.work, self.energy_start], self.oracle.penalty]
+            numbers += [[self.energy_start], self.oracle.penalty]
         text = json.dumps(head, sort_keys=True).encode()
         return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
 
@@ -397,25 +437,27 @@ class Instance:
             size = int.from_bytes(state[:8], "little")
             head = json.loads(state[8 : 8 + size])
             numbers = np.frombuffer(state[8 + size :]).copy()
-            sizes = [len(self.parameters), len(e.inputs), 1]
+            sizes = [len(self.parameters), len(e.inputs), len(self.state)]
             if head["initialized"]:
-                sizes += [e.n, e.n, len(self._wrapped), 2, e.l]
+                sizes += [1, e.l]
             if numbers.size != sum(sizes):
                 raise ValueError(numbers.size)
         except (ValueError, KeyError) as error:
             raise InputError(f"{e.name}: the saved state is not one of this mechanism; save it again") from error
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
-        self.values, self.inputs, self.time = parts[0], parts[1], float(parts[2][0])
+        self.values, self.inputs[:], self.state[:] = parts[:3]
         self.formulation = head["formulation"]
-        self.initialized, self._known = head["initialized"], False
-        if self.initialized:
-            self.q, self.v, self.angles = parts[3:6]
-            self.work, self.energy_start = map(float, parts[6])
+        self.initialized = self._known = False
+        if head["initialized"]:
+            state = self.state.copy()
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
-            self.oracle.penalty = parts[7]
-            self.oracle.counters = Counters(**head["counters"])
+            self.oracle.penalty = parts[4]
             self._scaled = head["scaled"]
-            self._choose()
+            self._begin(state[: self.layout.time], float(parts[3][0]))
+            self.state[:] = state
+            self.oracle.counters = Counters(**head["counters"])
+        else:
+            self._fast = False
 
     def _check_inputs(self) -> None:
         if not np.isfinite(self.inputs).all():
@@ -426,3 +468,10 @@ class Instance:
         """Computed angles moved by whole turns to the values nearest to `near`."""
         raw = y[[i for i, _ in self._wrapped]] if self._wrapped else near
         return raw + 2 * np.pi * np.round((near - raw) / (2 * np.pi))
+
+
+def _portable(equations: Equations) -> Backend:
+    """The functions as CasADi holds them; loaded here alone, as compiled ones need no CasADi."""
+    from .kernel.vm import Vm
+
+    return Vm(equations)

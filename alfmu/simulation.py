@@ -16,6 +16,7 @@ from .derivation import derive
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError
 from .kernel import DEFAULT, KERNELS
+from .kernel.build import compiled, compiler
 from .kernel.trace import traced, untraced
 from .mechanism import Mechanism
 from .oracle import Counters, Settings
@@ -199,11 +200,15 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
-    is_traced = bool(equations.unrolled)
     if kernel == "oracle":
-        return untraced(equations) if is_traced else equations
-    if is_traced:
-        return equations
+        return replace(untraced(equations), library=None)
+    e = equations if equations.kernel else _traced(equations)
+    if kernel == "compiled" or (kernel == "auto" and compiler()):
+        return e if e.library else compiled(e)
+    return replace(e, library=None)
+
+
+def _traced(equations: Equations) -> Equations:
     probe = Instance(equations)
     try:
         probe.initialize()

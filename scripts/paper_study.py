@@ -260,7 +260,7 @@ def run(
 
     def record() -> None:
         rows.append([instance.get(name) for name in outputs])
-        states.append((instance.q, instance.v))
+        states.append((instance.q.copy(), instance.v.copy()))
 
     times = np.arange(round(stop / dt) + 1) * dt
     begin = time.perf_counter()

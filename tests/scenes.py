@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 
 import alfmu
+from alfmu.kernel.vm import Vm
 from alfmu.oracle import Oracle
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
@@ -106,7 +107,7 @@ def evaluate(
     """Everything that can be read of a mechanism put into the state q, v, with multipliers of least norm."""
     q, v, u = (np.array(x, float) for x in (q, v, u))
     p = np.array([x.start for x in equations.parameters] if p is None else p, float)
-    oracle = Oracle(equations)
+    oracle = Oracle(equations, Vm(equations))
     oracle.prepare(alfmu.Settings(), p, q)
     a, lam, _, _ = oracle.accelerations(q, v, u, t)
     y = oracle.outputs(q, v, a, oracle.minimum_norm(q, v, lam, t), u, t)

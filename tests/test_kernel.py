@@ -5,6 +5,9 @@ import pytest
 from scenes import derived
 
 import alfmu
+from alfmu.assembly import Mobility
+from alfmu.kernel.trace import traced
+from alfmu.kernel.vm import step_function
 from alfmu.simulation import prepared
 
 SCENES = [
@@ -19,10 +22,13 @@ each_scene = pytest.mark.parametrize(
 )
 
 
-def pair(name, options, parameters) -> tuple[alfmu.Instance, alfmu.Instance]:
+each_kernel = pytest.mark.parametrize("kernel", ["vm", "compiled"])
+
+
+def pair(name, options, parameters, kernel="vm") -> tuple[alfmu.Instance, alfmu.Instance]:
     """The same start by the kernel and by the oracle."""
     equations = derived(name, **options)
-    both = alfmu.Instance(prepared(equations)), alfmu.Instance(equations)
+    both = alfmu.Instance(prepared(equations, kernel)), alfmu.Instance(equations)
     for i in both:
         for key, value in parameters.items():
             i.set(key, value)
@@ -32,16 +38,17 @@ def pair(name, options, parameters) -> tuple[alfmu.Instance, alfmu.Instance]:
     return both
 
 
+@each_kernel
 @each_scene
-def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, options, parameters):
+def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, options, parameters, kernel):
     """Equal to round-off: 1e-12 of the largest entry, as both leave up to 1e-13 in each constraint."""
     random, compared = np.random.default_rng(3), 0
     equations = derived(name, **options)
-    traced = prepared(equations)
+    prepared_once = prepared(equations, kernel)
     for _ in range(12):
         start = {"start.angle": random.uniform(0.3, 1.2), "start.angular_velocity": random.uniform(-3.0, 3.0)}
-        kernel, oracle = (alfmu.Instance(e) for e in (traced, equations))
-        for i in (kernel, oracle):
+        fast, oracle = (alfmu.Instance(e) for e in (prepared_once, equations))
+        for i in (fast, oracle):
             for key, value in {**parameters, **start}.items():
                 i.set(key, value)
             for v in i.input_variables:
@@ -49,14 +56,15 @@ def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, optio
             i.initialize()
         kept = slice(0, -1)  # all but monitor.iterations
         for _ in range(2):
-            a, b = kernel.read()[kept], oracle.read()[kept]
+            a, b = fast.read()[kept], oracle.read()[kept]
             assert np.abs(a - b).max() <= 1e-12 * np.abs(b).max()
-            for i in (kernel, oracle):
+            for i in (fast, oracle):
                 i.step(0.01)
-            compared += kernel.machine.after[kernel.machine.layout.trouble] == 0.0  # by the kernel itself
-        assert np.abs(kernel.q - oracle.q).max() <= 1e-12 * max(1.0, np.abs(oracle.q).max())
-        assert np.abs(kernel.v - oracle.v).max() <= 1e-12 * max(1.0, np.abs(oracle.v).max())
-        assert kernel.work == pytest.approx(oracle.work, abs=1e-12)
+            compared += fast.memory["tally"].sum()  # by the kernel itself
+            fast.memory["tally"][:] = 0.0
+        assert np.abs(fast.q - oracle.q).max() <= 1e-12 * max(1.0, np.abs(oracle.q).max())
+        assert np.abs(fast.v - oracle.v).max() <= 1e-12 * max(1.0, np.abs(oracle.v).max())
+        assert fast.work == pytest.approx(oracle.work, abs=1e-12)
     assert compared == 24  # none was left to the oracle
 
 
@@ -87,9 +95,22 @@ def test_near_a_singular_position_the_kernel_is_as_good_as_the_oracle_or_hands_o
         assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
 
 
+@each_scene
+def test_compiled_functions_give_the_numbers_of_the_virtual_machine(name, options, parameters):
+    """To round-off over 100 steps, quick, careful and the oracle's; equal to the last bit where the C library's
+    functions are those that CasADi calls."""
+    parameters = {**parameters, "start.angle": 0.4}
+    runs = [
+        alfmu.simulate(derived(name, **options), 2.0, 0.02, parameters=parameters, kernel=k) for k in ("vm", "compiled")
+    ]
+    assert np.abs(runs[0].values - runs[1].values).max() <= 1e-11 * np.abs(runs[0].values).max()
+    assert runs[0].counters.steps == runs[1].counters.steps
+
+
+@each_kernel
 @pytest.mark.parametrize("steps", [1, 7, 8, 9, 64, 77, 600])
-def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps):
-    equations = prepared(derived("slider_crank", coordinates="natural"))
+def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps, kernel):
+    equations = prepared(derived("slider_crank", coordinates="natural"), kernel)
     one, many = alfmu.Instance(equations), alfmu.Instance(equations)
     dt = 1 / 256  # exact in binary, so that no step differs from another
     for i in (one, many):
@@ -97,13 +118,10 @@ def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps):
         i.set("solver.step_size", dt)
         i.initialize()
     many.step(steps * dt)
-    for k in range(steps):
-        one.machine.load(one.q, one.v, one.angles, one.work, k * dt, one.inputs)
-        (one.q, one.v, one.angles, one.work), _ = one.machine.advance(1, dt)
-    assert many.counters.steps == steps
-    assert np.array_equal(one.q, many.q)
-    assert np.array_equal(one.v, many.v)
-    assert np.array_equal(one.angles, many.angles)
+    for _ in range(steps):
+        assert one.machine.advance(1, dt) == 1
+    assert many.counters.steps == one.counters.steps == steps
+    assert np.array_equal(one.state, many.state)
 
 
 def test_what_the_unrolled_loops_cannot_do_goes_to_the_oracle_unseen():
@@ -119,18 +137,24 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
     kernel, oracle = pair("five_bar", {}, {"start.angle": 0.4, "solver.penalty": penalty})
     for i in (kernel, oracle):
         i.step(0.1)
-    assert kernel.machine.first == 1
+
+    def first(i: alfmu.Instance) -> int:
+        """The tier that each step begins with."""
+        return i.memory["control"][1]
+
+    assert first(kernel) == 1
     a, b = kernel.read()[:-1], oracle.read()[:-1]
-    assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
+    # A correction of 1e-7 (what one step leaves open) leaks its round-off, times penalty over mass, into the motion.
+    assert np.abs(a - b).max() <= max(1e-12, 2.0**-52 * penalty * 1e-7) * np.abs(b).max()
     default = alfmu.Instance(kernel.equations)
     default.set("start.angle", 0.4)
     default.initialize()
-    assert default.machine.first == 0
+    assert first(default) == 0
     default.penalty = np.full(8, penalty)
-    assert default.machine.first == 1
+    assert first(default) == 1
     other = alfmu.Instance(kernel.equations)
     other.restore(default.save())
-    assert other.machine.first == 1
+    assert first(other) == 1
     for i in (default, other):
         i.step(0.1)
     assert np.array_equal(default.read(), other.read())
@@ -140,11 +164,10 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
     "settings",
     [
         alfmu.Settings(formulation="classic"),
-        alfmu.Settings(penalty=[1e8] * 7 + [1e9]),
         alfmu.Settings(projection=False),
         alfmu.Settings(max_iterations=1),
     ],
-    ids=["classic", "per constraint", "no projection", "one iteration"],
+    ids=["classic", "no projection", "one iteration"],
 )
 def test_settings_that_were_not_traced_run_by_the_oracle(settings):
     i = alfmu.Instance(prepared(derived("five_bar")), settings)
@@ -159,8 +182,29 @@ def test_settings_that_were_not_traced_run_by_the_oracle(settings):
     assert np.array_equal(i.read(), other.read())
 
 
-def test_a_step_that_neither_can_take_keeps_the_state():
-    i = alfmu.Instance(prepared(derived("four_bar")))
+@each_kernel
+@pytest.mark.parametrize("off", [None, 4])
+def test_a_penalty_for_each_constraint_runs_by_the_kernel(kernel, off):
+    """Three decades of penalties, and a constraint switched off by zero, equal the oracle."""
+    alpha = np.geomspace(1e7, 1e10, 8)
+    if off is not None:
+        alpha[off] = 0.0
+    settings = alfmu.Settings(penalty=alpha)
+    both = [alfmu.Instance(e, settings) for e in (prepared(derived("five_bar"), kernel), derived("five_bar"))]
+    for i in both:
+        i.set("start.angle", 0.4)
+        i.initialize()
+        for _ in range(20):
+            i.step(0.01)
+    assert both[0].memory["tally"][1] == 20  # by the careful step of the kernel
+    assert np.abs(both[0].state[:17] - both[1].state[:17]).max() < 1e-12
+    a, b = (i.read()[:-1] for i in both)
+    assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
+
+
+@each_kernel
+def test_a_step_that_neither_can_take_keeps_the_state(kernel):
+    i = alfmu.Instance(prepared(derived("four_bar"), kernel))
     i.set("solver.step_size", 5.0)
     i.set("start.angle", 0.4)
     i.initialize()
@@ -173,33 +217,31 @@ def test_a_step_that_neither_can_take_keeps_the_state():
 
 def test_only_what_the_scene_needs_is_traced():
     """Fewer operations without redundant rows to clear, without constraints, without work."""
-    from alfmu.kernel.trace import Plan, trace_instant
-
     five = derived("five_bar")
-    with_rows, without = (trace_instant(five, Plan(5, 3, None), redundant) for redundant in (True, False))
+    with_rows, without = (traced(five, Mobility(1, redundant, 1)).instant for redundant in (1, 0))
     assert with_rows.n_instructions() > without.n_instructions()
     pendulum = alfmu.Mechanism("pendulum")
     th = pendulum.coordinate("th", "rad", start=0.5, independent=True)
     rod = pendulum.bar("rod", mass=1.0, length=1.0)
     pendulum.revolute("A", pendulum.ground.at(), rod.start, coordinate=th)
     pendulum.gravity(0.0, -9.81)
-    step = prepared(alfmu.derive(pendulum)).functions["step"]
-    assert step.n_instructions() < 100
+    equations = prepared(alfmu.derive(pendulum))
+    assert step_function(equations, equations.kernel[0]).n_instructions() < 100
     result = alfmu.simulate(pendulum, 1.0, 0.01)
     assert result.counters.projection_iterations == 0
     assert np.abs(result["rod.angle"] - alfmu.simulate(pendulum, 1.0, 0.01, kernel="oracle")["rod.angle"]).max() < 1e-13
 
 
 def test_the_oracle_can_be_had_back_from_traced_equations():
-    traced = prepared(derived("four_bar"))
-    assert prepared(traced) is traced
-    assert not alfmu.Instance(prepared(traced, "oracle")).machine
-    a, b = (alfmu.simulate(e, 0.2, 0.02, kernel="oracle") for e in (traced, derived("four_bar")))
+    fast = prepared(derived("four_bar"))
+    assert prepared(fast).kernel is fast.kernel
+    assert not alfmu.Instance(prepared(fast, "oracle")).machine
+    a, b = (alfmu.simulate(e, 0.2, 0.02, kernel="oracle") for e in (fast, derived("four_bar")))
     assert np.array_equal(a.values, b.values)
 
 
 def test_an_unknown_kernel_is_refused():
-    with pytest.raises(alfmu.InputError, match="no kernel 'magic'; use one of vm, oracle"):
+    with pytest.raises(alfmu.InputError, match="no kernel 'magic'; use one of vm, compiled, auto, oracle"):
         alfmu.simulate("five_bar", 1.0, 0.1, kernel="magic")
 
 
@@ -208,7 +250,8 @@ def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
     from alfmu.simulation import run
 
     slow = alfmu.export("five_bar", tmp_path / "slow.fmu", kernel="oracle")
-    for path, kernel in ((exported("five_bar"), "vm"), (slow, "oracle")):
+    fast = alfmu.export("five_bar", tmp_path / "fast.fmu", kernel="compiled")
+    for path, kernel in ((exported("five_bar"), "vm"), (slow, "oracle"), (fast, "compiled")):
         with Fmu(path) as fmu:
             result = run(fmu, 0.5, 0.02, parameters={"start.angle": 0.4})
         library = alfmu.simulate("five_bar", 0.5, 0.02, parameters={"start.angle": 0.4}, kernel=kernel)
@@ -219,7 +262,7 @@ def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
 def test_a_long_communication_step_is_many_short_ones():
     """More internal steps than are looked at in one stretch, the kernel's and the oracle's: the same motion."""
     ends = []
-    for kernel in ("vm", "oracle"):
+    for kernel in ("vm", "compiled", "oracle"):
         parts = 1200 if kernel == "oracle" else 1
         i = alfmu.Instance(prepared(derived("slider_crank", coordinates="mixed"), kernel))
         i.set("solver.step_size", 1 / 1024)
@@ -228,4 +271,5 @@ def test_a_long_communication_step_is_many_short_ones():
             i.step(1200 / 1024 / parts, k * 1200 / 1024 / parts)
         assert i.counters.steps == 1200
         ends.append(np.concatenate([i.q, i.v]))
-    assert np.abs(ends[0] - ends[1]).max() < 1e-10
+    assert np.abs(ends[0] - ends[2]).max() < 1e-10
+    assert np.abs(ends[1] - ends[2]).max() < 1e-10

@@ -12,6 +12,7 @@ from scenes import derived, readings, started
 
 import alfmu
 from alfmu import method
+from alfmu.kernel.vm import Vm
 from alfmu.oracle import Oracle
 
 EPS = np.finfo(float).eps
@@ -477,6 +478,6 @@ def test_unconverged_iterations_are_counted() -> None:
 )
 def test_settings_that_make_no_sense(settings: dict, says: str) -> None:
     """InputError with the mechanism, the number and what it may be."""
-    oracle = Oracle(derived("five_bar"))
+    oracle = Oracle(derived("five_bar"), Vm(derived("five_bar")))
     with pytest.raises(alfmu.InputError, match=f"five_bar: .*{says}"):
         oracle.prepare(alfmu.Settings(**settings), np.ones(6), np.zeros(8))

@@ -11,7 +11,6 @@ from oracles.slider_crank import SliderCrank
 from scenes import derived, readings, started
 
 import alfmu
-from alfmu.assembly import mobility
 
 # Assembly -------------------------------------------------------------------------------------------------------------
 
@@ -175,7 +174,7 @@ def test_rates_of_the_five_bar_are_those_of_its_parallelogram(w: float, th: floa
 def test_mobility(name: str, angle: float, here: tuple[int, int, int]) -> None:
     """One degree of freedom; one redundant constraint in the five-bar; one more velocity where links are aligned."""
     i = started(derived(name), {"start.angle": angle})
-    m = mobility(i.equations, i.values[: len(i.equations.parameters)], i.q)
+    m = i.mobility()
     assert (m.freedom, m.redundant, m.freedom_here) == here
 
 

@@ -9,11 +9,13 @@ from xml.etree import ElementTree as ET
 import markdown
 
 from ..equations import Equations, Variable
+from ..evaluation import DENSE
+from ..kernel.program import PLATFORM
 from ..runtime import Instance
 from ..units import unit
 from .slave import interface
 
-__all__ = ["documentation", "model_description"]
+__all__ = ["dependencies", "documentation", "model_description"]
 
 LICENSE = "MIT"
 
@@ -137,7 +139,7 @@ th { text-align: left; background: #f5f5f2; } img { max-width: 100%; }
 """
 
 
-def documentation(equations: Equations, sketch: str, readme: str, generator: str) -> str:
+def documentation(equations: Equations, sketch: str, readme: str, generator: str, needs: str) -> str:
     """documentation/index.html: picture, sketch, equations, all variables, and what the FMU needs."""
     e = equations
     body = markdown.markdown(readme, extensions=["tables", "fenced_code"]) if readme else f"<h1>{e.name}</h1>"
@@ -161,14 +163,21 @@ def documentation(equations: Equations, sketch: str, readme: str, generator: str
 {rows}
 </table>
 <h2>What it needs</h2>
-<p>{html.escape(DEPENDENCIES)}</p>
+<p>{html.escape(needs)}</p>
 <p>Made by {html.escape(generator)}.</p>
 </body></html>
 """
 
 
-DEPENDENCIES = (
-    "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later) whose packages "
-    "include numpy and casadi. Python hosts such as fmpy have one; other hosts must load libpython first."
-)
-"""What the FMU needs from outside, in one line."""
+def dependencies(equations: Equations, portable: bool = True) -> str:
+    """What the FMU needs from outside, in one line."""
+    packages = ["numpy", *(["scipy"] if equations.n > DENSE else [])]
+    need, others = " and ".join(packages), ""
+    if equations.library is None:
+        need = " and ".join([*packages, "casadi"])
+    else:
+        others = f"; on another platform than {PLATFORM} " + ("also casadi" if portable else "it does not run")
+    return (
+        "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later) whose packages "
+        f"include {need}{others}. Python hosts such as fmpy have an interpreter; other hosts must load libpython first."
+    )

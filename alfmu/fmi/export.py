@@ -21,13 +21,14 @@ from pythonfmu.builder import FmuBuilder
 from ..derivation import derive
 from ..errors import ExportError
 from ..kernel import DEFAULT
+from ..kernel.program import LIBRARY
 from ..mechanism import Mechanism
 from ..picture import model_png
 from ..registry import load
 from ..runtime import Instance
 from ..simulation import prepared, with_defaults
-from .description import DEPENDENCIES, documentation, model_description
-from .slave import SCENE
+from .description import dependencies, documentation, model_description
+from .slave import FUNCTIONS, SCENE
 
 __all__ = ["RUN_SIDE", "export"]
 
@@ -41,11 +42,13 @@ RUN_SIDE = (
     "integrators.py",
     "oracle.py",
     "assembly.py",
-    "kernel/machine.py",
+    "kernel/program.py",
+    "kernel/vm.py",
+    "kernel/compiled.py",
     "runtime.py",
     "fmi/slave.py",
 )
-"""Modules of alfmu that travel inside an FMU."""
+"""Modules of alfmu that travel inside an FMU, those that its kernel does not need left out."""
 
 _ENTRY = '''"""FMU entry of a mechanism that has none of its own."""
 
@@ -67,12 +70,14 @@ def export(
     options: Mapping[str, Any] | None = None,
     parameters: Mapping[str, float | str] | None = None,
     kernel: str = DEFAULT,
+    portable: bool = True,
 ) -> Path:
     """Write the FMU (FMI 2.0, co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
 
     `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
-    variables; `kernel` is what runs inside (`alfmu.kernel.KERNELS`). The same arguments give the same bytes. Raises
-    AlfmuError where the mechanism cannot start from the defaults, and ExportError where the file cannot be written.
+    variables; `kernel` is what runs inside (`alfmu.kernel.KERNELS`). Beside a compiled kernel travels the portable
+    form, for other platforms, unless `portable` is False. The same arguments give the same bytes. Raises AlfmuError
+    where the mechanism cannot start from the defaults, and ExportError where the file cannot be written or compiled.
     """
     declared = load(mechanism, **(options or {}))
     equations = prepared(with_defaults(derive(declared), parameters or {}), kernel)
@@ -85,10 +90,17 @@ def export(
 
     version = importlib.metadata.version("alfmu")
     generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
-    scene = equations.to_json()
+    library = equations.library
+    unneeded = {"kernel/compiled.py"} if library is None else set() if portable else {"kernel/vm.py"}
+    sources = {name: _source(name) for name in RUN_SIDE if name not in unneeded}
+    resources = {SCENE: equations.to_json().encode()}
+    if library is None or portable:
+        resources[FUNCTIONS] = equations.functions_to_json().encode()
+    if library is not None:
+        resources[LIBRARY] = library.path.read_bytes()
     entry = _entry(equations.name)
-    sources = {name: _source(name) for name in RUN_SIDE}
-    digest = hashlib.sha256("\0".join([scene, entry, *sources.values()]).encode()).hexdigest()[:16]
+    content = [entry.encode(), *(text.encode() for text in sources.values()), *resources.values()]
+    digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]
     package = f"alfmu_{equations.name}_{digest}"
     guid = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, f"alfmu:{generator}:{digest}")) + "}"
     picture = model_png(declared, parameters)
@@ -97,20 +109,22 @@ def export(
         top = Path(folder)
         script = _write(top / f"{equations.name}_{digest}.py", entry.replace("alfmu.fmi.slave", f"{package}.fmi.slave"))
         _write(top / package / "__init__.py", '"""The run side of alfmu."""\n')
-        for name in sorted({str(Path(module).parent) for module in RUN_SIDE} - {"."}):
+        for name in sorted({str(Path(module).parent) for module in sources} - {"."}):
             _write(top / package / name / "__init__.py", '"""Part of the run side."""\n')
         for name, text in sources.items():
             _write(top / package / name, text)
-        _write(top / SCENE, scene)
-        documents = top / "documentation"
-        _write(documents / "index.html", documentation(equations, declared.sketch, declared.documentation, generator))
-        _write(documents / "externalDependencies.txt", DEPENDENCIES + "\n")
+        for name, data in resources.items():
+            (top / name).write_bytes(data)
+        documents, needs = top / "documentation", dependencies(equations, portable)
+        page = documentation(equations, declared.sketch, declared.documentation, generator, needs)
+        _write(documents / "index.html", page)
+        _write(documents / "externalDependencies.txt", needs + "\n")
         for name in ("alfmu", "pythonfmu"):
             _write(documents / "licenses" / f"{name}.txt", _license(name))
         (documents / "model.png").write_bytes(picture)
         packed = top / f"{equations.name}.fmu"
         with _imports_undone(package, script.stem):
-            FmuBuilder.build_FMU(script, packed, [top / package, top / SCENE], documents)
+            FmuBuilder.build_FMU(script, packed, [top / package, *(top / name for name in resources)], documents)
         described = {
             "modelDescription.xml": model_description(equations, version, generator, guid),
             "model.png": picture,

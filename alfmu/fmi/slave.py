@@ -9,6 +9,7 @@ import ctypes
 import logging
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -17,15 +18,19 @@ from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
 from ..equations import Equations, Variable
-from ..errors import AlfmuError, InputError
+from ..errors import AlfmuError, ExportError, InputError
+from ..kernel.program import LIBRARY, PLATFORM
 from ..runtime import FORMULATION, FORMULATION_TEXT, Instance
 
-__all__ = ["SCENE", "Slave", "interface"]
+__all__ = ["FUNCTIONS", "SCENE", "Slave", "interface", "loaded"]
 
 _LOGGER = logging.getLogger("alfmu")
 
 SCENE = "scene.json"
 """Name of the file with the equations, in the resources of the FMU."""
+
+FUNCTIONS = "functions.json"
+"""Name of the file with their functions in portable form, there too."""
 
 
 def interface(instance: Instance) -> list[tuple[str, Variable]]:
@@ -37,6 +42,32 @@ def interface(instance: Instance) -> list[tuple[str, Variable]]:
         *(("input", v) for v in instance.equations.inputs),
         *(("output", v) for v in instance.outputs),
     ]
+
+
+def loaded(folder: Path) -> tuple[Equations, str]:
+    """The scene in the resources of an FMU, and one line on what runs it.
+
+    Compiled functions where there are some for this platform, otherwise the portable ones; ExportError where there are
+    neither, or where these need a package that is missing.
+    """
+    equations = Equations.from_json((folder / SCENE).read_text(encoding="utf-8"))
+    name = equations.name
+    kernel = "kernel" if equations.kernel else "oracle"
+    if equations.workspace:
+        from ..kernel.compiled import Library
+
+        if (folder / LIBRARY).is_file():
+            library = Library(folder / LIBRARY, equations)
+            return replace(equations, library=library), f"{name}: compiled {kernel} for {PLATFORM}"
+    if not (folder / FUNCTIONS).is_file():
+        there = ", ".join(sorted(path.name for path in folder.glob("kernel-*")))
+        raise ExportError(f"{name}: this FMU has {there}, nothing for {PLATFORM}; export it without --no-portable")
+    try:
+        functions = (folder / FUNCTIONS).read_text(encoding="utf-8")
+        return equations.with_functions_from(functions), f"{name}: portable {kernel}"
+    except ImportError as error:
+        missing = f"{name}: the portable {kernel} needs the Python package {error.name}; install it"
+        raise ExportError(missing) from None
 
 
 def _kept(*objects: object) -> None:
@@ -58,11 +89,15 @@ def _called_from_fmi(call: Callable[..., Any]) -> Callable[..., Any]:
         try:
             return call(self, *arguments, **named)
         except Exception as error:
-            _LOGGER.error("%s", error)
-            _kept(type(self), self, self.log_queue)
+            _fatal(self, error)
             raise
 
     return guarded
+
+
+def _fatal(slave: Slave, error: Exception) -> None:
+    _LOGGER.error("%s", error)
+    _kept(type(slave), slave, slave.log_queue)
 
 
 class Slave(Fmi2Slave):
@@ -81,7 +116,8 @@ class Slave(Fmi2Slave):
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
-        equations = Equations.from_json((Path(self.resources) / SCENE).read_text(encoding="utf-8"))
+        equations, self._kernel = loaded(Path(self.resources))
+        _LOGGER.info("%s", self._kernel)
         self.modelName = equations.name
         self.instance = Instance(equations)
         self._names = [v.name for _, v in interface(self.instance)]
@@ -95,6 +131,7 @@ class Slave(Fmi2Slave):
 
     def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
         self.instance.time = start_time
+        self.log(self._kernel, Fmi2Status.ok, "logAll")
 
     @_called_from_fmi
     def exit_initialization_mode(self) -> None:
@@ -103,14 +140,17 @@ class Slave(Fmi2Slave):
             self.instance.initialize()
         self._running = True
 
-    @_called_from_fmi
     def do_step(self, current_time: float, step_size: float) -> bool:
         try:
-            self._no_refusals()
+            if self._refused:
+                self._no_refusals()
             self.instance.step(step_size, current_time)
         except AlfmuError as error:
             self._say(error, Fmi2Status.discard)
             return False
+        except Exception as error:  # As in `_called_from_fmi`, whose wrapper would cost every step.
+            _fatal(self, error)
+            raise
         return True
 
     def _no_refusals(self) -> None:
@@ -126,15 +166,14 @@ class Slave(Fmi2Slave):
 
     @_called_from_fmi
     def get_real(self, vrs: list[int]) -> list[float]:
-        inputs, values = self.instance.inputs, self.instance.values
-        first_input, first_output = self._first_input, self._first_output
-        y = self._read() if vrs and max(vrs) >= first_output else values
-        return [
-            float(
-                y[i - first_output] if i >= first_output else inputs[i - first_input] if i >= first_input else values[i]
-            )
-            for i in vrs
-        ]
+        first_output = self._first_output
+        if vrs and min(vrs) >= first_output:  # What is asked for in every step.
+            y = self._read().tolist()
+            return [y[i - first_output] for i in vrs]
+        inputs, values = self.instance.inputs.tolist(), self.instance.values.tolist()
+        y = self._read().tolist() if vrs and max(vrs) >= first_output else []
+        known = [*values, None, *inputs, *y]
+        return [known[i] for i in vrs]
 
     @_called_from_fmi
     def get_integer(self, vrs: list[int]) -> list[int]:

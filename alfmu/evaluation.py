@@ -1,0 +1,80 @@
+"""Functions of a mechanism combined for evaluation with numbers: each needed result once, subexpressions shared."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+
+from .equations import Equations
+
+__all__ = ["DENSE", "EVALUATED", "evaluable", "signature", "symbols", "with_functions"]
+
+DENSE = 120
+"""Coordinates up to which matrices are dense arrays; larger ones are sparse."""
+
+EVALUATED = {"dynamics": 2, "constraints": 2, "power": 0, "energy": 0, "readings": 0, "closure": 2, "guesses": 0}
+"""Functions that run with numbers outside the kernel, and how many of their results are matrices."""
+
+
+def symbols(equations: Equations) -> dict[str, ca.SX]:
+    """Fresh symbols for the arguments of the functions of `equations`."""
+    sizes = {
+        "q": equations.n,
+        "v": equations.n,
+        "a": equations.n,
+        "lam": equations.l,
+        "u": len(equations.inputs),
+        "p": len(equations.parameters),
+        "t": 1,
+        "s": len(equations.starts),
+        "sdot": len(equations.starts),
+    }
+    return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+
+def evaluable(equations: Equations) -> Equations:
+    """The same equations with the functions that the oracle and the assembly call.
+
+    dynamics(q, v, u, p, t): M, C, F = f - d, xi. constraints(q, v, p): M, C, Phi, C v. power(q, v, u, p, t): W.
+    energy(q, v, p): J. closure(q, p, s): derivatives of gaps and ties, gaps, ties. guesses(p, s, sdot): q, v.
+    """
+    e, x = equations, symbols(equations)
+    q, v, u, p, t, s, sdot = (x[k] for k in ("q", "v", "u", "p", "t", "s", "sdot"))
+    M, C, Phi = e.M(q, p), e.C(q, p), e.Phi(q, p)
+    power = e.input_power(q, v, u, p, t) + e.other_power(q, v, p, t)
+    energy = e.kinetic_energy(q, v, p) + e.potential_energy(q, p)
+    closure = [e.gaps_matrix(q, p), e.ties_matrix(q, p, s), e.gaps(q, p), e.ties(q, p, s)]
+    results = {
+        "dynamics": ([q, v, u, p, t], [M, C, e.f(q, v, u, p, t) - e.d(q, v, p), e.xi(q, v, p)]),
+        "constraints": ([q, v, p], [M, C, Phi, C @ v]),
+        "power": ([q, v, u, p, t], [power]),
+        "energy": ([q, v, p], [energy]),
+        "closure": ([q, p, s], closure),
+        "guesses": ([p, s, sdot], [e.guess(p, s), e.guess_rate(p, s, sdot)]),
+    }
+    functions = {"readings": e.readings}
+    for name, (arguments, values) in results.items():
+        dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
+        functions[name] = ca.Function(name, arguments, dense, {"cse": True})
+    return with_functions(e, functions)
+
+
+def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> Equations:
+    """The same equations with more functions, or others, that run with numbers."""
+    signatures = {name: signature(f, EVALUATED.get(name, 0)) for name, f in functions.items()}
+    return replace(
+        equations,
+        functions={**equations.functions, **functions},
+        signatures={**equations.signatures, **signatures},
+    )
+
+
+def signature(f: ca.Function, matrices: int = 0) -> dict:
+    """Sizes of arguments and results, see `alfmu.kernel.program.Signature`."""
+    outputs = []
+    for i in range(f.n_out()):
+        pattern = f.sparsity_out(i)
+        shape = list(pattern.shape)
+        outputs.append(shape if pattern.is_dense() else [*shape, pattern.colind(), pattern.row()])
+    return {"inputs": [f.nnz_in(i) for i in range(f.n_in())], "outputs": outputs, "matrices": matrices}

@@ -1,0 +1,280 @@
+"""The functions of a scene as C: straight-line code in blocks of bounded length, so that compile time stays linear.
+
+Each function becomes `name(x, y, w)`: arrays of its arguments and of the nonzeros of its results, and a workspace for
+values that pass from one block to the next. The code has no global state and allocates nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import casadi as ca
+
+from ..equations import Equations
+from ..errors import ExportError
+from .program import Layout, Program
+
+__all__ = ["source"]
+
+BLOCK = 1500
+"""Operations in one C function; compilers take more than linear time for longer blocks."""
+
+_FUNCTIONS = (
+    *("fabs", "floor", "ceil", "sqrt", "exp", "log", "expm1", "log1p", "erf", "sin", "cos", "tan", "asin", "acos"),
+    *("atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
+)
+"""Operations that have the name of a C function."""
+
+_BINARY = {
+    ca.OP_ADD: "{} + {}",
+    ca.OP_SUB: "{} - {}",
+    ca.OP_MUL: "{} * {}",
+    ca.OP_DIV: "{} / {}",
+    ca.OP_LT: "{} < {}",
+    ca.OP_LE: "{} <= {}",
+    ca.OP_EQ: "{} == {}",
+    ca.OP_NE: "{} != {}",
+    ca.OP_AND: "{} && {}",
+    ca.OP_OR: "{} || {}",
+    ca.OP_IF_ELSE_ZERO: "{} ? {} : 0.0",
+    ca.OP_POW: "pow({}, {})",
+    ca.OP_CONSTPOW: "pow({}, {})",
+    ca.OP_ATAN2: "atan2({}, {})",
+    ca.OP_FMIN: "fmin({}, {})",
+    ca.OP_FMAX: "fmax({}, {})",
+    ca.OP_FMOD: "fmod({}, {})",
+    ca.OP_REMAINDER: "remainder({}, {})",
+    ca.OP_HYPOT: "hypot({}, {})",
+    ca.OP_COPYSIGN: "copysign({}, {})",
+}
+_UNARY = {
+    ca.OP_ASSIGN: "{}",
+    ca.OP_NEG: "-{}",
+    ca.OP_NOT: "!{}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "2.0 * {}",
+    ca.OP_INV: "1.0 / {}",
+    ca.OP_SIGN: "({0} > 0.0) - ({0} < 0.0)",
+    **{getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})" for name in _FUNCTIONS},
+}
+
+_HEAD = """\
+#include <math.h>
+#include <string.h>
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+#define BLOCK static __attribute__((noinline))
+typedef const double *const *Arguments;
+typedef double *const *Results;
+"""
+
+_DRIVER = """
+/* Internal steps until one cannot be made; each by the first tier that can make it. */
+static long advance(double *m, long steps, double dt)
+{{
+    long done;
+    m[{dt}] = dt;
+    for (done = 0; done < steps; done++) {{
+        int tier = (int)m[{first}];
+        m[{trouble}] = 1.0;
+        if (tier == 0)
+            step_0(m, m + {workspace});
+        if (!(m[{trouble}] == 0.0)) {{
+            tier = 1;
+            step_1(m, m + {workspace});
+            if (!(m[{trouble}] == 0.0))
+                break;
+        }}
+        memcpy(m + {z}, m + {after}, {size} * sizeof(double));
+        m[{tally} + tier] += 1.0;
+    }}
+    return done;
+}}
+
+EXPORT long alfmu_advance(double *m, long steps, double dt)
+{{
+    return advance(m, steps, dt);
+}}
+
+/* A communication step in one go; 0, and nothing has changed, where that is not possible. */
+EXPORT int alfmu_communicate(double *m, double start, double h)
+{{
+    double tally[2], ratio;
+    long steps;
+    if (!(h > 0.0 && h < INFINITY && fabs(start - m[{time}]) <= 1e-6 * h + 1e-12 * fabs(start)))
+        return 0;
+    ratio = h / m[{step_size}] * (1 - 1e-12);
+    if (!(ratio < 1e9))
+        return 0;
+    steps = ratio <= 1.0 ? 1 : (long)ceil(ratio);
+    memcpy(m + {begin}, m + {z}, {size} * sizeof(double));
+    memcpy(tally, m + {tally}, sizeof tally);
+    m[{time}] = start;
+    if (advance(m, steps, h / (double)steps) < steps) {{
+        memcpy(m + {z}, m + {begin}, {size} * sizeof(double));
+        memcpy(m + {tally}, tally, sizeof tally);
+        return 0;
+    }}
+    m[{time}] = start + h;
+    return 1;
+}}
+
+EXPORT int alfmu_read(double *m)
+{{
+    const double *x[] = {{m + {z}, m + {u}, m + {p}, m + {k}}};
+    double *y[] = {{m + {seen}}};
+    instant(x, y, m + {workspace});
+    return m[{seen_trouble}] == 0.0;
+}}
+"""
+
+
+def source(equations: Equations) -> tuple[str, int]:
+    """C of all functions that run with numbers, and the length of the workspace behind the memory of an instance."""
+    e, layout = equations, Layout(equations)
+    parts, needed = [_HEAD], 0
+    for name in e.signatures:
+        text, workspace = _function(name, e.functions[name], e.name)
+        parts.append(text)
+        needed = max(needed, workspace)
+    names = ",\n    ".join(e.signatures)
+    parts.append(
+        "typedef void Function(Arguments, Results, double *);\n"
+        f"static Function *const functions[] = {{\n    {names}}};\n\n"
+        "EXPORT void alfmu_call(int i, Arguments x, Results y, double *w)\n{\n    functions[i](x, y, w);\n}\n"
+    )
+    if e.kernel:
+        places: dict[str, int] = {}
+        for i, program in enumerate(e.kernel):
+            parts.append(_program(f"step_{i}", program, e, layout, needed, places))
+        at = {name: offset for name, (offset, _) in layout.fields.items()}
+        at |= {
+            "workspace": layout.size,
+            "time": at["z"] + layout.time,
+            "trouble": at["after"] + layout.trouble,
+            "size": layout.fields["z"][1],
+            "step_size": at["control"],
+            "first": at["control"] + 1,
+            "seen_trouble": at["seen"] + layout.fields["seen"][1] - 1,
+        }
+        parts.append(_DRIVER.format(**at))
+        needed += sum(places.values())
+    return "\n".join(parts), needed
+
+
+def _program(name: str, program: Program, e: Equations, layout: Layout, workspace: int, places: dict[str, int]) -> str:
+    """A step as calls on the memory m and the workspace w; `places` are the lengths of what passes between them."""
+    offsets: dict[str, int] = {}
+    top = workspace
+    for key, length in places.items():
+        offsets[key] = top
+        top += length
+
+    def pointer(key: str) -> str:
+        return f"m + {layout.fields[key][0]}" if key in layout.fields else f"w + {offsets[key]}"
+
+    lines = []
+    for called, inputs, outputs in program["calls"]:
+        for key, shape in zip(outputs, e.signatures[called]["outputs"], strict=True):
+            if key not in layout.fields and key not in offsets:
+                offsets[key], places[key] = top, shape[0]
+                top += shape[0]
+        x, y = (", ".join(map(pointer, keys)) for keys in (inputs, outputs))
+        lines += ["    {", f"        const double *x[] = {{{x}}};", f"        double *y[] = {{{y}}};"]
+        lines += [f"        {called}(x, y, w);", "    }"]
+    return f"static void {name}(double *m, double *w)\n{{\n" + "\n".join(lines) + "\n}\n"
+
+
+def _function(name: str, f: ca.Function, scene: str) -> tuple[str, int]:
+    """C of a function, and the length of the workspace that it needs."""
+    operations = list(_operations(f, scene))
+    blocks = [operations[i : i + BLOCK] for i in range(0, len(operations), BLOCK)] or [[]]
+    if len(blocks) == 1:
+        lines = [line.format(*(f"v{i}" for i in used)) for line, used, _ in blocks[0]]
+        lines = [
+            _defined(f"v{made}", line) if made is not None else line
+            for line, (_, _, made) in zip(lines, blocks[0], strict=True)
+        ]
+        return _block("static", name, lines), 0
+    return _blocks(name, blocks)
+
+
+def _blocks(name: str, blocks: list[list]) -> tuple[str, int]:
+    """A long function as a chain of blocks; what a later block needs goes through the workspace, places reused."""
+    born = {made: b for b, block in enumerate(blocks) for _, _, made in block if made is not None}
+    last: dict[int, int] = {}
+    for b, block in enumerate(blocks):
+        for _, used, _ in block:
+            for value in used:
+                if born[value] != b:
+                    last[value] = b
+    place: dict[int, int] = {}
+    free: list[int] = []
+    ending: list[list[int]] = [[] for _ in blocks]
+    size, texts = 0, []
+    for b, block in enumerate(blocks):
+        lines, loaded = [], set()
+        for line, used, made in block:
+            for value in used:
+                if born[value] != b and value not in loaded:
+                    loaded.add(value)
+                    lines.append(_defined(f"v{value}", f"w[{place[value]}]"))
+            text = line.format(*(f"v{i}" for i in used))
+            lines.append(_defined(f"v{made}", text) if made is not None else text)
+        # Places become free after the block that used them last, and never within it.
+        for value in (made for _, _, made in block if made in last):
+            if free:
+                place[value] = free.pop()
+            else:
+                place[value], size = size, size + 1
+            ending[last[value]].append(value)
+            lines.append(f"w[{place[value]}] = v{value};")
+        free += [place[value] for value in ending[b]]
+        texts.append(_block("BLOCK", f"{name}_{b}", lines))
+    calls = [f"{name}_{b}(x, y, w);" for b in range(len(blocks))]
+    return "\n".join(texts) + "\n" + _block("static", name, calls), size
+
+
+def _block(storage: str, name: str, lines: list[str]) -> str:
+    body = "".join(f"    {line}\n" for line in lines)
+    return f"{storage} void {name}(Arguments x, Results y, double *w)\n{{\n    (void)x, (void)y, (void)w;\n{body}}}\n"
+
+
+def _defined(name: str, value: str) -> str:
+    return f"const double {name} = {value};"
+
+
+def _operations(f: ca.Function, scene: str) -> Iterator[tuple[str, list[int], int | None]]:
+    """Each operation as C with places for the values it uses, their numbers, and the number of the value it makes."""
+    current: dict[int, int] = {}
+    made = 0
+    for k in range(f.n_instructions()):
+        operation, inputs, outputs = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
+        if operation == ca.OP_OUTPUT:
+            yield f"y[{outputs[0]}][{outputs[1]}] = {{}};", [current[inputs[0]]], None
+            continue
+        if operation == ca.OP_CONST:
+            text, used = _number(f.instruction_constant(k)), []
+        elif operation == ca.OP_INPUT:
+            text, used = f"x[{inputs[0]}][{inputs[1]}]", []
+        elif operation in _BINARY:
+            text, used = _BINARY[operation], [current[inputs[0]], current[inputs[1]]]
+        elif operation in _UNARY:
+            text, used = _UNARY[operation], [current[inputs[0]]]
+        else:
+            raise ExportError(f"{scene}: operation {operation} of {f.name()} has no C here; use --kernel vm")
+        current[outputs[0]] = made
+        yield text, used, made
+        made += 1
+
+
+def _number(value: float) -> str:
+    if value != value:
+        return "NAN"
+    if value in (float("inf"), float("-inf")):
+        return "INFINITY" if value > 0 else "(-INFINITY)"
+    return f"({value!r})" if value < 0 else repr(value)

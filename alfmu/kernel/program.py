@@ -1,0 +1,161 @@
+"""What every way to run a scene shares: where its numbers stand, the shapes of its functions, a step as calls of them.
+
+Nothing here needs CasADi; it travels inside an FMU.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..equations import Equations
+
+__all__ = [
+    "LIBRARY",
+    "PLATFORM",
+    "SETTINGS",
+    "SUFFIX",
+    "Backend",
+    "Call",
+    "Layout",
+    "Machine",
+    "Memory",
+    "Program",
+    "Signature",
+]
+
+Program = dict[str, Any]
+"""One internal step: `calls`, a list of [function, names of its arguments, names of its results] that begins with z, u,
+p, k, dt and ends with `after`; `iterations` and `corrections`, how often the loops of the method are unrolled in it."""
+
+Signature = dict[str, Any]
+"""`inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns, column offsets,
+row indices] where it is sparse; `matrices`, how many of the results are matrices, the rest being vectors."""
+
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+"""Of shared libraries here."""
+
+PLATFORM = f"{sys.platform}-{platform.machine().lower()}"
+"""What a compiled library is tied to."""
+
+LIBRARY = f"kernel-{PLATFORM}{SUFFIX}"
+"""Name of the compiled functions in an FMU."""
+
+SETTINGS = 2
+"""Numbers before the weights of the constraints in k: alpha, tolerance."""
+
+
+class Layout:
+    """Where things stand in the one array of doubles of an instance; every name maps to (offset, length).
+
+    ========  ==========================================================================================
+    z         state: q, v, unwrapped angles, work, time, and from the last step: trouble (number of checks
+              that failed), change (of accelerations in the last iteration, squared over their size), pivot
+              (smallest of the augmented mass over alpha)
+    after     the state after a step under way
+    begin     the state before a communication step under way
+    u, p, k   inputs; parameters; alpha, tolerance, and the penalty of each constraint over alpha
+    dt        internal step [s]
+    control   largest internal step [s], first tier (0 quick, 1 careful)
+    tally     internal steps made by each tier
+    seen      what `instant` computes, trouble last
+    ========  ==========================================================================================
+    """
+
+    def __init__(self, equations: Equations):
+        e = equations
+        self.n, self.l, self.angles = e.n, e.l, len(e.wrapped)
+        self.work = 2 * e.n + self.angles
+        self.time, self.trouble, self.change, self.pivot = (self.work + i for i in range(1, 5))
+        size = self.work + 5
+        seen = e.signatures["instant"]["outputs"][0][0] if e.kernel else 0
+        fields = {
+            "z": size,
+            "after": size,
+            "begin": size,
+            "u": len(e.inputs),
+            "p": len(e.parameters),
+            "k": SETTINGS + e.l,
+            "dt": 1,
+            "control": 2,
+            "tally": 2,
+            "seen": seen,
+        }
+        self.fields: dict[str, tuple[int, int]] = {}
+        self.size = 0
+        for name, length in fields.items():
+            self.fields[name] = self.size, length
+            self.size += length
+
+
+class Memory:
+    """The numbers of one instance: `memory["z"]` is a view into one array, `block`."""
+
+    def __init__(self, layout: Layout, workspace: int = 0):
+        self.layout = layout
+        self.block = np.zeros(layout.size + workspace)
+
+    def __getitem__(self, name: str) -> NDArray:
+        offset, length = self.layout.fields[name]
+        return self.block[offset : offset + length]
+
+    def at(self, name: str, index: int) -> int:
+        """Place in the block of an entry of a field."""
+        return self.layout.fields[name][0] + index
+
+
+class Machine(Protocol):
+    """The kernel of a scene at work on a memory. Nothing in the memory changes where a call could not do its work."""
+
+    def communicate(self, start: float, h: float) -> bool:
+        """A whole communication step from `start` [s] over `h` [s]; False where the slower way must look at it."""
+
+    def advance(self, steps: int, dt: float) -> int:
+        """Internal steps of dt [s], until one cannot be made; returns how many were."""
+
+    def read(self) -> bool:
+        """Compute `seen`; False where the unrolled loops were not enough."""
+
+
+class Backend(Protocol):
+    """A way to run the functions of a scene."""
+
+    def bind(self, name: str, x: list[NDArray], y: list[NDArray]) -> Callable[[], Any]:
+        """The function bound to arrays for its arguments and the nonzeros of its results."""
+
+    def memory(self, layout: Layout) -> Memory: ...
+
+    def machine(self, memory: Memory) -> Machine: ...
+
+
+class Call:
+    """A function called on arrays of its own: dense, or sparse matrices whose pattern never changes."""
+
+    def __init__(self, backend: Backend, name: str, signature: Signature):
+        self.x = [np.zeros(size) for size in signature["inputs"]]
+        y = [np.zeros(len(shape[3]) if len(shape) > 2 else shape[0] * shape[1]) for shape in signature["outputs"]]
+        self._run, self._backend = backend.bind(name, self.x, y), backend  # which keeps alive what runs
+        self.y = [
+            _matrix(each, shape) if i < signature["matrices"] else each
+            for i, (each, shape) in enumerate(zip(y, signature["outputs"], strict=True))
+        ]
+
+    def __call__(self, *arguments: NDArray | float) -> list[Any]:
+        for x, value in zip(self.x, arguments, strict=True):
+            x[:] = value
+        self._run()
+        return self.y
+
+
+def _matrix(data: NDArray, shape: list) -> Any:
+    if len(shape) == 2:
+        return data.reshape(shape, order="F")
+    from scipy.sparse import csc_array
+
+    rows, columns, offsets, indices = shape
+    return csc_array((data, np.array(indices), np.array(offsets)), shape=(rows, columns), copy=False)
