@@ -56,15 +56,18 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
     sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
-    _add_option(sub)
-    _add_set(sub)
+    _add_scene(sub)
 
     sub = command("export", _export, "write the FMU (FMI 2.0, co-simulation) of a mechanism")
     sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     _add_kernel(sub)
-    _add_option(sub)
-    _add_set(sub)
+    sub.add_argument(
+        "--no-portable",
+        action="store_true",
+        help="leave out the portable form beside a compiled kernel: smaller, and for this platform alone",
+    )
+    _add_scene(sub)
 
     sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
     sub.add_argument("unit", metavar="NAME|FMU", help=f"{_NAME_HELP}, or an .fmu file")
@@ -77,8 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--plot-names", metavar="PATTERN", nargs="+", help='what to draw, such as "link*.angle" "*.force.*"'
     )
-    _add_option(sub)
-    _add_set(sub)
+    _add_scene(sub)
 
     sub = command("validate", _validate, "check an FMU: fmpy's validation, a run, reset, rewind, reproducibility")
     sub.add_argument("fmu", metavar="FMU", help="an .fmu file")
@@ -103,6 +105,28 @@ def _add_kernel(sub: argparse.ArgumentParser) -> None:
         choices=list(KERNELS),
         help=f"what runs the method (default: {DEFAULT}): {each}",
     )
+
+
+def _add_scene(sub: argparse.ArgumentParser) -> None:
+    """What a scene consists of."""
+    _add_option(sub)
+    _add_set(sub)
+    sub.add_argument(
+        "--outputs",
+        metavar="PATTERNS",
+        type=_names,
+        help='compute these outputs alone, such as "link*.angle,*.force.*" (default: all)',
+    )
+    sub.add_argument(
+        "--freeze",
+        metavar="all|NAMES",
+        type=_names,
+        help="make parameters of the mechanism constants at their values, as m1,m2 or all: smaller and faster",
+    )
+
+
+def _names(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def _add_set(sub: argparse.ArgumentParser) -> None:
@@ -150,14 +174,17 @@ def _list(chosen: argparse.Namespace) -> None:
 
 
 def _info(chosen: argparse.Namespace) -> None:
+    from .cost import described
     from .derivation import derive
     from .fmi.slave import interface
     from .registry import load, options
     from .runtime import Instance
     from .simulation import with_defaults
+    from .specialisation import specialised
 
     mechanism = load(chosen.mechanism, **dict(chosen.option))
-    equations = with_defaults(derive(mechanism), dict(chosen.set))
+    everything = with_defaults(derive(mechanism), dict(chosen.set))
+    equations = specialised(everything, chosen.outputs, chosen.freeze)
     instance = Instance(equations)
     instance.initialize()
     size = instance.mobility()
@@ -179,6 +206,7 @@ def _info(chosen: argparse.Namespace) -> None:
         for v in variables:
             start = "" if title == "outputs" else v.start if v.type == "String" else f"{v.start:g}"
             print(f"  {v.name:32} {start:>10} {v.unit:12} {v.description}".rstrip())
+    print("\n" + "\n".join(described(everything, equations, size)))
 
 
 def _export(chosen: argparse.Namespace) -> None:
@@ -186,7 +214,8 @@ def _export(chosen: argparse.Namespace) -> None:
 
     kernel = chosen.kernel or DEFAULT
     given = {"options": dict(chosen.option), "parameters": dict(chosen.set)}
-    path = export(chosen.mechanism, chosen.output, **given, kernel=kernel)
+    left_out = {"outputs": chosen.outputs, "freeze": chosen.freeze}
+    path = export(chosen.mechanism, chosen.output, **given, **left_out, kernel=kernel, portable=not chosen.no_portable)
     print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 
@@ -202,7 +231,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
     try:
         stop_time = about["stop_time"] if chosen.stop_time is None else chosen.stop_time
         step = about["step_size"] if chosen.step is None else chosen.step
-        result = run(unit, stop_time, step, inputs, dict(chosen.set), None, _progress("simulating"))
+        result = run(unit, stop_time, step, inputs, about["set"], _progress("simulating"))
     finally:
         if hasattr(unit, "close"):
             unit.close()
@@ -233,19 +262,24 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     if chosen.unit.endswith(".fmu"):
         from .fmi.drive import Fmu
 
-        if chosen.option or chosen.kernel:
-            raise InputError(f"{chosen.unit}: the options and the kernel of an FMU are fixed when it is exported")
+        if chosen.option or chosen.kernel or chosen.outputs or chosen.freeze:
+            raise InputError(
+                f"{chosen.unit}: options, outputs, frozen parameters and the kernel of an FMU are fixed when it is "
+                "exported; give them to `alfmu export`"
+            )
         fmu = Fmu(chosen.unit)
-        about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters}
+        about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters, "set": dict(chosen.set)}
         return fmu, {**about, "stop_time": fmu.stop_time, "step_size": fmu.step_size}
     from .derivation import derive
     from .registry import load
     from .runtime import Instance
-    from .simulation import prepared
+    from .simulation import prepared, with_defaults
+    from .specialisation import specialised
 
     mechanism = load(chosen.unit, **dict(chosen.option))
-    equations = prepared(derive(mechanism), chosen.kernel or DEFAULT)
-    about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}}
+    equations = specialised(with_defaults(derive(mechanism), dict(chosen.set)), chosen.outputs, chosen.freeze)
+    equations = prepared(equations, chosen.kernel or DEFAULT)
+    about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}, "set": {}}
     return Instance(equations), {**about, "stop_time": equations.stop_time, "step_size": equations.step_size}
 
 

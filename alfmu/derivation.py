@@ -25,7 +25,7 @@ import casadi as ca
 
 from .equations import Equations, Row, Variable
 from .errors import DeclarationError
-from .evaluation import evaluable
+from .evaluation import ARGUMENTS, evaluable
 from .mechanism import Body, Constraint, Joint, Marker, Mechanism, Point, Rigidity, Scalar, key_of, stack, symbolic
 from .units import rate_of
 
@@ -53,9 +53,12 @@ class Frame:
 
     def place(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
         """A point of the body's frame in ground axes."""
-        dx, dy = self.turn(x - self.local[0], y - self.local[1])
-        return self.x + dx, self.y + dy
+        dx, dy = self.turn(_sum(x, -self.local[0]), _sum(y, -self.local[1]))
+        return _sum(self.x, dx), _sum(self.y, dy)
 
+
+Closing = tuple[Joint | Rigidity | Constraint, str]
+"""One relative displacement that is kept at zero: of what, and in which direction."""
 
 Displacement = dict[str, ca.SX]
 """Virtual displacement of a joint: direction -> symbol."""
@@ -81,7 +84,8 @@ class Kinematics:
                 self.held.setdefault(joint.second.body, []).append(joint)
         self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
         self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
-        self.residuals: dict[tuple[Joint | Rigidity | Constraint, str], ca.SX] = {}
+        self.squares: dict[Joint | Rigidity, ca.SX] = {}
+        self.residuals: dict[Closing, ca.SX] = {}
         self.pending: list[Body] = []
 
     def frame(self, body: Body) -> Frame:
@@ -143,8 +147,8 @@ class Kinematics:
     def gap(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
         """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
         if direction == "length":
-            dx, dy, length = self._apart(closure)
-            return ca.sqrt(dx**2 + dy**2 + 1e-300) - length
+            square, length = self._apart(closure)
+            return ca.sqrt(square + 1e-300) - length
         return self.residual(closure, direction)
 
     def residual(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
@@ -160,8 +164,8 @@ class Kinematics:
         if isinstance(closure, Constraint):
             return closure.expression
         if direction == "length":
-            dx, dy, length = self._apart(closure)
-            return (dx**2 + dy**2 - length**2) / (2 * length)
+            square, length = self._apart(closure)
+            return (square - length**2) / (2 * length)
         (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
         if direction == "x":
             return x2 - x1
@@ -176,13 +180,15 @@ class Kinematics:
         ex, ey = first.turn(*_cis(closure.angle))
         return ex * second.ey - ey * second.ex
 
-    def _apart(self, closure: Joint | Rigidity) -> tuple[ca.SX, ca.SX, Scalar]:
-        """How two points are apart along x and y, and the distance that a closure keeps between them."""
-        if isinstance(closure, Rigidity):
-            ((x1, y1), (x2, y2)), length = self._ends(closure.body), closure.body.length
-        else:
-            (x1, y1), (x2, y2), length = self.place(closure.first), self.place(closure.second), closure.length
-        return x2 - x1, y2 - y1, length
+    def _apart(self, closure: Joint | Rigidity) -> tuple[ca.SX, Scalar]:
+        """The square of the distance of two points, and the distance that a closure keeps between them."""
+        if closure not in self.squares:
+            if isinstance(closure, Rigidity):
+                (x1, y1), (x2, y2) = self._ends(closure.body)
+            else:
+                (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
+            self.squares[closure] = (x2 - x1) ** 2 + (y2 - y1) ** 2
+        return self.squares[closure], closure.body.length if isinstance(closure, Rigidity) else closure.length
 
     def _ends(self, body: Body) -> list[tuple[ca.SX, ca.SX]]:
         ends = []
@@ -253,9 +259,8 @@ def derive(mechanism: Mechanism) -> Equations:
 
     plain = Kinematics(m)
     held = _held(m, plain)
-    closures = _closures(m, held)
-    rows = [Row(c.name, direction, unit) for c, direction, _, unit in closures]
-    Phi = stack([sign * plain.residual(c, direction) for c, direction, sign, _ in closures])
+    rows, closures, signs = _closures(m, held)
+    Phi = signs * stack([plain.residual(*c) for c in closures])
     lam = ca.SX.sym("lam", len(rows))
 
     X, w = _inertia(m, plain, pivoted=True)
@@ -282,7 +287,7 @@ def derive(mechanism: Mechanism) -> Equations:
 
     C = ca.jacobian(Phi, q)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
-    gaps = stack([sign * plain.gap(c, direction) for c, direction, sign, _ in closures])
+    gaps = signs * stack([plain.gap(*c) for c in closures])
 
     # Everything a user can read.
     values: list[Scalar] = []
@@ -294,11 +299,11 @@ def derive(mechanism: Mechanism) -> Equations:
     for body in m.bodies:
         if plain.frame(body).wrapped:
             wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
-    reactions, reaction_outputs = _reactions(m, plain, held, closures, q, v, a, efforts, lam)
+    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam)
     values += reactions
     outputs += reaction_outputs
+    values += ca.vertsplit(lam)
     for i, row in enumerate(rows):
-        values.append(lam[i])
         force = "N.m" if row.unit == "rad" else "N" if row.unit == "m" else "1"
         outputs.append(
             Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}")
@@ -314,24 +319,25 @@ def derive(mechanism: Mechanism) -> Equations:
     tied, ties = _ties(m)
     passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if m.inputs else f_applied
 
+    symbols = {"q": q, "v": v, "a": a, "lam": lam, "u": u, "p": p, "t": t, "s": s, "sdot": sdot}
     expressions = {
-        "M": ([q, p], M),
-        "d": ([q, v, p], d),
-        "f": ([q, v, u, p, t], f),
-        "Phi": ([q, p], Phi),
-        "C": ([q, p], C),
-        "xi": ([q, v, p], xi),
-        "gaps": ([q, p], gaps),
-        "gaps_matrix": ([q, p], ca.jacobian(gaps, q)),
-        "kinetic_energy": ([q, v, p], T),
-        "potential_energy": ([q, p], V),
-        "input_power": ([q, v, u, p, t], ca.dot(f_applied - passive, v)),
-        "other_power": ([q, v, p, t], ca.dot(passive, v)),
-        "readings": ([q, v, a, lam, u, p, t], y),
-        "guess": ([p, s], guess),
-        "guess_rate": ([p, s, sdot], ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape)),
-        "ties": ([q, p, s], ties),
-        "ties_matrix": ([q, p, s], ca.jacobian(ties, q)),
+        "M": M,
+        "d": d,
+        "f": f,
+        "Phi": Phi,
+        "C": C,
+        "xi": xi,
+        "gaps": gaps,
+        "gaps_matrix": ca.jacobian(gaps, q),
+        "kinetic_energy": T,
+        "potential_energy": V,
+        "input_power": ca.dot(f_applied - passive, v),
+        "other_power": ca.dot(passive, v),
+        "readings": y,
+        "guess": guess,
+        "guess_rate": ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape),
+        "ties": ties,
+        "ties_matrix": ca.jacobian(ties, q),
     }
     equations = Equations(
         name=m.name,
@@ -352,12 +358,13 @@ def derive(mechanism: Mechanism) -> Equations:
         stop_time=m.experiment.stop_time,
         step_size=m.experiment.step_size,
         options=m.options,
-        functions={name: _function(m, name, *io) for name, io in expressions.items()},
+        functions={name: _function(m, name, symbols, x) for name, x in expressions.items()},
     )
     return evaluable(equations)
 
 
-def _function(m: Mechanism, name: str, arguments: list[ca.SX], value: ca.SX) -> ca.Function:
+def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) -> ca.Function:
+    arguments = [symbols[letter] for letter in ARGUMENTS[name]]
     value = ca.densify(value) if value.is_column() else value
     # On a matrix, CasADi's search for common subexpressions takes time with the square of its size.
     value = ca.SX(value.sparsity(), ca.cse(value.nz[:]))
@@ -430,29 +437,30 @@ def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
                             )
 
 
-Closing = tuple[Joint | Rigidity | Constraint, str, int, str]
-"""What one constraint row closes: joint, body or constraint; direction; sign of the residual in the row; unit."""
-
-
-def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> list[Closing]:
-    """Constraint rows in the order of declaration.
+def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Row], list[Closing], ca.SX]:
+    """Constraint rows in the order of declaration, what each closes, and the sign of the residual in it.
 
     A row reads point of the second body minus point of the first, the other way round where only the first body is torn
     off (has absolute coordinates); this is the sign in which the paper writes the five-bar.
     """
+    rows: list[Row] = []
     closures: list[Closing] = []
+    signs: list[float] = []
     for closure in m.closures:
+        sign, directions = 1.0, ("length",)
         if isinstance(closure, Constraint):
-            closures.append((closure, "", 1, closure.unit))
-            continue
-        if isinstance(closure, Rigidity):
-            closures.append((closure, "length", 1, "m"))
-            continue
-        first, second = closure.first.body, closure.second.body
-        sign = -1 if first.pose is not None and second.pose is None and first is not m.ground else 1
-        open_directions = [k for k in closure.directions if k not in held.get(closure, ())]
-        closures += [(closure, k, sign, "rad" if k == "rotation" else "m") for k in open_directions]
-    return closures
+            directions = ("",)
+        elif isinstance(closure, Joint):
+            directions = tuple(k for k in closure.directions if k not in held.get(closure, ()))
+            first, second = closure.first.body, closure.second.body
+            if first.pose is not None and second.pose is None and first is not m.ground:
+                sign = -1.0
+        for direction in directions:
+            unit = closure.unit if isinstance(closure, Constraint) else "rad" if direction == "rotation" else "m"
+            rows.append(Row(closure.name, direction, unit))
+            closures.append((closure, direction))
+            signs.append(sign)
+    return rows, closures, stack(signs)
 
 
 def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
@@ -483,10 +491,9 @@ def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tup
 def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
     """Potential energy of gravity, springs and the user's own terms."""
     gx, gy = m.gravity_vector
-    V = sum(m.potential, ca.SX(0))
-    for body in m.bodies:
-        x, y = kinematics.center(body)
-        V -= body.mass * (gx * x + gy * y)
+    centers = [kinematics.center(body) for body in m.bodies]
+    x, y = (stack([center[k] for center in centers]) for k in (0, 1))
+    V = sum(m.potential, ca.SX(0)) - ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
     for spring in m.springs:
         V += spring.stiffness * (_elongation(kinematics, spring.between) - spring.rest) ** 2 / 2
     return V
@@ -530,7 +537,6 @@ def _reactions(
     m: Mechanism,
     plain: Kinematics,
     held: dict[Joint, tuple[str, ...]],
-    closures: list[Closing],
     q: ca.SX,
     v: ca.SX,
     a: ca.SX,
@@ -547,7 +553,9 @@ def _reactions(
     }
     moved = Kinematics(m, held, in_frames) if any(in_frames.values()) else plain
     Xe, _ = _inertia(m, moved)
-    Phie = stack([sign * (moved.residual(c, k) - eps.get(c, {}).get(k, 0)) for c, k, sign, _ in closures])
+    _, closures, signs = _closures(m, held)
+    displaced = stack([eps.get(c, {}).get(direction, 0.0) for c, direction in closures])
+    Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
     X, w = _inertia(m, plain)
     aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
     work = (
@@ -594,8 +602,9 @@ def _body_outputs(
     Xv = ca.jtimes(X, q, v)
     Xa = ca.jtimes(Xv, q, v) + ca.jtimes(X, q, a)
     values, outputs = [], []
-    for i, (x, xv, xa, unit, text) in enumerate(names):
-        values += [X[i], Xv[i], Xa[i]]
+    for place in zip(*map(ca.vertsplit, (X, Xv, Xa)), strict=True):
+        values += place
+    for x, xv, xa, unit, text in names:
         rate, second = rate_of(unit), rate_of(rate_of(unit))
         word = "position" if unit == "m" else "place"
         for name, name_unit, what in ((x, unit, word), (xv, rate, "velocity"), (xa, second, "acceleration")):
@@ -658,11 +667,18 @@ def _turned(base: Frame, by: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
 
 
 def _same(a: Scalar, b: Scalar) -> bool:
-    return a is b or (symbolic(a) - symbolic(b)).is_zero()
+    if isinstance(a, ca.SX) or isinstance(b, ca.SX):
+        return a is b or (symbolic(a) - symbolic(b)).is_zero()
+    return a == b
+
+
+def _sum(a: Scalar, b: Scalar) -> Scalar:
+    """a + b; operations with expressions are slow, so none is done where one of them vanishes."""
+    return a if _vanishes(b) else b if _vanishes(a) else a + b
 
 
 def _vanishes(x: Scalar) -> bool:
-    """Whether something is the number zero, so that no term of it needs to be written."""
+    """Whether something is the number zero."""
     return not isinstance(x, ca.SX) and x == 0
 
 

@@ -92,8 +92,8 @@ class Equations:
     step_size: float
     options: dict[str, Any] = field(default_factory=dict)
     """Options that the mechanism was declared with."""
-    kernel: list[dict[str, Any]] = field(default_factory=list)
-    """The quick and the careful step of the kernel as calls of functions (`alfmu.kernel.program`), once traced."""
+    kernel: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Once traced, the programs of the kernel (`alfmu.kernel.program`): a quick and a careful step, and `instant`."""
     solver: dict[str, float | str] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
     monitors: list[str] = field(default_factory=list)

@@ -3,15 +3,40 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import accumulate
 
 import casadi as ca
 
 from .equations import Equations
 
-__all__ = ["DENSE", "EVALUATED", "evaluable", "signature", "symbols", "with_functions"]
+__all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "with_functions"]
 
-DENSE = 120
+DENSE = 50
 """Coordinates up to which matrices are dense arrays; larger ones are sparse."""
+
+ARGUMENTS = {
+    name: letters.split()
+    for name, letters in {
+        "M": "q p",
+        "d": "q v p",
+        "f": "q v u p t",
+        "Phi": "q p",
+        "C": "q p",
+        "xi": "q v p",
+        "gaps": "q p",
+        "gaps_matrix": "q p",
+        "kinetic_energy": "q v p",
+        "potential_energy": "q p",
+        "input_power": "q v u p t",
+        "other_power": "q v p t",
+        "readings": "q v a lam u p t",
+        "guess": "p s",
+        "guess_rate": "p s sdot",
+        "ties": "q p s",
+        "ties_matrix": "q p s",
+    }.items()
+}
+"""What each function of the equations depends on."""
 
 EVALUATED = {"dynamics": 2, "constraints": 2, "power": 0, "energy": 0, "readings": 0, "closure": 2, "guesses": 0}
 """Functions that run with numbers outside the kernel, and how many of their results are matrices."""
@@ -56,13 +81,24 @@ def evaluable(equations: Equations) -> Equations:
     functions = {"readings": e.readings}
     for name, (arguments, values) in results.items():
         dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
-        functions[name] = ca.Function(name, arguments, dense, {"cse": True})
+        functions[name] = shared(name, arguments, dense)
     return with_functions(e, functions)
+
+
+def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Function:
+    """A function with its common subexpressions shared.
+
+    They are found on the nonzeros: on a matrix, CasADi's search takes time with the square of its size.
+    """
+    entries = ca.cse(ca.vertcat(*(ca.vec(value.nz[:]) for value in values)))
+    ends = list(accumulate((value.nnz() for value in values), initial=0))
+    values = [ca.SX(x.sparsity(), entries[ends[i] : ends[i + 1]]) for i, x in enumerate(values)]
+    return ca.Function(name, arguments, values)
 
 
 def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> Equations:
     """The same equations with more functions, or others, that run with numbers."""
-    signatures = {name: signature(f, EVALUATED.get(name, 0)) for name, f in functions.items()}
+    signatures = {name: _signature(f, EVALUATED.get(name, 0)) for name, f in functions.items()}
     return replace(
         equations,
         functions={**equations.functions, **functions},
@@ -70,7 +106,7 @@ def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> E
     )
 
 
-def signature(f: ca.Function, matrices: int = 0) -> dict:
+def _signature(f: ca.Function, matrices: int = 0) -> dict:
     """Sizes of arguments and results, see `alfmu.kernel.program.Signature`."""
     outputs = []
     for i in range(f.n_out()):

@@ -172,6 +172,23 @@ class Oracle:
                 a, lam[held] = method.dae(M, F, C[held], right, _least_squares)
         return a, lam, used, C @ a - xi
 
+    def iterations_needed(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> int:
+        """Iterations of the residual form after which no more than a tenth of the tolerance is left.
+
+        Each gains about the same factor, so a last change of limit^((m - 1) / m) after m of them leaves the limit.
+        """
+        M, C, F, xi = self._dynamics(q, v, u, self.p, t)
+        limit, made = self.settings.tolerance / 10, 0
+
+        def done(da: NDArray, a: NDArray) -> bool:
+            nonlocal made
+            made += 1
+            return made > 1 and np.linalg.norm(da) <= limit ** ((made - 1) / made) * np.linalg.norm(a)
+
+        solve, zeros = self._factor(method.augmented_mass(M, C, self.alpha), t), (np.zeros_like(F), np.zeros_like(xi))
+        method.residual(M, F, C, xi, self.alpha, solve, *zeros, self.settings.max_iterations, done)
+        return made
+
     def impact(self, q: NDArray, v: NDArray, t: float) -> NDArray:
         """v (n,) after a plastic impact that makes it consistent with the constraints: the nearest in the metric of M.
 

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from html import escape
-from itertools import combinations, pairwise
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -157,12 +157,15 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) 
         if kind:
             ties.append(Tie("", kind, anchor(first), anchor(second)))
 
-    fixed = [a for pair in (*joints, *ties) for a in (pair.first, pair.second)]
+    fixed: dict[str, list[Anchor]] = {}
+    for pair in (*joints, *ties):
+        for at in (pair.first, pair.second):
+            fixed.setdefault(at.body, []).append(at)
     blocks = {g.rider.body for g in guides if g.block is not None}
     links = []
     for body in m.bodies:
         ends = [] if body.length is None else [anchor(body.start), anchor(body.end)]
-        points = list(dict.fromkeys((a.x, a.y) for a in (*ends, *fixed) if a.body == body.name))
+        points = list(dict.fromkeys((a.x, a.y) for a in (*ends, *fixed.get(body.name, ()))))
         kind = "block" if body.name in blocks else "bar" if len(points) > 1 else "mass"
         if kind == "mass" and (0.0, 0.0) not in points:
             points.append((0.0, 0.0))
@@ -179,7 +182,9 @@ def _evaluator(m: Mechanism, parameters: Mapping[str, Any]) -> Callable[[Scalar]
     values = ca.DM([float(parameters.get(p.name, p.default)) for p in m.parameters])
 
     def number(expression: Scalar) -> float:
-        value = ca.substitute(ca.SX(expression), symbols, values) if m.parameters else ca.SX(expression)
+        if not isinstance(expression, ca.SX):
+            return float(expression)
+        value = ca.substitute(expression, symbols, values) if m.parameters else expression
         if free := ca.symvar(value):
             raise DeclarationError(f"{m.name}: a shape uses {free[0]}; it may use parameters only")
         return float(value)
@@ -579,18 +584,20 @@ def _base(size: Size) -> float:
 
 def _knots(shapes: Shapes) -> list[_Knot]:
     """Hinges, welds and pins; those that share a point are one."""
-    knots: list[_Knot] = []
-    for joint in shapes.joints:
+    knots: dict[int, _Knot] = {}
+    found: dict[Anchor, int] = {}
+    for i, joint in enumerate(shapes.joints):
         if joint.kind in ("prismatic", "distance"):
             continue
         knot = _Knot((joint.name,), joint.kind, (joint.first, joint.second))
         if joint.kind == "point_on_line":  # its guide has the name
             knot = _Knot((), joint.kind, (joint.second,))
-        for other in [k for k in knots if set(k.anchors) & set(knot.anchors)]:
-            knots.remove(other)
+        for k in sorted({found[at] for at in knot.anchors if at in found}):
+            other = knots.pop(k)
             knot = _Knot(other.names + knot.names, other.kind, tuple(dict.fromkeys(other.anchors + knot.anchors)))
-        knots.append(knot)
-    return knots
+        knots[i] = knot
+        found |= dict.fromkeys(knot.anchors, i)
+    return list(knots.values())
 
 
 def _supports(shapes: Shapes) -> dict[Anchor, bool]:
@@ -794,10 +801,10 @@ def _hides(shapes: Shapes, columns: Mapping[str, float]) -> bool:
     poses = _poses(shapes, columns)
     bars = [(link.name, hull) for link in shapes.links if len(hull := _hull(link.points)) == 2]
     places = [[complex(*_place(poses, Anchor(name, *p))) for p in hull] for name, hull in bars]
-    for (start, end), other in combinations(places, 2):
-        along = [(p - start) / (end - start) for p in other]  # real part along the first bar, imaginary part across
-        near, far = sorted(p.real for p in along)
-        if max(abs(p.imag) for p in along) < 1e-3 < min(far, 1.0) - max(near, 0.0):
+    for i, (start, end) in enumerate(places[:-1]):
+        along = (np.array(places[i + 1 :]) - start) / (end - start)  # real part along the bar, imaginary part across
+        near, far = np.maximum(along.real.min(1), 0.0), np.minimum(along.real.max(1), 1.0)
+        if np.any((np.abs(along.imag).max(1) < 1e-3) & (far - near > 1e-3)):
             return True
     return False
 

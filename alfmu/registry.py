@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import runpy
 import traceback
 import typing
@@ -38,13 +39,15 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
             raise InputError(f"{mechanism.name} is declared already and takes no options")
         return mechanism
     factory = _factory(mechanism)
-    known = options(mechanism)
+    known, hints = options(mechanism), _hints(mechanism, factory)
     for name, value in chosen.items():
         if name not in known:
             has = f"it has {', '.join(known)}" if known else "it has none"
             raise InputError(f"{mechanism} has no option {name!r}; {has}")
         if known[name] and value not in known[name]:
             raise InputError(f"{mechanism}: option {name} is {value!r}; use one of {', '.join(map(str, known[name]))}")
+        if hints.get(name) is int:
+            chosen[name] = _whole(f"{mechanism}: option {name}", value)
     declared = _guarded(mechanism, lambda: factory(**chosen))
     if not isinstance(declared, Mechanism):
         raise InputError(f"{mechanism}: {factory.__name__}() returns {type(declared).__name__}, not a Mechanism")
@@ -59,11 +62,27 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
 def options(mechanism: str | Path) -> dict[str, tuple]:
     """Options of a mechanism: name -> the values it takes (empty: any)."""
     factory = _factory(mechanism)
-    hints = _guarded(mechanism, lambda: typing.get_type_hints(factory))
+    hints = _hints(mechanism, factory)
     return {
         name: typing.get_args(hints[name]) if typing.get_origin(hints.get(name)) is typing.Literal else ()
         for name in inspect.signature(factory).parameters
     }
+
+
+def _hints(mechanism: str | Path, factory: Factory) -> dict[str, Any]:
+    """Types of the options, as annotated."""
+    return _guarded(mechanism, lambda: typing.get_type_hints(factory))
+
+
+def _whole(what: str, value: Any) -> int:
+    """A whole number; a command line or a file may give it as 10.0 or as text."""
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not number.is_integer():
+        raise InputError(f"{what} is {value!r}; use a whole number")
+    return int(number)
 
 
 def _factory(mechanism: str | Path) -> Factory:

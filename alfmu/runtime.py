@@ -18,7 +18,7 @@ from .assembly import Assembly, Mobility
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
-from .kernel.program import Backend, Layout, Machine
+from .kernel.program import TIERS, Backend, Layout, Machine
 from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
@@ -101,6 +101,8 @@ class Instance:
         self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
         self._seen = self.memory["seen"]
         self.machine: Machine | None = backend.machine(self.memory) if e.kernel else None
+        read = any(o.instant for o in e.outputs) and e.kernel
+        self._iterations_read = e.kernel["instant"]["iterations"] if read else 0
         self._fast = self._scaled = False
         self.initialized = self._known = False
 
@@ -223,14 +225,15 @@ class Instance:
             self.machine is not None
             and settings.formulation == "residual"
             and settings.projects
-            and settings.max_iterations >= programs[-1]["iterations"]
+            and settings.max_iterations >= programs["careful"]["iterations"]
             and (not len(alpha) or alpha.max() > 0)
         )
         if self._fast:
             largest = alpha.max(initial=1e-300)
             memory["p"][:] = oracle.p
             memory["k"][:] = [largest if len(alpha) else 1.0, settings.tolerance, *(alpha / largest)]
-            memory["control"][:] = settings.step_size, not (self._scaled or programs[0] == programs[1])
+            # The quick step is known to be enough for the penalty scaled with the masses alone.
+            memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
 
     def _start_values(self) -> list[NDArray]:
         """Parameters, start values and start rates."""
@@ -327,8 +330,8 @@ class Instance:
             if self._fast and self.machine.read():
                 self._y = self._seen[:-2].copy()
                 self._accelerations = None
-                used, acceleration = self.equations.kernel[-1]["iterations"], float(self._seen[-2])
-                self.oracle.counters.evaluations += 1
+                acceleration, used = float(self._seen[-2]), self._iterations_read
+                self.oracle.counters.evaluations += used > 0
                 self.oracle.counters.multiplier_iterations += used
             else:
                 acceleration = self._read_by_oracle()
@@ -408,7 +411,8 @@ class Instance:
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
         c, tally = self.oracle.counters, self.memory["tally"]
-        for steps, program in zip(map(int, tally), self.equations.kernel, strict=False):
+        for steps, tier in zip(map(int, tally), TIERS if self.equations.kernel else (), strict=False):
+            program = self.equations.kernel[tier]
             c.steps += steps
             c.evaluations += 4 * steps
             c.multiplier_iterations += 4 * steps * program["iterations"]

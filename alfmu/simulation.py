@@ -22,6 +22,7 @@ from .mechanism import Mechanism
 from .oracle import Counters, Settings
 from .registry import load
 from .runtime import FORMULATION, SOLVER_VARIABLES, Instance
+from .specialisation import specialised
 
 __all__ = [
     "KERNELS",
@@ -101,20 +102,24 @@ def simulate(
     parameters: Mapping[str, float | str] | None = None,
     settings: Settings | None = None,
     outputs: Sequence[str] | None = None,
+    freeze: Sequence[str] | None = None,
     kernel: str = DEFAULT,
     progress: Progress = iter,
 ) -> Result:
     """Run a mechanism from 0 to `stop_time` [s] with communication steps of `step` [s].
 
     `parameters` sets parameters, start values and solver variables by name; `inputs` are held over each communication
-    step at their value at its beginning; `outputs` keeps only those names. Defaults are the mechanism's own. `kernel`
-    is one of `alfmu.kernel.KERNELS`. Raises AlfmuError where a name, a value or the mechanism is at fault.
+    step at their value at its beginning. Defaults are the mechanism's own. Only outputs that match `outputs` (names, or
+    patterns such as `link*.angle`) are computed, None for all; parameters in `freeze` are folded into the equations.
+    `kernel` is one of `alfmu.kernel.KERNELS`. Raises AlfmuError where a name, a value or the mechanism is at fault.
     """
     equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
-    instance = Instance(prepared(equations, kernel), settings)
+    if freeze is not None:
+        equations, parameters = with_defaults(equations, parameters or {}), {}
+    instance = Instance(prepared(specialised(equations, outputs, freeze), kernel), settings)
     stop_time = equations.stop_time if stop_time is None else stop_time
     step = equations.step_size if step is None else step
-    return run(instance, stop_time, step, inputs, parameters, outputs, progress)
+    return run(instance, stop_time, step, inputs, parameters, progress)
 
 
 def run(
@@ -123,7 +128,6 @@ def run(
     step: float,
     inputs: Mapping[str, Signal] | None = None,
     parameters: Mapping[str, float | str] | None = None,
-    outputs: Sequence[str] | None = None,
     progress: Progress = iter,
 ) -> Result:
     """Drive a unit that is not yet initialised as `simulate` does."""
@@ -131,11 +135,7 @@ def run(
     for name, value in (parameters or {}).items():
         unit.set(name, value)
     signals = {name: _signal(signal) for name, signal in (inputs or {}).items()}
-    known = [v.name for v in unit.outputs]
-    if outputs is not None and (missing := [name for name in outputs if name not in known]):
-        raise InputError(f"{unit.name} has no output {missing[0]!r}; it has {', '.join(known)}")
-    kept = [known.index(name) for name in (known if outputs is None else outputs)]
-    variables = [*(unit.outputs[k] for k in kept), *unit.input_variables]
+    variables = [*unit.outputs, *unit.input_variables]
     table = np.empty((len(times), len(variables)))
 
     def apply(t: float) -> None:
@@ -144,11 +144,11 @@ def run(
 
     apply(0.0)
     unit.initialize()
-    table[0] = np.concatenate([unit.read()[kept], unit.read_inputs()])
+    table[0] = np.concatenate([unit.read(), unit.read_inputs()])
     for i, t in enumerate(progress(times[:-1])):
         unit.step(times[i + 1] - t, t)
         apply(times[i + 1])
-        table[i + 1] = np.concatenate([unit.read()[kept], unit.read_inputs()])
+        table[i + 1] = np.concatenate([unit.read(), unit.read_inputs()])
     names = [v.name for v in variables]
     return Result(unit.name, times, names, {v.name: v.unit for v in variables}, table, getattr(unit, "counters", None))
 
@@ -214,7 +214,10 @@ def _traced(equations: Equations) -> Equations:
         probe.initialize()
     except AlfmuError:
         return traced(equations, None)  # the defaults have no start, so nothing is known of its freedoms
-    return traced(equations, probe.mobility())
+    mobility = probe.mobility()
+    if mobility.freedom_here > mobility.freedom:
+        return traced(equations, mobility)  # a singular start says nothing of other positions
+    return traced(equations, mobility, probe.oracle.iterations_needed(probe.q, probe.v, probe.inputs, 0.0))
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:

@@ -30,6 +30,16 @@ ALLOWED: dict[str, set[str]] = {
     "kernel.build": {"equations", "errors", "kernel.compiled", "kernel.emit", "kernel.program"},
     "runtime": {"assembly", "equations", "errors", "integrators", "kernel.program", "kernel.vm", "oracle"},
     "registry": {"errors", "mechanism"},
+    "specialisation": {"equations", "errors", "evaluation", "runtime"},
+    "cost": {
+        "assembly",
+        "equations",
+        "kernel.trace",
+        "kernel.vm",
+        "runtime",
+        "simulation",
+        "specialisation",
+    },
     "simulation": {
         "derivation",
         "equations",
@@ -41,6 +51,7 @@ ALLOWED: dict[str, set[str]] = {
         "oracle",
         "registry",
         "runtime",
+        "specialisation",
     },
     "picture": {"derivation", "equations", "errors", "mechanism", "runtime", "simulation"},
     "plot": {"errors", "simulation"},
@@ -59,9 +70,11 @@ ALLOWED: dict[str, set[str]] = {
         "registry",
         "runtime",
         "simulation",
+        "specialisation",
     },
     "fmi.drive": {"equations", "errors", "fmi.slave"},
     "cli": {
+        "cost",
         "derivation",
         "errors",
         "fmi.drive",
@@ -73,6 +86,7 @@ ALLOWED: dict[str, set[str]] = {
         "registry",
         "runtime",
         "simulation",
+        "specialisation",
     },
 }
 """Module -> the modules of alfmu that it may import: the layer table of CONTRIBUTING.md."""

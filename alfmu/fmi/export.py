@@ -11,7 +11,7 @@ import sys
 import tempfile
 import uuid
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,7 @@ from ..picture import model_png
 from ..registry import load
 from ..runtime import Instance
 from ..simulation import prepared, with_defaults
+from ..specialisation import specialised
 from .description import dependencies, documentation, model_description
 from .slave import FUNCTIONS, SCENE
 
@@ -69,18 +70,23 @@ def export(
     *,
     options: Mapping[str, Any] | None = None,
     parameters: Mapping[str, float | str] | None = None,
+    outputs: Sequence[str] | None = None,
+    freeze: Sequence[str] | None = None,
     kernel: str = DEFAULT,
     portable: bool = True,
 ) -> Path:
     """Write the FMU (FMI 2.0, co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
 
     `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
-    variables; `kernel` is what runs inside (`alfmu.kernel.KERNELS`). Beside a compiled kernel travels the portable
-    form, for other platforms, unless `portable` is False. The same arguments give the same bytes. Raises AlfmuError
-    where the mechanism cannot start from the defaults, and ExportError where the file cannot be written or compiled.
+    variables. Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are there, None for all; the
+    parameters in `freeze` become constants, `["all"]` for every one. `kernel` is what runs inside
+    (`alfmu.kernel.KERNELS`); beside a compiled one travels the portable form, for other platforms, unless `portable` is
+    False. The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
+    and ExportError where the file cannot be written or compiled.
     """
     declared = load(mechanism, **(options or {}))
-    equations = prepared(with_defaults(derive(declared), parameters or {}), kernel)
+    equations = specialised(with_defaults(derive(declared), parameters or {}), outputs, freeze)
+    equations = prepared(equations, kernel)
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():

@@ -10,22 +10,21 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import uuid
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 from ..equations import Equations
 from ..errors import ExportError
 from .compiled import Library
-from .emit import source
+from .emit import sources
 from .program import SUFFIX
 
 __all__ = ["cache", "compiled", "compiler"]
 
-FLAGS = ("-O2", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-fPIC", "-shared", "-s", "-w")
+FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off`: the same operations as in the virtual machine, so the same numbers."""
-
-LONG = 20_000_000
-"""Characters of source above which less optimisation is asked for."""
 
 
 def compiler() -> list[str] | None:
@@ -59,38 +58,43 @@ def compiled(equations: Equations) -> Equations:
             f"{e.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
             "or use --kernel vm"
         )
-    text, workspace = source(e)
-    identity = "\0".join([text, *command, _version(command), *FLAGS])
+    files, workspace = sources(e)
+    # On long straight-line code the higher level takes twice the time and gains nothing.
+    flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS]
+    identity = "\0".join([*files, *command, _version(command), *flags])
     name = f"kernel_{hashlib.sha256(identity.encode()).hexdigest()[:32]}"
     path = cache() / (name + SUFFIX)
     if not path.is_file():
-        _build(e.name, command, text, path)
+        _build(e.name, [*command, *flags], files, path)
     e = replace(e, workspace=workspace)
     return replace(e, library=Library(path, e))
 
 
-def _build(scene: str, command: list[str], text: str, path: Path) -> None:
+def _build(scene: str, command: list[str], files: list[str], path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
-            (Path(folder) / "kernel.c").write_text(text, encoding="ascii")
-            flags = ["-O1" if flag == "-O2" and len(text) > LONG else flag for flag in FLAGS]
-            made = Path(folder) / f"kernel{SUFFIX}"
-            done = subprocess.run(
-                [*command, *flags, "kernel.c", "-o", made.name, "-lm"],
-                cwd=folder,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-            if done.returncode:
-                why = (done.stderr.strip().splitlines() or ["no message"])[0]
-                raise ExportError(f"{scene}: the C compiler {command[0]} failed ({why}); use --kernel vm")
-            partial = path.with_name(f".{path.name}.{os.getpid()}.{id(text)}")
-            shutil.copyfile(made, partial)
+
+            def compile_one(i: int) -> str:
+                (Path(folder) / f"kernel{i}.c").write_text(files[i], encoding="ascii")
+                _run(scene, [*command, "-c", f"kernel{i}.c", "-o", f"kernel{i}.o"], folder)
+                return f"kernel{i}.o"
+
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                objects = list(pool.map(compile_one, range(len(files))))
+            _run(scene, [*command, "-shared", "-s", *objects, "-o", "kernel", "-lm"], folder)
+            partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+            shutil.copyfile(Path(folder) / "kernel", partial)
             partial.replace(path)
     except OSError as error:
         raise ExportError(f"{scene}: cannot build the kernel at {path} ({error.strerror}); use --kernel vm") from error
+
+
+def _run(scene: str, command: list[str], folder: str) -> None:
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode:
+        why = (done.stderr.strip().splitlines() or ["no message"])[0]
+        raise ExportError(f"{scene}: the C compiler {command[0]} failed ({why}); use --kernel vm")
 
 
 def _version(command: list[str]) -> str:

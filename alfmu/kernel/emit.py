@@ -14,10 +14,16 @@ from ..equations import Equations
 from ..errors import ExportError
 from .program import Layout, Program
 
-__all__ = ["source"]
+__all__ = ["sources"]
 
-BLOCK = 1500
-"""Operations in one C function; compilers take more than linear time for longer blocks."""
+BLOCK = 400
+"""Operations in one C function of a long one; compilers take more than linear time for longer blocks."""
+
+WHOLE = 2500
+"""Operations up to which a function is not cut into blocks."""
+
+UNIT = 2_000_000
+"""Characters of source in one file, roughly; several are compiled at a time."""
 
 _FUNCTIONS = (
     *("fabs", "floor", "ceil", "sqrt", "exp", "log", "expm1", "log1p", "erf", "sin", "cos", "tan", "asin", "acos"),
@@ -67,9 +73,24 @@ _HEAD = """\
 #else
 #define EXPORT __attribute__((visibility("default")))
 #endif
-#define BLOCK static __attribute__((noinline))
+#if !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
+#if !defined(__GNUC__)
+#define __attribute__(x)
+#endif
 typedef const double *const *Arguments;
 typedef double *const *Results;
+typedef void Function(Arguments, Results, double *);
+
+"""
+
+_CALL = """
+EXPORT void alfmu_call(int i, Arguments x, Results y, double *w)
+{
+    functions[i](x, y, w);
+}
+
 """
 
 _DRIVER = """
@@ -82,10 +103,10 @@ static long advance(double *m, long steps, double dt)
         int tier = (int)m[{first}];
         m[{trouble}] = 1.0;
         if (tier == 0)
-            step_0(m, m + {workspace});
+            run_quick(m, m + {workspace});
         if (!(m[{trouble}] == 0.0)) {{
             tier = 1;
-            step_1(m, m + {workspace});
+            run_careful(m, m + {workspace});
             if (!(m[{trouble}] == 0.0))
                 break;
         }}
@@ -125,32 +146,29 @@ EXPORT int alfmu_communicate(double *m, double start, double h)
 
 EXPORT int alfmu_read(double *m)
 {{
-    const double *x[] = {{m + {z}, m + {u}, m + {p}, m + {k}}};
-    double *y[] = {{m + {seen}}};
-    instant(x, y, m + {workspace});
+    run_instant(m, m + {workspace});
     return m[{seen_trouble}] == 0.0;
 }}
 """
 
 
-def source(equations: Equations) -> tuple[str, int]:
-    """C of all functions that run with numbers, and the length of the workspace behind the memory of an instance."""
+def sources(equations: Equations) -> tuple[list[str], int]:
+    """C files with all functions that run with numbers, and the length of the workspace behind an instance's memory."""
     e, layout = equations, Layout(equations)
-    parts, needed = [_HEAD], 0
+    files, needed = [""], 0
     for name in e.signatures:
-        text, workspace = _function(name, e.functions[name], e.name)
-        parts.append(text)
-        needed = max(needed, workspace)
+        for text, workspace in _function(name, e.functions[name], e.name):
+            if len(files[-1]) > UNIT:
+                files.append("")
+            files[-1] += text
+            needed = max(needed, workspace)
+    calls = "".join(f"extern Function {name};\n" for name in e.signatures)
     names = ",\n    ".join(e.signatures)
-    parts.append(
-        "typedef void Function(Arguments, Results, double *);\n"
-        f"static Function *const functions[] = {{\n    {names}}};\n\n"
-        "EXPORT void alfmu_call(int i, Arguments x, Results y, double *w)\n{\n    functions[i](x, y, w);\n}\n"
-    )
+    calls += f"static Function *const functions[] = {{\n    {names}}};\n{_CALL}"
     if e.kernel:
         places: dict[str, int] = {}
-        for i, program in enumerate(e.kernel):
-            parts.append(_program(f"step_{i}", program, e, layout, needed, places))
+        for name, program in e.kernel.items():
+            calls += _program(f"run_{name}", program, e, layout, needed, places)
         at = {name: offset for name, (offset, _) in layout.fields.items()}
         at |= {
             "workspace": layout.size,
@@ -161,9 +179,10 @@ def source(equations: Equations) -> tuple[str, int]:
             "first": at["control"] + 1,
             "seen_trouble": at["seen"] + layout.fields["seen"][1] - 1,
         }
-        parts.append(_DRIVER.format(**at))
+        calls += _DRIVER.format(**at)
         needed += sum(places.values())
-    return "\n".join(parts), needed
+    files[-1] += calls
+    return [_HEAD + text for text in files], needed
 
 
 def _program(name: str, program: Program, e: Equations, layout: Layout, workspace: int, places: dict[str, int]) -> str:
@@ -189,21 +208,16 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
     return f"static void {name}(double *m, double *w)\n{{\n" + "\n".join(lines) + "\n}\n"
 
 
-def _function(name: str, f: ca.Function, scene: str) -> tuple[str, int]:
-    """C of a function, and the length of the workspace that it needs."""
+def _function(name: str, f: ca.Function, scene: str) -> Iterator[tuple[str, int]]:
+    """C of a function in one or several pieces, each with the length of the workspace that the function needs."""
     operations = list(_operations(f, scene))
-    blocks = [operations[i : i + BLOCK] for i in range(0, len(operations), BLOCK)] or [[]]
-    if len(blocks) == 1:
-        lines = [line.format(*(f"v{i}" for i in used)) for line, used, _ in blocks[0]]
-        lines = [
-            _defined(f"v{made}", line) if made is not None else line
-            for line, (_, _, made) in zip(lines, blocks[0], strict=True)
-        ]
-        return _block("static", name, lines), 0
-    return _blocks(name, blocks)
+    if len(operations) > WHOLE:
+        yield from _blocks(name, [operations[i : i + BLOCK] for i in range(0, len(operations), BLOCK)])
+        return
+    yield _block(name, [_statement(line, used, made) for line, used, made in operations]), 0
 
 
-def _blocks(name: str, blocks: list[list]) -> tuple[str, int]:
+def _blocks(name: str, blocks: list[list]) -> Iterator[tuple[str, int]]:
     """A long function as a chain of blocks; what a later block needs goes through the workspace, places reused."""
     born = {made: b for b, block in enumerate(blocks) for _, _, made in block if made is not None}
     last: dict[int, int] = {}
@@ -215,17 +229,15 @@ def _blocks(name: str, blocks: list[list]) -> tuple[str, int]:
     place: dict[int, int] = {}
     free: list[int] = []
     ending: list[list[int]] = [[] for _ in blocks]
-    size, texts = 0, []
+    size = 0
     for b, block in enumerate(blocks):
         lines, loaded = [], set()
         for line, used, made in block:
             for value in used:
                 if born[value] != b and value not in loaded:
                     loaded.add(value)
-                    lines.append(_defined(f"v{value}", f"w[{place[value]}]"))
-            text = line.format(*(f"v{i}" for i in used))
-            lines.append(_defined(f"v{made}", text) if made is not None else text)
-        # Places become free after the block that used them last, and never within it.
+                    lines.append(_defined(value, f"w[{place[value]}]"))
+            lines.append(_statement(line, used, made))
         for value in (made for _, _, made in block if made in last):
             if free:
                 place[value] = free.pop()
@@ -233,19 +245,26 @@ def _blocks(name: str, blocks: list[list]) -> tuple[str, int]:
                 place[value], size = size, size + 1
             ending[last[value]].append(value)
             lines.append(f"w[{place[value]}] = v{value};")
-        free += [place[value] for value in ending[b]]
-        texts.append(_block("BLOCK", f"{name}_{b}", lines))
-    calls = [f"{name}_{b}(x, y, w);" for b in range(len(blocks))]
-    return "\n".join(texts) + "\n" + _block("static", name, calls), size
+        free += [place[value] for value in ending[b]]  # Only now: within a block no place is used twice.
+        yield _block(f"{name}_{b}", lines), size
+    names = [f"{name}_{b}" for b in range(len(blocks))]
+    declared = "".join(f"extern Function {each};\n" for each in names)
+    yield declared + _block(name, [f"{each}(x, y, w);" for each in names]), size
 
 
-def _block(storage: str, name: str, lines: list[str]) -> str:
+def _block(name: str, lines: list[str]) -> str:
     body = "".join(f"    {line}\n" for line in lines)
-    return f"{storage} void {name}(Arguments x, Results y, double *w)\n{{\n    (void)x, (void)y, (void)w;\n{body}}}\n"
+    head = f"__attribute__((noinline)) void {name}(Arguments x, Results y, double *w)"
+    return f"extern Function {name};\n{head}\n{{\n    (void)x, (void)y, (void)w;\n{body}}}\n\n"
 
 
-def _defined(name: str, value: str) -> str:
-    return f"const double {name} = {value};"
+def _statement(line: str, used: list[int], made: int | None) -> str:
+    text = line.format(*(f"v{i}" for i in used))
+    return text if made is None else _defined(made, text)
+
+
+def _defined(number: int, value: str) -> str:
+    return f"const double v{number} = {value};"
 
 
 def _operations(f: ca.Function, scene: str) -> Iterator[tuple[str, list[int], int | None]]:

@@ -20,6 +20,7 @@ __all__ = [
     "PLATFORM",
     "SETTINGS",
     "SUFFIX",
+    "TIERS",
     "Backend",
     "Call",
     "Layout",
@@ -30,8 +31,14 @@ __all__ = [
 ]
 
 Program = dict[str, Any]
-"""One internal step: `calls`, a list of [function, names of its arguments, names of its results] that begins with z, u,
-p, k, dt and ends with `after`; `iterations` and `corrections`, how often the loops of the method are unrolled in it."""
+"""A step, or what is read at an instant.
+
+The plan it was traced by (`alfmu.kernel.trace.Plan`), and its `calls`, a list of [function, names of its arguments, names
+of its results] that begins with z, u, p, k, dt and ends with `after` or `seen`.
+"""
+
+TIERS = ("quick", "careful")
+"""Steps in the order in which they are tried."""
 
 Signature = dict[str, Any]
 """`inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns, column offsets,
@@ -63,7 +70,7 @@ class Layout:
     dt        internal step [s]
     control   largest internal step [s], first tier (0 quick, 1 careful)
     tally     internal steps made by each tier
-    seen      what `instant` computes, trouble last
+    seen      what can be read at an instant, largest |Phi-ddot|, trouble
     ========  ==========================================================================================
     """
 
@@ -73,7 +80,7 @@ class Layout:
         self.work = 2 * e.n + self.angles
         self.time, self.trouble, self.change, self.pivot = (self.work + i for i in range(1, 5))
         size = self.work + 5
-        seen = e.signatures["instant"]["outputs"][0][0] if e.kernel else 0
+        seen = e.signatures["seen"]["outputs"][0][0] if e.kernel else 0
         fields = {
             "z": size,
             "after": size,

@@ -6,24 +6,26 @@ scene needs is traced: no multiplier iteration without constraints, no least-nor
 reaction equation where no reaction is read, no work where nothing works.
 
 A step is a program (`alfmu.kernel.program`) of small functions: `stage` combines rates into the state of a stage,
-`rate` holds the method, `place` and `settle` correct q and v (10), `close` judges.
+`evaluate` and `iterate` hold the method, `place` and `settle` (or `correct`) the projection (10), `close` judges.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 
 from .. import method
 from ..assembly import Mobility
 from ..equations import Equations
-from ..evaluation import symbols, with_functions
+from ..evaluation import DENSE, shared, symbols, with_functions
 from ..integrators import rk4
 from .program import SETTINGS, Layout, Program
 
-__all__ = ["Plan", "traced", "untraced"]
+__all__ = ["Plan", "parts", "traced", "untraced"]
 
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
@@ -46,7 +48,6 @@ _ROUND_OFF = 8 * 2.0**-52
 class Plan:
     """How often the loops of the method are unrolled in a step, and how it is judged whether that was enough."""
 
-    name: str
     iterations: int
     """Of multipliers in each evaluation."""
     corrections: int
@@ -66,156 +67,293 @@ def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2)
     """
     e = untraced(equations)
     redundant = mobility is None or mobility.redundant > 0
-    careful = Plan("careful", CAREFUL, 3, weighted=True) if e.l else Plan("careful", 1, 0)
-    plans = [careful, careful]
+    careful = Plan(CAREFUL, 3, weighted=True) if e.l else Plan(1, 0)
+    quick = careful
     if mobility and e.l and iterations < CAREFUL:
-        plans[0] = Plan("quick", iterations, 1, mobility.freedom)
-    functions = {"instant": _instant(e, careful, redundant)}
-    programs = []
-    for plan in plans:
-        program, needed = _step(e, plan)
-        programs.append(program)
-        functions |= needed
-    return replace(with_functions(e, functions), kernel=programs)
+        # A large scene shares the functions of the careful step, which are long to trace and to compile.
+        quick = Plan(iterations, 1, mobility.freedom, weighted=e.n > DENSE)
+    tracer = _Tracer(e)
+    kernel = {
+        "quick": tracer.step(quick),
+        "careful": tracer.step(careful),
+        "instant": tracer.instant(careful, redundant),
+    }
+    return replace(with_functions(e, tracer.functions), kernel=kernel)
 
 
 def untraced(equations: Equations) -> Equations:
     """The same equations without the functions of the kernel."""
     if not equations.kernel:
         return equations
-    names = {"instant"} | {name for program in equations.kernel for name, _, _ in program["calls"]}
+    names = {name for program in equations.kernel.values() for name, _, _ in program["calls"]}
     functions, signatures = (
         {name: x for name, x in each.items() if name not in names}
         for each in (equations.functions, equations.signatures)
     )
-    return replace(equations, functions=functions, signatures=signatures, kernel=[])
+    return replace(equations, functions=functions, signatures=signatures, kernel={}, library=None, workspace=0)
 
 
-def _arguments(layout: Layout) -> list[ca.SX]:
-    return [ca.SX.sym(name, layout.fields[name][1]) for name in ("z", "u", "p", "k", "dt")]
+def parts(equations: Equations, program: Program) -> tuple[dict[str, ca.Function], dict[str, int]]:
+    """What an evaluation of a program comes to step by step, and the structural nonzeros on the way.
+
+    The functions give M, C, F, xi; then also the pivots of H; then the accelerations and the power.
+    """
+    e = equations
+    plan = Plan(**{name: x for name, x in program.items() if name != "calls"})
+    x, k = symbols(e), ca.SX.sym("k", SETTINGS + e.l)
+    q, v, u, p, t = (x[letter] for letter in "qvupt")
+    scene = _Scene(e, plan.weighted, p, k)
+    terms = scene.terms(q, v, u, t)
+    M, C = terms[:2]
+    H = method.augmented_mass(M, C, scene.weights)
+    D, L, order = ca.ldl(H, True)
+    zeros = ca.SX(e.n, 1), ca.SX(e.l, 1)
+    a, _ = scene.iterated(terms, (D, L, order), *zeros, plan.iterations)
+    results = {"model": terms, "factorisation": [*terms, D, L], "iterations": [a, scene.power(q, v, u, t)]}
+    functions = {name: shared(name, [q, v, u, p, t, k], list(values)) for name, values in results.items()}
+    return functions, {"M": M.nnz(), "C": C.nnz(), "H": H.nnz(), "L": L.nnz()}
 
 
-def _step(e: Equations, plan: Plan) -> tuple[Program, dict[str, ca.Function]]:
-    """An internal step of RK4 with projection: the calls, and the functions that they call."""
-    layout, prefix = Layout(e), plan.name
-    z, u, p, k, dt = _arguments(layout)
-    scene = _Scene(e, plan, p, k)
-    functions: dict[str, ca.Function] = {}
-    calls: list[list] = []
+class _Tracer:
+    """Collects the functions that programs call, each traced once."""
 
-    def call(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> None:
-        if name not in functions:
-            values = [ca.densify(x) for x in outputs.values()]
-            functions[name] = ca.Function(name, list(inputs.values()), values, {"cse": True})
-        calls.append([name, list(inputs), list(outputs)])
+    def __init__(self, equations: Equations):
+        self.e, self.layout = equations, Layout(equations)
+        self.functions: dict[str, ca.Function] = {}
+        fields = self.layout.fields
+        self._known = {name: ca.SX.sym(name, fields[name][1]) for name in ("z", "u", "p", "k", "dt")}
 
-    q, v, y = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.sym("y", 2 * e.n + 1)
-    rates: dict[str, ca.SX] = {}
+    def step(self, plan: Plan) -> Program:
+        """An internal step of RK4 with projection."""
+        e, layout = self.e, self.layout
+        z, _, p, k, dt = self._known.values()
+        scene = _Scene(e, plan.weighted, p, k)
+        calls = _Calls(self)
+        q, v = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
+        rates: dict[str, ca.SX] = {}
 
-    def rate(t: ca.SX, y: ca.SX) -> ca.SX:
-        i = len(rates) + 1
-        call(f"stage{i}", {"z": z, "dt": dt, **rates}, {f"t{i}": t, f"q{i}": y[: e.n], f"v{i}": y[e.n : 2 * e.n]})
-        ts = ca.SX.sym("t")
-        dy, watch = scene.rate(q, v, u, ts)
-        call(
-            f"{prefix}_rate",
-            {f"t{i}": ts, f"q{i}": q, f"v{i}": v, "u": u, "p": p, "k": k},
-            {"rate": dy, f"watch{i}": watch},
+        def rate(t: ca.SX, y: ca.SX) -> ca.SX:
+            i = len(rates) + 1
+            stage = {f"t{i}": t, f"q{i}": y[: e.n], f"v{i}": y[e.n : 2 * e.n]}
+            calls(f"stage{i}", {"z": z, "dt": dt, **rates}, lambda: stage, list(stage))
+            self._evaluation(calls, scene, plan, str(i))
+            a, power = ca.SX.sym("a", e.n), ca.SX.sym("power")
+            calls(
+                "rate",
+                {f"v{i}": v, f"a{i}": a, f"power{i}": power},
+                lambda: {"rate": ca.vertcat(v, a, power)},
+                [f"rate{i}"],
+            )
+            rates[f"rate{i}"] = ca.SX.sym(f"rate{i}", 2 * e.n + 1)
+            return rates[f"rate{i}"]
+
+        y = rk4(rate, z[layout.time], ca.vertcat(z[: 2 * e.n], z[layout.work]), dt)
+        after = {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]}
+        calls("sum", {"z": z, "dt": dt, **rates}, lambda: after, list(after))
+        watches = {f"watch{i + 1}": ca.SX.sym("watch", len(_Watch.FIELDS)) for i in range(len(rates))}
+        kind = scene.kind
+        if e.l:
+            position, state = {"q": q, "p": p, "k": k}, {"q": q, "v": v, "p": p, "k": k}
+            if plan.corrections > 1:
+                for _ in range(plan.corrections):
+                    calls(f"{kind}_place", position, lambda: {"q": scene.placed(q)}, ["q"])
+                calls(
+                    f"{kind}_settle",
+                    state,
+                    lambda: dict(zip(("v", "pivot", "left"), scene.settled(q, v, plan.corrections), strict=True)),
+                    ["v", "pivot", "left"],
+                )
+            else:
+                calls(
+                    f"{kind}_correct",
+                    state,
+                    lambda: dict(zip(("q", "v", "pivot", "left"), scene.corrected(q, v), strict=True)),
+                    ["q", "v", "pivot", "left"],
+                )
+            watches |= {"pivot": ca.SX.sym("pivot"), "left": ca.SX.sym("left", 2)}
+        work = ca.SX.sym("work")
+        known = {"z": z, "dt": dt, "q": q, "v": v, "work": work, "p": p, "k": k, **watches}
+        tier = "careful" if plan.freedom is None else "quick"
+        calls(f"{tier}_close", known, lambda: {"after": scene.closed(plan, z, dt, q, v, work, watches)}, ["after"])
+        return {**asdict(plan), "calls": calls.made}
+
+    def instant(self, plan: Plan, redundant: bool) -> Program:
+        """What a user can read, monitors, largest |Phi-ddot|, trouble."""
+        e, layout = self.e, self.layout
+        z, u, p, k, _ = self._known.values()
+        scene = _Scene(e, plan.weighted, p, k)
+        calls = _Calls(self)
+        q, v, t = z[: e.n], z[e.n : 2 * e.n], z[layout.time]
+        known = {"z": z, "u": u, "p": p, "k": k}
+        if not any(o.instant for o in e.outputs):  # Nobody reads an acceleration or a reaction: none is computed.
+            zeros = ca.SX(e.n, 1), ca.SX(e.l, 1)
+            calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *zeros, None, None, None)}, ["seen"])
+            return {**asdict(plan), "calls": calls.made}
+        calls("unpack", {"z": z}, lambda: {"t0": t, "q0": q, "v0": v}, ["t0", "q0", "v0"])
+        self._evaluation(calls, scene, plan, "0")
+        matrices = self._matrices(scene)
+        if redundant and e.l:
+            some = {name: matrices[name] for name in ("C", "D", "L")}
+            lam = ca.SX.sym("lam", e.l)
+            calls("least", {"k": k, **some, "lam0": lam}, lambda: {"lam": scene.least(some, lam)}, ["lam0"])
+        a, lam, watch = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(_Watch.FIELDS))
+        known |= {"C": matrices["C"], "xi": matrices["xi"], "a0": a, "lam0": lam, "watch0": watch}
+        calls(
+            "seen",
+            known,
+            lambda: {"seen": scene.seen(plan, z, u, a, lam, scene.matrix("C", matrices), matrices["xi"], watch)},
+            ["seen"],
         )
-        calls[-1][2][0] = f"rate{i}"
-        rates[f"rate{i}"] = ca.SX.sym(f"rate{i}", 2 * e.n + 1)
-        return rates[f"rate{i}"]
+        return {**asdict(plan), "calls": calls.made}
 
-    y = rk4(rate, z[layout.time], ca.vertcat(z[: 2 * e.n], z[layout.work]), dt)
-    call("sum", {"z": z, "dt": dt, **rates}, {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]})
-    watches = {f"watch{i + 1}": ca.SX.sym("watch", 4) for i in range(len(rates))}
-    if e.l:
-        if plan.corrections > 1:
-            for _ in range(plan.corrections):
-                call(f"{prefix}_place", {"q": q, "p": p, "k": k}, {"q": scene.placed(q)})
-            names, values = ("v", "pivot", "residues"), scene.settled(q, v)
-        else:
-            names, values = ("q", "v", "pivot", "residues"), scene.corrected(q, v)
-        call(f"{prefix}_settle", {"q": q, "v": v, "p": p, "k": k}, dict(zip(names, values, strict=True)))
-        watches |= {"pivot": ca.SX.sym("pivot"), "residues": ca.SX.sym("residues", 2)}
-    work = ca.SX.sym("work")
-    after = scene.closed(z, dt, q, v, work, watches)
-    call(
-        f"{prefix}_close", {"z": z, "dt": dt, "q": q, "v": v, "work": work, "p": p, "k": k, **watches}, {"after": after}
-    )
-    return {"calls": calls, "iterations": plan.iterations, "corrections": plan.corrections if e.l else 0}, functions
+    def _evaluation(self, calls: _Calls, scene: _Scene, plan: Plan, i: str) -> None:
+        """a, lam (times `scale`), power and watch from t, q, v, each with the number i in its name."""
+        e, kind = self.e, scene.kind
+        _, u, p, k, _ = self._known.values()
+        t, q, v = ca.SX.sym("t"), ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
+        matrices = self._matrices(scene)
+        known = {f"t{i}": t, f"q{i}": q, f"v{i}": v, "u": u, "p": p, "k": k}
+        made = [*matrices, f"a{i}", f"lam{i}", f"power{i}", f"watch{i}"]
+        calls(f"{kind}_evaluate", known, lambda: scene.evaluated(q, v, u, t), made)
+        a, lam, watch = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(_Watch.FIELDS))
+        again = {"k": k, **matrices, f"a{i}": a, f"lam{i}": lam, f"watch{i}": watch}
+        for _ in range(plan.iterations - 1):
+            calls(
+                f"{kind}_iterate",
+                again,
+                lambda: scene.iterated_again(matrices, a, lam, watch),
+                [f"a{i}", f"lam{i}", f"watch{i}"],
+            )
 
-
-def _instant(e: Equations, plan: Plan, redundant: bool) -> ca.Function:
-    """instant(z, u, p, k): what a user can read, monitors, largest |Phi-ddot|, trouble."""
-    layout = Layout(e)
-    z, u, p, k, _ = _arguments(layout)
-    scene = _Scene(e, plan, p, k)
-    q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
-    a, lam, solve, watch = scene.accelerations(q, v, u, t)
-    C = e.C(q, p)
-    if redundant and e.l:
-        lam = method.minimum_norm(C, scene.weights, solve, lam, 2, lambda change, value: False)
-    readings = e.readings(q, v, a, lam / scene.scale, u, p, t)
-    for row, angle in zip(scene.wrapped_rows, ca.vertsplit(scene.unwrapped(q, angles)), strict=False):
-        readings[row] = angle
-    position, velocity, acceleration = (
-        scene.largest(x) if e.l else ca.SX(0) for x in (e.Phi(q, p), C @ v, C @ a - e.xi(q, v, p))
-    )
-    energy = e.kinetic_energy(q, v, p) + e.potential_energy(q, p)
-    monitors = [position, velocity, energy, ca.SX(plan.iterations)]
-    monitors = [x for name, x in zip(MONITORED, monitors, strict=True) if name not in e.monitors]
-    trouble = scene.unconverged([watch]) + 1 - (watch[_PIVOT] > 0)
-    if any(o.instant for o in e.outputs):
-        last = [acceleration, trouble]
-    else:  # Nobody reads an acceleration or a reaction: none is computed.
-        last = [ca.SX(0), 1 - (ca.sumsqr(readings) < math.inf)]
-    return ca.Function("instant", [z, u, p, k], [ca.densify(ca.vertcat(readings, *monitors, *last))], {"cse": True})
+    def _matrices(self, scene: _Scene) -> dict[str, ca.SX]:
+        """Symbols for the nonzeros of what an evaluation hands on."""
+        return {name: ca.SX.sym(name, pattern.nnz()) for name, pattern in scene.patterns.items()}
 
 
-_CHANGE, _SIZE, _PIVOT, _SMALL_PIVOTS = range(4)
-"""What an evaluation says of itself: last change of a and a itself (squared), smallest pivot, number of small ones."""
+class _Calls:
+    """The calls of a program; a function that is called the first time is traced."""
+
+    def __init__(self, tracer: _Tracer):
+        self._tracer = tracer
+        self.made: list[list] = []
+
+    def __call__(
+        self, name: str, arguments: dict[str, ca.SX], results: Callable[[], dict[str, ca.SX]], outputs: list[str]
+    ) -> None:
+        functions = self._tracer.functions
+        if name not in functions:
+            values = [ca.densify(value) for value in results().values()]
+            # In a large scene little is left to share, and the search takes longer than all the rest.
+            make = shared if self._tracer.e.n <= DENSE else ca.Function
+            functions[name] = make(name, list(arguments.values()), values)
+        self.made.append([name, list(arguments), outputs])
+
+
+class _Watch:
+    """What an evaluation says of itself."""
+
+    FIELDS = ("change", "size", "pivot", "small")
+    """Last change of a, and a itself (both squared); smallest pivot of H, number of pivots that are small."""
+
+    def __init__(self, vector: ca.SX):
+        self.change, self.size, self.pivot, self.small = ca.vertsplit(vector)
 
 
 class _Scene:
     """The method with symbols; every part says what tells whether its unrolled loops were enough."""
 
-    def __init__(self, equations: Equations, plan: Plan, p: ca.SX, k: ca.SX):
-        self.e, self.plan, self.p = equations, plan, p
+    def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
+        self.e, self.p, self.kind = equations, p, "weighted" if weighted else "plain"
         alpha, self.tolerance = k[0], k[1]
         # Equation (4) divided by alpha, so that no product with it is left: M / alpha, F / alpha, lam / alpha.
         self.scale = 1 / alpha
-        own = k[SETTINGS:] if plan.weighted else ca.SX.ones(equations.l)
+        own = k[SETTINGS:] if weighted else ca.SX.ones(equations.l)
         self.weights = ca.diag(own)
-        self.held = own > 0 if plan.weighted else own
-        names = {o.name: i for i, o in enumerate(equations.outputs)}
-        self.wrapped_rows = [names[name] for name in equations.wrapped]
+        self.held = own > 0 if weighted else own
 
-    def rate(self, q: ca.SX, v: ca.SX, u: ca.SX, t: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Rate of q, v and work, and what tells about it."""
-        e, p = self.e, self.p
-        a, _, _, watch = self.accelerations(q, v, u, t)
-        power = e.input_power(q, v, u, p, t) + e.other_power(q, v, p, t) if e.works else 0
-        return ca.vertcat(v, a, power), watch
+    @cached_property
+    def patterns(self) -> dict[str, ca.Sparsity]:
+        """Sparsity of what an evaluation hands on: M, C, F, xi, and the factors of H."""
+        x = symbols(self.e)
+        M, C, F, xi = self.terms(x["q"], x["v"], x["u"], x["t"])
+        D, L, self._order = ca.ldl(method.augmented_mass(M, C, self.weights), True)
+        values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
+        return {name: value.sparsity() for name, value in values.items()}
 
-    def accelerations(self, q: ca.SX, v: ca.SX, u: ca.SX, t: ca.SX) -> tuple[ca.SX, ca.SX, method.Solve, ca.SX]:
-        """a, lam (times `scale`), what solves with H (times `scale`), and what tells about them."""
-        e, p, changes = self.e, self.p, []
-        M, C, xi = self.scale * e.M(q, p), e.C(q, p), e.xi(q, v, p)
-        F = self.scale * (e.f(q, v, u, p, t) - e.d(q, v, p))
+    def matrix(self, name: str, nonzeros: dict[str, ca.SX]) -> ca.SX:
+        return ca.SX(self.patterns[name], nonzeros[name])
+
+    def terms(self, q: ca.SX, v: ca.SX, u: ca.SX, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """M (times `scale`), C, F (times `scale`), xi."""
+        M, C, F, xi = self.e.dynamics(q, v, u, self.p, t)
+        return self.scale * ca.sparsify(M), ca.sparsify(C), self.scale * F, xi
+
+    def power(self, q: ca.SX, v: ca.SX, u: ca.SX, t: ca.SX) -> ca.SX:
+        return self.e.power(q, v, u, self.p, t) if self.e.works else ca.SX(0)
+
+    def evaluated(self, q: ca.SX, v: ca.SX, u: ca.SX, t: ca.SX) -> dict[str, ca.SX]:
+        """What an evaluation hands on, with a and lam (times `scale`) after the first iteration."""
+        e = self.e
+        terms = M, C, F, xi = self.terms(q, v, u, t)
         H = method.augmented_mass(M, C, self.weights)
-        D, solve, order = _factor(H)
-
-        def watch(da: ca.SX, a: ca.SX) -> bool:
-            changes.append(da)
-            return False
-
-        zeros = ca.SX(e.n, 1), ca.SX(e.l, 1)
-        a, lam, _, _ = method.residual(M, F, C, xi, self.weights, solve, *zeros, self.plan.iterations, watch)
+        D, L, order = ca.ldl(H, True)
+        a, lam = self.iterated(terms, (D, L, order), ca.SX(e.n, 1), ca.SX(e.l, 1), 1)
         diagonal = ca.diag(H)[order]
-        reduced = [i for i in range(e.n) if not ca.is_equal(D[i], diagonal[i])]
-        small = ca.sum1(ca.vertcat(ca.SX(0), *(D[i] < _SMALL * diagonal[i] for i in reduced)))
-        return a, lam, solve, ca.vertcat(ca.sumsqr(changes[-1]), ca.sumsqr(a), ca.mmin(D), small)
+        small = ca.sum1(_SMALL * diagonal > D)
+        watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), small)
+        values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
+        return {
+            **{name: ca.vec(value.nz[:]) for name, value in values.items()},
+            **{"a": a, "lam": lam, "power": self.power(q, v, u, t), "watch": watch},
+        }
+
+    def iterated_again(self, nonzeros: dict[str, ca.SX], a: ca.SX, lam: ca.SX, watch: ca.SX) -> dict[str, ca.SX]:
+        """a and lam (times `scale`) after one more iteration."""
+        M, C, F, xi, D, L = (self.matrix(name, nonzeros) for name in ("M", "C", "F", "xi", "D", "L"))
+        before = a
+        a, lam = self.iterated((M, C, F, xi), (D, L, self._order), a, lam, 1)
+        seen = _Watch(watch)
+        watch = ca.vertcat(ca.sumsqr(a - before), ca.sumsqr(a), seen.pivot, seen.small)
+        return {"a": a, "lam": lam, "watch": watch}
+
+    def iterated(self, terms: tuple, factors: tuple, a: ca.SX, lam: ca.SX, most: int) -> tuple[ca.SX, ca.SX]:
+        M, C, F, xi = terms
+        solve = _solver(*factors)
+        a, lam, _, _ = method.residual(M, F, C, xi, self.weights, solve, a, lam, most, lambda da, a: False)
+        return a, lam
+
+    def least(self, nonzeros: dict[str, ca.SX], lam: ca.SX) -> ca.SX:
+        """lam of least norm."""
+        C, D, L = (self.matrix(name, nonzeros) for name in ("C", "D", "L"))
+        return method.minimum_norm(C, self.weights, _solver(D, L, self._order), lam, 2, lambda change, value: False)
+
+    def seen(
+        self,
+        plan: Plan,
+        z: ca.SX,
+        u: ca.SX,
+        a: ca.SX,
+        lam: ca.SX,
+        C: ca.SX | None,
+        xi: ca.SX | None,
+        watch: ca.SX | None,
+    ) -> ca.SX:
+        """What a user can read, monitors, largest |Phi-ddot|, trouble."""
+        e, p, layout = self.e, self.p, Layout(self.e)
+        q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
+        readings = e.readings(q, v, a, lam / self.scale, u, p, t)
+        names = {o.name: i for i, o in enumerate(e.outputs)}
+        for name, angle in zip(e.wrapped, ca.vertsplit(self.unwrapped(q, angles)), strict=False):
+            readings[names[name]] = angle
+        monitors = []
+        if set(MONITORED) - set(e.monitors):
+            _, _, Phi, Cv = e.constraints(q, v, p)
+            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), ca.SX(plan.iterations)
+            monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
+        if watch is None:
+            return ca.vertcat(readings, *monitors, 0, 1 - (ca.sumsqr(readings) < math.inf))
+        trouble = self._unconverged(plan, [_Watch(watch)]) + 1 - (_Watch(watch).pivot > 0)
+        return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), trouble)
 
     def corrected(self, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """q and v after one correction (10) each, by H and C' of q as it was, which serves both at a regular position;
@@ -231,64 +369,65 @@ class _Scene:
         C, _, solve = self._augmented(q)
         return q + method.project(C, self.weights, solve, self.e.Phi(q, self.p))
 
-    def settled(self, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def settled(self, q: ca.SX, v: ca.SX, corrections: int) -> tuple[ca.SX, ca.SX, ca.SX]:
         """v after corrections (10), the smallest pivot, and the residues (squared) of q and v."""
         C, D, solve = self._augmented(q)
-        for _ in range(self.plan.corrections):
+        for _ in range(corrections):
             v = v + method.project(C, self.weights, solve, C @ v)
         return v, ca.mmin(D), self._residues(q, C @ v)
 
-    def _residues(self, q: ca.SX, Cv: ca.SX) -> ca.SX:
-        return ca.vertcat(*(ca.sumsqr(x * self.held) for x in (self.e.Phi(q, self.p), Cv)))
-
-    def closed(self, z: ca.SX, dt: ca.SX, q: ca.SX, v: ca.SX, work: ca.SX, watches: dict[str, ca.SX]) -> ca.SX:
+    def closed(
+        self, plan: Plan, z: ca.SX, dt: ca.SX, q: ca.SX, v: ca.SX, work: ca.SX, watches: dict[str, ca.SX]
+    ) -> ca.SX:
         """The state after the step; its `trouble` counts failed checks, each a comparison that NaN fails."""
         e, layout = self.e, Layout(self.e)
-        evaluations = [x for name, x in watches.items() if name.startswith("watch")]
-        pivot = ca.mmin(ca.vertcat(*(x[_PIVOT] for x in evaluations), watches.get("pivot", ca.SX(0, 1))))
-        trouble = 1 - (pivot > 0) + self.unconverged(evaluations)
+        evaluations = [_Watch(x) for name, x in watches.items() if name.startswith("watch")]
+        pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), watches.get("pivot", ca.SX(0, 1))))
+        trouble = 1 - (pivot > 0) + self._unconverged(plan, evaluations)
         if e.l:
-            for residue, x in zip(ca.vertsplit(watches["residues"]), (q, v), strict=True):
+            for residue, x in zip(ca.vertsplit(watches["left"]), (q, v), strict=True):
                 trouble += 1 - (residue <= ca.fmax(self.tolerance**2, _ROUND_OFF**2 * ca.sumsqr(x)))
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
-        change = sum(x[_CHANGE] for x in evaluations) / (evaluations[0][_SIZE] + _TINY)
+        change = sum(x.change for x in evaluations) / (evaluations[0].size + _TINY)
         angles = self.unwrapped(q, z[2 * e.n : layout.work])
         return ca.vertcat(q, v, angles, work, z[layout.time] + dt, z[layout.trouble] + trouble, change, pivot)
-
-    def unconverged(self, evaluations: list[ca.SX]) -> ca.SX:
-        """Number of checks of the multiplier iteration that fail."""
-        if not self.e.l:
-            return ca.SX(0)
-        limit, most = self.tolerance, self.plan.freedom
-        change, size = sum(x[_CHANGE] for x in evaluations), evaluations[0][_SIZE]
-        if most is None:
-            return 1 - (change <= limit**2 * sum(x[_SIZE] for x in evaluations) + _TINY)
-        # Each of m iterations gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
-        m = self.plan.iterations
-        trouble = 1 - (change <= limit ** (2 * (m - 1) / m) * size + _TINY)
-        return trouble + sum(1 - (x[_SMALL_PIVOTS] <= most) for x in evaluations)
-
-    def largest(self, residue: ca.SX) -> ca.SX:
-        return ca.mmax(ca.fabs(residue * self.held))
 
     def unwrapped(self, q: ca.SX, near: ca.SX) -> ca.SX:
         """Computed angles moved by whole turns to the values nearest to `near`."""
         e = self.e
-        if not self.wrapped_rows:
+        if not e.wrapped:
             return ca.SX(0, 1)
-        s = symbols(e)
-        raw = e.readings(q, s["v"], s["a"], s["lam"], s["u"], self.p, s["t"])[self.wrapped_rows]
+        s, names = symbols(e), {o.name: i for i, o in enumerate(e.outputs)}
+        readings = e.readings(q, s["v"], s["a"], s["lam"], s["u"], self.p, s["t"])
+        raw = readings[[names[name] for name in e.wrapped]]
         return raw + 2 * ca.pi * ca.floor((near - raw) / (2 * ca.pi) + 0.5)
+
+    def _unconverged(self, plan: Plan, evaluations: list[_Watch]) -> ca.SX:
+        """Number of checks of the multiplier iteration that fail."""
+        if not self.e.l:
+            return ca.SX(0)
+        change, size = sum(x.change for x in evaluations), evaluations[0].size
+        if plan.freedom is None:
+            return 1 - (change <= self.tolerance**2 * sum(x.size for x in evaluations) + _TINY)
+        # Each of m iterations gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
+        m = plan.iterations
+        trouble = 1 - (change <= self.tolerance ** (2 * (m - 1) / m) * size + _TINY)
+        return trouble + sum(1 - (x.small <= plan.freedom) for x in evaluations)
+
+    def _largest(self, residue: ca.SX) -> ca.SX:
+        return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else ca.SX(0)
+
+    def _residues(self, q: ca.SX, Cv: ca.SX) -> ca.SX:
+        return ca.vertcat(*(ca.sumsqr(x * self.held) for x in (self.e.Phi(q, self.p), Cv)))
 
     def _augmented(self, q: ca.SX) -> tuple[ca.SX, ca.SX, method.Solve]:
         """C, the pivots of H (times `scale`), and what solves with it."""
         C = self.e.C(q, self.p)
-        D, solve, _ = _factor(method.augmented_mass(self.scale * self.e.M(q, self.p), C, self.weights))
-        return C, D, solve
+        D, L, order = ca.ldl(method.augmented_mass(self.scale * self.e.M(q, self.p), C, self.weights), True)
+        return C, D, _solver(D, L, order)
 
 
-def _factor(H: ca.SX) -> tuple[ca.SX, method.Solve, list[int]]:
-    """Pivots of a sparse LDL' factorisation, what solves with it, and its fill-reducing order."""
-    D, L, order = ca.ldl(H, True)
-    return D, lambda b: ca.ldl_solve(b, D, L, order), order
+def _solver(D: ca.SX, L: ca.SX, order: list[int]) -> method.Solve:
+    """What solves with a sparse LDL' factorisation in a fill-reducing order."""
+    return lambda b: ca.ldl_solve(b, D, L, order)

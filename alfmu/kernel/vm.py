@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..equations import Equations
 from .program import Layout, Memory, Program
 
-__all__ = ["Vm", "step_function"]
+__all__ = ["Vm", "program_function"]
 
 FLAT = 40000
 """Instructions up to which a step is one flat function; a longer one calls its parts."""
@@ -24,23 +24,18 @@ _LARGEST = 3
 """Bundles of bundles."""
 
 
-def composed(equations: Equations, program: Program, arguments: list) -> ca.SX | ca.MX:
-    """The state after the calls of a program, made one after the other on symbols."""
-    known = dict(zip(("z", "u", "p", "k", "dt"), arguments, strict=True))
-    for name, inputs, outputs in program["calls"]:
-        results = equations.functions[name].call([known[i] for i in inputs])
-        known.update(zip(outputs, results, strict=True))
-    return known["after"]
-
-
-def step_function(equations: Equations, program: Program) -> ca.Function:
-    """A whole step as a function of z, u, p, k, dt: with all subexpressions shared, or of calls where it is long."""
+def program_function(equations: Equations, program: Program) -> ca.Function:
+    """A program as one function of z, u, p, k, dt: with subexpressions shared, or of calls where it is long."""
     fields = Layout(equations).fields
     size = sum(equations.functions[name].n_instructions() for name, _, _ in program["calls"])
     symbol = ca.SX if size <= FLAT else ca.MX
-    arguments = [symbol.sym(name, fields[name][1]) for name in ("z", "u", "p", "k", "dt")]
-    after = composed(equations, program, arguments)
-    return ca.Function("step", arguments, [after], {"cse": True} if symbol is ca.SX else {})
+    arguments = {name: symbol.sym(name, fields[name][1]) for name in ("z", "u", "p", "k", "dt")}
+    known, outputs = dict(arguments), []
+    for name, inputs, outputs in program["calls"]:
+        results = equations.functions[name].call([known[i] for i in inputs])
+        known.update(zip(outputs, results, strict=True))
+    options = {"cse": True} if symbol is ca.SX else {}
+    return ca.Function("program", list(arguments.values()), [known[outputs[-1]]], options)
 
 
 class Vm:
@@ -82,13 +77,13 @@ class _Machine:
         self._dt, self._step_size, self._first = at("dt", 0), at("control", 0), at("control", 1)
         self._tally = at("tally", 0)
         self._arguments = [memory[name] for name in ("z", "u", "p", "k", "dt")]
-        functions = []
-        for program in vm.equations.kernel:
-            same = functions and program["calls"] == vm.equations.kernel[0]["calls"]
-            functions.append(functions[0] if same else step_function(vm.equations, program))
-        self._functions = [[f] for f in functions]
-        self._runs = [[self._bound(f)] for f in functions]
-        self._instant = vm.bind("instant", self._arguments[:4], [memory["seen"]])
+        kernel = vm.equations.kernel
+        careful = program_function(vm.equations, kernel["careful"])
+        quick = careful if kernel["quick"] == kernel["careful"] else program_function(vm.equations, kernel["quick"])
+        self._functions = [[quick], [careful]]
+        self._runs = [[self._bound(quick)], [self._bound(careful)]]
+        instant = program_function(vm.equations, kernel["instant"])
+        self._instant = vm.bound(instant, self._arguments, [memory["seen"]])
         self._seen_trouble = at("seen", len(memory["seen"]) - 1)
 
     def communicate(self, start: float, h: float) -> bool:

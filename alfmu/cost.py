@@ -1,0 +1,134 @@
+"""What a scene costs, counted in operations of its generated functions: by part, and against what was left out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from .assembly import Mobility
+from .equations import Equations
+from .kernel.trace import parts, traced
+from .kernel.vm import program_function
+from .runtime import MONITORS
+from .simulation import prepared
+from .specialisation import specialised
+
+__all__ = ["Cost", "cost", "described", "operations"]
+
+_FREE = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Operations of an internal step and of reading the outputs once."""
+
+    step: int
+    """The quick step in all; what its parts share is counted once."""
+    parts: dict[str, int]
+    """Of the step: model, factorisation, iterations, integration, projection; checks, less what the parts share."""
+    careful: int
+    """The step that is taken where the quick one says that it was not enough."""
+    outputs: int
+    nonzeros: dict[str, int]
+    """Structural nonzeros of M, C, H, and of its factor L without the diagonal."""
+    iterations: int
+    corrections: int
+
+
+def cost(equations: Equations) -> Cost:
+    """Operations of a traced scene."""
+    e = equations
+    quick = e.kernel["quick"]
+    evaluation, nonzeros = parts(e, quick)
+    model, factored, iterated = (operations(evaluation[name]) for name in ("model", "factorisation", "iterations"))
+    called = [name for name, _, _ in quick["calls"]]
+    stages = called.count("rate")
+
+    def together(names: Iterable[str]) -> int:
+        return sum(operations(e.functions[name]) for name in names)
+
+    by_part = {
+        "model": stages * model,
+        "factorisation": stages * (factored - model),
+        "iterations": stages * (iterated - factored),
+        "integration": together(name for name in called if name == "sum" or name.startswith("stage")),
+        "projection": together(name for name in called if name.endswith(("_place", "_settle", "_correct"))),
+    }
+    by_part["checks, less what is shared"] = _whole(e, quick) - sum(by_part.values())
+    return Cost(
+        step=_whole(e, quick),
+        parts=by_part,
+        careful=_whole(e, e.kernel["careful"]),
+        outputs=_whole(e, e.kernel["instant"]),
+        nonzeros=nonzeros,
+        iterations=quick["iterations"],
+        corrections=quick["corrections"],
+    )
+
+
+def described(everything: Equations, scene: Equations, mobility: Mobility) -> list[str]:
+    """What a scene costs and what was left out of it, in lines for a reader.
+
+    `everything` is the same mechanism with all outputs and parameters, `mobility` what is known of both. Each thing
+    left out is put back alone to see what that saves.
+    """
+    prepared_scene = prepared(scene)
+    now = cost(prepared_scene)
+
+    def with_all_passes(e: Equations) -> Cost:
+        return cost(traced(e, replace(mobility, redundant=1), prepared_scene.kernel["quick"]["iterations"]))
+
+    text = [
+        f"operations of a step: {now.step} ({now.iterations} multiplier iterations in each of 4 evaluations, "
+        f"{now.corrections} correction{'s' * (now.corrections != 1)} each of q and v)",
+        *(f"  {name:24} {count:>8}" for name, count in now.parts.items()),
+        f"operations of a careful step: {now.careful}, taken where the first is found not to be enough",
+        f"operations of reading the outputs: {now.outputs}",
+        "structural nonzeros: " + ", ".join(f"{name} {count}" for name, count in now.nonzeros.items()),
+        "",
+        f"{'left out, and the operations that it saves':66} {'step':>8} {'outputs':>8}",
+    ]
+    full = with_all_passes(everything)
+    outputs = [v for v in everything.outputs if v not in scene.outputs]
+    frozen = [v for v in everything.parameters if v not in scene.parameters]
+    kept, constants = None, None
+    if outputs or scene.monitors:
+        kept = [v.name for v in scene.outputs] + [m.name for m in MONITORS if m.name not in scene.monitors]
+    if frozen:
+        constants = [v.name for v in frozen]
+    lines = []
+    if kept is not None:
+        back = cost(prepared(specialised(everything, None, constants)))
+        some = "" if any(o.instant for o in scene.outputs) else ", so all accelerations and reactions with them"
+        lines.append((f"{len(outputs)} outputs, {len(scene.monitors)} monitors{some}", back))
+    if constants is not None:
+        back = cost(prepared(specialised(everything, kept, None)))
+        lines.append((f"{len(frozen)} parameters, folded into constants", back))
+    if scene.l and not mobility.redundant and any(o.instant for o in scene.outputs):
+        lines.append(("least-norm pass: no constraint is redundant", with_all_passes(scene)))
+    if not scene.l:
+        lines.append(("multiplier iteration and projection: there are no constraints", None))
+    if not scene.works:
+        lines.append(("integral of work: nothing does work, or nobody reads the energy", None))
+    text += [f"  {what:64} {_saved(back, now)}".rstrip() for what, back in lines] or ["  nothing: all of it is needed"]
+    text.append(f"  {'in all':64} {_saved(full, now)}")
+    text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
+    return text
+
+
+def _saved(before: Cost | None, now: Cost) -> str:
+    return "" if before is None else f"{before.step - now.step:>8} {before.outputs - now.outputs:>8}"
+
+
+def operations(function: ca.Function) -> int:
+    """Arithmetic operations of a function, without moving numbers in and out."""
+    return sum(function.instruction_id(k) not in _FREE for k in range(function.n_instructions()))
+
+
+def _whole(e: Equations, program: dict) -> int:
+    function = program_function(e, program)
+    if function.is_a("SXFunction"):
+        return operations(function)
+    return sum(operations(e.functions[name]) for name, _, _ in program["calls"])
