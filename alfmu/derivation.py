@@ -25,7 +25,7 @@ import casadi as ca
 
 from .equations import Equations, Row, Variable
 from .errors import DeclarationError
-from .evaluation import ARGUMENTS, evaluable
+from .evaluation import ARGUMENTS, evaluable, shared
 from .mechanism import Body, Constraint, Joint, Marker, Mechanism, Point, Rigidity, Scalar, key_of, stack, symbolic
 from .units import rate_of
 
@@ -84,6 +84,7 @@ class Kinematics:
                 self.held.setdefault(joint.second.body, []).append(joint)
         self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
         self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
+        self.spans: dict[Body, tuple[ca.SX, ca.SX, ca.SX, ca.SX]] = {}
         self.squares: dict[Joint | Rigidity, ca.SX] = {}
         self.residuals: dict[Closing, ca.SX] = {}
         self.pending: list[Body] = []
@@ -184,27 +185,32 @@ class Kinematics:
         """The square of the distance of two points, and the distance that a closure keeps between them."""
         if closure not in self.squares:
             if isinstance(closure, Rigidity):
-                (x1, y1), (x2, y2) = self._ends(closure.body)
+                _, _, dx, dy = self._span(closure.body)
             else:
                 (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
-            self.squares[closure] = (x2 - x1) ** 2 + (y2 - y1) ** 2
+                dx, dy = x2 - x1, y2 - y1
+            self.squares[closure] = dx**2 + dy**2
         return self.squares[closure], closure.body.length if isinstance(closure, Rigidity) else closure.length
 
-    def _ends(self, body: Body) -> list[tuple[ca.SX, ca.SX]]:
-        ends = []
-        for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
-            x, y = self.place(anchor)
-            for joint in self.held.get(body, ()):
-                if _same(joint.second.x, marker.x) and _same(joint.second.y, marker.y):
-                    e = self.eps[joint]
-                    x, y = x + e.get("x", 0), y + e.get("y", 0)
-            ends.append((x, y))
-        return ends
+    def _span(self, body: Body) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """The first point of a body between points, and the way from there to the second."""
+        if body not in self.spans:
+            ends = []
+            for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
+                x, y = self.place(anchor)
+                for joint in self.held.get(body, ()):
+                    if _same(joint.second.x, marker.x) and _same(joint.second.y, marker.y):
+                        e = self.eps[joint]
+                        x, y = x + e.get("x", 0), y + e.get("y", 0)
+                ends.append((x, y))
+            (x1, y1), (x2, y2) = ends
+            self.spans[body] = x1, y1, x2 - x1, y2 - y1
+        return self.spans[body]
 
     def _between(self, body: Body) -> Frame:
-        (x1, y1), (x2, y2) = self._ends(body)
-        ex, ey = (x2 - x1) / body.length, (y2 - y1) / body.length
-        return Frame(x1, y1, (0.0, 0.0), ex, ey, ca.atan2(ey, ex), wrapped=True)
+        x, y, dx, dy = self._span(body)
+        ex, ey = dx / body.length, dy / body.length
+        return Frame(x, y, (0.0, 0.0), ex, ey, ca.atan2(ey, ex), wrapped=True)
 
     def _by_joint(self, body: Body, joint: Joint) -> Frame:
         e = self.eps.get(joint, {})
@@ -366,8 +372,6 @@ def derive(mechanism: Mechanism) -> Equations:
 def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) -> ca.Function:
     arguments = [symbols[letter] for letter in ARGUMENTS[name]]
     value = ca.densify(value) if value.is_column() else value
-    # On a matrix, CasADi's search for common subexpressions takes time with the square of its size.
-    value = ca.SX(value.sparsity(), ca.cse(value.nz[:]))
     function = ca.Function(name, arguments, [value], {"allow_free": True})
     if function.has_free():
         free = ", ".join(map(str, function.get_free()))
@@ -375,7 +379,7 @@ def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) 
             f"{m.name}: {name} uses {free}, which is no coordinate, rate, parameter or input of this mechanism; "
             "declare it here"
         )
-    return ca.Function(name, arguments, [value])
+    return shared(name, arguments, [value])
 
 
 def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:

@@ -33,8 +33,8 @@ __all__ = [
 Program = dict[str, Any]
 """A step, or what is read at an instant.
 
-The plan it was traced by (`alfmu.kernel.trace.Plan`), and its `calls`, a list of [function, names of its arguments, names
-of its results] that begins with z, u, p, k, dt and ends with `after` or `seen`.
+The plan it was traced by (`alfmu.kernel.trace.Plan`), and its `calls`: a list of [function, names of its arguments,
+names of its results] that begins with z, u, p, k, dt and ends with `after` or `seen`.
 """
 
 TIERS = ("quick", "careful")
