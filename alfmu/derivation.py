@@ -84,6 +84,8 @@ class Kinematics:
                 self.held.setdefault(joint.second.body, []).append(joint)
         self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
         self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
+        self.order = {body: i for i, body in enumerate([mechanism.ground, *mechanism.bodies])}
+        self.links: dict[tuple[Body, int | None], list[tuple[Joint, int, tuple[Body, int | None]]]] = {}
         self.spans: dict[Body, tuple[ca.SX, ca.SX, ca.SX, ca.SX]] = {}
         self.squares: dict[Joint | Rigidity, ca.SX] = {}
         self.residuals: dict[Closing, ca.SX] = {}
@@ -197,15 +199,49 @@ class Kinematics:
         if body not in self.spans:
             ends = []
             for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
-                x, y = self.place(anchor)
-                for joint in self.held.get(body, ()):
-                    if _same(joint.second.x, marker.x) and _same(joint.second.y, marker.y):
-                        e = self.eps[joint]
-                        x, y = x + e.get("x", 0), y + e.get("y", 0)
-                ends.append((x, y))
+                (x, y), (dx, dy) = self.place(anchor), self._shift(marker)
+                ends.append((x + dx, y + dy))
             (x1, y1), (x2, y2) = ends
             self.spans[body] = x1, y1, x2 - x1, y2 - y1
         return self.spans[body]
+
+    def _shift(self, end: Marker) -> tuple[Scalar, Scalar]:
+        """Virtual displacement of an end of a body between points.
+
+        The joints at a point tie its bodies into a tree; what one of them displaces, all that hangs on it follows. The
+        root is a body that no points carry, or the one declared first.
+        """
+        if not self.links:
+            carried = [joints for body, joints in self.held.items() if body.between is not None]
+            for joint in (j for joints in carried for j in joints):
+                first, second = self._node(joint.first), self._node(joint.second)
+                self.links.setdefault(first, []).append((joint, -1, second))
+                self.links.setdefault(second, []).append((joint, 1, first))
+        start = self._node(end)
+        if start not in self.links:
+            return 0.0, 0.0
+        ways = {start: (0.0, 0.0)}
+        pending = [start]
+        while pending:
+            node = pending.pop()
+            if node[1] is None:  # other points of this body have trees of their own
+                continue
+            x, y = ways[node]
+            for joint, sign, other in self.links.get(node, ()):
+                if other not in ways:
+                    e = self.eps.get(joint, {})
+                    ways[other] = x + sign * e.get("x", 0), y + sign * e.get("y", 0)
+                    pending.append(other)
+        return ways[min(ways, key=lambda node: (node[1] is not None, self.order[node[0]], node[1] or 0))]
+
+    def _node(self, marker: Marker) -> tuple[Body, int | None]:
+        """A body with the number of its end where two points carry it, otherwise with None."""
+        body = marker.body
+        if body.between is not None:
+            for i, end in enumerate((body.start, body.end)):
+                if _same(marker.x, end.x) and _same(marker.y, end.y):
+                    return body, i
+        return body, None
 
     def _between(self, body: Body) -> Frame:
         x, y, dx, dy = self._span(body)

@@ -36,7 +36,7 @@ from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -335,11 +335,12 @@ class Pinocchio(Peer):
     a word. The reactions are the contact forces and `pin.rnea` with them at the samples; the accelerations of a sample
     are those of the first stage of the next step.
 
-    Tried: mu from 1e-4 to 1e-12 (1e-8 here; 1e-4 and 1e-6 spoil the five-bar, smaller ones change nothing); no
-    stabilisation (the five-bar leaves its branch or overflows); Baumgarte with critical damping, omega from 1 to 400
-    1/s (five-bar: from 30 on all alike, below it is lost; slider-crank: 5 is best, larger ones spoil the order);
-    projection of positions and velocities by least squares after every step and every 0.02 s (equally exact, so
-    every 0.02 s); `solve_ivp` in place of RK4 (fastest on the slider-crank, loses the five-bar).
+    Tried: mu from 1e-4 to 1e-12, accuracies from 1e-6 to 1e-12, 1 to 50 iterations (1e-8, 1e-12, 10 here; mu above
+    1e-8 or fewer than 3 iterations spoil forces or motion of the five-bar, nothing else is faster or more exact); no
+    stabilisation (the five-bar leaves its branch or overflows); Baumgarte with critical damping, omega from 1 to 200
+    1/s (five-bar: 60; from 20 on all are alike, 10 is lost, and so is 200 with 0.02 s; slider-crank: 5 is best, larger
+    ones spoil the order); projection of positions and velocities by least squares after every step and every 0.02 s
+    (equally exact, so every 0.02 s); `solve_ivp` in place of RK4 (fastest on the slider-crank, loses the five-bar).
     """
 
     method: str = "RK4"
@@ -479,12 +480,13 @@ class Exudyn(Peer):
     """Exudyn's own solvers on 2D rigid bodies and revolute joints in redundant coordinates, reactions by its sensors.
 
     Tried: generalised alpha (index 3) with spectral radius 0.5 to 1 and as Newmark with index 2, and the trapezoidal
-    rule (index 2), each with the three linear solvers, with and without `ignoreSingularJacobian`, Newton tolerances
+    rule (index 2), each with the three linear solvers, with and without `ignoreSingularJacobian`; Newton tolerances
     1e-6 to 1e-10, modified and full Newton; the build without range checks. Slider-crank: trapezoidal with EXUdense and
     full Newton is best (half the error of generalised alpha). Five-bar: only EigenDense with `ignoreSingularJacobian`
-    takes the redundant constraint, and only generalised alpha with damping then passes the singular positions; the
-    trapezoidal rule stops at one. Explicit solvers refuse joints. Joints as stiff springs (1e6 to 1e8 N/m) with RK44
-    came no closer than 5e-4 rad.
+    takes the redundant constraint, and only generalised alpha with damping then passes the singular positions, with
+    1e-4 s only where `adaptiveStep` may halve a step that fails. The trapezoidal rule stops at one; with `adaptiveStep`
+    it takes up to 72 s and loses the motion. Explicit solvers refuse joints; joints as stiff springs (1e6 to 1e8 N/m)
+    with RK44 and steps of 1e-4 s and above came no closer than 5e-4 rad.
     """
 
     solver: str = "GeneralizedAlpha"
@@ -511,7 +513,7 @@ class Exudyn(Peer):
         settings.linearSolver.ignoreSingularJacobian = redundant
         march = settings.timeIntegration
         march.endTime, march.numberOfSteps, march.verboseMode = stop_time, round(stop_time / step), 0
-        march.adaptiveStep = False
+        march.adaptiveStep = self.solver == "GeneralizedAlpha"
         march.newton.useModifiedNewton = redundant
         kind = getattr(exu.DynamicSolverType, self.solver)
 
@@ -544,7 +546,7 @@ def _exudyn() -> ModuleType:
     return exu
 
 
-def _exudyn_model(mbs, mechanism: str) -> tuple[object, list[tuple[object, float]]]:
+def _exudyn_model(mbs: Any, mechanism: str) -> tuple[object, list[tuple[object, float]]]:
     """Node of the first link, and the joints in the order of REACTIONS with the sign of their forces."""
     from exudyn import itemInterface as item
 
@@ -599,9 +601,10 @@ class MuJoCo(Peer):
 
     Its constraints are soft, so they are made as hard as it goes: solimp 0.9999 (its limit), solref as stiffness and
     critical damping with a stiffness of c / step^2, which needs refsafe off. Tried: stiffness 1e2 and 1e4 at every
-    step, c from 0.01 to 4 (five-bar 2, slider-crank 0.2; from 4 on errors grow); `diagexact` (ruins the five-bar);
-    1 to 50 solver iterations (equalities alone need one or two); implicit, implicitfast and discrete integrators
-    (first order, and softer constraints on the five-bar or they diverge). One call of `mj_step` takes many steps.
+    step, c from 0.01 to 4 (five-bar 2, slider-crank 0.2; 4 is worse with coarse steps); `diagexact` (spoils the
+    five-bar); 1 to 50 solver iterations (equalities alone need one or two); implicit, implicitfast and discrete
+    integrators (first order, and softer constraints on the five-bar or they diverge). One call of `mj_step` takes many
+    steps.
     """
 
     integrator: str = "RK4"
@@ -677,10 +680,11 @@ class SciPy(Peer):
     `alfmu`: the equations of alfmu in one CasADi function, the slider-crank in joint coordinates. `typed`: the five-bar
     typed as a user would, with (9) or, faster, with the multipliers alone (C M^-1 C' lambda = C M^-1 F - xi).
 
-    Tried on the five-bar: without stabilisation every setting leaves the branch; omega from 5 to 200 1/s and cut-offs
-    of the least squares from 1e-12 to 1e-3 (15 1/s and 1e-4 here; below 10 1/s or 1e-8 it is lost or never ends).
-    Slider-crank: omega 0, 3, 6, 20 (6 here), absolute, mixed and joint coordinates (joint here). DOP853 beats RK45;
-    Radau and LSODA gain nothing, since the equations are not stiff.
+    Tried on the five-bar: without stabilisation all leave the branch or do not end; omega from 5 to 200 1/s and
+    cut-offs of the least squares from 1e-12 to 1e-3 (15 1/s and 1e-4 here; 5 1/s, and cut-offs of 1e-10 and less at
+    20 1/s, are lost or do not end, and 200 1/s is slow). Slider-crank: omega 0, 3, 6, 20 (6 here), absolute, mixed and
+    joint coordinates (joint here). DOP853 beats RK45; Radau and LSODA (slider-crank) gain nothing, since the equations
+    are not stiff.
     """
 
     method: str = "DOP853"
@@ -984,13 +988,15 @@ def settings(points: Sequence[Point], mechanism: str) -> dict[tuple[str, str], l
 
 LIMITS = """\
 Run times are those of small mechanisms called from Python on a shared machine; only ratios within one run mean
-something. alfmu, Exudyn and MuJoCo step in compiled code, Pinocchio evaluates in compiled code and is stepped in
-Python, SciPy is Python throughout, and all are single-threaded. alfmu and SciPy (alfmu's equations) compute every
+something. alfmu is measured as a library; through an FMU every step costs more. Its compiled kernel, Exudyn and MuJoCo
+step in compiled code, its vm kernel in CasADi's virtual machine; Pinocchio evaluates in compiled code and is stepped in
+Python, and SciPy is Python throughout. All are single-threaded. alfmu and SciPy (alfmu's equations) compute every
 output of the mechanism at a sample, the others only angles and joint forces. Pinocchio and MuJoCo describe the
 mechanisms by joint angles, in which the five-bar's parallelogram is a straight line; alfmu and Exudyn by absolute
-coordinates of torn-off bodies. Peers were tuned to these two motions, alfmu runs with its defaults; other mechanisms
-need the tuning again. MuJoCo's forces belong to slightly soft constraints. The error in the reactions is taken at
-equal times and so contains the error of the motion, and only what rigid bodies determine is compared."""
+coordinates of torn-off bodies. Peers were tuned to these two motions with the exact ones at hand, alfmu runs with its
+defaults; other mechanisms need the tuning again. Some points are luckier than their neighbours (MuJoCo on the five-bar
+at 0.004 s). MuJoCo's forces belong to slightly soft constraints. The error in the reactions is taken at equal times and
+so contains the error of the motion, and only what rigid bodies determine is compared."""
 
 
 def rounded(x: float | None, digits: int = 3) -> str:
