@@ -1,19 +1,82 @@
-"""What reports of scripts share: where a study ran, CSV files, Markdown tables."""
+"""What scripts that measure share: timing in turns, where a study ran, CSV files, Markdown."""
 
 from __future__ import annotations
 
 import csv
 import datetime
+import math
 import os
 import platform
+import statistics
 import subprocess
+import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from timeit import Timer
 
 from alfmu.kernel.build import compiler
 
 Cell = str | int | float | None
+Row = dict[str, Cell]
+Laps = dict[str, list[float]]
+"""Time of a unit [s] of what was timed, lap by lap."""
+
+
+@dataclass(frozen=True)
+class Call:
+    """What is timed; the timer's setup runs before each lap, outside the clock."""
+
+    timer: Timer
+    units: int = 1
+    """What one call makes: steps, for example."""
+    once: bool = False
+    """Whether a lap is a single call, as each needs the setup."""
+
+
+def in_turns(calls: Mapping[str, Call], rounds: int, shortest: float) -> Laps:
+    """Time every call once a round, in laps of at least `shortest` [s]."""
+    numbers = {}
+    for name, call in calls.items():
+        call.timer.timeit(1)
+        numbers[name] = 1 if call.once else math.ceil(shortest / min(call.timer.repeat(3, 1)))
+    laps: Laps = {name: [] for name in calls}
+    for _ in range(rounds):
+        for name, call in calls.items():
+            laps[name].append(call.timer.timeit(numbers[name]) / (numbers[name] * call.units))
+    return laps
+
+
+def times(laps: Laps, yardstick: str) -> Row:
+    """Median and minimum [us] of what was timed, and the ratios of medians to a yardstick."""
+    row: Row = {"rounds": len(laps[yardstick])}
+    for name, each in laps.items():
+        row |= {f"{name} [us]": 1e6 * statistics.median(each), f"{name}, minimum [us]": 1e6 * min(each)}
+    return row | {f"{name} / {yardstick}": row[f"{name} [us]"] / row[f"{yardstick} [us]"] for name in laps}
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A part of a report: a heading, an introduction, and tables that each show some columns of one CSV file."""
+
+    heading: str
+    introduction: str
+    tables: Mapping[str, Sequence[str]]
+    """Columns by title."""
+
+    def write(self, path: Path, rows: Sequence[Row]) -> None:
+        """The CSV file, with all that the rows have and all that the tables show."""
+        named = [*(name for row in rows for name in row), *(name for shown in self.tables.values() for name in shown)]
+        write_csv(path, list(dict.fromkeys(named)), rows)
+
+    def markdown(self, name: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
+        """The chapter in Markdown; `name` is that of its CSV file, without the ending."""
+        introduction = textwrap.fill(" ".join(self.introduction.split()), 118, break_on_hyphens=False)
+        parts = [self.heading, introduction, *notes]
+        for title, shown in self.tables.items():
+            parts += [f"**{title}** (`{name}.csv`)", markdown(shown, [[row.get(x) for x in shown] for row in rows])]
+        return "\n\n".join(parts)
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Cell]]) -> None:
@@ -69,7 +132,10 @@ def _compiler() -> str:
     command = compiler()
     if command is None:
         return "none"
-    done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
+    try:
+        done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
+    except OSError as error:
+        return f"cannot be run ({error.strerror})"
     return (done.stdout.strip().splitlines() or ["unknown"])[0]
 
 

@@ -1,0 +1,192 @@
+"""The benchmark script at its smallest effort: files, rows, ratios and verdicts hang together."""
+
+import csv
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+
+
+@pytest.fixture(scope="module")
+def benchmark():
+    """The script as a module, under a name that its child processes find too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPTS))
+        import benchmark
+
+        scenes = ("particle_on_circle", "five_bar", "five_bar, frozen")
+        patch.setattr(benchmark, "SCENES", {name: benchmark.SCENES[name] for name in scenes})
+        effort = benchmark.Effort(rounds=2, lap=1e-4, runs=1, builds=2, loops=(1, 10), coordinates=("natural",))
+        patch.setattr(benchmark, "QUICK", effort)
+        yield benchmark
+
+
+@pytest.fixture(scope="module")
+def folder(benchmark, tmp_path_factory):
+    """Results of all studies."""
+    made = tmp_path_factory.mktemp("benchmark")
+    assert benchmark.main(["--quick", "-o", str(made)]) == 0
+    return made
+
+
+def rows(folder: Path, name: str) -> list[dict[str, str]]:
+    with (folder / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def number(text: str) -> float | None:
+    return float(text) if text else None
+
+
+def shown_tables(folder: Path) -> list[tuple[str, list[str], list[list[str]]]]:
+    """CSV file, columns and rows of each table in the report."""
+    text = (folder / "benchmark.md").read_text(encoding="utf-8")
+    found = []
+    for name, table in re.findall(r"^\*\*.+\*\* \(`(\w+)\.csv`\)\n\n((?:\|.*\n?)+)", text, re.M):
+        columns, _, *lines = [line.strip("| ").split(" | ") for line in table.strip().splitlines()]
+        found.append((name, columns, lines))
+    return found
+
+
+def agree(shown: str, exact: str) -> bool:
+    """Whether a cell of the report is one of the CSV file, rounded to three digits."""
+    try:
+        return float(shown) == pytest.approx(float(exact), rel=6e-3, abs=1e-300)
+    except ValueError:
+        return shown == (exact.replace("|", "\\|") or "-")
+
+
+def test_everything_that_was_promised_is_there(folder):
+    names = {path.name for path in folder.iterdir()}
+    studies = ("environment", "targets", "step", "dostep", "scale")
+    assert names == {"benchmark.md", "scale.png", *(f"{name}.csv" for name in studies)}
+    assert (folder / "scale.png").stat().st_size > 10_000
+    assert [row["scene"] for row in rows(folder, "step")] == ["particle_on_circle", "five_bar", "five_bar, frozen"]
+    assert [row["slave"] for row in rows(folder, "dostep")] == ["empty", "vm", "compiled"]
+    assert [(row["coordinates"], row["N"]) for row in rows(folder, "scale")] == [("natural", "1"), ("natural", "10")]
+    machine = {row["what"]: row["value"] for row in rows(folder, "environment")}
+    assert machine["command"] == "`python scripts/benchmark.py --quick`"
+    assert {"processor", "Python", "C compiler", "casadi", "numpy", "fmpy", "pythonfmu"} < machine.keys()
+
+
+def test_every_table_of_the_report_shows_rows_of_its_csv_file(folder):
+    tables = shown_tables(folder)
+    assert {name for name, _, _ in tables} == {"environment", "targets", "step", "dostep", "scale"}
+    for name, columns, lines in tables:
+        kept = rows(folder, name)
+        assert len(lines) == len(kept), name
+        for line, row in zip(lines, kept, strict=True):
+            for column, shown in zip(columns, line, strict=True):
+                assert agree(shown, row[column]), (name, column, shown, row[column])
+    empty = [(n, c) for n, columns, lines in tables for i, c in enumerate(columns) if {x[i] for x in lines} == {"-"}]
+    assert empty == []  # with a compiler, every column is measured somewhere
+
+
+def test_ratios_follow_from_the_times_beside_them(folder):
+    checked = 0
+    for name in ("step", "scale"):
+        for row in rows(folder, name):
+            for column in row:
+                if match := re.fullmatch(r"(.+) / solve", column):
+                    expected = float(row[f"{match[1]} [us]"]) / float(row["solve [us]"])
+                elif match := re.fullmatch(r"oracle / (.+)", column):
+                    expected = float(row["oracle step [us]"]) / float(row[f"{match[1]} [us]"])
+                else:
+                    continue
+                assert float(row[column]) == pytest.approx(expected, rel=1e-12), (name, column)
+                checked += 1
+    assert checked == 3 * (15 + 4) + 2 * 3
+    empty, *others = rows(folder, "dostep")
+    for row in (empty, *others):
+        ratio = float(row["doStep [us]"]) / float(empty["doStep [us]"])
+        assert float(row["doStep / empty"]) == pytest.approx(ratio, rel=1e-12)
+    one, ten = rows(folder, "scale")
+    compared = [column for column in one if column.endswith(" per loop / at 10")]
+    assert len(compared) == 7
+    for column in compared:
+        quantity = column.removesuffix(" per loop / at 10")
+        assert float(one[column]) == pytest.approx(10 * float(one[quantity]) / float(ten[quantity]), rel=1e-12)
+        assert float(ten[column]) == 1.0
+
+
+def test_numbers_are_those_of_what_they_claim_to_measure(benchmark, folder):
+    for row in [*rows(folder, "step"), *rows(folder, "scale")]:
+        assert {row["vm quick steps [%]"], row["compiled quick steps [%]"]} == {"100"}
+        times = {column: float(x) for column, x in row.items() if column.endswith("[us]") and "minimum" not in column}
+        for column, median in times.items():
+            assert 0 < float(row[column.replace(" [us]", ", minimum [us]")]) <= median < 1e6
+    for row in rows(folder, "step"):
+        parts = [float(x) for column, x in row.items() if column.startswith("operations: ")]
+        assert sum(parts[:-3]) == parts[-3]  # the step; a careful one and the outputs come after it
+        assert sum(float(x) for column, x in row.items() if column.startswith("time: ")) == pytest.approx(100)
+        assert float(row["oracle step [us]"]) > float(row["vm step [us]"]) > float(row["compiled step [us]"])
+    for row in rows(folder, "dostep")[1:]:
+        steps = [int(row[tier]) for tier in benchmark.TIERS]
+        assert sum(steps) == int(row["steps in a run"]) == 1000
+        assert steps[0] > steps[1] > steps[2] > 0  # the motion passes singular positions
+    one, ten = rows(folder, "scale")
+    assert float(ten["operations"]) > 5 * float(one["operations"])
+    assert [row["builds"] for row in (one, ten)] == ["2", "2"]
+
+
+def test_every_target_has_a_verdict_that_follows_from_its_number(benchmark, folder):
+    judged = rows(folder, "targets")
+    limits = [row["target"] for row in judged]
+    step = [limit for limit in ("<= 0.4", "<= 3.5", ">= 50", ">= 50") for _ in range(2)]
+    assert limits == [*step, "<= 4", "<= 14", *["<= 1.5", "<= 2", "<= 30", "<= 2000"] * 2]
+    for row, target in zip(judged, benchmark.TARGETS, strict=True):
+        key = target.row.items()
+        found = [r for r in rows(folder, target.study) if all(r[name] == str(x) for name, x in key)]
+        value = number(found[0][target.column]) if found else None
+        assert number(row["measured"]) == value
+        if value is None:
+            assert row["study"] == "scale"  # which stops before a thousand loops
+            assert row["verdict"] == "not measured"
+        else:
+            sign, limit = row["target"].split()
+            good = value >= float(limit) if sign == ">=" else value <= float(limit)
+            assert row["verdict"] == ("met" if good else "not met")
+    assert sum(row["verdict"] != "not measured" for row in judged) == 10
+
+
+@pytest.mark.parametrize(
+    ("value", "at_least", "verdict"), [(0.5, False, "met"), (2.0, False, "not met"), (0.5, True, "not met")]
+)
+def test_verdicts_go_both_ways(benchmark, value, at_least, verdict):
+    target = benchmark.Target("step", {"scene": "five_bar"}, "ratio", 1.0, at_least)
+    results = {"step": [{"scene": "four_bar", "ratio": 1.0}, {"scene": "five_bar", "ratio": value}]}
+    assert benchmark.judged(target, results)["verdict"] == verdict
+    assert benchmark.judged(target, {})["verdict"] == "not measured"
+
+
+def test_without_a_compiler_the_report_says_what_is_missing(benchmark, tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    assert benchmark.main(["--quick", "--only", "dostep", "-o", str(tmp_path)]) == 0
+    text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
+    assert "Numbers of the compiled kernel are missing: the C compiler no-such-compiler cannot be run" in text
+    slaves = rows(tmp_path, "dostep")
+    assert [row["slave"] for row in slaves] == ["empty", "vm"]
+    assert all("no-such-compiler" in row["not compiled"] for row in slaves)
+    verdicts = {(row["study"], row["row"]): row["verdict"] for row in rows(tmp_path, "targets")}
+    assert verdicts["dostep", "compiled"] == verdicts["step", "five_bar"] == "not measured"
+    assert verdicts["dostep", "vm"] in ("met", "not met")
+    assert not (tmp_path / "step.csv").exists()
+
+
+def test_mistakes_of_the_user_are_explained_without_a_traceback(tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    for arguments, words in (
+        (["-o", str(file)], "cannot be written"),
+        (["--only", "steps"], "invalid choice"),
+        (["--quick", "--full"], "not allowed with"),
+    ):
+        command = [sys.executable, str(SCRIPTS / "benchmark.py"), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert done.returncode != 0
+        assert words in done.stderr
+        assert "Traceback" not in done.stderr
