@@ -133,11 +133,14 @@ class Assembly:
             "the last body of an open chain, never one placed by a joint coordinate alone"
         )
 
-    def mobility(self, p: NDArray, q: NDArray) -> Mobility:
-        """Degrees of freedom and redundant constraints, from the rank of C at q (n,) and at assembled places near."""
+    def mobility(self, p: NDArray, q: NDArray, held: NDArray) -> Mobility:
+        """Degrees of freedom and redundant constraints, from the rank of C at q (n,) and at assembled places near.
+
+        Only constraints that are held (l,) count.
+        """
         e = self.e
         random = np.random.default_rng(0)
-        C = self._at(q, p)[0]
+        C = self._at(q, p, held)[0]
         sparse = not isinstance(C, np.ndarray)
         ranks = [_rank(C)]
         for _ in range(2 if sparse else 8):
@@ -147,19 +150,19 @@ class Assembly:
                 aside *= 0.3 / max(np.abs(aside).max(), 1e-300)
             near = q + aside
             for _ in range(30):
-                J, Phi = self._at(near, p)
+                J, Phi = self._at(near, p, held)
                 if np.abs(Phi).max(initial=0.0) <= 1e-16 * np.abs(near).max():
                     break
                 near = near - _least_norm(J, Phi, 1e-8)
-            J, Phi = self._at(near, p)
+            J, Phi = self._at(near, p, held)
             if np.abs(Phi).max(initial=0.0) < 1e-9:
                 ranks.append(_rank(J))
-        return Mobility(e.n - max(ranks), e.l - max(ranks), e.n - ranks[0])
+        return Mobility(e.n - max(ranks), int(held.sum()) - max(ranks), e.n - ranks[0])
 
-    def _at(self, q: NDArray, p: NDArray) -> tuple[Matrix, NDArray]:
-        """C and Phi."""
+    def _at(self, q: NDArray, p: NDArray, held: NDArray) -> tuple[Matrix, NDArray]:
+        """C and Phi, zero where a constraint is not held."""
         _, C, Phi, _ = self._constraints(q, np.zeros(self.e.n), p)
-        return C.copy(), Phi.copy()
+        return _rows(held, C.copy()), Phi * held
 
 
 @dataclass(frozen=True)

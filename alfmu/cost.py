@@ -9,6 +9,7 @@ import casadi as ca
 
 from .assembly import Mobility
 from .equations import Equations
+from .kernel.program import called
 from .kernel.trace import parts, traced
 from .kernel.vm import program_function
 from .runtime import MONITORS
@@ -43,8 +44,8 @@ def cost(equations: Equations) -> Cost:
     quick = e.kernel["quick"]
     evaluation, nonzeros = parts(e, quick)
     model, factored, iterated = (operations(evaluation[name]) for name in ("model", "factorisation", "iterations"))
-    called = [name for name, _, _ in quick["calls"]]
-    stages = called.count("rate")
+    names = list(called(quick["calls"]))
+    stages = names.count("rate")
 
     def together(names: Iterable[str]) -> int:
         return sum(operations(e.functions[name]) for name in names)
@@ -53,8 +54,8 @@ def cost(equations: Equations) -> Cost:
         "model": stages * model,
         "factorisation": stages * (factored - model),
         "iterations": stages * (iterated - factored),
-        "integration": together(name for name in called if name == "sum" or name.startswith("stage")),
-        "projection": together(name for name in called if name.endswith(("_place", "_settle", "_correct"))),
+        "integration": together(name for name in names if name == "sum" or name.startswith("stage")),
+        "projection": together(name for name in names if name.endswith(("_place", "_settle", "_correct"))),
     }
     by_part["checks, less what is shared"] = _whole(e, quick) - sum(by_part.values())
     return Cost(
@@ -131,4 +132,4 @@ def _whole(e: Equations, program: dict) -> int:
     function = program_function(e, program)
     if function.is_a("SXFunction"):
         return operations(function)
-    return sum(operations(e.functions[name]) for name, _, _ in program["calls"])
+    return sum(operations(e.functions[name]) for name in called(program["calls"]))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Equations", "Row", "Variable"]
 
-FORMAT = 2
+FORMAT = 3
 """Version of the scene file; raised whenever its content changes meaning."""
 
 
@@ -98,6 +98,10 @@ class Equations:
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
     monitors: list[str] = field(default_factory=list)
     """Monitors that are left out."""
+    order: list[int] = field(default_factory=list)
+    """Order of the coordinates in which the augmented mass fills in least when it is factorised."""
+    freedom: int | None = None
+    """Degrees of freedom at regular positions; None where they are not known before a run."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, dict[str, Any]] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers (`alfmu.kernel.program.Signature`)."""

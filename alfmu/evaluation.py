@@ -82,7 +82,9 @@ def evaluable(equations: Equations) -> Equations:
     for name, (arguments, values) in results.items():
         dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
         functions[name] = shared(name, arguments, dense)
-    return with_functions(e, functions)
+    pattern = ca.SX(M.sparsity(), 1) + ca.SX(C.T.sparsity(), 1) @ ca.SX(C.sparsity(), 1)  # of H
+    _, order = pattern.sparsity().ldl(True)
+    return with_functions(replace(e, order=list(order)), functions)
 
 
 def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Function:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import method
+from . import branch, method
 from .equations import Equations
 from .errors import InputError, StepError
 from .kernel.program import Backend, Call
@@ -35,6 +35,9 @@ PENALTY_RATIO = 1e8
 CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
 
+ASIDE = 0.1
+"""Displacement [rad, m] to places beside the start."""
+
 GROSS = 1e-6
 """Residue of a constraint [m, rad; per s] above which a projected step is refused."""
 
@@ -53,6 +56,8 @@ class Settings:
     """Of the multiplier iteration."""
     formulation: str = "residual"
     """One of FORMULATIONS."""
+    branch: str = "continue"
+    """How singular positions are passed, one of alfmu.branch.BRANCHES; `residual` alone continues."""
     zeta: float = 1.0
     """Damping of `penalty` and `baumgarte`."""
     omega: float = 10.0
@@ -66,6 +71,8 @@ class Settings:
             raise InputError(
                 f"{name}: solver.formulation is {self.formulation!r}; use one of {', '.join(FORMULATIONS)}"
             )
+        if self.branch not in branch.BRANCHES:
+            raise InputError(f"{name}: solver.branch is {self.branch!r}; use one of {', '.join(branch.BRANCHES)}")
         for field, low in (("step_size", 0.0), ("tolerance", 0.0)):
             value = getattr(self, field)
             if not (np.isfinite(value) and value > low):
@@ -83,6 +90,11 @@ class Settings:
     @property
     def projects(self) -> bool:
         return self.formulation in PROJECTED if self.projection is None else self.projection
+
+    @property
+    def continues(self) -> bool:
+        """Whether the branch of the motion is followed through singular positions."""
+        return self.formulation == "residual" and self.branch == "continue" and self.projects
 
 
 @dataclass
@@ -121,6 +133,7 @@ class Oracle:
         self._dynamics, self._constraints, self._power, self._energy, self._outputs = calls
         self.sparse = not isinstance(self._dynamics.y[0], np.ndarray)
         self.counters = Counters()
+        self.freedom, self.level = equations.n, 0.0
 
     def prepare(self, settings: Settings, p: NDArray, q: NDArray) -> None:
         """Begin a run: settings and parameters fixed, the penalty scaled with the masses at q (n,) if left open."""
@@ -171,6 +184,65 @@ class Oracle:
                 right = (xi if kind == "dae" else stabilised)[held]
                 a, lam[held] = method.dae(M, F, C[held], right, _least_squares)
         return a, lam, used, C @ a - xi
+
+    def know(self, q: NDArray, v: NDArray, freedom: int) -> None:
+        """Take note of the degrees of freedom, and of the pivots of H that masses make, at q and beside it."""
+        self.freedom, self.level = freedom, 0.0
+        if not 0 < freedom < self.equations.n:
+            return
+        M, C, _, _ = self._constraints(q, v, self.p)
+        solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
+        random = np.random.default_rng(0).standard_normal(len(q))
+        way = branch.tangential(C.copy(), self.alpha, solve, random)
+        way *= ASIDE / max(np.abs(way).max(), 1e-300)
+        places = q, *(self.on_branch(q + sign * way, v)[0] for sign in (-1, 1))
+        self.level = branch.MASSES * float(np.median([np.sort(self._pivots(x))[freedom - 1] for x in places]))
+
+    def margin(self, q: NDArray) -> float:
+        """How far q (n,) is from a singular position: see `alfmu.branch.GUARD`."""
+        pivots = self._pivots(q)
+        masses = pivots <= self.level
+        found = int(masses.sum())
+        return float(pivots[~masses].min(initial=1.0)) if found == self.freedom else float(found < self.freedom)
+
+    def on_branch(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
+        """q and v nearby that keep the constraints: q displaced across the motion alone, v by (10).
+
+        The motion through the places so found is smooth up to the singular position itself.
+        """
+        near = q
+        for _ in range(2):
+            near = self._closer(near, v)
+        M, C, _, _ = self._constraints(near, v, self.p)
+        solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
+        near = self._closer(near + branch.tangential(C, self.alpha, solve, q - near), v)
+        M, C, _, _ = self._constraints(near, v, self.p)
+        solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
+        for _ in range(2):
+            v = v + method.project(C, self.alpha, solve, C @ v)  # (10)
+        return near, v
+
+    def _closer(self, q: NDArray, v: NDArray) -> NDArray:
+        """q after one correction (10)."""
+        M, C, Phi, _ = self._constraints(q, v, self.p)
+        return q + method.project(C, self.alpha, self._factor(method.augmented_mass(M, C, self.alpha), 0.0), Phi)
+
+    def accelerations_on_branch(
+        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float
+    ) -> tuple[NDArray, NDArray, int, NDArray]:
+        """What `accelerations` returns, at the place of the branch nearest to q; its limit near a singular position.
+
+        `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow.
+        """
+        before, here, after = (self.margin(q + k * spacing * v) for k in (-1, 0, 1))
+        rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
+        if rate > 0 and here**0.5 < branch.ZONE * max(rate, branch.LEAST):
+            spacing *= max(1.0, branch.LEAST / rate)
+            found = [self.accelerations(*self.on_branch(q + k * spacing * v, v), u, t) for k in branch.MEAN]
+            weights = branch.MEAN.values()
+            a, lam, _, left = (sum(w * x[i] for w, x in zip(weights, found, strict=True)) for i in range(4))
+            return a, lam, max(x[2] for x in found), left
+        return self.accelerations(*self.on_branch(q, v), u, t)
 
     def iterations_needed(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> int:
         """Iterations of the residual form after which no more than a tenth of the tolerance is left.
@@ -274,6 +346,26 @@ class Oracle:
         """Whether a residue of C is within the tolerance, or within the round-off of the row where that is larger."""
         limit = np.maximum(self.settings.tolerance, 8 * np.finfo(float).eps * (abs(C) @ np.abs(x)))
         return bool((np.abs(residue) <= limit)[self.active].all())
+
+    def _pivots(self, q: NDArray) -> NDArray:
+        """Pivots of H over its diagonal entries (n,); zeros where it is singular."""
+        M, C, _, _ = self._constraints(q, np.zeros_like(q), self.p)
+        H = method.augmented_mass(M, C, self.alpha)
+        order = self.equations.order
+        if self.sparse:
+            from scipy.sparse.linalg import splu
+
+            H = H.tocsc()[order][:, order]
+            try:
+                factors = splu(H, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            except RuntimeError:
+                return np.zeros(len(order))
+            return factors.U.diagonal() / H.diagonal()
+        H = H[np.ix_(order, order)]
+        try:
+            return np.linalg.cholesky(H).diagonal() ** 2 / H.diagonal()
+        except np.linalg.LinAlgError:
+            return np.zeros(len(order))
 
     def _factor(self, H: NDArray, t: float) -> method.Solve:
         def refused() -> StepError:

@@ -8,13 +8,14 @@ from __future__ import annotations
 import copy
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .assembly import Assembly, Mobility
+from .branch import BRANCHES, GUARD, MEAN, SPACING
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
@@ -44,10 +45,25 @@ SOLVER_VARIABLES = (
         type="Integer",
     ),
 )
-"""Numbers of the method that a user may set; `solver.formulation` (text) comes beside them."""
+"""Numbers of the method that a user may set; `CHOICES` come beside them."""
 
-FORMULATION = "solver.formulation"
-FORMULATION_TEXT = "one of " + ", ".join(f"{name} ({text})" for name, text in FORMULATIONS.items())
+CHOICES = {"solver.formulation": FORMULATIONS, "solver.branch": BRANCHES}
+"""Solver variables that are text, and what each can be."""
+
+
+def choices(values: Mapping[str, str]) -> list[Variable]:
+    """The solver variables that are text, at the given values."""
+    return [
+        Variable(
+            name,
+            "1",
+            values[name],
+            description="one of " + ", ".join(f"{key} ({text})" for key, text in known.items()),
+            type="String",
+        )
+        for name, known in CHOICES.items()
+    ]
+
 
 MONITORS = (
     Variable("monitor.position_error", "1", description="largest |Phi| (m, rad)"),
@@ -87,7 +103,7 @@ class Instance:
         self.parameters = [*e.parameters, *e.starts, *e.start_rates, *solver]
         self.outputs = [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors)]
         self.values = np.array([v.start for v in self.parameters])
-        self.formulation = self._given.formulation
+        self.choices = {name: getattr(self._given, _field(name)) for name in CHOICES}
         self._parameter = {v.name: i for i, v in enumerate(self.parameters)}
         self._input = {v.name: i for i, v in enumerate(e.inputs)}
         self._output = {v.name: i for i, v in enumerate(self.outputs)}
@@ -138,7 +154,7 @@ class Instance:
         self.state[self.layout.time] = value
 
     def _solver_default(self, name: str) -> float:
-        value = getattr(self._given, name.removeprefix("solver."))
+        value = getattr(self._given, _field(name))
         return float(value) if np.ndim(value) == 0 else 0.0
 
     # Values ------------------------------------------------------------------------------------------------------
@@ -151,14 +167,14 @@ class Instance:
             self.inputs[self._input[name]] = value
             self._known = False
             return
-        if name not in self._parameter and name != FORMULATION:
-            names = [*self._input, *self._parameter, FORMULATION]
+        if name not in self._parameter and name not in CHOICES:
+            names = [*self._input, *self._parameter, *CHOICES]
             raise InputError(f"{e.name} has no input or parameter {name!r}; it has {', '.join(names)}")
         if self.initialized:
             raise InputError(f"{e.name}: {name} is fixed once the run has begun; set it before initialising")
-        if name == FORMULATION:
-            replace(self._given, formulation=value).checked(e.name, e.l)
-            self.formulation = value
+        if name in CHOICES:
+            replace(self._given, **{_field(name): value}).checked(e.name, e.l)
+            self.choices[name] = value
         else:
             self._check(self.parameters[self._parameter[name]], value)
             self.values[self._parameter[name]] = value
@@ -171,8 +187,8 @@ class Instance:
             return float(self.inputs[self._input[name]])
         if name in self._parameter:
             return float(self.values[self._parameter[name]])
-        if name == FORMULATION:
-            return self.formulation
+        if name in CHOICES:
+            return self.choices[name]
         raise InputError(f"{self.equations.name} has no variable {name!r}")
 
     def _check(self, v: Variable, value: float) -> None:
@@ -205,6 +221,7 @@ class Instance:
         self._scaled = alpha.ndim == 0 and alpha == 0
         if oracle.settings.projects:
             q, v, _, _ = oracle.project(q, v, self.time)
+        self._know(q, v)
         angles = [s[start] if start >= 0 else 0.0 for _, start in self._wrapped]
         self._begin([*q, *v, *angles, 0.0], oracle.energy(q, v))
 
@@ -217,10 +234,18 @@ class Instance:
         self._known, self.initialized = False, True
         self._choose()
 
+    def _know(self, q: NDArray, v: NDArray) -> None:
+        """Take note of what tells a singular position from a regular one, with the constraints that are held."""
+        oracle = self.oracle
+        if oracle.settings.continues and self.equations.l:
+            freedom = self.equations.freedom if oracle.active.all() else None
+            oracle.know(q, v, self._mobility(q).freedom if freedom is None else freedom)
+
     def _choose(self) -> None:
         """Take the kernel where it does what the settings ask for, otherwise the oracle."""
         oracle, memory, programs = self.oracle, self.memory, self.equations.kernel
         settings, alpha = oracle.settings, oracle.penalty
+        self._continues = settings.continues and self.equations.l > 0
         self._fast = bool(
             self.machine is not None
             and settings.formulation == "residual"
@@ -231,7 +256,9 @@ class Instance:
         if self._fast:
             largest = alpha.max(initial=1e-300)
             memory["p"][:] = oracle.p
-            memory["k"][:] = [largest if len(alpha) else 1.0, settings.tolerance, *(alpha / largest)]
+            # All pivots of H count as masses where singular positions are of no concern.
+            watched = (oracle.freedom, oracle.level) if self._continues else (self.layout.n, math.inf)
+            memory["k"][:] = [largest if len(alpha) else 1.0, settings.tolerance, *watched, *(alpha / largest)]
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
 
@@ -242,11 +269,12 @@ class Instance:
 
     def _settings(self) -> Settings:
         """Settings from the values of the solver variables, and from what has no variable."""
-        values = {v.name.removeprefix("solver."): self.values[self._parameter[v.name]] for v in SOLVER_VARIABLES}
+        values = {_field(v.name): self.values[self._parameter[v.name]] for v in SOLVER_VARIABLES}
+        values |= {_field(name): value for name, value in self.choices.items()}
         values["max_iterations"] = int(values["max_iterations"])
         if np.ndim(self._given.penalty):
             values["penalty"] = self._given.penalty
-        return replace(self._given, **values, formulation=self.formulation)
+        return replace(self._given, **values)
 
     def step(self, communication_step: float, time: float | None = None) -> None:
         """Cover one communication step [s] with internal steps no longer than solver.step_size.
@@ -294,18 +322,30 @@ class Instance:
         e, oracle, u, c = self.equations, self.oracle, self.inputs, self.oracle.counters
         size = e.n
         known = self._accelerations if self._known and start == self.time else None
+        margins = []
 
         def rate(t: float, y: NDArray) -> NDArray:
+            q, v = y[:size], y[size : 2 * size]
+            if self._continues:
+                margins.append(oracle.margin(q))
             a = known
             if a is None or t != start:
-                a, _, _, _ = oracle.accelerations(y[:size], y[size : 2 * size], u, t)
-            dy = np.concatenate([y[size : 2 * size], a, [0.0]])
-            if e.works:
-                dy[-1] = oracle.power(y[:size], y[size : 2 * size], u, t)
-            return dy
+                a, _, _, _ = oracle.accelerations(q, v, u, t)
+            return moved(t, y, a)
+
+        def rate_on_branch(t: float, y: NDArray) -> NDArray:
+            a, _, _, _ = oracle.accelerations_on_branch(y[:size], y[size : 2 * size], u, t, SPACING * dt)
+            return moved(t, y, a)
+
+        def moved(t: float, y: NDArray, a: NDArray) -> NDArray:
+            q, v = y[:size], y[size : 2 * size]
+            return np.concatenate([v, a, [oracle.power(q, v, u, t) if e.works else 0.0]])
 
         t = start + dt
-        y = rk4(rate, start, np.concatenate([self.q, self.v, [self.work]]), dt)
+        begin = np.concatenate([self.q, self.v, [self.work]])
+        y = rk4(rate, start, begin, dt)
+        if self._continues and not min(margins) > GUARD:
+            y = rk4(rate_on_branch, start, begin, dt)
         q, v = y[:size], y[size : 2 * size]
         if not np.isfinite(y).all():
             raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
@@ -377,7 +417,10 @@ class Instance:
 
     def mobility(self) -> Mobility:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
-        return self._assembly.mobility(self._start_values()[0], self.q)
+        return self._mobility(self.q)
+
+    def _mobility(self, q: NDArray) -> Mobility:
+        return self._assembly.mobility(self._start_values()[0], q, self.oracle.active)
 
     @property
     def penalty(self) -> NDArray:
@@ -403,6 +446,7 @@ class Instance:
             )
         self.v[:] = oracle.impact(self.q, self.v, self.time)
         self._known = self._scaled = False
+        self._know(self.q, self.v)
         self._choose()
 
     # State -------------------------------------------------------------------------------------------------------
@@ -411,12 +455,15 @@ class Instance:
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
         c, tally = self.oracle.counters, self.memory["tally"]
-        for steps, tier in zip(map(int, tally), TIERS if self.equations.kernel else (), strict=False):
-            program = self.equations.kernel[tier]
-            c.steps += steps
-            c.evaluations += 4 * steps
-            c.multiplier_iterations += 4 * steps * program["iterations"]
-            c.projection_iterations += 2 * steps * program["corrections"]
+        *steps, limits = map(int, tally)
+        for made, tier in zip(steps, TIERS, strict=True):
+            if made:
+                program = self.equations.kernel[tier]
+                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
+                c.steps += made
+                c.evaluations += evaluations
+                c.multiplier_iterations += evaluations * program["iterations"]
+                c.projection_iterations += 2 * made * program["corrections"]
         tally[:] = 0.0
         return c
 
@@ -424,13 +471,13 @@ class Instance:
         """The complete state, from which `restore` continues to the last bit."""
         head = {
             "initialized": self.initialized,
-            "formulation": self.formulation,
+            "choices": self.choices,
             "scaled": bool(self._scaled),
             "counters": asdict(self.counters) if self.initialized else None,
         }
         numbers = [self.values, self.inputs, self.state]
         if self.initialized:
-            numbers += [[self.energy_start], self.oracle.penalty]
+            numbers += [[self.energy_start, self.oracle.freedom, self.oracle.level], self.oracle.penalty]
         text = json.dumps(head, sort_keys=True).encode()
         return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
 
@@ -443,21 +490,23 @@ class Instance:
             numbers = np.frombuffer(state[8 + size :]).copy()
             sizes = [len(self.parameters), len(e.inputs), len(self.state)]
             if head["initialized"]:
-                sizes += [1, e.l]
+                sizes += [3, e.l]
             if numbers.size != sum(sizes):
                 raise ValueError(numbers.size)
         except (ValueError, KeyError) as error:
             raise InputError(f"{e.name}: the saved state is not one of this mechanism; save it again") from error
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         self.values, self.inputs[:], self.state[:] = parts[:3]
-        self.formulation = head["formulation"]
+        self.choices = head["choices"]
         self.initialized = self._known = False
         if head["initialized"]:
             state = self.state.copy()
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
             self.oracle.penalty = parts[4]
             self._scaled = head["scaled"]
-            self._begin(state[: self.layout.time], float(parts[3][0]))
+            energy, freedom, level = map(float, parts[3])
+            self.oracle.freedom, self.oracle.level = int(freedom), level
+            self._begin(state[: self.layout.time], energy)
             self.state[:] = state
             self.oracle.counters = Counters(**head["counters"])
         else:
@@ -472,6 +521,11 @@ class Instance:
         """Computed angles moved by whole turns to the values nearest to `near`."""
         raw = y[[i for i, _ in self._wrapped]] if self._wrapped else near
         return raw + 2 * np.pi * np.round((near - raw) / (2 * np.pi))
+
+
+def _field(name: str) -> str:
+    """The field of Settings behind a solver variable."""
+    return name.removeprefix("solver.")
 
 
 def _portable(equations: Equations) -> Backend:

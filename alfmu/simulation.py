@@ -21,7 +21,7 @@ from .kernel.trace import traced, untraced
 from .mechanism import Mechanism
 from .oracle import Counters, Settings
 from .registry import load
-from .runtime import FORMULATION, SOLVER_VARIABLES, Instance
+from .runtime import CHOICES, SOLVER_VARIABLES, Instance
 from .specialisation import specialised
 
 __all__ = [
@@ -232,6 +232,6 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
         field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
         for field in ("parameters", "starts", "start_rates", "inputs")
     }
-    solver = {v.name for v in SOLVER_VARIABLES} | {FORMULATION}
+    solver = {v.name for v in SOLVER_VARIABLES} | set(CHOICES)
     own = {name.removeprefix("solver."): probe.get(name) for name in values if name in solver}
     return replace(equations, **changed, solver={**equations.solver, **own})

@@ -43,6 +43,7 @@ RUN_SIDE = (
     "integrators.py",
     "oracle.py",
     "assembly.py",
+    "branch.py",
     "kernel/program.py",
     "kernel/vm.py",
     "kernel/compiled.py",

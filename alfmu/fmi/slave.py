@@ -20,7 +20,7 @@ from pythonfmu.enums import Fmi2Status
 from ..equations import Equations, Variable
 from ..errors import AlfmuError, ExportError, InputError
 from ..kernel.program import LIBRARY, PLATFORM
-from ..runtime import FORMULATION, FORMULATION_TEXT, Instance
+from ..runtime import CHOICES, Instance, choices
 
 __all__ = ["FUNCTIONS", "SCENE", "Slave", "interface", "loaded"]
 
@@ -35,10 +35,9 @@ FUNCTIONS = "functions.json"
 
 def interface(instance: Instance) -> list[tuple[str, Variable]]:
     """Every variable of the FMU with its causality; the place in the list is the value reference."""
-    formulation = Variable(FORMULATION, "1", instance.formulation, description=FORMULATION_TEXT, type="String")
     return [
         *(("parameter", v) for v in instance.parameters),
-        ("parameter", formulation),
+        *(("parameter", v) for v in choices(instance.choices)),
         *(("input", v) for v in instance.equations.inputs),
         *(("output", v) for v in instance.outputs),
     ]
@@ -122,7 +121,7 @@ class Slave(Fmi2Slave):
         self.instance = Instance(equations)
         self._names = [v.name for _, v in interface(self.instance)]
         causalities = [causality for causality, _ in interface(self.instance)]
-        self._first_input = len(self.instance.parameters) + 1
+        self._first_input = len(self.instance.parameters) + len(CHOICES)
         self._first_output = causalities.index("output")
         self._running = False
         self._refused: dict[str, str] = {}
@@ -172,7 +171,7 @@ class Slave(Fmi2Slave):
             return [y[i - first_output] for i in vrs]
         inputs, values = self.instance.inputs.tolist(), self.instance.values.tolist()
         y = self._read().tolist() if vrs and max(vrs) >= first_output else []
-        known = [*values, None, *inputs, *y]
+        known = [*values, *self.instance.choices.values(), *inputs, *y]
         return [known[i] for i in vrs]
 
     @_called_from_fmi

@@ -57,8 +57,9 @@ class _Machine:
     """See `alfmu.kernel.program.Machine`; each call goes straight to the library."""
 
     def __init__(self, library: Library, memory: Memory):
-        self._memory = memory  # which must live as long as its address
         address = memory.block.ctypes.data
         self.communicate = partial(library.communicate, address)
         self.advance = partial(library.advance, address)
         self.read = partial(library.read, address)
+        for call in (self.communicate, self.advance, self.read):
+            call.alive = memory  # as long as its address is known

@@ -12,7 +12,7 @@ import casadi as ca
 
 from ..equations import Equations
 from ..errors import ExportError
-from .program import Layout, Program
+from .program import CHOICE, TIERS, Layout, Program
 
 __all__ = ["sources"]
 
@@ -101,17 +101,19 @@ static long advance(double *m, long steps, double dt)
     m[{dt}] = dt;
     for (done = 0; done < steps; done++) {{
         int tier = (int)m[{first}];
-        m[{trouble}] = 1.0;
-        if (tier == 0)
-            run_quick(m, m + {workspace});
-        if (!(m[{trouble}] == 0.0)) {{
-            tier = 1;
-            run_careful(m, m + {workspace});
-            if (!(m[{trouble}] == 0.0))
+        for (;;) {{
+            tiers[tier](m, m + {workspace});
+            if (m[{trouble}] == 0.0)
                 break;
+            /* Near a singular position no step but that on the branch can be good. */
+            tier = m[{near}] != 0.0 && tier < {last} ? {last} : tier + 1;
+            if (tier > {last})
+                return done;
         }}
         memcpy(m + {z}, m + {after}, {size} * sizeof(double));
         m[{tally} + tier] += 1.0;
+        if (tier == 2)
+            m[{tally} + {tiers}] += m[{near}];
     }}
     return done;
 }}
@@ -124,7 +126,7 @@ EXPORT long alfmu_advance(double *m, long steps, double dt)
 /* A communication step in one go; 0, and nothing has changed, where that is not possible. */
 EXPORT int alfmu_communicate(double *m, double start, double h)
 {{
-    double tally[2], ratio;
+    double tally[{tiers} + 1], ratio;
     long steps;
     if (!(h > 0.0 && h < INFINITY && fabs(start - m[{time}]) <= 1e-6 * h + 1e-12 * fabs(start)))
         return 0;
@@ -169,11 +171,17 @@ def sources(equations: Equations) -> tuple[list[str], int]:
         places: dict[str, int] = {}
         for name, program in e.kernel.items():
             calls += _program(f"run_{name}", program, e, layout, needed, places)
+        tiers = [tier for tier in TIERS if tier in e.kernel]
+        listed = ", ".join(f"run_{tier}" for tier in tiers)
+        calls += f"static void (*const tiers[])(double *, double *) = {{{listed}}};\n"
         at = {name: offset for name, (offset, _) in layout.fields.items()}
         at |= {
             "workspace": layout.size,
             "time": at["z"] + layout.time,
             "trouble": at["after"] + layout.trouble,
+            "near": at["after"] + layout.near,
+            "tiers": len(TIERS),
+            "last": len(tiers) - 1,
             "size": layout.fields["z"][1],
             "step_size": at["control"],
             "first": at["control"] + 1,
@@ -196,16 +204,29 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
     def pointer(key: str) -> str:
         return f"m + {layout.fields[key][0]}" if key in layout.fields else f"w + {offsets[key]}"
 
-    lines = []
-    for called, inputs, outputs in program["calls"]:
-        for key, shape in zip(outputs, e.signatures[called]["outputs"], strict=True):
-            if key not in layout.fields and key not in offsets:
-                offsets[key], places[key] = top, shape[0]
-                top += shape[0]
-        x, y = (", ".join(map(pointer, keys)) for keys in (inputs, outputs))
-        lines += ["    {", f"        const double *x[] = {{{x}}};", f"        double *y[] = {{{y}}};"]
-        lines += [f"        {called}(x, y, w);", "    }"]
-    return f"static void {name}(double *m, double *w)\n{{\n" + "\n".join(lines) + "\n}\n"
+    def made(calls: list[list]) -> list[str]:
+        nonlocal top
+        lines = []
+        for called, *rest in calls:
+            if called == CHOICE:
+                number, *ways = rest
+                heads = f"if (*({pointer(number)}) != 0.0) {{", "} else {"
+                for head, way in zip(heads, ways, strict=True):
+                    lines += [head, *("    " + line for line in made(way))]
+                lines.append("}")
+                continue
+            inputs, outputs = rest
+            for key, shape in zip(outputs, e.signatures[called]["outputs"], strict=True):
+                if key not in layout.fields and key not in offsets:
+                    offsets[key], places[key] = top, shape[0]
+                    top += shape[0]
+            x, y = (", ".join(map(pointer, keys)) for keys in (inputs, outputs))
+            lines += ["{", f"    const double *x[] = {{{x}}};", f"    double *y[] = {{{y}}};"]
+            lines += [f"    {called}(x, y, w);", "}"]
+        return lines
+
+    body = "".join(f"    {line}\n" for line in made(program["calls"]))
+    return f"static void {name}(double *m, double *w)\n{{\n{body}}}\n"
 
 
 def _function(name: str, f: ca.Function, scene: str) -> Iterator[tuple[str, int]]:

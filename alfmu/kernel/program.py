@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import platform
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ..equations import Equations
 
 __all__ = [
+    "CHOICE",
     "LIBRARY",
     "PLATFORM",
     "SETTINGS",
@@ -28,17 +29,22 @@ __all__ = [
     "Memory",
     "Program",
     "Signature",
+    "called",
 ]
 
 Program = dict[str, Any]
 """A step, or what is read at an instant.
 
-The plan it was traced by (`alfmu.kernel.trace.Plan`), and its `calls`: a list of [function, names of its arguments,
-names of its results] that begins with z, u, p, k, dt and ends with `after` or `seen`.
+The plan it was traced by (`alfmu.kernel.trace.Plan`), and its `calls`: a list that begins with z, u, p, k, dt and ends
+with `after` or `seen`. A call is [function, names of its arguments, names of its results]; or [CHOICE, name of a
+number, calls to make where it is not zero, calls to make where it is].
 """
 
-TIERS = ("quick", "careful")
-"""Steps in the order in which they are tried."""
+CHOICE = "?"
+"""Marks a choice between calls."""
+
+TIERS = ("quick", "careful", "branch")
+"""Steps in the order in which they are tried; `branch` at once where a position is nearly singular."""
 
 Signature = dict[str, Any]
 """`inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns, column offsets,
@@ -53,8 +59,19 @@ PLATFORM = f"{sys.platform}-{platform.machine().lower()}"
 LIBRARY = f"kernel-{PLATFORM}{SUFFIX}"
 """Name of the compiled functions in an FMU."""
 
-SETTINGS = 2
-"""Numbers before the weights of the constraints in k: alpha, tolerance."""
+SETTINGS = 4
+"""Numbers before the weights of the constraints in k: alpha, tolerance, degrees of freedom, and over its diagonal entry
+the largest pivot of H that a mass alone may make."""
+
+
+def called(calls: list[list]) -> Iterator[str]:
+    """Names of the functions that calls may call, in order and with repetition."""
+    for name, *rest in calls:
+        if name == CHOICE:
+            yield from called(rest[1])
+            yield from called(rest[2])
+        else:
+            yield name
 
 
 class Layout:
@@ -63,13 +80,14 @@ class Layout:
     ========  ==========================================================================================
     z         state: q, v, unwrapped angles, work, time, and from the last step: trouble (number of checks
               that failed), change (of accelerations in the last iteration, squared over their size), pivot
-              (smallest of the augmented mass over alpha)
+              (smallest of the augmented mass over alpha), near (stages too near a singular position; in a
+              step on the branch those in which a limit was taken)
     after     the state after a step under way
     begin     the state before a communication step under way
-    u, p, k   inputs; parameters; alpha, tolerance, and the penalty of each constraint over alpha
+    u, p, k   inputs; parameters; SETTINGS, and the penalty of each constraint over alpha
     dt        internal step [s]
     control   largest internal step [s], first tier (0 quick, 1 careful)
-    tally     internal steps made by each tier
+    tally     internal steps made by each tier, limits taken
     seen      what can be read at an instant, largest |Phi-ddot|, trouble
     ========  ==========================================================================================
     """
@@ -78,8 +96,8 @@ class Layout:
         e = equations
         self.n, self.l, self.angles = e.n, e.l, len(e.wrapped)
         self.work = 2 * e.n + self.angles
-        self.time, self.trouble, self.change, self.pivot = (self.work + i for i in range(1, 5))
-        size = self.work + 5
+        self.time, self.trouble, self.change, self.pivot, self.near = (self.work + i for i in range(1, 6))
+        size = self.work + 6
         seen = e.signatures["seen"]["outputs"][0][0] if e.kernel else 0
         fields = {
             "z": size,
@@ -90,7 +108,7 @@ class Layout:
             "k": SETTINGS + e.l,
             "dt": 1,
             "control": 2,
-            "tally": 2,
+            "tally": len(TIERS) + 1,
             "seen": seen,
         }
         self.fields: dict[str, tuple[int, int]] = {}

@@ -6,24 +6,27 @@ scene needs is traced: no multiplier iteration without constraints, no least-nor
 reaction equation where no reaction is read, no work where nothing works.
 
 A step is a program (`alfmu.kernel.program`) of small functions: `stage` combines rates into the state of a stage,
-`evaluate` and `iterate` hold the method, `place` and `settle` (or `correct`) the projection (10), `close` judges.
+`evaluate` and `iterate` hold the method, `place` and `settle` (or `correct`) the projection (10), `close` judges. Near
+singular positions each stage is brought to the branch of the motion by the same functions and by `return`, and `probe`
+says where the limit of the accelerations is taken, from `places` before and after, as their weighted `mean`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import casadi as ca
 
-from .. import method
+from .. import branch, method
 from ..assembly import Mobility
 from ..equations import Equations
-from ..evaluation import DENSE, shared, symbols, with_functions
+from ..evaluation import DENSE, EVALUATED, shared, symbols, with_functions
 from ..integrators import rk4
-from .program import SETTINGS, Layout, Program
+from .program import CHOICE, SETTINGS, TIERS, Layout, Program, called
 
 __all__ = ["Plan", "parts", "traced", "untraced"]
 
@@ -32,10 +35,6 @@ CAREFUL = 5
 
 MONITORED = ("monitor.position_error", "monitor.velocity_error", "monitor.energy", "monitor.iterations")
 """Monitors that `instant` computes, in this order."""
-
-_SMALL = 1e-3
-"""Pivot over diagonal entry of H below which two iterations may be too few. Above it an iteration gains a factor of 1e5
-or more at the default penalty, so that a last change within the square root of the tolerance leaves 3e-12 at most."""
 
 _TINY = 1e-300
 """Lets a mechanism at rest pass the check of convergence."""
@@ -52,11 +51,12 @@ class Plan:
     """Of multipliers in each evaluation."""
     corrections: int
     """Of q, and of v, after the step."""
-    freedom: int | None = None
-    """Degrees of freedom at a regular position: more pivots than these that are small say that a position is nearly
-    singular, where few iterations are too few. None: the last change of the accelerations alone tells."""
+    quick: bool = False
+    """Whether few iterations are judged by how they shrink; otherwise the last change must be within the tolerance."""
     weighted: bool = False
     """Whether each constraint may have a penalty of its own."""
+    branch: bool = False
+    """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
 
 
 def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2) -> Equations:
@@ -71,21 +71,20 @@ def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2)
     quick = careful
     if mobility and e.l and iterations < CAREFUL:
         # A large scene shares the functions of the careful step, which are long to trace and to compile.
-        quick = Plan(iterations, 1, mobility.freedom, weighted=e.n > DENSE)
+        quick = Plan(iterations, 1, quick=True, weighted=e.n > DENSE)
     tracer = _Tracer(e)
-    kernel = {
-        "quick": tracer.step(quick),
-        "careful": tracer.step(careful),
-        "instant": tracer.instant(careful, redundant),
-    }
-    return replace(with_functions(e, tracer.functions), kernel=kernel)
+    kernel = {"quick": tracer.step(quick), "careful": tracer.step(careful)}
+    if e.l:
+        kernel["branch"] = tracer.step(replace(careful, branch=True))
+    kernel["instant"] = tracer.instant(careful, redundant)
+    return replace(with_functions(e, tracer.functions), kernel=kernel, freedom=mobility.freedom if mobility else None)
 
 
 def untraced(equations: Equations) -> Equations:
     """The same equations without the functions of the kernel."""
     if not equations.kernel:
         return equations
-    names = {name for program in equations.kernel.values() for name, _, _ in program["calls"]}
+    names = {name for program in equations.kernel.values() for name in called(program["calls"])} - set(EVALUATED)
     functions, signatures = (
         {name: x for name, x in each.items() if name not in names}
         for each in (equations.functions, equations.signatures)
@@ -136,7 +135,7 @@ class _Tracer:
             i = len(rates) + 1
             stage = {f"t{i}": t, f"q{i}": y[: e.n], f"v{i}": y[e.n : 2 * e.n]}
             calls(f"stage{i}", {"z": z, "dt": dt, **rates}, lambda: stage, list(stage))
-            self._evaluation(calls, scene, plan, str(i))
+            (self._on_branch if plan.branch else self._evaluation)(calls, scene, plan, str(i))
             a, power = ca.SX.sym("a", e.n), ca.SX.sym("power")
             calls(
                 "rate",
@@ -151,21 +150,15 @@ class _Tracer:
         after = {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]}
         calls("sum", {"z": z, "dt": dt, **rates}, lambda: after, list(after))
         watches = {f"watch{i + 1}": ca.SX.sym("watch", len(_Watch.FIELDS)) for i in range(len(rates))}
-        kind = scene.kind
         if e.l:
-            position, state = {"q": q, "p": p, "k": k}, {"q": q, "v": v, "p": p, "k": k}
+            state = {"q": q, "v": v, "p": p, "k": k}
             if plan.corrections > 1:
                 for _ in range(plan.corrections):
-                    calls(f"{kind}_place", position, lambda: {"q": scene.placed(q)}, ["q"])
-                calls(
-                    f"{kind}_settle",
-                    state,
-                    lambda: dict(zip(("v", "pivot", "left"), scene.settled(q, v, plan.corrections), strict=True)),
-                    ["v", "pivot", "left"],
-                )
+                    self._place(calls, scene, "q", "q")
+                self._settle(calls, scene, plan, state, ["v", "pivot", "left"])
             else:
                 calls(
-                    f"{kind}_correct",
+                    f"{scene.kind}_correct",
                     state,
                     lambda: dict(zip(("q", "v", "pivot", "left"), scene.corrected(q, v), strict=True)),
                     ["q", "v", "pivot", "left"],
@@ -173,8 +166,10 @@ class _Tracer:
             watches |= {"pivot": ca.SX.sym("pivot"), "left": ca.SX.sym("left", 2)}
         work = ca.SX.sym("work")
         known = {"z": z, "dt": dt, "q": q, "v": v, "work": work, "p": p, "k": k, **watches}
-        tier = "careful" if plan.freedom is None else "quick"
-        calls(f"{tier}_close", known, lambda: {"after": scene.closed(plan, z, dt, q, v, work, watches)}, ["after"])
+        if plan.branch:
+            known |= {f"zone{i + 1}": ca.SX.sym("zone") for i in range(len(rates))}
+        tier = TIERS[2 if plan.branch else 0 if plan.quick else 1]
+        calls(f"{tier}_close", known, lambda: {"after": scene.closed(plan, known)}, ["after"])
         return {**asdict(plan), "calls": calls.made}
 
     def instant(self, plan: Plan, redundant: bool) -> Program:
@@ -206,24 +201,77 @@ class _Tracer:
         )
         return {**asdict(plan), "calls": calls.made}
 
-    def _evaluation(self, calls: _Calls, scene: _Scene, plan: Plan, i: str) -> None:
-        """a, lam (times `scale`), power and watch from t, q, v, each with the number i in its name."""
+    def _on_branch(self, calls: _Calls, scene: _Scene, plan: Plan, i: str) -> None:
+        """a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name."""
+        n = self.e.n
+        _, _, p, k, dt = self._known.values()
+        q, v, spacing = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("spacing")
+        here = {f"q{i}": q, f"v{i}": v}
+        calls("probe", {**here, "dt": dt, "p": p, "k": k}, lambda: scene.probed(q, v, dt), [f"zone{i}", "spacing"])
+        places = [f"place{j}" for j in range(len(branch.MEAN))]
+        accelerations = {f"acceleration{j}": ca.SX.sym("a", n) for j in range(len(places))}
+        watches = {f"watched{j}": ca.SX.sym("watch", len(_Watch.FIELDS)) for j in range(len(places))}
+        limit = _Calls(self)
+        limit("places", {**here, "spacing": spacing}, lambda: scene.places(q, v, spacing), places)
+        for j, (a, watch) in enumerate(zip(accelerations, watches, strict=True)):
+            self._brought(limit, scene, plan, f"place{j}", f"v{i}")
+            self._evaluation(limit, scene, plan, "0", {"t0": f"t{i}", "a0": a, "watch0": watch})
+        limit(
+            "mean",
+            {**accelerations, **watches},
+            lambda: scene.mean(list(accelerations.values()), list(watches.values())),
+            [f"a{i}", f"watch{i}"],
+        )
+        direct = _Calls(self)
+        self._brought(direct, scene, plan, f"q{i}", f"v{i}")
+        self._evaluation(direct, scene, plan, "0", {"t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"})
+        calls.made.append([CHOICE, f"zone{i}", limit.made, direct.made])
+        calls.made.append(["power", [f"q{i}", f"v{i}", "u", "p", f"t{i}"], [f"power{i}"]])
+
+    def _brought(self, calls: _Calls, scene: _Scene, plan: Plan, place: str, velocity: str) -> None:
+        """q0 and v0 on the branch: displaced across the motion alone, as the oracle does it."""
+        n = self.e.n
+        _, _, p, k, _ = self._known.values()
+        q, v, wanted = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("wanted", n)
+        for at in (place, "q0"):
+            self._place(calls, scene, at, "q0")
+        known = {"q0": q, place: wanted, "p": p, "k": k}
+        calls(f"{scene.kind}_return", known, lambda: {"q": scene.returned(q, wanted)}, ["q0"])
+        self._place(calls, scene, "q0", "q0")
+        self._settle(calls, scene, plan, {"q0": q, velocity: v, "p": p, "k": k}, ["v0", "pivot", "left"])
+
+    def _place(self, calls: _Calls, scene: _Scene, at: str, to: str) -> None:
+        _, _, p, k, _ = self._known.values()
+        q = ca.SX.sym("q", self.e.n)
+        calls(f"{scene.kind}_place", {at: q, "p": p, "k": k}, lambda: {"q": scene.placed(q)}, [to])
+
+    def _settle(self, calls: _Calls, scene: _Scene, plan: Plan, known: dict[str, ca.SX], to: list[str]) -> None:
+        q, v = list(known.values())[:2]
+        names = "v", "pivot", "left"
+        calls(
+            f"{scene.kind}_settle",
+            known,
+            lambda: dict(zip(names, scene.settled(q, v, plan.corrections), strict=True)),
+            to,
+        )
+
+    def _evaluation(
+        self, calls: _Calls, scene: _Scene, plan: Plan, i: str, names: Mapping[str, str] = MappingProxyType({})
+    ) -> None:
+        """a, lam (times `scale`), power and watch from t, q, v, each with i in its name, or as `names` has it."""
         e, kind = self.e, scene.kind
         _, u, p, k, _ = self._known.values()
         t, q, v = ca.SX.sym("t"), ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
         matrices = self._matrices(scene)
-        known = {f"t{i}": t, f"q{i}": q, f"v{i}": v, "u": u, "p": p, "k": k}
-        made = [*matrices, f"a{i}", f"lam{i}", f"power{i}", f"watch{i}"]
-        calls(f"{kind}_evaluate", known, lambda: scene.evaluated(q, v, u, t), made)
+        at, qi, vi, ai, lami, poweri, watchi = (
+            names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam", "power", "watch")
+        )
+        known = {at: t, qi: q, vi: v, "u": u, "p": p, "k": k}
+        calls(f"{kind}_evaluate", known, lambda: scene.evaluated(q, v, u, t), [*matrices, ai, lami, poweri, watchi])
         a, lam, watch = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(_Watch.FIELDS))
-        again = {"k": k, **matrices, f"a{i}": a, f"lam{i}": lam, f"watch{i}": watch}
+        again = {"k": k, **matrices, ai: a, lami: lam, watchi: watch}
         for _ in range(plan.iterations - 1):
-            calls(
-                f"{kind}_iterate",
-                again,
-                lambda: scene.iterated_again(matrices, a, lam, watch),
-                [f"a{i}", f"lam{i}", f"watch{i}"],
-            )
+            calls(f"{kind}_iterate", again, lambda: scene.iterated_again(matrices, a, lam, watch), [ai, lami, watchi])
 
     def _matrices(self, scene: _Scene) -> dict[str, ca.SX]:
         """Symbols for the nonzeros of what an evaluation hands on."""
@@ -252,11 +300,11 @@ class _Calls:
 class _Watch:
     """What an evaluation says of itself."""
 
-    FIELDS = ("change", "size", "pivot", "small")
-    """Last change of a, and a itself (both squared); smallest pivot of H, number of pivots that are small."""
+    FIELDS = ("change", "size", "pivot", "margin")
+    """Last change of a, and a itself (both squared); smallest pivot of H; margin to a singular position."""
 
     def __init__(self, vector: ca.SX):
-        self.change, self.size, self.pivot, self.small = ca.vertsplit(vector)
+        self.change, self.size, self.pivot, self.margin = ca.vertsplit(vector)
 
 
 class _Scene:
@@ -264,7 +312,7 @@ class _Scene:
 
     def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
         self.e, self.p, self.kind = equations, p, "weighted" if weighted else "plain"
-        alpha, self.tolerance = k[0], k[1]
+        alpha, self.tolerance, self.freedom, self.level = ca.vertsplit(k[:SETTINGS])
         # Equation (4) divided by alpha, so that no product with it is left: M / alpha, F / alpha, lam / alpha.
         self.scale = 1 / alpha
         own = k[SETTINGS:] if weighted else ca.SX.ones(equations.l)
@@ -298,9 +346,7 @@ class _Scene:
         H = method.augmented_mass(M, C, self.weights)
         D, L, order = ca.ldl(H, True)
         a, lam = self.iterated(terms, (D, L, order), ca.SX(e.n, 1), ca.SX(e.l, 1), 1)
-        diagonal = ca.diag(H)[order]
-        small = ca.sum1(_SMALL * diagonal > D)
-        watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), small)
+        watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), self.margin(D, ca.diag(H)[order]))
         values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
         return {
             **{name: ca.vec(value.nz[:]) for name, value in values.items()},
@@ -313,8 +359,47 @@ class _Scene:
         before = a
         a, lam = self.iterated((M, C, F, xi), (D, L, self._order), a, lam, 1)
         seen = _Watch(watch)
-        watch = ca.vertcat(ca.sumsqr(a - before), ca.sumsqr(a), seen.pivot, seen.small)
+        watch = ca.vertcat(ca.sumsqr(a - before), ca.sumsqr(a), seen.pivot, seen.margin)
         return {"a": a, "lam": lam, "watch": watch}
+
+    def margin(self, pivots: ca.SX, diagonal: ca.SX) -> ca.SX:
+        """See `alfmu.branch.GUARD`: the smallest pivot over its diagonal entry, apart from those that masses make."""
+        ratios = pivots / diagonal
+        masses = ratios <= self.level
+        found = ca.sum1(masses)
+        least = ca.mmin(ca.if_else(masses, 1, ratios))
+        return ca.if_else(found == self.freedom, least, found < self.freedom)
+
+    def probed(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
+        """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from."""
+        margins = []
+        for k in (-1, 0, 1):
+            place = q + k * branch.SPACING * dt * v
+            C = self.e.C(place, self.p)
+            H = method.augmented_mass(self.scale * self.e.M(place, self.p), C, self.weights)
+            D, _, order = ca.ldl(H, True)
+            margins.append(self.margin(D, ca.diag(H)[order]))
+        squared = branch.curvature(*margins)
+        rate = ca.sqrt(ca.fmax(squared, 0))
+        zone = ca.logic_and(squared > 0, ca.sqrt(margins[1]) < branch.ZONE * ca.fmax(rate, branch.LEAST))
+        return {"zone": zone, "spacing": branch.SPACING * dt * ca.fmax(1, branch.LEAST / rate)}
+
+    def places(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
+        """The places from which a limit is taken."""
+        return {str(k): q + k * spacing * v for k in branch.MEAN}
+
+    def mean(self, accelerations: list[ca.SX], watches: list[ca.SX]) -> dict[str, ca.SX]:
+        """The limit, and the worst of what the evaluations say."""
+        a = sum(w * x for w, x in zip(branch.MEAN.values(), accelerations, strict=True))
+        seen = [_Watch(x) for x in watches]
+        pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
+        watch = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, seen[0].margin)
+        return {"a": a, "watch": watch}
+
+    def returned(self, q: ca.SX, wanted: ca.SX) -> ca.SX:
+        """q displaced along the motion to the place that is nearest to the wanted one."""
+        C, _, solve = self._augmented(q)
+        return q + branch.tangential(C, self.weights, solve, wanted - q)
 
     def iterated(self, terms: tuple, factors: tuple, a: ca.SX, lam: ca.SX, most: int) -> tuple[ca.SX, ca.SX]:
         M, C, F, xi = terms
@@ -352,7 +437,10 @@ class _Scene:
             monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 1 - (ca.sumsqr(readings) < math.inf))
-        trouble = self._unconverged(plan, [_Watch(watch)]) + 1 - (_Watch(watch).pivot > 0)
+        seen = _Watch(watch)
+        trouble = self._unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
+        if e.l:
+            trouble += 1 - (seen.margin > (branch.ZONE * branch.LEAST) ** 2)  # where the oracle takes the limit
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), trouble)
 
     def corrected(self, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -376,22 +464,26 @@ class _Scene:
             v = v + method.project(C, self.weights, solve, C @ v)
         return v, ca.mmin(D), self._residues(q, C @ v)
 
-    def closed(
-        self, plan: Plan, z: ca.SX, dt: ca.SX, q: ca.SX, v: ca.SX, work: ca.SX, watches: dict[str, ca.SX]
-    ) -> ca.SX:
+    def closed(self, plan: Plan, known: dict[str, ca.SX]) -> ca.SX:
         """The state after the step; its `trouble` counts failed checks, each a comparison that NaN fails."""
         e, layout = self.e, Layout(self.e)
-        evaluations = [_Watch(x) for name, x in watches.items() if name.startswith("watch")]
-        pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), watches.get("pivot", ca.SX(0, 1))))
-        trouble = 1 - (pivot > 0) + self._unconverged(plan, evaluations)
+        z, dt, q, v, work = (known[name] for name in ("z", "dt", "q", "v", "work"))
+        evaluations = [_Watch(x) for name, x in known.items() if name.startswith("watch")]
+        pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), known.get("pivot", ca.SX(0, 1))))
+        trouble, near = 1 - (pivot > 0) + self._unconverged(plan, evaluations), ca.SX(0)
+        if plan.branch:
+            near = sum(x for name, x in known.items() if name.startswith("zone"))
+        elif e.l:
+            near = sum(1 - (x.margin > branch.GUARD) for x in evaluations)
+            trouble += near
         if e.l:
-            for residue, x in zip(ca.vertsplit(watches["left"]), (q, v), strict=True):
+            for residue, x in zip(ca.vertsplit(known["left"]), (q, v), strict=True):
                 trouble += 1 - (residue <= ca.fmax(self.tolerance**2, _ROUND_OFF**2 * ca.sumsqr(x)))
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
         change = sum(x.change for x in evaluations) / (evaluations[0].size + _TINY)
         angles = self.unwrapped(q, z[2 * e.n : layout.work])
-        return ca.vertcat(q, v, angles, work, z[layout.time] + dt, z[layout.trouble] + trouble, change, pivot)
+        return ca.vertcat(q, v, angles, work, z[layout.time] + dt, z[layout.trouble] + trouble, change, pivot, near)
 
     def unwrapped(self, q: ca.SX, near: ca.SX) -> ca.SX:
         """Computed angles moved by whole turns to the values nearest to `near`."""
@@ -408,12 +500,11 @@ class _Scene:
         if not self.e.l:
             return ca.SX(0)
         change, size = sum(x.change for x in evaluations), evaluations[0].size
-        if plan.freedom is None:
+        if not plan.quick:
             return 1 - (change <= self.tolerance**2 * sum(x.size for x in evaluations) + _TINY)
         # Each of m iterations gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
         m = plan.iterations
-        trouble = 1 - (change <= self.tolerance ** (2 * (m - 1) / m) * size + _TINY)
-        return trouble + sum(1 - (x.small <= plan.freedom) for x in evaluations)
+        return 1 - (change <= self.tolerance ** (2 * (m - 1) / m) * size + _TINY)
 
     def _largest(self, residue: ca.SX) -> ca.SX:
         return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else ca.SX(0)

@@ -10,7 +10,7 @@ import casadi as ca
 from numpy.typing import NDArray
 
 from ..equations import Equations
-from .program import Layout, Memory, Program
+from .program import CHOICE, TIERS, Layout, Memory, Program, called
 
 __all__ = ["Vm", "program_function"]
 
@@ -27,15 +27,50 @@ _LARGEST = 3
 def program_function(equations: Equations, program: Program) -> ca.Function:
     """A program as one function of z, u, p, k, dt: with subexpressions shared, or of calls where it is long."""
     fields = Layout(equations).fields
-    size = sum(equations.functions[name].n_instructions() for name, _, _ in program["calls"])
-    symbol = ca.SX if size <= FLAT else ca.MX
-    arguments = {name: symbol.sym(name, fields[name][1]) for name in ("z", "u", "p", "k", "dt")}
-    known, outputs = dict(arguments), []
-    for name, inputs, outputs in program["calls"]:
-        results = equations.functions[name].call([known[i] for i in inputs])
-        known.update(zip(outputs, results, strict=True))
+    calls = program["calls"]
+    flat = not any(call[0] == CHOICE for call in calls)
+    size = sum(equations.functions[name].n_instructions() for name in called(calls))
+    symbol = ca.SX if flat and size <= FLAT else ca.MX
+    known = {name: symbol.sym(name, fields[name][1]) for name in ("z", "u", "p", "k", "dt")}
+    arguments = list(known.values())
+    outputs = _run(equations, calls, known)
     options = {"cse": True} if symbol is ca.SX else {}
-    return ca.Function("program", list(arguments.values()), [known[outputs[-1]]], options)
+    return ca.Function("program", arguments, [known[outputs[-1]]], options)
+
+
+def _run(equations: Equations, calls: list[list], known: dict[str, Any]) -> list[str]:
+    """Make calls with what is known, to which the results are added; returns the names of the last results."""
+    outputs: list[str] = []
+    for name, *rest in calls:
+        if name == CHOICE:
+            number, *ways = rest
+            outputs = sorted(set.intersection(*(_made(way) for way in ways)))
+            inputs = sorted(set(known) & set.union(*(_used(way) for way in ways)))
+            choice = ca.Function.if_else("choice", *(_block(equations, way, known, inputs, outputs) for way in ways))
+            results = choice.call([known[number], *(known[i] for i in inputs)])
+        else:
+            inputs, outputs = rest
+            results = equations.functions[name].call([known[i] for i in inputs])
+        known.update(zip(outputs, results, strict=True))
+    return outputs
+
+
+def _block(
+    equations: Equations, calls: list[list], known: dict[str, Any], inputs: list[str], outputs: list[str]
+) -> ca.Function:
+    """Calls as a function of its own."""
+    x = {name: ca.MX.sym(name, known[name].sparsity()) for name in inputs}
+    arguments = list(x.values())
+    _run(equations, calls, x)
+    return ca.Function("block", arguments, [x[name] for name in outputs])
+
+
+def _made(calls: list[list]) -> set[str]:
+    return {key for _, _, outputs in calls for key in outputs}
+
+
+def _used(calls: list[list]) -> set[str]:
+    return {key for _, inputs, _ in calls for key in inputs}
 
 
 class Vm:
@@ -73,15 +108,21 @@ class _Machine:
         self._z, self._after, self._begin = memory["z"], memory["after"], memory["begin"]
         self._block = memoryview(memory.block)
         layout, at = memory.layout, memory.at
-        self._time, self._trouble = at("z", layout.time), at("after", layout.trouble)
+        self._time, self._trouble, self._near = (
+            at("z", layout.time),
+            at("after", layout.trouble),
+            at("after", layout.near),
+        )
         self._dt, self._step_size, self._first = at("dt", 0), at("control", 0), at("control", 1)
-        self._tally = at("tally", 0)
+        self._tally = memory["tally"]
         self._arguments = [memory[name] for name in ("z", "u", "p", "k", "dt")]
         kernel = vm.equations.kernel
-        careful = program_function(vm.equations, kernel["careful"])
-        quick = careful if kernel["quick"] == kernel["careful"] else program_function(vm.equations, kernel["quick"])
-        self._functions = [[quick], [careful]]
-        self._runs = [[self._bound(quick)], [self._bound(careful)]]
+        self._functions: dict[int, list[ca.Function]] = {}
+        self._runs: dict[int, list[Callable[[], Any]]] = {}
+        self._last = sum(tier in kernel for tier in TIERS) - 1
+        for tier in (0, 1):
+            same = tier and kernel["quick"] == kernel["careful"]
+            self._build(tier, self._functions[0][0] if same else None)
         instant = program_function(vm.equations, kernel["instant"])
         self._instant = vm.bound(instant, self._arguments, [memory["seen"]])
         self._seen_trouble = at("seen", len(memory["seen"]) - 1)
@@ -94,25 +135,18 @@ class _Machine:
         before = m[time]
         m[time] = start
         if ratio <= 1.0:
-            tier = int(m[self._first])
             m[self._dt] = h
-            self._runs[tier][0]()
-            if m[self._trouble] != 0.0:
-                tier = 1
-                self._runs[1][0]()
-                if m[self._trouble] != 0.0:
-                    m[time] = before
-                    return False
-            self._z[:] = self._after
-            m[self._tally + tier] += 1.0
+            if not self._single():
+                m[time] = before
+                return False
         else:
             n = math.ceil(ratio)
             self._begin[:] = self._z
-            tally = m[self._tally], m[self._tally + 1]
+            tally = self._tally.copy()
             if self.advance(n, h / n) < n:
                 self._z[:] = self._begin
                 m[time] = before
-                m[self._tally], m[self._tally + 1] = tally
+                self._tally[:] = tally
                 return False
         m[time] = start + h
         return True
@@ -124,22 +158,42 @@ class _Machine:
         while done < steps:
             while _BUNDLE**level > steps - done:
                 level -= 1
-            if self._ran(self._bundle(tier, level)):
-                size, used, level = _BUNDLE**level, tier, min(level + 1, _LARGEST)
-            elif level:
-                level -= 1
-                continue
-            elif self._ran(self._runs[1][0]):
-                size, used = 1, 1
+            if level == 0:
+                if not self._single():
+                    break
+                done, level = done + 1, 1
+            elif self._ran(self._bundle(tier, level)):
+                done += _BUNDLE**level
+                self._tally[tier] += _BUNDLE**level
+                level = min(level + 1, _LARGEST)
             else:
-                break
-            m[self._tally + used] += size
-            done += size
+                level -= 1
         return done
 
     def read(self) -> bool:
         self._instant()
         return self._block[self._seen_trouble] == 0.0
+
+    def _single(self) -> bool:
+        """An internal step by the first tier that can make it."""
+        m, tier = self._block, int(self._block[self._first])
+        while not self._ran(self._runs[tier][0]):
+            # Near a singular position no step but that on the branch can be good.
+            tier = self._last if m[self._near] != 0.0 and self._last == 2 and tier < 2 else tier + 1
+            if tier > self._last:
+                return False
+            if tier not in self._runs:
+                self._build(tier)
+        self._tally[tier] += 1.0
+        if tier == 2:
+            self._tally[-1] += m[self._near]
+        return True
+
+    def _build(self, tier: int, function: ca.Function | None = None) -> None:
+        """The step of a tier; that on the branch when it is first wanted."""
+        e = self._vm.equations
+        self._functions[tier] = [function or program_function(e, e.kernel[TIERS[tier]])]
+        self._runs[tier] = [self._bound(self._functions[tier][0])]
 
     def _ran(self, run: Callable[[], Any]) -> bool:
         run()
