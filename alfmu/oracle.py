@@ -228,21 +228,25 @@ class Oracle:
         return q + method.project(C, self.alpha, self._factor(method.augmented_mass(M, C, self.alpha), 0.0), Phi)
 
     def accelerations_on_branch(
-        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float
-    ) -> tuple[NDArray, NDArray, int, NDArray]:
+        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float, exact: bool = False
+    ) -> tuple[NDArray, NDArray, int, NDArray, int]:
         """What `accelerations` returns, at the place of the branch nearest to q; its limit near a singular position.
 
-        `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow.
+        `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow, and as short
+        as can be where `exact` (q is on the branch already). The last result says whether the multipliers are bounded
+        there: 0 no limit was taken, 1 they are, 2 they have a pole, whose finite part is given.
         """
         before, here, after = (self.margin(q + k * spacing * v) for k in (-1, 0, 1))
         rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
-        if rate > 0 and here**0.5 < branch.ZONE * max(rate, branch.LEAST):
-            spacing *= max(1.0, branch.LEAST / rate)
-            found = [self.accelerations(*self.on_branch(q + k * spacing * v, v), u, t) for k in branch.MEAN]
-            weights = branch.MEAN.values()
-            a, lam, _, left = (sum(w * x[i] for w, x in zip(weights, found, strict=True)) for i in range(4))
-            return a, lam, max(x[2] for x in found), left
-        return self.accelerations(*self.on_branch(q, v), u, t)
+        if not (rate > 0 and here**0.5 < branch.ZONE * max(rate * (not exact), branch.LEAST)):
+            return *self.accelerations(*self.on_branch(q, v), u, t), 0
+        spacing *= max(not exact, branch.LEAST / rate)
+        places = {k: self.on_branch(q + k * spacing * v, v) for k in branch.MEAN}
+        found = {k: self.accelerations(*place, u, t) for k, place in places.items()}
+        a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))
+        # At the position itself more multipliers act alike than on the branch, so that none of them is of least norm.
+        lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1], t) for k, x in found.items()})
+        return a, lam, max(x[2] for x in found.values()), left, 1 + pole
 
     def iterations_needed(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> int:
         """Iterations of the residual form after which no more than a tenth of the tolerance is left.

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .assembly import Assembly, Mobility
-from .branch import BRANCHES, GUARD, MEAN, SPACING
+from .branch import BRANCHES, GUARD, LEAST, MEAN, SPACING, ZONE
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
-from .kernel.program import TIERS, Backend, Layout, Machine
+from .kernel.program import TIERS, Backend, Layout, Machine, called
 from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
@@ -76,6 +76,20 @@ MONITORS = (
         type="Integer",
         instant=True,
     ),
+    Variable(
+        "monitor.distance",
+        "1",
+        description="distance to a singular position: square root of the smallest pivot of the augmented mass, over "
+        "its diagonal entry and apart from those of masses; rad for links of similar lengths",
+    ),
+    Variable(
+        "monitor.singular",
+        "1",
+        description="0 regular; at a singular position 1 where reactions have a limit, which is given, "
+        "2 where they grow without bound on both sides",
+        type="Integer",
+        instant=True,
+    ),
 )
 """What every instance says about its own accuracy."""
 
@@ -117,8 +131,9 @@ class Instance:
         self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
         self._seen = self.memory["seen"]
         self.machine: Machine | None = backend.machine(self.memory) if e.kernel else None
-        read = any(o.instant for o in e.outputs) and e.kernel
-        self._iterations_read = e.kernel["instant"]["iterations"] if read else 0
+        instant = e.kernel.get("instant", {"calls": []})
+        evaluated = any(name.endswith("_evaluate") for name in called(instant["calls"]))
+        self._iterations_read = instant["iterations"] if evaluated else 0
         self._fast = self._scaled = False
         self.initialized = self._known = False
 
@@ -237,7 +252,7 @@ class Instance:
     def _know(self, q: NDArray, v: NDArray) -> None:
         """Take note of what tells a singular position from a regular one, with the constraints that are held."""
         oracle = self.oracle
-        if oracle.settings.continues and self.equations.l:
+        if self.equations.l:
             freedom = self.equations.freedom if oracle.active.all() else None
             oracle.know(q, v, self._mobility(q).freedom if freedom is None else freedom)
 
@@ -256,8 +271,7 @@ class Instance:
         if self._fast:
             largest = alpha.max(initial=1e-300)
             memory["p"][:] = oracle.p
-            # All pivots of H count as masses where singular positions are of no concern.
-            watched = (oracle.freedom, oracle.level) if self._continues else (self.layout.n, math.inf)
+            watched = oracle.freedom, oracle.level, GUARD if self._continues else -1.0
             memory["k"][:] = [largest if len(alpha) else 1.0, settings.tolerance, *watched, *(alpha / largest)]
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
@@ -334,7 +348,7 @@ class Instance:
             return moved(t, y, a)
 
         def rate_on_branch(t: float, y: NDArray) -> NDArray:
-            a, _, _, _ = oracle.accelerations_on_branch(y[:size], y[size : 2 * size], u, t, SPACING * dt)
+            a, *_ = oracle.accelerations_on_branch(y[:size], y[size : 2 * size], u, t, SPACING * dt)
             return moved(t, y, a)
 
         def moved(t: float, y: NDArray, a: NDArray) -> NDArray:
@@ -383,10 +397,15 @@ class Instance:
     def _read_by_oracle(self) -> float:
         """All outputs by iterations that converge; returns the largest |Phi-ddot|."""
         oracle, q, v, t = self.oracle, self.q, self.v, self.time
-        a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
-        if oracle.settings.projects:
+        margin, singular = oracle.margin(q), 0
+        if self._continues and margin < (ZONE * LEAST) ** 2:
+            spacing = SPACING * oracle.settings.step_size
+            a, lam, used, left, singular = oracle.accelerations_on_branch(q, v, self.inputs, t, spacing, exact=True)
+        else:
+            a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
+        if oracle.settings.projects and not singular:
             lam = oracle.minimum_norm(q, v, lam, t)
-        self._y, self._accelerations = self._outputs(a, lam, used), a
+        self._y, self._accelerations = self._outputs(a, lam, used, margin, singular), a
         return float(np.abs(left[oracle.active]).max(initial=0.0))
 
     def _watch(self, acceleration: float) -> None:
@@ -405,14 +424,15 @@ class Instance:
     def read_state(self) -> NDArray:
         """Like `read` where accelerations and reactions cannot be computed: they are NaN, the rest is known."""
         e = self.equations
-        return self._outputs(np.full(e.n, np.nan), np.full(e.l, np.nan), 0)
+        return self._outputs(np.full(e.n, np.nan), np.full(e.l, np.nan), 0, self.oracle.margin(self.q), 0)
 
-    def _outputs(self, a: NDArray, lam: NDArray, used: int) -> NDArray:
+    def _outputs(self, a: NDArray, lam: NDArray, used: int, margin: float, singular: int) -> NDArray:
         oracle, q, v = self.oracle, self.q, self.v
         y = oracle.outputs(q, v, a, lam, self.inputs, self.time)
         self.angles[:] = self._unwrap(y, self.angles)
         y[[i for i, _ in self._wrapped]] = self.angles
-        seen = zip(MONITORS, (*oracle.residues(q, v), oracle.energy(q, v), used), strict=True)
+        values = *oracle.residues(q, v), oracle.energy(q, v), used, math.sqrt(max(margin, 0.0)), singular
+        seen = zip(MONITORS, values, strict=True)
         return np.concatenate([y, [value for v, value in seen if v.name in self._output]])
 
     def mobility(self) -> Mobility:
@@ -456,10 +476,12 @@ class Instance:
         """Work done and largest errors since initialisation."""
         c, tally = self.oracle.counters, self.memory["tally"]
         *steps, limits = map(int, tally)
+        first = TIERS[int(self.memory["control"][1])]
         for made, tier in zip(steps, TIERS, strict=True):
             if made:
                 program = self.equations.kernel[tier]
-                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
+                tried = 1 + (tier != first)  # at least: a step begins with the first tier
+                evaluations = 4 * tried * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
                 c.steps += made
                 c.evaluations += evaluations
                 c.multiplier_iterations += evaluations * program["iterations"]

@@ -138,4 +138,4 @@ def test_an_installed_peer_simulates_the_same_mechanism(peers, package, mechanis
     peer = next(peer for peer in peers.peers() if peer.package == package)
     point = judged(peers, peer, mechanism, 1e-3)
     assert point.error < 1e-3, point.note
-    assert point.force_error < 0.5
+    assert point.force_error < 1.0  # N, of some 60; second order and soft constraints

@@ -59,9 +59,9 @@ PLATFORM = f"{sys.platform}-{platform.machine().lower()}"
 LIBRARY = f"kernel-{PLATFORM}{SUFFIX}"
 """Name of the compiled functions in an FMU."""
 
-SETTINGS = 4
-"""Numbers before the weights of the constraints in k: alpha, tolerance, degrees of freedom, and over its diagonal entry
-the largest pivot of H that a mass alone may make."""
+SETTINGS = 5
+"""Numbers before the weights of the constraints in k: alpha, tolerance, degrees of freedom, largest pivot of H (over
+its diagonal entry) that a mass alone may make, margin below which a step is made on the branch."""
 
 
 def called(calls: list[list]) -> Iterator[str]:

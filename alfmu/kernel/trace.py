@@ -33,7 +33,9 @@ __all__ = ["Plan", "parts", "traced", "untraced"]
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
 
-MONITORED = ("monitor.position_error", "monitor.velocity_error", "monitor.energy", "monitor.iterations")
+MONITORED = tuple(
+    f"monitor.{name}" for name in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")
+)
 """Monitors that `instant` computes, in this order."""
 
 _TINY = 1e-300
@@ -180,7 +182,10 @@ class _Tracer:
         calls = _Calls(self)
         q, v, t = z[: e.n], z[e.n : 2 * e.n], z[layout.time]
         known = {"z": z, "u": u, "p": p, "k": k}
-        if not any(o.instant for o in e.outputs):  # Nobody reads an acceleration or a reaction: none is computed.
+        distance = {"monitor.distance", "monitor.singular"} - set(e.monitors)
+        if not distance and not any(
+            o.instant for o in e.outputs
+        ):  # Nobody reads an acceleration or a reaction: none is computed.
             zeros = ca.SX(e.n, 1), ca.SX(e.l, 1)
             calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *zeros, None, None, None)}, ["seen"])
             return {**asdict(plan), "calls": calls.made}
@@ -312,7 +317,7 @@ class _Scene:
 
     def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
         self.e, self.p, self.kind = equations, p, "weighted" if weighted else "plain"
-        alpha, self.tolerance, self.freedom, self.level = ca.vertsplit(k[:SETTINGS])
+        alpha, self.tolerance, self.freedom, self.level, self.guard = ca.vertsplit(k[:SETTINGS])
         # Equation (4) divided by alpha, so that no product with it is left: M / alpha, F / alpha, lam / alpha.
         self.scale = 1 / alpha
         own = k[SETTINGS:] if weighted else ca.SX.ones(equations.l)
@@ -390,7 +395,7 @@ class _Scene:
 
     def mean(self, accelerations: list[ca.SX], watches: list[ca.SX]) -> dict[str, ca.SX]:
         """The limit, and the worst of what the evaluations say."""
-        a = sum(w * x for w, x in zip(branch.MEAN.values(), accelerations, strict=True))
+        a = branch.mean(dict(zip(branch.MEAN, accelerations, strict=True)))
         seen = [_Watch(x) for x in watches]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
         watch = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, seen[0].margin)
@@ -433,7 +438,8 @@ class _Scene:
         monitors = []
         if set(MONITORED) - set(e.monitors):
             _, _, Phi, Cv = e.constraints(q, v, p)
-            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), ca.SX(plan.iterations)
+            margin = _Watch(watch).margin if watch is not None else ca.SX(1)
+            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), plan.iterations, ca.sqrt(margin), 0
             monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 1 - (ca.sumsqr(readings) < math.inf))
@@ -474,7 +480,7 @@ class _Scene:
         if plan.branch:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
         elif e.l:
-            near = sum(1 - (x.margin > branch.GUARD) for x in evaluations)
+            near = sum(1 - (x.margin > self.guard) for x in evaluations)
             trouble += near
         if e.l:
             for residue, x in zip(ca.vertsplit(known["left"]), (q, v), strict=True):
