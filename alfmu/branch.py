@@ -49,7 +49,10 @@ SPACING = 0.25
 """Of the places from which a limit is taken, over the internal step."""
 
 LEAST = 0.003
-"""Smallest distance of the first of these places, as the square root of a margin."""
+"""Least distance of the first of these places, as the square root of a margin."""
+
+CONVERGING = 2.0
+"""The same, over the square root of the largest pivot that masses make."""
 
 ZONE = 0.5
 """Distance to the singular position, over that spacing, below which the limit is taken."""

@@ -38,6 +38,9 @@ CORRECTIONS = 20
 ASIDE = 0.1
 """Displacement [rad, m] to places beside the start."""
 
+_LONGER = 20
+"""Most doublings of a spacing that is too short."""
+
 GROSS = 1e-6
 """Residue of a constraint [m, rad; per s] above which a projected step is refused."""
 
@@ -186,17 +189,28 @@ class Oracle:
         return a, lam, used, C @ a - xi
 
     def know(self, q: NDArray, v: NDArray, freedom: int) -> None:
-        """Take note of the degrees of freedom, and of the pivots of H that masses make, at q and beside it."""
-        self.freedom, self.level = freedom, 0.0
-        if not 0 < freedom < self.equations.n:
-            return
+        """Take note of the degrees of freedom, and of the pivots of H that masses make, at q and beside it.
+
+        Coordinates that no constraint holds are left out: their pivots are masses beside masses, and not small.
+        """
+        self.freedom, self.level = self.equations.n, np.inf
         M, C, _, _ = self._constraints(q, v, self.p)
+        held = abs(self.alpha @ C)
         solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
-        random = np.random.default_rng(0).standard_normal(len(q))
-        way = branch.tangential(C.copy(), self.alpha, solve, random)
+        way = branch.tangential(C.copy(), self.alpha, solve, np.random.default_rng(0).standard_normal(len(q)))
         way *= ASIDE / max(np.abs(way).max(), 1e-300)
         places = q, *(self.on_branch(q + sign * way, v)[0] for sign in (-1, 1))
-        self.level = branch.MASSES * float(np.median([np.sort(self._pivots(x))[freedom - 1] for x in places]))
+        for place in places[1:]:
+            held = held + abs(self.alpha @ self._constraints(place, v, self.p)[1])
+        pivots = [np.sort(self._pivots(place)) for place in places]
+        self.freedom, self.level = freedom - int((np.asarray(held.sum(axis=0)) == 0).sum()), 0.0
+        if 0 < self.freedom < self.equations.n:
+            self.level = branch.MASSES * float(np.median([r[self.freedom - 1] for r in pivots]))
+
+    @property
+    def least_distance(self) -> float:
+        """Least distance of places from a singular position, where the multiplier iteration converges fast enough."""
+        return max(branch.LEAST, branch.CONVERGING * self.level**0.5) if np.isfinite(self.level) else branch.LEAST
 
     def margin(self, q: NDArray) -> float:
         """How far q (n,) is from a singular position: see `alfmu.branch.GUARD`."""
@@ -236,11 +250,15 @@ class Oracle:
         as can be where `exact` (q is on the branch already). The last result says whether the multipliers are bounded
         there: 0 no limit was taken, 1 they are, 2 they have a pole, whose finite part is given.
         """
-        before, here, after = (self.margin(q + k * spacing * v) for k in (-1, 0, 1))
-        rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
-        if not (rate > 0 and here**0.5 < branch.ZONE * max(rate * (not exact), branch.LEAST)):
+        for _ in range(_LONGER):
+            before, here, after = (self.margin(q + k * spacing * v) for k in (-1, 0, 1))
+            rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
+            if rate > 0 or here > 0:
+                break
+            spacing *= 2  # The places are too near to be told from the singular position.
+        if not (rate > 0 and here**0.5 < branch.ZONE * max(rate * (not exact), self.least_distance)):
             return *self.accelerations(*self.on_branch(q, v), u, t), 0
-        spacing *= max(not exact, branch.LEAST / rate)
+        spacing *= max(not exact, self.least_distance / rate)
         places = {k: self.on_branch(q + k * spacing * v, v) for k in branch.MEAN}
         found = {k: self.accelerations(*place, u, t) for k, place in places.items()}
         a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .assembly import Assembly, Mobility
-from .branch import BRANCHES, GUARD, LEAST, MEAN, SPACING, ZONE
+from .branch import BRANCHES, GUARD, MEAN, SPACING, ZONE
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
@@ -271,7 +271,7 @@ class Instance:
         if self._fast:
             largest = alpha.max(initial=1e-300)
             memory["p"][:] = oracle.p
-            watched = oracle.freedom, oracle.level, GUARD if self._continues else -1.0
+            watched = oracle.freedom, oracle.level, oracle.least_distance, self._continues
             memory["k"][:] = [largest if len(alpha) else 1.0, settings.tolerance, *watched, *(alpha / largest)]
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
@@ -398,7 +398,7 @@ class Instance:
         """All outputs by iterations that converge; returns the largest |Phi-ddot|."""
         oracle, q, v, t = self.oracle, self.q, self.v, self.time
         margin, singular = oracle.margin(q), 0
-        if self._continues and margin < (ZONE * LEAST) ** 2:
+        if self._continues and margin < (ZONE * oracle.least_distance) ** 2:
             spacing = SPACING * oracle.settings.step_size
             a, lam, used, left, singular = oracle.accelerations_on_branch(q, v, self.inputs, t, spacing, exact=True)
         else:

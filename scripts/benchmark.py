@@ -99,8 +99,8 @@ def stepping(instance: alfmu.Instance, dt: float = SHORT, steps: int = 1, once: 
 
 def quick_share(instance: alfmu.Instance) -> float:
     """Steps of the last lap that were quick ones [%]."""
-    quick, careful = instance.memory["tally"]
-    return 100.0 * quick / (quick + careful)
+    steps = instance.memory["tally"][:-1]
+    return float(100.0 * steps[0] / steps.sum())
 
 
 # One internal step ------------------------------------------------------------------------------------------------
@@ -188,7 +188,7 @@ def part_shares(row: Row) -> Row:
 STOP, DT = 20.0, 0.02
 """End of the motion [s], communication step [s], which is the internal one too."""
 
-TIERS = ("quick steps", "careful steps", "oracle steps")
+TIERS = ("quick steps", "careful steps", "steps on the branch", "oracle steps")
 """What a step can be made by."""
 
 EMPTY_SLAVE = '''"""A slave that does nothing: what pythonfmu and fmpy cost by themselves."""
@@ -241,8 +241,8 @@ def tiers(kernel: str, points: Sequence[float]) -> Row:
     for t in points:
         instance.memory["tally"][:] = 0.0
         instance.step(DT, t)
-        quick, careful = instance.memory["tally"]
-        made[TIERS[0 if quick else 1 if careful else 2]] += 1
+        steps = instance.memory["tally"][:-1]
+        made[TIERS[int(np.argmax(steps)) if steps.any() else -1]] += 1
     return {tier: made[tier] for tier in TIERS}
 
 

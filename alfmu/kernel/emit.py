@@ -106,9 +106,9 @@ static long advance(double *m, long steps, double dt)
             if (m[{trouble}] == 0.0)
                 break;
             /* Near a singular position no step but that on the branch can be good. */
-            tier = m[{near}] != 0.0 && tier < {last} ? {last} : tier + 1;
-            if (tier > {last})
+            if (tier == 2 || (tier == 1 && m[{near}] == 0.0))
                 return done;
+            tier = m[{near}] != 0.0 ? 2 : 1;
         }}
         memcpy(m + {z}, m + {after}, {size} * sizeof(double));
         m[{tally} + tier] += 1.0;
@@ -181,7 +181,6 @@ def sources(equations: Equations) -> tuple[list[str], int]:
             "trouble": at["after"] + layout.trouble,
             "near": at["after"] + layout.near,
             "tiers": len(TIERS),
-            "last": len(tiers) - 1,
             "size": layout.fields["z"][1],
             "step_size": at["control"],
             "first": at["control"] + 1,

@@ -59,9 +59,10 @@ PLATFORM = f"{sys.platform}-{platform.machine().lower()}"
 LIBRARY = f"kernel-{PLATFORM}{SUFFIX}"
 """Name of the compiled functions in an FMU."""
 
-SETTINGS = 5
+SETTINGS = 6
 """Numbers before the weights of the constraints in k: alpha, tolerance, degrees of freedom, largest pivot of H (over
-its diagonal entry) that a mass alone may make, margin below which a step is made on the branch."""
+its diagonal entry) that a mass alone may make, least distance of places beside a singular one, whether to continue
+on the branch."""
 
 
 def called(calls: list[list]) -> Iterator[str]:

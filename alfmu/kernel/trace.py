@@ -317,7 +317,9 @@ class _Scene:
 
     def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
         self.e, self.p, self.kind = equations, p, "weighted" if weighted else "plain"
-        alpha, self.tolerance, self.freedom, self.level, self.guard = ca.vertsplit(k[:SETTINGS])
+        alpha, self.tolerance, self.freedom, self.level, self.least_distance, self.continues = ca.vertsplit(
+            k[:SETTINGS]
+        )
         # Equation (4) divided by alpha, so that no product with it is left: M / alpha, F / alpha, lam / alpha.
         self.scale = 1 / alpha
         own = k[SETTINGS:] if weighted else ca.SX.ones(equations.l)
@@ -384,10 +386,12 @@ class _Scene:
             H = method.augmented_mass(self.scale * self.e.M(place, self.p), C, self.weights)
             D, _, order = ca.ldl(H, True)
             margins.append(self.margin(D, ca.diag(H)[order]))
-        squared = branch.curvature(*margins)
+        squared, here = branch.curvature(*margins), margins[1]
         rate = ca.sqrt(ca.fmax(squared, 0))
-        zone = ca.logic_and(squared > 0, ca.sqrt(margins[1]) < branch.ZONE * ca.fmax(rate, branch.LEAST))
-        return {"zone": zone, "spacing": branch.SPACING * dt * ca.fmax(1, branch.LEAST / rate)}
+        zone = ca.sqrt(here) < branch.ZONE * ca.fmax(rate, self.least_distance)
+        # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
+        zone = ca.logic_or(ca.logic_and(squared > 0, zone), here == 0)
+        return {"zone": zone, "spacing": branch.SPACING * dt * ca.fmax(1, self.least_distance / rate)}
 
     def places(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
         """The places from which a limit is taken."""
@@ -446,7 +450,7 @@ class _Scene:
         seen = _Watch(watch)
         trouble = self._unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
         if e.l:
-            trouble += 1 - (seen.margin > (branch.ZONE * branch.LEAST) ** 2)  # where the oracle takes the limit
+            trouble += 1 - (seen.margin > (branch.ZONE * self.least_distance) ** 2)  # where the oracle takes the limit
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), trouble)
 
     def corrected(self, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
@@ -480,8 +484,9 @@ class _Scene:
         if plan.branch:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
         elif e.l:
-            near = sum(1 - (x.margin > self.guard) for x in evaluations)
-            trouble += near
+            near = sum(1 - (x.margin > branch.GUARD) for x in evaluations)
+            trouble += near if plan.quick else near * self.continues
+            near *= self.continues
         if e.l:
             for residue, x in zip(ca.vertsplit(known["left"]), (q, v), strict=True):
                 trouble += 1 - (residue <= ca.fmax(self.tolerance**2, _ROUND_OFF**2 * ca.sumsqr(x)))

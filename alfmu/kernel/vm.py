@@ -119,7 +119,6 @@ class _Machine:
         kernel = vm.equations.kernel
         self._functions: dict[int, list[ca.Function]] = {}
         self._runs: dict[int, list[Callable[[], Any]]] = {}
-        self._last = sum(tier in kernel for tier in TIERS) - 1
         for tier in (0, 1):
             same = tier and kernel["quick"] == kernel["careful"]
             self._build(tier, self._functions[0][0] if same else None)
@@ -179,9 +178,10 @@ class _Machine:
         m, tier = self._block, int(self._block[self._first])
         while not self._ran(self._runs[tier][0]):
             # Near a singular position no step but that on the branch can be good.
-            tier = self._last if m[self._near] != 0.0 and self._last == 2 and tier < 2 else tier + 1
-            if tier > self._last:
+            near = m[self._near] != 0.0
+            if tier == 2 or (tier == 1 and not near):
                 return False
+            tier = 2 if near else 1
             if tier not in self._runs:
                 self._build(tier)
         self._tally[tier] += 1.0
