@@ -6,6 +6,7 @@ them. On the branch that is followed the acceleration is smooth, so that its lim
 inconsistent beside it. Written for NumPy arrays and for symbols alike, as `alfmu.method` is, but for `with_pole`.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -14,15 +15,20 @@ from numpy.typing import NDArray
 
 __all__ = [
     "BRANCHES",
+    "CONVERGING",
     "GUARD",
     "LEAST",
     "MASSES",
     "MEAN",
+    "READ_DISTANCE",
+    "READ_MEAN",
+    "READ_ZONE",
     "SPACING",
     "ZONE",
     "curvature",
     "mean",
     "tangential",
+    "weights",
     "with_pole",
 ]
 
@@ -57,9 +63,27 @@ CONVERGING = 2.0
 ZONE = 0.5
 """Distance to the singular position, over that spacing, below which the limit is taken."""
 
-MEAN = {-2: -1 / 6, -1: 4 / 6, 1: 4 / 6, 2: -1 / 6}
-"""Weights of the places, which leave an error of fourth order in their spacing."""
+READ_DISTANCE = 0.03
+"""Distance of the first place where reactions are read: farther, as they lose digits with its fourth power."""
 
+READ_ZONE = 0.2
+"""Distance to the singular position, over that one, below which the limit is read."""
+
+
+def weights(m: int) -> dict[int, float]:
+    """Weights of m places before and m after, evenly spaced, that leave an error of order 2 m in the spacing."""
+    return {
+        k * side: (-1) ** (k + 1) * math.comb(2 * m, m + k) / math.comb(2 * m, m)
+        for side in (-1, 1)
+        for k in range(1, m + 1)
+    }
+
+
+MEAN = weights(2)
+"""Places from which an acceleration is taken in a step, in spacings, and their weights."""
+
+READ_MEAN = weights(4)
+"""The same for what is read."""
 
 _ZERO = 1e-5
 """What is zero, over the values at the places, of a function that is known there to round-off over its spacing."""
@@ -71,12 +95,12 @@ def curvature(before: Array, here: Array, after: Array) -> Array:
 
 
 def mean(values: dict[int, Array]) -> Array:
-    """The limit from values at the places of MEAN."""
-    return sum(w * values[k] for k, w in MEAN.items())
+    """The limit from values at places, as many before as after."""
+    return sum(w * values[k] for k, w in weights(len(values) // 2).items())
 
 
 def with_pole(values: dict[int, NDArray]) -> tuple[NDArray, bool]:
-    """The limit of reactions (l,) from those at the places of MEAN, and whether they have a pole near instead.
+    """The limit of reactions (l,) from those at places before and after, and whether they have a pole near instead.
 
     Differences across a singular position halve with the spacing where there is a limit, and double where there is a
     pole. Then the value is that of the quotient of two smooth functions, of which one has a zero; at the zero itself it

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -189,15 +189,18 @@ class Oracle:
         return a, lam, used, C @ a - xi
 
     def know(self, q: NDArray, v: NDArray, freedom: int) -> None:
-        """Take note of the degrees of freedom, and of the pivots of H that masses make, at q and beside it.
+        """Take note of the degrees of freedom, and of the pivots of H that masses make, at q and beside it on the way.
 
         Coordinates that no constraint holds are left out: their pivots are masses beside masses, and not small.
         """
         self.freedom, self.level = self.equations.n, np.inf
         M, C, _, _ = self._constraints(q, v, self.p)
         held = abs(self.alpha @ C)
-        solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
-        way = branch.tangential(C.copy(), self.alpha, solve, np.random.default_rng(0).standard_normal(len(q)))
+        way = v.copy()
+        if not way.any():
+            solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
+            aside = np.random.default_rng(0).standard_normal(len(q))
+            way = branch.tangential(C.copy(), self.alpha, solve, aside)
         way *= ASIDE / max(np.abs(way).max(), 1e-300)
         places = q, *(self.on_branch(q + sign * way, v)[0] for sign in (-1, 1))
         for place in places[1:]:
@@ -242,29 +245,55 @@ class Oracle:
         return q + method.project(C, self.alpha, self._factor(method.augmented_mass(M, C, self.alpha), 0.0), Phi)
 
     def accelerations_on_branch(
-        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float, exact: bool = False
-    ) -> tuple[NDArray, NDArray, int, NDArray, int]:
+        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float
+    ) -> tuple[NDArray, NDArray, int, NDArray]:
         """What `accelerations` returns, at the place of the branch nearest to q; its limit near a singular position.
 
-        `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow, and as short
-        as can be where `exact` (q is on the branch already). The last result says whether the multipliers are bounded
-        there: 0 no limit was taken, 1 they are, 2 they have a pole, whose finite part is given.
+        `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow.
         """
+        here, rate, spacing = self._approach(q, v, spacing)
+        if not (rate > 0 and here < branch.ZONE * max(rate, self.least_distance)):
+            return self.accelerations(*self.on_branch(q, v), u, t)
+        _, found = self._beside(q, v, u, t, spacing * max(1.0, self.least_distance / rate), branch.MEAN)
+        a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))
+        return a, branch.mean({k: x[1] for k, x in found.items()}), max(x[2] for x in found.values()), left
+
+    def read(
+        self, q: NDArray, v: NDArray, u: NDArray, t: float, continues: bool
+    ) -> tuple[NDArray, NDArray, int, NDArray, int]:
+        """What `accelerations` returns at a state that keeps the constraints, lam of least norm; if it is singular.
+
+        The last result is 0 where it is not; where it is and the limit is wanted, 1 where lam has a limit, 2 where it
+        has a pole, of which the finite part is given at the position itself.
+        """
+        if continues and self.margin(q) ** 0.5 < branch.READ_ZONE * branch.READ_DISTANCE:
+            _, rate, spacing = self._approach(q, v, branch.SPACING * self.settings.step_size)
+            if rate > 0:
+                spacing *= branch.READ_DISTANCE / rate
+                places, found = self._beside(q, v, u, t, spacing, branch.READ_MEAN)
+                a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))
+                # At the position itself more multipliers act alike than on the branch.
+                lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1], t) for k, x in found.items()})
+                return a, lam, max(x[2] for x in found.values()), left, 1 + pole
+        a, lam, used, left = self.accelerations(q, v, u, t)
+        return a, self.minimum_norm(q, v, lam, t) if self.settings.projects else lam, used, left, 0
+
+    def _approach(self, q: NDArray, v: NDArray, spacing: float) -> tuple[float, float, float]:
+        """Distance to a singular position, how much of it one spacing [s] makes, and a spacing that can tell."""
         for _ in range(_LONGER):
             before, here, after = (self.margin(q + k * spacing * v) for k in (-1, 0, 1))
             rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
             if rate > 0 or here > 0:
                 break
             spacing *= 2  # The places are too near to be told from the singular position.
-        if not (rate > 0 and here**0.5 < branch.ZONE * max(rate * (not exact), self.least_distance)):
-            return *self.accelerations(*self.on_branch(q, v), u, t), 0
-        spacing *= max(not exact, self.least_distance / rate)
-        places = {k: self.on_branch(q + k * spacing * v, v) for k in branch.MEAN}
-        found = {k: self.accelerations(*place, u, t) for k, place in places.items()}
-        a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))
-        # At the position itself more multipliers act alike than on the branch, so that none of them is of least norm.
-        lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1], t) for k, x in found.items()})
-        return a, lam, max(x[2] for x in found.values()), left, 1 + pole
+        return here**0.5, rate, spacing
+
+    def _beside(
+        self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float, at: Iterable[int]
+    ) -> tuple[dict[int, tuple], dict[int, tuple]]:
+        """q and v, and what `accelerations` returns, at places on the branch before and after q."""
+        places = {k: self.on_branch(q + k * spacing * v, v) for k in at}
+        return places, {k: self.accelerations(*place, u, t) for k, place in places.items()}
 
     def iterations_needed(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> int:
         """Iterations of the residual form after which no more than a tenth of the tolerance is left.

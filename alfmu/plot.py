@@ -98,7 +98,7 @@ def _interesting(result: Result) -> list[str]:
         for name in result.names
         if not name.startswith("multiplier[")
         and not result.units.get(name, "").endswith("/s2")
-        and name != "monitor.iterations"
+        and name not in ("monitor.iterations", "monitor.distance", "monitor.singular")
         and (name == "monitor.energy" or _range(result, name) > 0)
     ]
     return names or result.names

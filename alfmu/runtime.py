@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .assembly import Assembly, Mobility
-from .branch import BRANCHES, GUARD, MEAN, SPACING, ZONE
+from .branch import BRANCHES, GUARD, MEAN, SPACING
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
@@ -397,15 +397,8 @@ class Instance:
     def _read_by_oracle(self) -> float:
         """All outputs by iterations that converge; returns the largest |Phi-ddot|."""
         oracle, q, v, t = self.oracle, self.q, self.v, self.time
-        margin, singular = oracle.margin(q), 0
-        if self._continues and margin < (ZONE * oracle.least_distance) ** 2:
-            spacing = SPACING * oracle.settings.step_size
-            a, lam, used, left, singular = oracle.accelerations_on_branch(q, v, self.inputs, t, spacing, exact=True)
-        else:
-            a, lam, used, left = oracle.accelerations(q, v, self.inputs, t)
-        if oracle.settings.projects and not singular:
-            lam = oracle.minimum_norm(q, v, lam, t)
-        self._y, self._accelerations = self._outputs(a, lam, used, margin, singular), a
+        a, lam, used, left, singular = oracle.read(q, v, self.inputs, t, self._continues)
+        self._y, self._accelerations = self._outputs(a, lam, used, oracle.margin(q), singular), a
         return float(np.abs(left[oracle.active]).max(initial=0.0))
 
     def _watch(self, acceleration: float) -> None:

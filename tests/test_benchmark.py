@@ -127,7 +127,7 @@ def test_numbers_are_those_of_what_they_claim_to_measure(benchmark, folder):
     for row in rows(folder, "dostep")[1:]:
         steps = [int(row[tier]) for tier in benchmark.TIERS]
         assert sum(steps) == int(row["steps in a run"]) == 1000
-        assert steps[0] > steps[1] > steps[2] > 0  # the motion passes singular positions
+        assert steps[0] > steps[2] > 0 == steps[3]  # the motion passes singular positions
     one, ten = rows(folder, "scale")
     assert float(ten["operations"]) > 5 * float(one["operations"])
     assert [row["builds"] for row in (one, ten)] == ["2", "2"]

@@ -128,9 +128,11 @@ def test_start_at_the_singular_position() -> None:
     e = -9.81 * 2.5 / (23 / 12)
     lift = [9.81 + e, 9.81 + e / 2]
     by_hand = [2.0, -lift[0] / 2, 2.0, -lift[0] / 2, 1.0, -lift[1] / 2, 1.0, -lift[1] / 2]
-    assert r["link1.angular_acceleration"] == pytest.approx(e, rel=1e-14)
+    # A limit is extrapolated from 0.03 rad: round-off over its fourth power, 3e-10, and what the eighth order leaves.
+    assert r["link1.angular_acceleration"] == pytest.approx(e, rel=1e-9)
     for i, x in enumerate(by_hand, 1):
-        assert r[f"multiplier[{i}]"] == pytest.approx(x, rel=1e-13)
+        assert r[f"multiplier[{i}]"] == pytest.approx(x, rel=1e-9)
+    assert r["monitor.singular"] == 1
 
 
 @pytest.mark.parametrize("torques", [(3.0, 0.0), (0.0, 3.0), (-2.0, 5.0)])

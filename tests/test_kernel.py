@@ -54,7 +54,7 @@ def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, optio
             for v in i.input_variables:
                 i.set(v.name, 0.7)
             i.initialize()
-        kept = slice(0, -1)  # all but monitor.iterations
+        kept = [v.name != "monitor.iterations" for v in fast.outputs]
         for _ in range(2):
             a, b = fast.read()[kept], oracle.read()[kept]
             assert np.abs(a - b).max() <= 1e-12 * np.abs(b).max()
@@ -143,7 +143,8 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
         return i.memory["control"][1]
 
     assert first(kernel) == 1
-    a, b = kernel.read()[:-1], oracle.read()[:-1]
+    kept = [v.name != "monitor.iterations" for v in kernel.outputs]
+    a, b = kernel.read()[kept], oracle.read()[kept]
     # A correction of 1e-7 (what one step leaves open) leaks its round-off, times penalty over mass, into the motion.
     assert np.abs(a - b).max() <= max(1e-12, 2.0**-52 * penalty * 1e-7) * np.abs(b).max()
     default = alfmu.Instance(kernel.equations)
@@ -198,7 +199,8 @@ def test_a_penalty_for_each_constraint_runs_by_the_kernel(kernel, off):
             i.step(0.01)
     assert both[0].memory["tally"][1] == 20  # by the careful step of the kernel
     assert np.abs(both[0].state[:17] - both[1].state[:17]).max() < 1e-12
-    a, b = (i.read()[:-1] for i in both)
+    kept = [v.name != "monitor.iterations" for v in both[0].outputs]
+    a, b = (i.read()[kept] for i in both)
     assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
 
 

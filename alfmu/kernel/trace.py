@@ -450,7 +450,9 @@ class _Scene:
         seen = _Watch(watch)
         trouble = self._unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
         if e.l:
-            trouble += 1 - (seen.margin > (branch.ZONE * self.least_distance) ** 2)  # where the oracle takes the limit
+            trouble += 1 - (
+                seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2
+            )  # where the oracle reads a limit
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), trouble)
 
     def corrected(self, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
