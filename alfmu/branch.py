@@ -18,11 +18,12 @@ __all__ = [
     "CONVERGING",
     "GUARD",
     "LEAST",
-    "MASSES",
     "MEAN",
+    "NOTHING",
     "READ_DISTANCE",
     "READ_MEAN",
     "READ_ZONE",
+    "SMALL",
     "SPACING",
     "ZONE",
     "curvature",
@@ -43,13 +44,17 @@ BRANCHES: dict[str, str] = {
 GUARD = 1e-3
 """Margin below which a step is made on the branch.
 
-The margin is the smallest pivot of H over its diagonal entry, apart from those that masses make, one for each degree of
-freedom: about the square of the distance [rad] to the singular position, for links of similar lengths. It is 0 where
-there are more of those pivots, and 1 where there are fewer: then a coordinate has an extremum, with two pivots between
-that of a mass and that of a constraint, and the position is regular."""
+The margin is the pivot of H that vanishes at a singular position, over the largest diagonal entry that its coordinate
+usually has: about the square of the distance [rad], for links of similar lengths. Small pivots belong to the degrees of
+freedom, where masses alone make them, or to a singular position; where a coordinate has an extremum the pivot of a mass
+is shared by two. So it is the product of all small ones, over that of those that masses make, and of several that
+vanish together the geometric mean; 1 where no more are small than there are degrees of freedom."""
 
-MASSES = 10.0
-"""Pivots up to so many times those that masses usually make are theirs."""
+SMALL = 0.03
+"""Pivots below it may vanish."""
+
+NOTHING = 100.0
+"""Margins up to so many pivots of masses are those of a singular position."""
 
 SPACING = 0.25
 """Of the places from which a limit is taken, over the internal step."""
@@ -57,8 +62,8 @@ SPACING = 0.25
 LEAST = 0.003
 """Least distance of the first of these places, as the square root of a margin."""
 
-CONVERGING = 2.0
-"""The same, over the square root of the largest pivot that masses make."""
+CONVERGING = 7.0
+"""The same, over the square root of a pivot that masses make."""
 
 ZONE = 0.5
 """Distance to the singular position, over that spacing, below which the limit is taken."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,8 +36,8 @@ PENALTY_RATIO = 1e8
 CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
 
-ASIDE = 0.1
-"""Displacement [rad, m] to places beside the start."""
+ASIDE = (-0.7, -0.1, 0.1, 0.7)
+"""Displacements [rad, m] to places beside the start."""
 
 _LONGER = 20
 """Most doublings of a spacing that is too short."""
@@ -136,7 +137,7 @@ class Oracle:
         self._dynamics, self._constraints, self._power, self._energy, self._outputs = calls
         self.sparse = not isinstance(self._dynamics.y[0], np.ndarray)
         self.counters = Counters()
-        self.freedom, self.level = equations.n, 0.0
+        self.freedom, self.masses, self.scales = equations.n, 0.0, np.ones(equations.n)
 
     def prepare(self, settings: Settings, p: NDArray, q: NDArray) -> None:
         """Begin a run: settings and parameters fixed, the penalty scaled with the masses at q (n,) if left open."""
@@ -189,38 +190,58 @@ class Oracle:
         return a, lam, used, C @ a - xi
 
     def know(self, q: NDArray, v: NDArray, freedom: int) -> None:
-        """Take note of the degrees of freedom, and of the pivots of H that masses make, at q and beside it on the way.
+        """Take note of the degrees of freedom, and of the pivots of H that constraints and masses make on the way.
 
-        Coordinates that no constraint holds are left out: their pivots are masses beside masses, and not small.
+        A pivot of H is judged by the largest diagonal entry that its coordinate has at q and beside it. Coordinates
+        that no constraint holds are left out: their pivots are masses beside masses, and not small.
         """
-        self.freedom, self.level = self.equations.n, np.inf
         M, C, _, _ = self._constraints(q, v, self.p)
-        held = abs(self.alpha @ C)
         way = v.copy()
         if not way.any():
             solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
             aside = np.random.default_rng(0).standard_normal(len(q))
             way = branch.tangential(C.copy(), self.alpha, solve, aside)
-        way *= ASIDE / max(np.abs(way).max(), 1e-300)
-        places = q, *(self.on_branch(q + sign * way, v)[0] for sign in (-1, 1))
-        for place in places[1:]:
-            held = held + abs(self.alpha @ self._constraints(place, v, self.p)[1])
-        pivots = [np.sort(self._pivots(place)) for place in places]
-        self.freedom, self.level = freedom - int((np.asarray(held.sum(axis=0)) == 0).sum()), 0.0
-        if 0 < self.freedom < self.equations.n:
-            self.level = branch.MASSES * float(np.median([r[self.freedom - 1] for r in pivots]))
+        way /= max(np.abs(way).max(), 1e-300)
+        held, self.scales, places = np.zeros(len(q)), np.zeros(len(q)), [q]
+        for k in (0.0, *ASIDE):
+            there = q + k * way
+            M, C, _, _ = self._constraints(there, v, self.p)
+            held += (self.alpha @ abs(C)).sum(axis=0)
+            self.scales = np.maximum(self.scales, method.augmented_mass(M, C, self.alpha).diagonal())
+            there, _ = self.on_branch(there, v)
+            if self.residues(there, v)[0] <= GROSS:
+                places.append(there)
+        self.freedom = freedom - int((held == 0).sum())
+        pivots = [np.sort(self._pivots(place))[: max(self.freedom, 0)] for place in places]
+        self.masses = float(np.median([np.log(np.maximum(r, 1e-300)).sum() for r in pivots]))
+
+    @property
+    def pivot_of_mass(self) -> float:
+        """What a pivot over its scale comes to where only masses make it; 0 where none is made so."""
+        return math.exp(self.masses / self.freedom) if self.freedom > 0 else 0.0
 
     @property
     def least_distance(self) -> float:
         """Least distance of places from a singular position, where the multiplier iteration converges fast enough."""
-        return max(branch.LEAST, branch.CONVERGING * self.level**0.5) if np.isfinite(self.level) else branch.LEAST
+        return max(branch.LEAST, branch.CONVERGING * self.pivot_of_mass**0.5)
+
+    @property
+    def nothing(self) -> float:
+        """Margin that cannot be told from that of the singular position itself."""
+        return branch.NOTHING * self.pivot_of_mass
 
     def margin(self, q: NDArray) -> float:
         """How far q (n,) is from a singular position: see `alfmu.branch.GUARD`."""
         pivots = self._pivots(q)
-        masses = pivots <= self.level
-        found = int(masses.sum())
-        return float(pivots[~masses].min(initial=1.0)) if found == self.freedom else float(found < self.freedom)
+        small = pivots[pivots < branch.SMALL]
+        more = len(small) - self.freedom
+        if more <= 0:
+            return 1.0
+        return math.exp((np.log(np.maximum(small, 1e-300)).sum() - self.masses) / more)
+
+    def near(self, q: NDArray) -> bool:
+        """Whether the margin at q may be below the guard: more pivots are than there are degrees of freedom."""
+        return int((self._pivots(q) < branch.GUARD).sum()) > self.freedom
 
     def on_branch(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
         """q and v nearby that keep the constraints: q displaced across the motion alone, v by (10).
@@ -283,7 +304,7 @@ class Oracle:
         for _ in range(_LONGER):
             before, here, after = (self.margin(q + k * spacing * v) for k in (-1, 0, 1))
             rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
-            if rate > 0 or here > 0:
+            if here > self.nothing or rate**2 > self.nothing:
                 break
             spacing *= 2  # The places are too near to be told from the singular position.
         return here**0.5, rate, spacing
@@ -399,7 +420,7 @@ class Oracle:
         return bool((np.abs(residue) <= limit)[self.active].all())
 
     def _pivots(self, q: NDArray) -> NDArray:
-        """Pivots of H over its diagonal entries (n,); zeros where it is singular."""
+        """Pivots of H over the scales of their coordinates (n,); zeros where it is singular."""
         M, C, _, _ = self._constraints(q, np.zeros_like(q), self.p)
         H = method.augmented_mass(M, C, self.alpha)
         order = self.equations.order
@@ -411,10 +432,10 @@ class Oracle:
                 factors = splu(H, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
             except RuntimeError:
                 return np.zeros(len(order))
-            return factors.U.diagonal() / H.diagonal()
+            return factors.U.diagonal() / self.scales[order]
         H = H[np.ix_(order, order)]
         try:
-            return np.linalg.cholesky(H).diagonal() ** 2 / H.diagonal()
+            return np.linalg.cholesky(H).diagonal() ** 2 / self.scales[order]
         except np.linalg.LinAlgError:
             return np.zeros(len(order))
 

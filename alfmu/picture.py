@@ -28,7 +28,7 @@ from PIL import Image, ImageDraw, ImageFont
 from .derivation import derive
 from .equations import Equations
 from .errors import AlfmuError, DeclarationError, InputError
-from .mechanism import Joint, Marker, Mechanism, Scalar
+from .mechanism import Joint, Marker, Mechanism, Scalar, key_of
 from .runtime import Instance
 from .simulation import Progress, Result, simulate, with_defaults
 
@@ -180,14 +180,19 @@ def _evaluator(m: Mechanism, parameters: Mapping[str, Any]) -> Callable[[Scalar]
     """What turns an expression in parameters into a number."""
     symbols = ca.vertcat(*(p.symbol for p in m.parameters))
     values = ca.DM([float(parameters.get(p.name, p.default)) for p in m.parameters])
+    known: dict[int, tuple[ca.SX, float]] = {}  # with the expression, so that its key stays its own
 
     def number(expression: Scalar) -> float:
         if not isinstance(expression, ca.SX):
             return float(expression)
-        value = ca.substitute(expression, symbols, values) if m.parameters else expression
-        if free := ca.symvar(value):
-            raise DeclarationError(f"{m.name}: a shape uses {free[0]}; it may use parameters only")
-        return float(value)
+        key = key_of(expression)
+        if key not in known:
+            value = ca.substitute(expression, symbols, values) if m.parameters else expression
+            if not value.is_constant():
+                free = ca.symvar(value)[0]
+                raise DeclarationError(f"{m.name}: a shape uses {free}; it may use parameters only")
+            known[key] = expression, float(value)
+        return known[key][1]
 
     return number
 
@@ -754,15 +759,19 @@ def _width(text: str, size: float) -> float:
 
 
 def model_png(
-    mechanism: Mechanism, parameters: Mapping[str, float | str] | None = None, size: Size = (640, 480)
+    mechanism: Mechanism,
+    parameters: Mapping[str, float | str] | None = None,
+    size: Size = (640, 480),
+    equations: Equations | None = None,
 ) -> bytes:
     """A PNG of a mechanism at its start, the same bytes each time; `parameters` changes defaults as `export` does.
 
+    `equations` are those of the mechanism, all outputs and parameters in them, where they are derived already.
     Where bars hide each other at the start (singular positions do that), the first start angle is taken 1 rad further,
     and the picture says so. Dots have the trail of the mechanism's own experiment, as far as 500 steps and as it can be
     run. Raises AlfmuError where the mechanism cannot start.
     """
-    equations = with_defaults(derive(mechanism), parameters or {})
+    equations = with_defaults(equations or derive(mechanism), parameters or {})
     shapes = geometry(mechanism, parameters)
     columns = _start(shapes, equations)
     caption = "" if columns else f"{mechanism.name} declares no bodies and no points"
@@ -800,11 +809,13 @@ def _hides(shapes: Shapes, columns: Mapping[str, float]) -> bool:
     """Whether two bars lie on each other over some length."""
     poses = _poses(shapes, columns)
     bars = [(link.name, hull) for link in shapes.links if len(hull := _hull(link.points)) == 2]
-    places = [[complex(*_place(poses, Anchor(name, *p))) for p in hull] for name, hull in bars]
+    places = np.array([[complex(*_place(poses, Anchor(name, *p))) for p in hull] for name, hull in bars])
     for i, (start, end) in enumerate(places[:-1]):
-        along = (np.array(places[i + 1 :]) - start) / (end - start)  # real part along the bar, imaginary part across
-        near, far = np.maximum(along.real.min(1), 0.0), np.minimum(along.real.max(1), 1.0)
-        if np.any((np.abs(along.imag).max(1) < 1e-3) & (far - near > 1e-3)):
+        one, other = (places[i + 1 :].T - start) / (end - start)  # real part along the bar, imaginary part across
+        near = np.maximum(np.minimum(one.real, other.real), 0.0)
+        far = np.minimum(np.maximum(one.real, other.real), 1.0)
+        across = np.maximum(np.abs(one.imag), np.abs(other.imag))
+        if np.any((across < 1e-3) & (far - near > 1e-3)):
             return True
     return False
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .assembly import Assembly, Mobility
-from .branch import BRANCHES, GUARD, MEAN, SPACING
+from .branch import BRANCHES, MEAN, SPACING
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
@@ -271,8 +271,9 @@ class Instance:
         if self._fast:
             largest = alpha.max(initial=1e-300)
             memory["p"][:] = oracle.p
-            watched = oracle.freedom, oracle.level, oracle.least_distance, self._continues
-            memory["k"][:] = [largest if len(alpha) else 1.0, settings.tolerance, *watched, *(alpha / largest)]
+            watched = oracle.freedom, oracle.masses, oracle.nothing, oracle.least_distance, self._continues
+            first = largest if len(alpha) else 1.0, settings.tolerance, *watched
+            memory["k"][:] = [*first, *(alpha / largest), *(largest / oracle.scales)]
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
 
@@ -336,12 +337,13 @@ class Instance:
         e, oracle, u, c = self.equations, self.oracle, self.inputs, self.oracle.counters
         size = e.n
         known = self._accelerations if self._known and start == self.time else None
-        margins = []
+        near = False
 
         def rate(t: float, y: NDArray) -> NDArray:
+            nonlocal near
             q, v = y[:size], y[size : 2 * size]
             if self._continues:
-                margins.append(oracle.margin(q))
+                near = near or oracle.near(q)
             a = known
             if a is None or t != start:
                 a, _, _, _ = oracle.accelerations(q, v, u, t)
@@ -357,8 +359,10 @@ class Instance:
 
         t = start + dt
         begin = np.concatenate([self.q, self.v, [self.work]])
+        unconverged = c.unconverged
         y = rk4(rate, start, begin, dt)
-        if self._continues and not min(margins) > GUARD:
+        if near:
+            c.unconverged = unconverged
             y = rk4(rate_on_branch, start, begin, dt)
         q, v = y[:size], y[size : 2 * size]
         if not np.isfinite(y).all():
@@ -492,7 +496,8 @@ class Instance:
         }
         numbers = [self.values, self.inputs, self.state]
         if self.initialized:
-            numbers += [[self.energy_start, self.oracle.freedom, self.oracle.level], self.oracle.penalty]
+            oracle = self.oracle
+            numbers += [[self.energy_start, oracle.freedom, oracle.masses], oracle.penalty, oracle.scales]
         text = json.dumps(head, sort_keys=True).encode()
         return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
 
@@ -505,7 +510,7 @@ class Instance:
             numbers = np.frombuffer(state[8 + size :]).copy()
             sizes = [len(self.parameters), len(e.inputs), len(self.state)]
             if head["initialized"]:
-                sizes += [3, e.l]
+                sizes += [3, e.l, e.n]
             if numbers.size != sum(sizes):
                 raise ValueError(numbers.size)
         except (ValueError, KeyError) as error:
@@ -519,8 +524,8 @@ class Instance:
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
             self.oracle.penalty = parts[4]
             self._scaled = head["scaled"]
-            energy, freedom, level = map(float, parts[3])
-            self.oracle.freedom, self.oracle.level = int(freedom), level
+            energy, freedom, masses = map(float, parts[3])
+            self.oracle.freedom, self.oracle.masses, self.oracle.scales = int(freedom), masses, parts[5]
             self._begin(state[: self.layout.time], energy)
             self.state[:] = state
             self.oracle.counters = Counters(**head["counters"])

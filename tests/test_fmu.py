@@ -353,7 +353,9 @@ def test_the_names_that_users_rely_on(exported):
         quantities = ["x", "y", "angle", "vx", "vy", "angular_velocity", "ax", "ay", "angular_acceleration"]
         return {f"{b}.{q}" for b in bodies for q in quantities}
 
-    monitors = {f"monitor.{m}" for m in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")}
+    monitors = {
+        f"monitor.{m}" for m in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")
+    }
     solver = {f"solver.{s}" for s in ("step_size", "penalty", "tolerance", "max_iterations", "formulation", "branch")}
     start = {"start.angle", "start.angular_velocity"}
     pins = {"A", "B", "C", "D", "E", "F"}

@@ -50,7 +50,7 @@ def test_torque_continues_through_singular_positions(procedure: str, step: float
 
 
 def test_only_the_singular_start_costs_order() -> None:
-    """Second order from th = 0 by the paper's procedure (its acceleration is not the branch's), fourth without torque."""
+    """Second order from th = 0 by the paper's procedure (its acceleration is not the branch's), else fourth."""
     paper = {"solver.branch": "paper"}
     driven = [error(h, paper)[0] for h in PUBLISHED]
     free = [error(h, paper, torque=0.0)[0] for h in PUBLISHED]

@@ -59,10 +59,10 @@ PLATFORM = f"{sys.platform}-{platform.machine().lower()}"
 LIBRARY = f"kernel-{PLATFORM}{SUFFIX}"
 """Name of the compiled functions in an FMU."""
 
-SETTINGS = 6
-"""Numbers before the weights of the constraints in k: alpha, tolerance, degrees of freedom, largest pivot of H (over
-its diagonal entry) that a mass alone may make, least distance of places beside a singular one, whether to continue
-on the branch."""
+SETTINGS = 7
+"""Numbers before the weights of the constraints in k: alpha, tolerance; degrees of freedom, logarithm of the product of
+the pivots that masses make, margin that is nothing, least distance of places beside a singular position, whether to
+continue on the branch there (`alfmu.branch`)."""
 
 
 def called(calls: list[list]) -> Iterator[str]:
@@ -85,7 +85,8 @@ class Layout:
               step on the branch those in which a limit was taken)
     after     the state after a step under way
     begin     the state before a communication step under way
-    u, p, k   inputs; parameters; SETTINGS, and the penalty of each constraint over alpha
+    u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, and alpha over the scale of
+              the pivot of each coordinate
     dt        internal step [s]
     control   largest internal step [s], first tier (0 quick, 1 careful)
     tally     internal steps made by each tier, limits taken
@@ -106,7 +107,7 @@ class Layout:
             "begin": size,
             "u": len(e.inputs),
             "p": len(e.parameters),
-            "k": SETTINGS + e.l,
+            "k": SETTINGS + e.l + e.n,
             "dt": 1,
             "control": 2,
             "tally": len(TIERS) + 1,

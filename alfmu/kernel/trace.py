@@ -101,7 +101,7 @@ def parts(equations: Equations, program: Program) -> tuple[dict[str, ca.Function
     """
     e = equations
     plan = Plan(**{name: x for name, x in program.items() if name != "calls"})
-    x, k = symbols(e), ca.SX.sym("k", SETTINGS + e.l)
+    x, k = symbols(e), ca.SX.sym("k", Layout(e).fields["k"][1])
     q, v, u, p, t = (x[letter] for letter in "qvupt")
     scene = _Scene(e, plan.weighted, p, k)
     terms = scene.terms(q, v, u, t)
@@ -306,7 +306,8 @@ class _Watch:
     """What an evaluation says of itself."""
 
     FIELDS = ("change", "size", "pivot", "margin")
-    """Last change of a, and a itself (both squared); smallest pivot of H; margin to a singular position."""
+    """Last change of a, and a itself (both squared); smallest pivot of H; margin to a singular position, of which the
+    quick step knows only whether it may be below `alfmu.branch.GUARD` (0) or not (1)."""
 
     def __init__(self, vector: ca.SX):
         self.change, self.size, self.pivot, self.margin = ca.vertsplit(vector)
@@ -317,13 +318,13 @@ class _Scene:
 
     def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
         self.e, self.p, self.kind = equations, p, "weighted" if weighted else "plain"
-        alpha, self.tolerance, self.freedom, self.level, self.least_distance, self.continues = ca.vertsplit(
-            k[:SETTINGS]
-        )
+        alpha, self.tolerance, *singular = ca.vertsplit(k[:SETTINGS])
+        self.freedom, self.masses, self.nothing, self.least_distance, self.continues = singular
         # Equation (4) divided by alpha, so that no product with it is left: M / alpha, F / alpha, lam / alpha.
         self.scale = 1 / alpha
-        own = k[SETTINGS:] if weighted else ca.SX.ones(equations.l)
+        own = k[SETTINGS : SETTINGS + equations.l] if weighted else ca.SX.ones(equations.l)
         self.weights = ca.diag(own)
+        self.inverse_scales = k[SETTINGS + equations.l :]
         self.held = own > 0 if weighted else own
 
     @cached_property
@@ -353,7 +354,7 @@ class _Scene:
         H = method.augmented_mass(M, C, self.weights)
         D, L, order = ca.ldl(H, True)
         a, lam = self.iterated(terms, (D, L, order), ca.SX(e.n, 1), ca.SX(e.l, 1), 1)
-        watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), self.margin(D, ca.diag(H)[order]))
+        watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), self.margin(D, order))
         values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
         return {
             **{name: ca.vec(value.nz[:]) for name, value in values.items()},
@@ -369,13 +370,21 @@ class _Scene:
         watch = ca.vertcat(ca.sumsqr(a - before), ca.sumsqr(a), seen.pivot, seen.margin)
         return {"a": a, "lam": lam, "watch": watch}
 
-    def margin(self, pivots: ca.SX, diagonal: ca.SX) -> ca.SX:
-        """See `alfmu.branch.GUARD`: the smallest pivot over its diagonal entry, apart from those that masses make."""
-        ratios = pivots / diagonal
-        masses = ratios <= self.level
-        found = ca.sum1(masses)
-        least = ca.mmin(ca.if_else(masses, 1, ratios))
-        return ca.if_else(found == self.freedom, least, found < self.freedom)
+    def margin(self, pivots: ca.SX, order: list[int]) -> ca.SX:
+        """See `alfmu.branch.GUARD`."""
+        ratios = pivots * self.inverse_scales[order]
+        if self.kind == "plain":  # The quick step asks no more than whether it may go on.
+            return ca.sum1(ratios < branch.GUARD) <= self.freedom
+        small = ratios < branch.SMALL
+        more = ca.sum1(small) - self.freedom
+        if self.e.n <= DENSE:  # else the product could leave the range of numbers
+            product = ca.SX(1)
+            for each in ca.vertsplit(ca.if_else(small, ratios, 1)):
+                product *= each
+            logarithm = ca.log(product)
+        else:
+            logarithm = ca.sum1(ca.if_else(small, ca.log(ratios), 0))
+        return ca.if_else(more > 0, ca.exp((logarithm - self.masses) / more), 1)
 
     def probed(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
         """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from."""
@@ -385,12 +394,13 @@ class _Scene:
             C = self.e.C(place, self.p)
             H = method.augmented_mass(self.scale * self.e.M(place, self.p), C, self.weights)
             D, _, order = ca.ldl(H, True)
-            margins.append(self.margin(D, ca.diag(H)[order]))
+            margins.append(self.margin(D, order))
         squared, here = branch.curvature(*margins), margins[1]
-        rate = ca.sqrt(ca.fmax(squared, 0))
-        zone = ca.sqrt(here) < branch.ZONE * ca.fmax(rate, self.least_distance)
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
-        zone = ca.logic_or(ca.logic_and(squared > 0, zone), here == 0)
+        told = ca.logic_or(here > self.nothing, squared > self.nothing)
+        rate = ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
+        zone = ca.sqrt(here) < branch.ZONE * ca.fmax(rate, self.least_distance)
+        zone = ca.logic_or(ca.logic_and(squared > 0, zone), ca.logic_not(told))
         return {"zone": zone, "spacing": branch.SPACING * dt * ca.fmax(1, self.least_distance / rate)}
 
     def places(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
