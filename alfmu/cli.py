@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
@@ -14,6 +15,12 @@ from .errors import AlfmuError, InputError
 from .kernel import DEFAULT, KERNELS
 
 __all__ = ["main"]
+
+MANY = 300
+"""Lines of one kind up to which `info` shows each."""
+
+_NUMBER = re.compile(r"(?<=[A-Za-z_\[])(\d+)")
+"""In a name."""
 
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
@@ -165,19 +172,19 @@ def _pair(text: str) -> tuple[str, float | str]:
 
 
 def _list(chosen: argparse.Namespace) -> None:
-    from .registry import load, mechanisms, options
+    from .registry import choices, load, mechanisms
 
     for name in mechanisms():
         print(f"{name:20} {load(name).description}")
-        for option, values in options(name).items():
-            print(f"{'':20}   --option {option}={'|'.join(map(str, values)) or '...'}")
+        for option, values in choices(name).items():
+            print(f"{'':20}   --option {option}={'|'.join(values)}")
 
 
 def _info(chosen: argparse.Namespace) -> None:
     from .cost import described
     from .derivation import derive
     from .fmi.slave import interface
-    from .registry import load, options
+    from .registry import choices, load
     from .runtime import Instance
     from .simulation import with_defaults
     from .specialisation import specialised
@@ -189,12 +196,12 @@ def _info(chosen: argparse.Namespace) -> None:
     instance.initialize()
     size = instance.mobility()
     print(f"{mechanism.name}: {mechanism.description}\n\n{mechanism.sketch.strip()}\n")
-    for option, values in options(chosen.mechanism).items():
-        print(f"option {option} = {mechanism.options[option]} ({' | '.join(map(str, values)) or 'any'})")
-    print(f"\ncoordinates ({equations.n}): {', '.join(f'{c.name} [{c.unit}]' for c in equations.coordinates)}")
-    print(
-        f"constraints ({equations.l}): {', '.join(f'{r.name} {r.direction}'.strip() for r in equations.rows) or 'none'}"
-    )
+    for option, values in choices(chosen.mechanism).items():
+        print(f"option {option} = {mechanism.options[option]} ({' | '.join(values)})")
+    coordinates = _merged((f"{c.name} [{c.unit}]",) for c in equations.coordinates)
+    print(f"\ncoordinates ({equations.n}): {', '.join(text for (text,) in coordinates)}")
+    rows = _merged((f"{r.name} {r.direction}".strip(),) for r in equations.rows)
+    print(f"constraints ({equations.l}): {', '.join(text for (text,) in rows) or 'none'}")
     print(f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}", end="")
     print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
     for title, variables in (
@@ -203,10 +210,32 @@ def _info(chosen: argparse.Namespace) -> None:
         ("outputs", instance.outputs),
     ):
         print(f"\n{title}:")
-        for v in variables:
-            start = "" if title == "outputs" else v.start if v.type == "String" else f"{v.start:g}"
-            print(f"  {v.name:32} {start:>10} {v.unit:12} {v.description}".rstrip())
+        starts = ("" if title == "outputs" else v.start if v.type == "String" else f"{v.start:g}" for v in variables)
+        lines = _merged((v.name, start, v.unit, v.description) for v, start in zip(variables, starts, strict=True))
+        width = max([32, *(len(name) for name, *_ in lines)])
+        for name, start, unit, text in lines:
+            print(f"  {name:{width}} {start:>10} {unit:12} {text}".rstrip())
     print("\n" + "\n".join(described(everything, equations, size)))
+
+
+def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Lines in columns; of many, one for all that differ in numbers of names alone, as `link{1..200}.x`."""
+    lines = list(lines)
+    if len(lines) <= MANY:
+        return lines
+    alike: dict[tuple[str, ...], list[tuple[str, ...]]] = {}
+    for line in lines:
+        alike.setdefault(tuple(_NUMBER.sub("0", column) for column in line), []).append(line)
+    return [tuple(_range(texts) for texts in zip(*group, strict=True)) for group in alike.values()]
+
+
+def _range(texts: Sequence[str]) -> str:
+    """Texts that differ in numbers of names alone as one."""
+    whole = ""
+    for pieces in zip(*(_NUMBER.split(text) for text in texts), strict=True):
+        same = len(set(pieces)) == 1
+        whole += pieces[0] if same else f"{{{min(map(int, pieces))}..{max(map(int, pieces))}}}"
+    return whole
 
 
 def _export(chosen: argparse.Namespace) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import casadi as ca
 
 from .assembly import Mobility
-from .equations import Equations
+from .equations import Equations, Variable
 from .kernel.program import called
 from .kernel.trace import parts, traced
 from .kernel.vm import program_function
@@ -44,18 +45,17 @@ def cost(equations: Equations) -> Cost:
     quick = e.kernel["quick"]
     evaluation, nonzeros = parts(e, quick)
     model, factored, iterated = (operations(evaluation[name]) for name in ("model", "factorisation", "iterations"))
-    names = list(called(quick["calls"]))
-    stages = names.count("rate")
+    stages = list(called(quick["calls"])).count("rate")
 
-    def together(names: Iterable[str]) -> int:
-        return sum(operations(e.functions[name]) for name in names)
+    def together(names: Callable[[str], bool]) -> int:
+        return _together(e, filter(names, called(quick["calls"])))
 
     by_part = {
         "model": stages * model,
         "factorisation": stages * (factored - model),
         "iterations": stages * (iterated - factored),
-        "integration": together(name for name in names if name == "sum" or name.startswith("stage")),
-        "projection": together(name for name in names if name.endswith(("_place", "_settle", "_correct"))),
+        "integration": together(lambda name: name == "sum" or name.startswith("stage")),
+        "projection": together(lambda name: name.endswith(("_place", "_settle", "_correct"))),
     }
     by_part["checks, less what is shared"] = _whole(e, quick) - sum(by_part.values())
     return Cost(
@@ -92,13 +92,13 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
         f"{'left out, and the operations that it saves':66} {'step':>8} {'outputs':>8}",
     ]
     full = with_all_passes(everything)
-    outputs = [v for v in everything.outputs if v not in scene.outputs]
-    frozen = [v for v in everything.parameters if v not in scene.parameters]
+    outputs = _missing(everything.outputs, scene.outputs)
+    frozen = _missing(everything.parameters, scene.parameters)
     kept, constants = None, None
     if outputs or scene.monitors:
         kept = [v.name for v in scene.outputs] + [m.name for m in MONITORS if m.name not in scene.monitors]
     if frozen:
-        constants = [v.name for v in frozen]
+        constants = frozen
     lines = []
     if kept is not None:
         back = cost(prepared(specialised(everything, None, constants)))
@@ -108,7 +108,8 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
         back = cost(prepared(specialised(everything, kept, None)))
         lines.append((f"{len(frozen)} parameters, folded into constants", back))
     if scene.l and not mobility.redundant and any(o.instant for o in scene.outputs):
-        lines.append(("least-norm pass: no constraint is redundant", with_all_passes(scene)))
+        back = full if scene is everything else with_all_passes(scene)
+        lines.append(("least-norm pass: no constraint is redundant", back))
     if not scene.l:
         lines.append(("multiplier iteration and projection: there are no constraints", None))
     if not scene.works:
@@ -117,6 +118,12 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
     text.append(f"  {'in all':64} {_saved(full, now)}")
     text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
     return text
+
+
+def _missing(before: list[Variable], after: list[Variable]) -> list[str]:
+    """Names of variables that are there before alone."""
+    left = {v.name for v in after}
+    return [v.name for v in before if v.name not in left]
 
 
 def _saved(before: Cost | None, now: Cost) -> str:
@@ -132,4 +139,9 @@ def _whole(e: Equations, program: dict) -> int:
     function = program_function(e, program)
     if function.is_a("SXFunction"):
         return operations(function)
-    return sum(operations(e.functions[name]) for name in called(program["calls"]))
+    return _together(e, called(program["calls"]))
+
+
+def _together(e: Equations, names: Iterable[str]) -> int:
+    """Operations of some functions, which may be there more than once."""
+    return sum(count * operations(e.functions[name]) for name, count in Counter(names).items())

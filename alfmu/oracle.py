@@ -39,6 +39,9 @@ CORRECTIONS = 20
 ASIDE = (-0.7, -0.1, 0.1, 0.7)
 """Displacements [rad, m] to places beside the start."""
 
+_REGULAR = 1e-3
+"""Smallest size of an independent combination of constraints, over the largest."""
+
 _LONGER = 20
 """Most doublings of a spacing that is too short."""
 
@@ -138,6 +141,7 @@ class Oracle:
         self.sparse = not isinstance(self._dynamics.y[0], np.ndarray)
         self.counters = Counters()
         self.freedom, self.masses, self.scales = equations.n, 0.0, np.ones(equations.n)
+        self.rank, self.brakes = 0, False
 
     def prepare(self, settings: Settings, p: NDArray, q: NDArray) -> None:
         """Begin a run: settings and parameters fixed, the penalty scaled with the masses at q (n,) if left open."""
@@ -153,10 +157,11 @@ class Oracle:
     @property
     def penalty(self) -> NDArray:
         """alpha (l,) [kg or kg.m2 by row]; a constraint with zero is switched off."""
-        return self.alpha.diagonal().copy()
+        return self._penalty.copy()
 
     @penalty.setter
     def penalty(self, alpha: NDArray) -> None:
+        self._penalty = np.array(alpha, float)
         self.alpha = _sparse_diagonal(alpha) if self.sparse else np.diag(alpha)
         self.active = np.asarray(alpha) > 0
 
@@ -212,8 +217,41 @@ class Oracle:
             if self.residues(there, v)[0] <= GROSS:
                 places.append(there)
         self.freedom = freedom - int((held == 0).sum())
+        self.rank = len(q) - freedom
+        self.brakes = any(self._brakes(place, way) for place in places)
         pivots = [np.sort(self._pivots(place))[: max(self.freedom, 0)] for place in places]
         self.masses = float(np.median([np.log(np.maximum(r, 1e-300)).sum() for r in pivots]))
+
+    def _brakes(self, q: NDArray, way: NDArray) -> bool:
+        """Whether constraints that are redundant at q become independent beside the motion, and so would stop it.
+
+        Then they are, at the stages of a step, by its truncation error.
+        """
+        if self.sparse or self.rank >= self.active.sum():
+            return False
+        rows, sizes = self._ranges(q)
+        if sizes[self.rank - 1] < _REGULAR * sizes[0]:
+            return False
+        there = np.sqrt(self._penalty)[:, None] * self._constraints(q + ASIDE[2] * way, way, self.p)[1]
+        return bool(np.abs(rows[:, self.rank :].T @ there).max() > _REGULAR**3 * sizes[0])
+
+    def hold(self, q: NDArray) -> None:
+        """Keep the combinations of constraints that are independent at q (n,), a place on the motion, until told again.
+
+        Redundant ones are left out of H, where it matters (`brakes`): lam is then of least norm by itself.
+        """
+        if not self.brakes:
+            return
+        rows, sizes = self._ranges(q)
+        if sizes[self.rank - 1] > _REGULAR * sizes[0]:  # else a singular position: those before it still tell
+            root, kept = np.sqrt(self._penalty), rows[:, : self.rank]
+            self.alpha = root[:, None] * (kept @ kept.T) * root
+
+    def _ranges(self, q: NDArray) -> tuple[NDArray, NDArray]:
+        """Combinations (l, l) of constraints, weighted by the root of alpha, and their sizes at q, largest first."""
+        C = self._constraints(q, np.zeros_like(q), self.p)[1]
+        rows, sizes, _ = np.linalg.svd(np.sqrt(self._penalty)[:, None] * C)
+        return rows, sizes
 
     @property
     def pivot_of_mass(self) -> float:

@@ -15,7 +15,7 @@ from typing import Any
 from .errors import AlfmuError, InputError
 from .mechanism import Mechanism
 
-__all__ = ["GROUP", "load", "mechanisms", "options"]
+__all__ = ["GROUP", "choices", "load", "mechanisms", "options"]
 
 GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
@@ -66,6 +66,16 @@ def options(mechanism: str | Path) -> dict[str, tuple]:
     return {
         name: typing.get_args(hints[name]) if typing.get_origin(hints.get(name)) is typing.Literal else ()
         for name in inspect.signature(factory).parameters
+    }
+
+
+def choices(mechanism: str | Path) -> dict[str, list[str]]:
+    """Options of a mechanism: name -> the values it takes, or a word for them."""
+    hints = _hints(mechanism, _factory(mechanism))
+    words = {int: "whole number", float: "number", str: "text"}
+    return {
+        name: list(map(str, values)) or [words.get(hints.get(name), "any")]
+        for name, values in options(mechanism).items()
     }
 
 

@@ -265,6 +265,7 @@ class Instance:
             self.machine is not None
             and settings.formulation == "residual"
             and settings.projects
+            and not oracle.brakes
             and settings.max_iterations >= programs["careful"]["iterations"]
             and (not len(alpha) or alpha.max() > 0)
         )
@@ -357,6 +358,7 @@ class Instance:
             q, v = y[:size], y[size : 2 * size]
             return np.concatenate([v, a, [oracle.power(q, v, u, t) if e.works else 0.0]])
 
+        oracle.hold(self.q)
         t = start + dt
         begin = np.concatenate([self.q, self.v, [self.work]])
         unconverged = c.unconverged
@@ -401,6 +403,7 @@ class Instance:
     def _read_by_oracle(self) -> float:
         """All outputs by iterations that converge; returns the largest |Phi-ddot|."""
         oracle, q, v, t = self.oracle, self.q, self.v, self.time
+        oracle.hold(q)
         a, lam, used, left, singular = oracle.read(q, v, self.inputs, t, self._continues)
         self._y, self._accelerations = self._outputs(a, lam, used, oracle.margin(q), singular), a
         return float(np.abs(left[oracle.active]).max(initial=0.0))
@@ -497,7 +500,8 @@ class Instance:
         numbers = [self.values, self.inputs, self.state]
         if self.initialized:
             oracle = self.oracle
-            numbers += [[self.energy_start, oracle.freedom, oracle.masses], oracle.penalty, oracle.scales]
+            known = self.energy_start, oracle.freedom, oracle.masses, oracle.rank, oracle.brakes
+            numbers += [known, oracle.penalty, oracle.scales]
         text = json.dumps(head, sort_keys=True).encode()
         return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
 
@@ -510,7 +514,7 @@ class Instance:
             numbers = np.frombuffer(state[8 + size :]).copy()
             sizes = [len(self.parameters), len(e.inputs), len(self.state)]
             if head["initialized"]:
-                sizes += [3, e.l, e.n]
+                sizes += [5, e.l, e.n]
             if numbers.size != sum(sizes):
                 raise ValueError(numbers.size)
         except (ValueError, KeyError) as error:
@@ -524,8 +528,10 @@ class Instance:
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
             self.oracle.penalty = parts[4]
             self._scaled = head["scaled"]
-            energy, freedom, masses = map(float, parts[3])
-            self.oracle.freedom, self.oracle.masses, self.oracle.scales = int(freedom), masses, parts[5]
+            energy, freedom, masses, rank, brakes = map(float, parts[3])
+            oracle = self.oracle
+            oracle.freedom, oracle.masses, oracle.scales = int(freedom), masses, parts[5]
+            oracle.rank, oracle.brakes = int(rank), bool(brakes)
             self._begin(state[: self.layout.time], energy)
             self.state[:] = state
             self.oracle.counters = Counters(**head["counters"])

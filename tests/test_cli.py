@@ -5,6 +5,7 @@ import csv
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 import termios
@@ -97,6 +98,21 @@ def test_options_parameters_and_inputs_reach_the_run(here):
     assert np.array_equal(result["guide.force"], library["guide.force"])
 
 
+def test_info_of_many_bodies_stays_short(capsys):
+    """One line for all that differ in numbers of names alone; every number of a few."""
+    assert main(["info", "n_four_bar", "--option", "loops=40"]) == 0
+    text = capsys.readouterr().out
+    assert len(text.splitlines()) < 120
+    assert "option loops = 40 (whole number)" in text
+    assert "coordinates (82): x1 [m], y1 [m], x2 [m]" in text
+    for line in (
+        r"coupler\{1\.\.40\}\.x +m +position of the centre of mass of coupler\{1\.\.40\} along x",
+        r"C\{1\.\.40\}\.force\.y +N +force along y on coupler\{1\.\.40\} from crank\{2\.\.41\}",
+        r"multiplier\[\{42\.\.81\}\] +N +multiplier of coupler\{1\.\.40\}\.length, length",
+    ):
+        assert re.search(f"^  {line}$", text, re.M)
+
+
 def test_list_names_every_registered_mechanism_and_its_options(capsys):
     assert main(["list"]) == 0
     out = capsys.readouterr().out
@@ -129,7 +145,7 @@ MISTAKES = [
     (["info", "typo.py"], "typo.py, line 1: "),
     (["info", "empty.py"], "declares no single mechanism"),
     (["info", "slider_crank", "--option", "coordinates=polar"], "use one of absolute, joint, mixed, natural"),
-    (["info", "five_bar", "--option", "colour=red"], "has no option 'colour'; it has none"),
+    (["info", "five_bar", "--option", "colour=red"], "has no option 'colour'; it has coordinates"),
     (["export", "five_bar", "--set", "m9=1"], "no input or parameter 'm9'"),
     (["export", "five_bar", "--set", "m2=heavy"], "must be a finite number in kg"),
     (["export", "five_bar", "--set", "m2=nan"], "must be a finite number in kg"),

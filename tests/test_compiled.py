@@ -22,6 +22,13 @@ from alfmu.simulation import prepared, run
 START = {"start.angle": 0.4, "m2": 0.5}
 
 
+scenes = pytest.mark.parametrize(
+    ("name", "options"),
+    [("five_bar", {}), ("slider_crank", {"coordinates": "natural"}), ("n_four_bar", {"coordinates": "natural"})],
+    ids=["five_bar", "slider_crank", "n_four_bar"],
+)
+
+
 @pytest.fixture
 def own_cache(tmp_path, monkeypatch) -> Path:
     """A cache folder that nobody else uses."""
@@ -66,26 +73,29 @@ def test_an_operation_that_has_no_c_is_named():
         list(emit._operations(f, "some_scene"))
 
 
-def test_the_c_is_free_of_warnings(tmp_path):
+@scenes
+def test_the_c_is_free_of_warnings(name, options, tmp_path):
     if not (command := build.compiler()):
         pytest.skip("no compiler")
-    for i, text in enumerate(emit.sources(prepared(derived("slider_crank", coordinates="natural")))[0]):
+    for i, text in enumerate(emit.sources(prepared(derived(name, **options)))[0]):
         (tmp_path / f"{i}.c").write_text(text)
         flags = ["-Wall", "-Wextra", "-Werror", "-c", f"{i}.c"]
         done = subprocess.run([*command, *flags], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
 
 
-def test_functions_cut_into_blocks_and_files_give_the_same_numbers(monkeypatch, own_cache):
+@scenes
+def test_functions_cut_into_blocks_and_files_give_the_same_numbers(name, options, monkeypatch, own_cache):
     """Blocks of 30 operations in many files, against whole functions in one."""
-    whole = prepared(derived("five_bar"), "compiled")
+    whole = prepared(derived(name, **options), "compiled")
     monkeypatch.setattr(emit, "BLOCK", 30)
     monkeypatch.setattr(emit, "WHOLE", 30)
     monkeypatch.setattr(emit, "UNIT", 20000)
-    cut = prepared(derived("five_bar"), "compiled")
+    cut = prepared(derived(name, **options), "compiled")
     assert len(emit.sources(cut)[0]) > 5
     assert cut.workspace > whole.workspace
-    runs = [alfmu.simulate(e, 1.0, 0.02, parameters=START, kernel="compiled") for e in (whole, cut)]
+    start = {"start.angle": 0.4}
+    runs = [alfmu.simulate(e, 1.0, 0.02, parameters=start, kernel="compiled") for e in (whole, cut)]
     assert np.array_equal(runs[0].values, runs[1].values)
 
 

@@ -163,6 +163,16 @@ def test_motion(coordinates: str, loops: int) -> None:
 
 
 @coordinate_sets
+def test_hundreds_of_loops(coordinates: str) -> None:
+    """All cranks of 150 loops turn alike, by a kernel that is not one flat function."""
+    equations = derived("n_four_bar", loops=150, coordinates=coordinates)
+    r = alfmu.simulate(equations, 0.2, 0.02)
+    exact = ode.motion(lambda t, th, w: Row(150).acceleration(th), np.pi / 2, -1.0, r.time)[:, 0]
+    assert max(np.abs(r[f"crank{i}.angle"] - exact).max() for i in (1, 75, 151)) <= 1e-7
+    assert r.counters.position_error <= 1e-12
+
+
+@coordinate_sets
 def test_equations_grow_linearly_with_the_loops(coordinates: str) -> None:
     """As many more entries of matrices and operations from 40 to 60 loops as from 20 to 40."""
     sizes = []

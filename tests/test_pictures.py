@@ -255,6 +255,7 @@ def test_missing_and_endless_columns_are_named():
 def test_model_png_is_the_same_each_time(name):
     data = model_png(load(name))
     assert data == model_png(load(name))
+    assert data == model_png(load(name), equations=derive(load(name)))
     image = Image.open(BytesIO(data))
     assert (image.format, image.size, image.info) == ("PNG", (640, 480), {})
     shapes = geometry(load(name))
