@@ -8,7 +8,8 @@
 
 The axes of neighbouring hinges are skew: `a` apart and turned by alpha, or b apart and turned by beta. Closing the loop
 takes six equations for four angles, yet with b sin alpha = a sin beta three of them are redundant on the motion, and
-beside it none is. Declared at the general level, in q = [th1 th2 th3 th4], the angles of the hinges, the first on the z axis.
+beside it none is. Declared at the general level, in q = [th1 th2 th3 th4], the angles of
+the hinges, the first on the z axis.
 """
 
 import casadi as ca
