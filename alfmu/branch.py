@@ -25,6 +25,7 @@ __all__ = [
     "READ_ZONE",
     "SMALL",
     "SPACING",
+    "ZERO",
     "ZONE",
     "curvature",
     "mean",
@@ -90,7 +91,7 @@ MEAN = weights(2)
 READ_MEAN = weights(4)
 """The same for what is read."""
 
-_ZERO = 1e-5
+ZERO = 1e-5
 """What is zero, over the values at the places, of a function that is known there to round-off over its spacing."""
 
 
@@ -118,7 +119,7 @@ def with_pole(values: dict[int, NDArray]) -> tuple[NDArray, bool]:
     largest = int(np.argmax(near))
     inverse = {k: 1 / x[largest] for k, x in values.items()}
     zero = mean(inverse)
-    if abs(zero) > _ZERO * max(map(abs, inverse.values())):
+    if abs(zero) > ZERO * max(map(abs, inverse.values())):
         through = mean({k: x * inverse[k] for k, x in values.items()}) / zero
         limit = np.where(near > far, through, limit)
     return limit, True

@@ -272,6 +272,7 @@ class Instance:
         if self._fast:
             largest = alpha.max(initial=1e-300)
             memory["p"][:] = oracle.p
+            memory["dt"][:] = settings.step_size
             watched = oracle.freedom, oracle.masses, oracle.nothing, oracle.least_distance, self._continues
             first = largest if len(alpha) else 1.0, settings.tolerance, *watched
             memory["k"][:] = [*first, *(alpha / largest), *(largest / oracle.scales)]
@@ -388,9 +389,9 @@ class Instance:
             raise InputError(f"{self.equations.name}: outputs are known after initialising")
         if not self._known:
             if self._fast and self.machine.read():
-                self._y = self._seen[:-2].copy()
+                self._y = self._seen[:-3].copy()
                 self._accelerations = None
-                acceleration, used = float(self._seen[-2]), self._iterations_read
+                acceleration, used = float(self._seen[-3]), self._iterations_read
                 self.oracle.counters.evaluations += used > 0
                 self.oracle.counters.multiplier_iterations += used
             else:

@@ -244,7 +244,7 @@ class Alfmu(Peer):
 
     kernel: str = "compiled"
     lean: bool = False
-    """With the outputs that are wanted alone, constant parameters, the slider-crank in joint coordinates."""
+    """With the outputs that are wanted alone, constant parameters, in joint coordinates."""
 
     def build(self, mechanism: str, step: float, times: NDArray) -> Simulation:
         instance = started(_equations(mechanism, self.kernel, self.lean), step)
@@ -276,7 +276,7 @@ def started(equations: alfmu.Equations, step: float = SAMPLE) -> alfmu.Instance:
 @cache
 def _equations(mechanism: str, kernel: str, lean: bool) -> alfmu.Equations:
     """Derived, traced and compiled once; so the first point of a setting has the set-up time."""
-    options = {"coordinates": "joint"} if lean and mechanism == "slider_crank" else {}
+    options = {"coordinates": "joint"} if lean else {}
     equations = alfmu.derive(alfmu.load(mechanism, **options))
     if lean:
         equations = specialised(equations, [ANGLE[mechanism], *REACTIONS[mechanism]], ["all"])
@@ -784,7 +784,7 @@ def reaches(points: Sequence[Point], mechanism: str) -> list[Reach]:
 
 USAGE = {
     "alfmu": "Library `Instance`, defaults; all outputs are read at each sample. `lean`: `outputs` are those that are "
-    "compared, parameters are frozen, and the slider-crank has joint coordinates (default: absolute).",
+    "compared, parameters are frozen, coordinates are those of the joints (defaults: mixed and absolute).",
     "Pinocchio": "Minimal tree and two (one) loop closures, `constraintDynamics` with mu = 1e-8 and 3 proximal "
     "iterations on preallocated data; RK4 in NumPy or `solve_ivp`. Tried: mu 1e-4 to 1e-12, 1 to 50 iterations, "
     "Baumgarte from 0 to 200 1/s (five-bar 60, slider-crank 5), projection instead (slower), `lcaba` (slower).",

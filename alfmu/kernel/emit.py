@@ -149,6 +149,8 @@ EXPORT int alfmu_communicate(double *m, double start, double h)
 EXPORT int alfmu_read(double *m)
 {{
     run_instant(m, m + {workspace});
+    if (m[{seen_trouble} - 1] != 0.0)
+        {limit}(m, m + {workspace});
     return m[{seen_trouble}] == 0.0;
 }}
 """
@@ -181,6 +183,7 @@ def sources(equations: Equations) -> tuple[list[str], int]:
             "trouble": at["after"] + layout.trouble,
             "near": at["after"] + layout.near,
             "tiers": len(TIERS),
+            "limit": "run_limit" if "limit" in e.kernel else "run_instant",
             "size": layout.fields["z"][1],
             "step_size": at["control"],
             "first": at["control"] + 1,

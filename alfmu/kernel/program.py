@@ -90,7 +90,7 @@ class Layout:
     dt        internal step [s]
     control   largest internal step [s], first tier (0 quick, 1 careful)
     tally     internal steps made by each tier, limits taken
-    seen      what can be read at an instant, largest |Phi-ddot|, trouble
+    seen      what can be read at an instant, largest |Phi-ddot|, whether that is a limit, trouble
     ========  ==========================================================================================
     """
 

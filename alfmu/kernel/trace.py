@@ -79,6 +79,8 @@ def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2)
     if e.l:
         kernel["branch"] = tracer.step(replace(careful, branch=True))
     kernel["instant"] = tracer.instant(careful, redundant)
+    if e.l and len(kernel["instant"]["calls"]) > 1:
+        kernel["limit"] = tracer.limit(careful, redundant)
     return replace(with_functions(e, tracer.functions), kernel=kernel, freedom=mobility.freedom if mobility else None)
 
 
@@ -183,28 +185,63 @@ class _Tracer:
         q, v, t = z[: e.n], z[e.n : 2 * e.n], z[layout.time]
         known = {"z": z, "u": u, "p": p, "k": k}
         distance = {"monitor.distance", "monitor.singular"} - set(e.monitors)
-        if not distance and not any(
-            o.instant for o in e.outputs
-        ):  # Nobody reads an acceleration or a reaction: none is computed.
+        if not distance and not any(o.instant for o in e.outputs):
+            # Nobody reads an acceleration or a reaction: none is computed.
             zeros = ca.SX(e.n, 1), ca.SX(e.l, 1)
-            calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *zeros, None, None, None)}, ["seen"])
+            calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *zeros)}, ["seen"])
             return {**asdict(plan), "calls": calls.made}
-        calls("unpack", {"z": z}, lambda: {"t0": t, "q0": q, "v0": v}, ["t0", "q0", "v0"])
+        unpacked = {"t0": t, "q0": q, "v0": v, "singular": ca.SX(0)}
+        calls("unpack", {"z": z}, lambda: unpacked, list(unpacked))
         self._evaluation(calls, scene, plan, "0")
-        matrices = self._matrices(scene)
         if redundant and e.l:
-            some = {name: matrices[name] for name in ("C", "D", "L")}
-            lam = ca.SX.sym("lam", e.l)
-            calls("least", {"k": k, **some, "lam0": lam}, lambda: {"lam": scene.least(some, lam)}, ["lam0"])
-        a, lam, watch = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(_Watch.FIELDS))
-        known |= {"C": matrices["C"], "xi": matrices["xi"], "a0": a, "lam0": lam, "watch0": watch}
-        calls(
-            "seen",
-            known,
-            lambda: {"seen": scene.seen(plan, z, u, a, lam, scene.matrix("C", matrices), matrices["xi"], watch)},
-            ["seen"],
-        )
+            self._least(calls, scene, "lam0")
+        self._seen(calls, scene, plan, "a0", "lam0", "watch0")
         return {**asdict(plan), "calls": calls.made}
+
+    def limit(self, plan: Plan, redundant: bool) -> Program:
+        """What `instant` gives, with the limits of accelerations and reactions along the motion."""
+        e, layout = self.e, self.layout
+        z, _, p, k, dt = self._known.values()
+        scene, calls, n = _Scene(e, plan.weighted, p, k), _Calls(self), e.n
+        q, v, t = z[:n], z[n : 2 * n], z[layout.time]
+        count = range(len(branch.READ_MEAN))
+        places = [f"place{j}" for j in count]
+        found = {f"a{j}": ca.SX.sym("a", n) for j in count} | {f"lam{j}": ca.SX.sym("lam", e.l) for j in count}
+        found |= {f"watch{j}": ca.SX.sym("watch", len(_Watch.FIELDS)) for j in count}
+        unpacked = {"tz": t, "qz": q, "vz": v}
+        calls("unpack_limit", {"z": z}, lambda: unpacked, list(unpacked))
+        calls("read_places", {"z": z, "dt": dt, "p": p, "k": k}, lambda: scene.read_places(q, v, dt), places)
+        for j in count:
+            self._brought(calls, scene, plan, places[j], "vz")
+            names = {f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"}
+            self._evaluation(calls, scene, plan, str(j), names)
+            if redundant:
+                self._least(calls, scene, f"lam{j}")
+        here = {"tl": "tz", "ql": "qz", "vl": "vz"}
+        self._evaluation(calls, scene, replace(plan, iterations=1), "l", here)
+        watch = ca.SX.sym("watch", len(_Watch.FIELDS))
+        known = {**found, "watchl": watch}
+        calls("limits", known, lambda: scene.limits(list(found.values()), watch), ["al", "laml", "watchl", "singular"])
+        self._seen(calls, scene, plan, "al", "laml", "watchl")
+        return {**asdict(plan), "calls": calls.made}
+
+    def _least(self, calls: _Calls, scene: _Scene, name: str) -> None:
+        """Multipliers of least norm in place of those found last."""
+        matrices = self._matrices(scene)
+        some = {each: matrices[each] for each in ("C", "D", "L")}
+        lam = ca.SX.sym("lam", self.e.l)
+        known = {"k": self._known["k"], **some, name: lam}
+        calls("least", known, lambda: {"lam": scene.least(some, lam)}, [name])
+
+    def _seen(self, calls: _Calls, scene: _Scene, plan: Plan, a: str, lam: str, watch: str) -> None:
+        e = self.e
+        z, u, p, k, _ = self._known.values()
+        matrices = self._matrices(scene)
+        symbols = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(_Watch.FIELDS)), ca.SX.sym("s")
+        known = {"z": z, "u": u, "p": p, "k": k, "C": matrices["C"], "xi": matrices["xi"]}
+        known |= dict(zip((a, lam, watch, "singular"), symbols, strict=True))
+        results = {"C": scene.matrix("C", matrices), "xi": matrices["xi"], "watch": symbols[2], "singular": symbols[3]}
+        calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *symbols[:2], **results)}, ["seen"])
 
     def _on_branch(self, calls: _Calls, scene: _Scene, plan: Plan, i: str) -> None:
         """a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name."""
@@ -388,6 +425,14 @@ class _Scene:
 
     def probed(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
         """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from."""
+        here, rate = self._approach(q, v, dt)
+        zone = ca.sqrt(here) < branch.ZONE * ca.fmax(rate, self.least_distance)
+        # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
+        zone = ca.if_else(rate > 0, zone, here <= self.nothing)
+        return {"zone": zone, "spacing": branch.SPACING * dt * ca.fmax(1, self.least_distance / rate)}
+
+    def _approach(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Margin at q, and how much distance one spacing along v makes; 0 where that cannot be told."""
         margins = []
         for k in (-1, 0, 1):
             place = q + k * branch.SPACING * dt * v
@@ -396,12 +441,8 @@ class _Scene:
             D, _, order = ca.ldl(H, True)
             margins.append(self.margin(D, order))
         squared, here = branch.curvature(*margins), margins[1]
-        # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         told = ca.logic_or(here > self.nothing, squared > self.nothing)
-        rate = ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
-        zone = ca.sqrt(here) < branch.ZONE * ca.fmax(rate, self.least_distance)
-        zone = ca.logic_or(ca.logic_and(squared > 0, zone), ca.logic_not(told))
-        return {"zone": zone, "spacing": branch.SPACING * dt * ca.fmax(1, self.least_distance / rate)}
+        return here, ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
 
     def places(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
         """The places from which a limit is taken."""
@@ -438,11 +479,12 @@ class _Scene:
         u: ca.SX,
         a: ca.SX,
         lam: ca.SX,
-        C: ca.SX | None,
-        xi: ca.SX | None,
-        watch: ca.SX | None,
+        C: ca.SX | None = None,
+        xi: ca.SX | None = None,
+        watch: ca.SX | None = None,
+        singular: ca.SX | float = 0.0,
     ) -> ca.SX:
-        """What a user can read, monitors, largest |Phi-ddot|, trouble."""
+        """What a user can read, monitors, largest |Phi-ddot|, whether a limit has to be read instead, trouble."""
         e, p, layout = self.e, self.p, Layout(self.e)
         q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
         readings = e.readings(q, v, a, lam / self.scale, u, p, t)
@@ -453,17 +495,52 @@ class _Scene:
         if set(MONITORED) - set(e.monitors):
             _, _, Phi, Cv = e.constraints(q, v, p)
             margin = _Watch(watch).margin if watch is not None else ca.SX(1)
-            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), plan.iterations, ca.sqrt(margin), 0
+            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), plan.iterations, ca.sqrt(margin)
+            values = *values, singular
             monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
         if watch is None:
-            return ca.vertcat(readings, *monitors, 0, 1 - (ca.sumsqr(readings) < math.inf))
-        seen = _Watch(watch)
+            return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
+        seen, near = _Watch(watch), ca.SX(0)
         trouble = self._unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
         if e.l:
-            trouble += 1 - (
-                seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2
-            )  # where the oracle reads a limit
-        return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), trouble)
+            near = self.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
+        return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
+
+    def read_places(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
+        """The places from which a limit is read; not finite where they cannot be told from the singular position."""
+        _, rate = self._approach(q, v, dt)
+        spacing = branch.SPACING * dt * branch.READ_DISTANCE / rate
+        return {str(k): q + k * spacing * v for k in branch.READ_MEAN}
+
+    def limits(self, found: list[ca.SX], watch: ca.SX) -> dict[str, ca.SX]:
+        """Limits of a and lam from those at the places, whether lam has one (1) or a pole (2): `branch.with_pole`."""
+        count = len(branch.READ_MEAN)
+        a, lam, watches = (
+            dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
+        )
+        near, far = (ca.fabs(lam[k] - lam[-k]) for k in (1, 2))
+        largest, steepest = {k: x[0] for k, x in lam.items()}, near[0]
+        for i in range(1, self.e.l):
+            more = near[i] > steepest
+            largest = {k: ca.if_else(more, lam[k][i], x) for k, x in largest.items()}
+            steepest = ca.fmax(steepest, near[i])
+        inverse = {k: 1 / x for k, x in largest.items()}
+        zero = branch.mean(inverse)
+        pole = steepest > ca.mmax(far)
+        passed = ca.fabs(zero) > branch.ZERO * ca.mmax(ca.fabs(ca.vertcat(*inverse.values())))
+        through = branch.mean({k: x * inverse[k] for k, x in lam.items()}) / zero
+        chosen = ca.vertcat(
+            *(pole * passed * (n > f) for n, f in zip(ca.vertsplit(near), ca.vertsplit(far), strict=True))
+        )
+        seen = [_Watch(x) for x in watches.values()]
+        pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
+        said = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, _Watch(watch).margin)
+        return {
+            "a": branch.mean(a),
+            "lam": ca.if_else(chosen, through, branch.mean(lam)),
+            "watch": said,
+            "singular": 1 + pole,
+        }
 
     def corrected(self, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """q and v after one correction (10) each, by H and C' of q as it was, which serves both at a regular position;

@@ -123,7 +123,10 @@ class _Machine:
             same = tier and kernel["quick"] == kernel["careful"]
             self._build(tier, self._functions[0][0] if same else None)
         instant = program_function(vm.equations, kernel["instant"])
-        self._instant = vm.bound(instant, self._arguments, [memory["seen"]])
+        self._seen = memory["seen"]
+        self._instant = vm.bound(instant, self._arguments, [self._seen])
+        self._limit: Callable[[], Any] | None = None
+        self._seen_near = at("seen", len(memory["seen"]) - 2)
         self._seen_trouble = at("seen", len(memory["seen"]) - 1)
 
     def communicate(self, start: float, h: float) -> bool:
@@ -171,6 +174,11 @@ class _Machine:
 
     def read(self) -> bool:
         self._instant()
+        if self._block[self._seen_near] != 0.0:
+            if self._limit is None:
+                limit = program_function(self._vm.equations, self._vm.equations.kernel["limit"])
+                self._limit = self._vm.bound(limit, self._arguments, [self._seen])
+            self._limit()
         return self._block[self._seen_trouble] == 0.0
 
     def _single(self) -> bool:
