@@ -330,10 +330,11 @@ class Oracle:
             if rate > 0:
                 spacing *= branch.READ_DISTANCE / rate
                 places, found = self._beside(q, v, u, t, spacing, branch.READ_MEAN)
-                a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))
+                a = branch.mean({k: x[0] for k, x in found.items()})
                 # At the position itself more multipliers act alike than on the branch.
                 lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1], t) for k, x in found.items()})
-                return a, lam, max(x[2] for x in found.values()), left, 1 + pole
+                _, C, _, xi = self._dynamics(q, v, u, self.p, t)
+                return a, lam, max(x[2] for x in found.values()), C @ a - xi, 1 + pole
         a, lam, used, left = self.accelerations(q, v, u, t)
         return a, self.minimum_norm(q, v, lam, t) if self.settings.projects else lam, used, left, 0
 

@@ -92,7 +92,8 @@ def test_near_a_singular_position_the_kernel_is_as_good_as_the_oracle_or_hands_o
         names = [v.name for v in kernel.outputs]
         wanted = [i for i, n in enumerate(names) if n.endswith(("acceleration", ".ax", ".ay"))]
         a, b = kernel.read()[wanted], oracle.read()[wanted]
-        assert np.abs(a - b).max() <= 1e-10 * np.abs(b).max()
+        # Limits are extrapolated from 0.03 rad, where round-off over the fourth power of the distance is 3e-10.
+        assert np.abs(a - b).max() <= 1e-9 * np.abs(b).max()
 
 
 @each_scene
