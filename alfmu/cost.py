@@ -43,6 +43,7 @@ def cost(equations: Equations) -> Cost:
     """Operations of a traced scene."""
     e = equations
     quick = e.kernel["quick"]
+    step = _whole(e, quick)
     evaluation, nonzeros = parts(e, quick)
     model, factored, iterated = (operations(evaluation[name]) for name in ("model", "factorisation", "iterations"))
     stages = list(called(quick["calls"])).count("rate")
@@ -57,9 +58,9 @@ def cost(equations: Equations) -> Cost:
         "integration": together(lambda name: name == "sum" or name.startswith("stage")),
         "projection": together(lambda name: name.endswith(("_place", "_settle", "_correct"))),
     }
-    by_part["checks, less what is shared"] = _whole(e, quick) - sum(by_part.values())
+    by_part["checks, less what is shared"] = step - sum(by_part.values())
     return Cost(
-        step=_whole(e, quick),
+        step=step,
         parts=by_part,
         careful=_whole(e, e.kernel["careful"]),
         outputs=_whole(e, e.kernel["instant"]),

@@ -86,7 +86,8 @@ def export(
     and ExportError where the file cannot be written or compiled.
     """
     declared = load(mechanism, **(options or {}))
-    equations = specialised(with_defaults(derive(declared), parameters or {}), outputs, freeze)
+    derived = derive(declared)
+    equations = specialised(with_defaults(derived, parameters or {}), outputs, freeze)
     equations = prepared(equations, kernel)
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing
     path = Path(path or f"{equations.name}.fmu")
@@ -110,7 +111,7 @@ def export(
     digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]
     package = f"alfmu_{equations.name}_{digest}"
     guid = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, f"alfmu:{generator}:{digest}")) + "}"
-    picture = model_png(declared, parameters)
+    picture = model_png(declared, parameters, equations=derived)
 
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)
