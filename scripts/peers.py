@@ -805,8 +805,9 @@ something. alfmu is measured as a library; through an FMU every step costs more.
 MuJoCo step in compiled code, its vm kernel in CasADi's virtual machine; Pinocchio evaluates in compiled code and is
 stepped in Python (a loop in C++ would spare it that), SciPy is Python but for the terms of the equations. All use one
 thread. Pinocchio and MuJoCo describe the five-bar by joint angles, in which its parallelogram is a straight line that
-no stage leaves; alfmu, Exudyn and SciPy by coordinates of torn-off bodies. The peers were tuned to these two motions
-with the exact ones at hand, alfmu runs with its defaults; other mechanisms need the tuning again. Time is taken at
+no stage leaves, and so does alfmu's lean setting; alfmu by default, Exudyn and SciPy by coordinates of torn-off
+bodies. The peers were tuned to these two motions with the exact ones at hand, alfmu runs with its defaults; other
+mechanisms need the tuning again. Time is taken at
 equal error of the angle; the reactions there differ in accuracy (see their column): MuJoCo's belong to slightly soft
 constraints, Exudyn's to the tolerance of Newton's method. Errors of reactions are taken at equal times and so contain
 those of the motion, and only what rigid bodies determine is compared. Steps that do not divide 0.02 s were not run,

@@ -305,15 +305,25 @@ class _Tracer:
         _, u, p, k, _ = self._known.values()
         t, q, v = ca.SX.sym("t"), ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
         matrices = self._matrices(scene)
-        at, qi, vi, ai, lami, poweri, watchi = (
+        at, qi, vi, acceleration, lami, poweri, watchi = (
             names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam", "power", "watch")
         )
         known = {at: t, qi: q, vi: v, "u": u, "p": p, "k": k}
-        calls(f"{kind}_evaluate", known, lambda: scene.evaluated(q, v, u, t), [*matrices, ai, lami, poweri, watchi])
+        calls(
+            f"{kind}_evaluate",
+            known,
+            lambda: scene.evaluated(q, v, u, t),
+            [*matrices, acceleration, lami, poweri, watchi],
+        )
         a, lam, watch = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(_Watch.FIELDS))
-        again = {"k": k, **matrices, ai: a, lami: lam, watchi: watch}
+        again = {"k": k, **matrices, acceleration: a, lami: lam, watchi: watch}
         for _ in range(plan.iterations - 1):
-            calls(f"{kind}_iterate", again, lambda: scene.iterated_again(matrices, a, lam, watch), [ai, lami, watchi])
+            calls(
+                f"{kind}_iterate",
+                again,
+                lambda: scene.iterated_again(matrices, a, lam, watch),
+                [acceleration, lami, watchi],
+            )
 
     def _matrices(self, scene: _Scene) -> dict[str, ca.SX]:
         """Symbols for the nonzeros of what an evaluation hands on."""
