@@ -109,7 +109,7 @@ def environment(command: str, packages: Sequence[str]) -> list[tuple[str, str]]:
         ("command", f"`{command}`"),
         ("date", datetime.date.today().isoformat()),
         ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
-        ("processor", f"{_processor()}, {os.cpu_count()} logical"),
+        ("processor", f"{processor()}, {os.cpu_count()} logical"),
         ("load average at the start", load),
         ("Python", f"{platform.python_implementation()} {platform.python_version()}"),
         ("C compiler", _compiler()),
@@ -139,7 +139,8 @@ def _compiler() -> str:
     return (done.stdout.strip().splitlines() or ["unknown"])[0]
 
 
-def _processor() -> str:
+def processor() -> str:
+    """The name of the processor."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))

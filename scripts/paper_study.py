@@ -27,6 +27,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import mpmath
 import numpy as np
+from _report import processor
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -750,7 +751,8 @@ def four_bar() -> Chapter:
         "A constant torque on link 1 cannot pass through the aligned links, so the reactions have a pole at th = 0\n"
         "and th = -pi, and (8) does not converge to the branch that is followed. The first table starts exactly at\n"
         "th = 0; the second varies the start angle: the error depends on how close a Runge-Kutta stage comes to the\n"
-        "singular position. `classic` is the paper's procedure, (8) stopped early; `residual` the default settings.\n"
+        "singular position. `classic` is the paper's procedure, (8) stopped early; `residual` the default settings,\n"
+        "which take limits along the branch there.\n"
         "A run that stopped says why, and its values are those up to there; the second table takes errors only from\n"
         "runs that reached the end. Steps are left open where the corrections (10) did not reach the tolerance."
     )
@@ -914,19 +916,11 @@ def environment_table(command: str) -> Table:
     rows = [
         ("command", f"`{command}`"),
         ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
-        ("processor", f"{_processor()}, {os.cpu_count()} logical"),
+        ("processor", f"{processor()}, {os.cpu_count()} logical"),
         ("Python", f"{platform.python_implementation()} {platform.python_version()}"),
         *((name, version(name)) for name in packages),
     ]
     return Table("environment", "Machine and versions", ("what", "value"), rows)
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
 
 
 def report(chapters: list[Chapter], tables: list[Table]) -> str:

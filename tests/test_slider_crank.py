@@ -183,16 +183,17 @@ def test_equal_links_pass_the_vertical(coordinates: str) -> None:
     """
     e = derived("slider_crank", coordinates=coordinates)
     for h in (0.02, 0.01, 0.005):
-        given = {"l1": 1.0, "l2": 1.0, "solver.step_size": h}
-        r = alfmu.simulate(e, 4.0, 0.02, parameters=given)
-        exact = ALIGNED.motion(np.pi / 4, 0.0, r.time)[:, 0]
         fine = np.linspace(0.0, 4.0, round(4.0 / h) + 1)
         plain = plain_steps(ALIGNED.acceleration, np.pi / 4, 0.0, h, len(fine) - 1)
         limit = np.abs(plain - ALIGNED.motion(np.pi / 4, 0.0, fine)[:, 0]).max()
-        # Stages that are brought to the branch have their own, as small error of fourth order.
-        assert np.abs(r["crank.angle"] - exact).max() <= 1.5 * limit
-        assert np.count_nonzero(np.diff(np.sign(r["crank.angle"] + np.pi / 2))) >= 2
-        assert r.counters.position_error <= 1e-13
+        # Stages that are brought to the branch have an error of their own, of fourth order too: a quarter more at most.
+        for branch, most in (("paper", limit), ("continue", 1.3 * limit)):
+            given = {"l1": 1.0, "l2": 1.0, "solver.step_size": h, "solver.branch": branch}
+            r = alfmu.simulate(e, 4.0, 0.02, parameters=given)
+            exact = ALIGNED.motion(np.pi / 4, 0.0, r.time)[:, 0]
+            assert np.abs(r["crank.angle"] - exact).max() <= most
+            assert np.count_nonzero(np.diff(np.sign(r["crank.angle"] + np.pi / 2))) >= 2
+            assert r.counters.position_error <= 1e-13
     assert limit < 1e-6
 
 
