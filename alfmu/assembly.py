@@ -142,27 +142,32 @@ class Assembly:
         random = np.random.default_rng(0)
         C = self._at(q, p, held)[0]
         sparse = not isinstance(C, np.ndarray)
-        ranks = [_rank(C)]
-        for _ in range(2 if sparse else 8):
-            aside = 0.3 * random.standard_normal(e.n) * max(1.0, np.abs(q).max()) / np.sqrt(e.n)
+        places = 0.3 * random.standard_normal((2 if sparse else 8, e.n)) * max(1.0, np.abs(q).max()) / np.sqrt(e.n)
+        units = np.ones(e.l)
+        if not sparse:  # Rows in other units are as independent as before.
+            largest = [np.abs(self._at(place, p, held)[0]).max(axis=1, initial=0.0) for place in (q, *(q + places))]
+            units = np.max(largest, axis=0)
+            units[units == 0] = 1.0
+        ranks = [_rank(self._at(q, p, held / units)[0])]
+        for aside in places:
             if sparse:  # Along the motion: in a long chain any other way leads far from an assembly.
                 aside = aside - _least_norm(C, C @ aside, 1e-8)
                 aside *= 0.3 / max(np.abs(aside).max(), 1e-300)
             near = q + aside
             for _ in range(30):
-                J, Phi = self._at(near, p, held)
+                J, Phi = self._at(near, p, held / units)
                 if np.abs(Phi).max(initial=0.0) <= 1e-16 * np.abs(near).max():
                     break
                 near = near - _least_norm(J, Phi, 1e-8)
-            J, Phi = self._at(near, p, held)
+            J, Phi = self._at(near, p, held / units)
             if np.abs(Phi).max(initial=0.0) < 1e-9:
                 ranks.append(_rank(J))
         return Mobility(e.n - max(ranks), int(held.sum()) - max(ranks), e.n - ranks[0])
 
-    def _at(self, q: NDArray, p: NDArray, held: NDArray) -> tuple[Matrix, NDArray]:
-        """C and Phi, zero where a constraint is not held."""
+    def _at(self, q: NDArray, p: NDArray, weights: NDArray) -> tuple[Matrix, NDArray]:
+        """C and Phi, each row times its weight (l,), which is zero where a constraint is not held."""
         _, C, Phi, _ = self._constraints(q, np.zeros(self.e.n), p)
-        return _rows(held, C.copy()), Phi * held
+        return _rows(weights, C.copy()), Phi * weights
 
 
 @dataclass(frozen=True)
@@ -217,9 +222,9 @@ class _Loops:
         return _name(self.e, self.misfit(q))
 
 
-def _rows(held: NDArray, matrix: Matrix) -> Matrix:
-    """The rows that are held, zero elsewhere."""
-    return matrix * held[:, None] if isinstance(matrix, np.ndarray) else matrix.multiply(held[:, None]).tocsc()
+def _rows(weights: NDArray, matrix: Matrix) -> Matrix:
+    """The rows times their weights, which are zero where a constraint is not held."""
+    return matrix * weights[:, None] if isinstance(matrix, np.ndarray) else matrix.multiply(weights[:, None]).tocsc()
 
 
 def _stacked(above: Matrix, below: Matrix) -> Matrix:

@@ -130,6 +130,32 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
         type=_names,
         help="make parameters of the mechanism constants at their values, as m1,m2 or all: smaller and faster",
     )
+    sub.add_argument(
+        "--lock",
+        metavar="JOINTS",
+        type=_names,
+        default=[],
+        help="joints that Boolean inputs JOINT.locked can stop while running, as B,C",
+    )
+    sub.add_argument(
+        "--release",
+        metavar="JOINTS",
+        type=_names,
+        default=[],
+        help="joints that Boolean inputs JOINT.released can open while running, as E,F",
+    )
+
+
+def _declared(chosen: argparse.Namespace, name: str) -> Any:
+    """A mechanism with the options, locks and releases that were chosen."""
+    from .registry import load
+
+    mechanism = load(name, **dict(chosen.option))
+    for joint in chosen.lock:
+        mechanism.lock(joint)
+    for joint in chosen.release:
+        mechanism.release(joint)
+    return mechanism
 
 
 def _names(text: str) -> list[str]:
@@ -184,12 +210,12 @@ def _info(chosen: argparse.Namespace) -> None:
     from .cost import described
     from .derivation import derive
     from .fmi.slave import interface
-    from .registry import choices, load
+    from .registry import choices
     from .runtime import Instance
     from .simulation import with_defaults
     from .specialisation import specialised
 
-    mechanism = load(chosen.mechanism, **dict(chosen.option))
+    mechanism = _declared(chosen, chosen.mechanism)
     everything = with_defaults(derive(mechanism), dict(chosen.set))
     equations = specialised(everything, chosen.outputs, chosen.freeze)
     instance = Instance(equations)
@@ -206,7 +232,7 @@ def _info(chosen: argparse.Namespace) -> None:
     print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
     for title, variables in (
         ("parameters and start values", [v for causality, v in interface(instance) if causality == "parameter"]),
-        ("inputs", equations.inputs),
+        ("inputs", instance.input_variables),
         ("outputs", instance.outputs),
     ):
         print(f"\n{title}:")
@@ -242,9 +268,9 @@ def _export(chosen: argparse.Namespace) -> None:
     from .fmi.export import export
 
     kernel = chosen.kernel or DEFAULT
-    given = {"options": dict(chosen.option), "parameters": dict(chosen.set)}
-    left_out = {"outputs": chosen.outputs, "freeze": chosen.freeze}
-    path = export(chosen.mechanism, chosen.output, **given, **left_out, kernel=kernel, portable=not chosen.no_portable)
+    given = {"parameters": dict(chosen.set), "outputs": chosen.outputs, "freeze": chosen.freeze}
+    mechanism = _declared(chosen, chosen.mechanism)
+    path = export(mechanism, chosen.output, **given, kernel=kernel, portable=not chosen.no_portable)
     print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 
@@ -291,21 +317,20 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     if chosen.unit.endswith(".fmu"):
         from .fmi.drive import Fmu
 
-        if chosen.option or chosen.kernel or chosen.outputs or chosen.freeze:
+        if any((chosen.option, chosen.kernel, chosen.outputs, chosen.freeze, chosen.lock, chosen.release)):
             raise InputError(
-                f"{chosen.unit}: options, outputs, frozen parameters and the kernel of an FMU are fixed when it is "
-                "exported; give them to `alfmu export`"
+                f"{chosen.unit}: options, outputs, frozen parameters, locks and the kernel of an FMU are fixed when it "
+                "is exported; give them to `alfmu export`"
             )
         fmu = Fmu(chosen.unit)
         about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters, "set": dict(chosen.set)}
         return fmu, {**about, "stop_time": fmu.stop_time, "step_size": fmu.step_size}
     from .derivation import derive
-    from .registry import load
     from .runtime import Instance
     from .simulation import prepared, with_defaults
     from .specialisation import specialised
 
-    mechanism = load(chosen.unit, **dict(chosen.option))
+    mechanism = _declared(chosen, chosen.unit)
     equations = specialised(with_defaults(derive(mechanism), dict(chosen.set)), chosen.outputs, chosen.freeze)
     equations = prepared(equations, chosen.kernel or DEFAULT)
     about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}, "set": {}}

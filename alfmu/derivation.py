@@ -23,10 +23,23 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from .equations import Equations, Row, Variable
+from .equations import Equations, Row, Switch, Variable
 from .errors import DeclarationError
 from .evaluation import ARGUMENTS, evaluable, shared
-from .mechanism import Body, Constraint, Joint, Marker, Mechanism, Point, Rigidity, Scalar, key_of, stack, symbolic
+from .mechanism import (
+    Body,
+    Constraint,
+    Joint,
+    Lock,
+    Marker,
+    Mechanism,
+    Point,
+    Rigidity,
+    Scalar,
+    key_of,
+    stack,
+    symbolic,
+)
 from .units import rate_of
 
 __all__ = ["derive"]
@@ -57,7 +70,7 @@ class Frame:
         return _sum(self.x, dx), _sum(self.y, dy)
 
 
-Closing = tuple[Joint | Rigidity | Constraint, str]
+Closing = tuple[Joint | Rigidity | Constraint | Lock, str]
 """One relative displacement that is kept at zero: of what, and in which direction."""
 
 Displacement = dict[str, ca.SX]
@@ -147,14 +160,26 @@ class Kinematics:
         (x1, y1), (x2, y2) = (self.place(m) for m in between)
         return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
 
-    def gap(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
+    def locked(self, lock: Lock) -> tuple[ca.SX, bool]:
+        """The displacement that a lock keeps, and whether it is an angle known up to whole turns only."""
+        if isinstance(lock.of, ca.SX):
+            return lock.of, False
+        if isinstance(lock.of, Joint):
+            turns = lock.of.kind == "revolute"
+            bodies, value = (lock.of.first.body, lock.of.second.body), self.free(lock.of)
+        else:
+            turns, bodies = True, lock.of
+            value = self.frame(bodies[1]).angle - self.frame(bodies[0]).angle
+        return value, turns and any(self.frame(body).wrapped for body in bodies)
+
+    def gap(self, closure: Joint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
         """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
         if direction == "length":
             square, length = self._apart(closure)
             return ca.sqrt(square + 1e-300) - length
         return self.residual(closure, direction)
 
-    def residual(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
+    def residual(self, closure: Joint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
         """What a closure keeps at zero along one direction.
 
         For lengths it is zero at the given one, polynomial, and with a multiplier that is the force along the line.
@@ -163,9 +188,12 @@ class Kinematics:
             self.residuals[closure, direction] = self._residual(closure, direction)
         return self.residuals[closure, direction]
 
-    def _residual(self, closure: Joint | Rigidity | Constraint, direction: str) -> ca.SX:
+    def _residual(self, closure: Joint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
         if isinstance(closure, Constraint):
             return closure.expression
+        if isinstance(closure, Lock):
+            value, wrapped = self.locked(closure)
+            return ca.sin(value - closure.value) if wrapped else value - closure.value
         if direction == "length":
             square, length = self._apart(closure)
             return (square - length**2) / (2 * length)
@@ -296,7 +324,8 @@ def derive(mechanism: Mechanism) -> Equations:
     if not m.coordinates:
         raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate")
     q, v, a = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qva")
-    u, p = stack([i.symbol for i in m.inputs]), stack([x.symbol for x in m.parameters])
+    locks = [closure for closure in m.closures if isinstance(closure, Lock)]
+    u, p = stack([i.symbol for i in m.inputs]), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
     s, t = stack([x.symbol for x in m.starts]), m.time
 
     plain = Kinematics(m)
@@ -344,6 +373,9 @@ def derive(mechanism: Mechanism) -> Equations:
     reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam)
     values += reactions
     outputs += reaction_outputs
+    efforts_of_locks, lock_outputs = _locking(locks, closures, lam)
+    values += efforts_of_locks
+    outputs += lock_outputs
     values += ca.vertsplit(lam)
     for i, row in enumerate(rows):
         force = "N.m" if row.unit == "rad" else "N" if row.unit == "m" else "1"
@@ -369,6 +401,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "Phi": Phi,
         "C": C,
         "xi": xi,
+        "displacements": stack([plain.locked(lock)[0] for lock in locks]),
         "gaps": gaps,
         "gaps_matrix": ca.jacobian(gaps, q),
         "kinetic_energy": T,
@@ -395,6 +428,8 @@ def derive(mechanism: Mechanism) -> Equations:
         inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
         outputs=outputs,
         rows=rows,
+        switches=_switches(m, locks, closures),
+        held=[lock.name for lock in locks],
         wrapped=wrapped,
         works=not f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
@@ -490,17 +525,53 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
         sign, directions = 1.0, ("length",)
         if isinstance(closure, Constraint):
             directions = ("",)
+        elif isinstance(closure, Lock):
+            directions = ("locked",)
         elif isinstance(closure, Joint):
             directions = tuple(k for k in closure.directions if k not in held.get(closure, ()))
             first, second = closure.first.body, closure.second.body
             if first.pose is not None and second.pose is None and first is not m.ground:
                 sign = -1.0
         for direction in directions:
-            unit = closure.unit if isinstance(closure, Constraint) else "rad" if direction == "rotation" else "m"
+            own = isinstance(closure, Constraint | Lock)
+            unit = closure.unit if own else "rad" if direction == "rotation" else "m"
             rows.append(Row(closure.name, direction, unit))
             closures.append((closure, direction))
             signs.append(sign)
     return rows, closures, stack(signs)
+
+
+def _locking(locks: list[Lock], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+    """Effort of each lock, in the direction in which its displacement grows."""
+    values, outputs = [], []
+    for lock in locks:
+        values.append(-lam[closures.index((lock, "locked"))])
+        what, unit = ("torque", "N.m") if lock.unit == "rad" else ("force", "N")
+        outputs.append(Variable(f"{lock.name}.locking_{what}", unit, description=f"{what} of the lock of {lock.name}"))
+    return values, outputs
+
+
+def _switches(m: Mechanism, locks: list[Lock], closures: list[Closing]) -> list[Switch]:
+    """Boolean inputs, locks first, each kind in the order of declaration."""
+    switches = [
+        Switch(
+            f"{lock.name}.locked",
+            [closures.index((lock, "locked"))],
+            True,
+            i,
+            description=f"stop the motion of {lock.name}",
+        )
+        for i, lock in enumerate(locks)
+    ]
+    for closure in m.releases:
+        rows = [i for i, (each, _) in enumerate(closures) if each is closure]
+        if not rows:
+            raise DeclarationError(
+                f"{m.name}: {closure.name} holds by the choice of coordinates, so it cannot be released; use "
+                "coordinates in which constraints close it"
+            )
+        switches.append(Switch(f"{closure.name}.released", rows, False, description=f"switch {closure.name} off"))
+    return switches
 
 
 def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import casadi as ca
 
-__all__ = ["Equations", "Row", "Variable"]
+__all__ = ["Equations", "Row", "Switch", "Variable"]
 
-FORMAT = 3
+FORMAT = 4
 """Version of the scene file; raised whenever its content changes meaning."""
 
 
@@ -29,9 +29,24 @@ class Variable:
     maximum: float | None = None
     description: str = ""
     type: str = "Real"
-    """FMI type: Real, Integer or String."""
+    """FMI type: Real, Integer, Boolean or String."""
     instant: bool = False
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A Boolean input that puts constraints in force and out of it while the mechanism moves."""
+
+    name: str
+    rows: list[int]
+    """Constraints that it concerns."""
+    holds: bool
+    """Whether they hold where it is on (a lock) or where it is off (a joint that can be released)."""
+    value: int = -1
+    """Place among `Equations.held` of the displacement that a lock keeps; -1 where nothing is kept."""
+    start: bool = False
+    description: str = ""
 
 
 @dataclass(frozen=True)
@@ -57,6 +72,7 @@ class Equations:
     Phi(q, p)                       constraints (l,)                               (1)
     C(q, p)                         constraint matrix (l, n)                       (2)
     xi(q, v, p)                     constraint-induced accelerations (l,)          (3)
+    displacements(q, p)             what locks keep, m or rad
     gaps(q, p)                      how far each constraint is open (l,), m or rad zero where Phi is
     gaps_matrix(q, p)               its derivative (l, n)
     kinetic_energy(q, v, p)         J
@@ -102,6 +118,10 @@ class Equations:
     """Order of the coordinates in which the augmented mass fills in least when it is factorised."""
     freedom: int | None = None
     """Degrees of freedom at regular positions; None where they are not known before a run."""
+    switches: list[Switch] = field(default_factory=list)
+    """Boolean inputs that change the topology."""
+    held: list[str] = field(default_factory=list)
+    """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, dict[str, Any]] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers (`alfmu.kernel.program.Signature`)."""
@@ -141,6 +161,7 @@ class Equations:
         for key in ("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs"):
             data[key] = [Variable(**v) for v in data[key]]
         data["rows"] = [Row(**r) for r in data["rows"]]
+        data["switches"] = [Switch(**s) for s in data["switches"]]
         return cls(**data)
 
     def functions_to_json(self) -> str:

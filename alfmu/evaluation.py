@@ -23,6 +23,7 @@ ARGUMENTS = {
         "Phi": "q p",
         "C": "q p",
         "xi": "q v p",
+        "displacements": "q p",
         "gaps": "q p",
         "gaps_matrix": "q p",
         "kinetic_energy": "q v p",
@@ -38,7 +39,16 @@ ARGUMENTS = {
 }
 """What each function of the equations depends on."""
 
-EVALUATED = {"dynamics": 2, "constraints": 2, "power": 0, "energy": 0, "readings": 0, "closure": 2, "guesses": 0}
+EVALUATED = {
+    "dynamics": 2,
+    "constraints": 2,
+    "power": 0,
+    "energy": 0,
+    "readings": 0,
+    "closure": 2,
+    "guesses": 0,
+    "displacements": 0,
+}
 """Functions that run with numbers outside the kernel, and how many of their results are matrices."""
 
 
@@ -50,7 +60,7 @@ def symbols(equations: Equations) -> dict[str, ca.SX]:
         "a": equations.n,
         "lam": equations.l,
         "u": len(equations.inputs),
-        "p": len(equations.parameters),
+        "p": len(equations.parameters) + len(equations.held),
         "t": 1,
         "s": len(equations.starts),
         "sdot": len(equations.starts),
@@ -79,6 +89,8 @@ def evaluable(equations: Equations) -> Equations:
         "guesses": ([p, s, sdot], [e.guess(p, s), e.guess_rate(p, s, sdot)]),
     }
     functions = {"readings": e.readings}
+    if e.held:
+        functions["displacements"] = e.displacements
     for name, (arguments, values) in results.items():
         dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
         functions[name] = shared(name, arguments, dense)

@@ -185,6 +185,16 @@ class Constraint:
 
 
 @dataclass(frozen=True)
+class Lock:
+    """A displacement that a Boolean input stops where it is and lets go again; `value` is where it was stopped."""
+
+    name: str
+    of: Joint | tuple[Body, Body] | ca.SX
+    unit: str
+    value: ca.SX
+
+
+@dataclass(frozen=True)
 class Spring:
     """A linear spring-damper along a displacement: of a joint, or the distance of two markers."""
 
@@ -248,7 +258,8 @@ class Mechanism:
     outputs: list[Output] = field(default_factory=list, init=False)
     bodies: list[Body] = field(default_factory=list, init=False)
     joints: list[Joint] = field(default_factory=list, init=False)
-    closures: list[Joint | Rigidity | Constraint] = field(default_factory=list, init=False)
+    closures: list[Joint | Rigidity | Constraint | Lock] = field(default_factory=list, init=False)
+    releases: list[Joint | Constraint] = field(default_factory=list, init=False)
     springs: list[Spring] = field(default_factory=list, init=False)
     drives: list[Drive] = field(default_factory=list, init=False)
     loads: list[Load] = field(default_factory=list, init=False)
@@ -508,6 +519,57 @@ class Mechanism:
         """A holonomic constraint Phi(q) = 0 in m or rad, after the joints declared so far."""
         self._claim(name, unit, "a constraint")
         self.closures.append(Constraint(name, ca.SX(expression), unit))
+
+    # Changing topology ------------------------------------------------------------------------------------------
+
+    def lock(self, of: Joint | str) -> None:
+        """Let the Boolean input `<joint>.locked` stop the free motion of a revolute or prismatic joint while it is on.
+
+        A joint that moves stops in a plastic impact, and keeps its state where it is let go.
+        """
+        joint = self._joint(of)
+        self._free(joint)
+        self._lock(joint.name, joint, "rad" if joint.kind == "revolute" else "m")
+
+    def clutch(self, name: str, first: Body, second: Body) -> None:
+        """Let the Boolean input `<name>.locked` couple the turning of two bodies; a brake where one is the ground."""
+        self._claim(name, "1", "a clutch")
+        self._own((first.start, second.start), name)
+        if first is second:
+            raise DeclarationError(f"{self.name}: clutch {name} couples {first.name} to itself")
+        self._lock(name, (first, second), "rad")
+
+    def lock_displacement(self, name: str, expression: ca.SX, unit: str = "rad") -> None:
+        """Let the Boolean input `<name>.locked` keep any expression in the coordinates [m or rad] as it is."""
+        self._claim(name, unit, "a lock")
+        self._lock(name, ca.SX(expression), unit)
+
+    def release(self, of: Joint | str) -> None:
+        """Let the Boolean input `<joint>.released` switch the constraints of a joint off while it is on.
+
+        It can be switched off where the joint is closed again, in a plastic impact. `of` may name a `constraint`.
+        """
+        found = [c for c in self.closures if c is of or (not isinstance(c, Rigidity | Lock) and c.name == of)]
+        if not found:
+            names = ", ".join(c.name for c in self.closures if not isinstance(c, Rigidity | Lock)) or "none"
+            called = of.name if isinstance(of, Joint) else of
+            raise DeclarationError(
+                f"{self.name}: {called} is not closed by constraints, so it cannot be released; those are {names}"
+            )
+        self._claim(f"{found[0].name}.released", "1", "an input")
+        self.releases.append(found[0])
+
+    def _lock(self, name: str, of: Joint | tuple[Body, Body] | ca.SX, unit: str) -> None:
+        self._claim(f"{name}.locked", "1", "an input")
+        self.closures.append(Lock(name, of, unit, ca.SX.sym(f"{name}.locked_at")))
+
+    def _joint(self, of: Joint | str) -> Joint:
+        for joint in self.joints:
+            if of is joint or of == joint.name:
+                return joint
+        names = ", ".join(joint.name for joint in self.joints) or "none"
+        called = of.name if isinstance(of, Joint) else of
+        raise DeclarationError(f"{self.name} has no joint {called}; it has {names}")
 
     # ------------------------------------------------------------------------------------------------------------
 

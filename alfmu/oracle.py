@@ -14,6 +14,7 @@ from . import branch, method
 from .equations import Equations
 from .errors import InputError, StepError
 from .kernel.program import Backend, Call
+from .scaling import scaled
 
 __all__ = ["FORMULATIONS", "Counters", "Oracle", "Settings"]
 
@@ -30,14 +31,14 @@ FORMULATIONS: dict[str, str] = {
 PROJECTED = ("residual", "classic")
 """Formulations that correct the state with (10) after each step; the others are run as they are known."""
 
-PENALTY_RATIO = 1e8
-"""Default penalty over the largest entry of the mass matrix: far from round-off at either end in residual form."""
-
 CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
 
 ASIDE = (-0.7, -0.1, 0.1, 0.7)
 """Displacements [rad, m] to places beside the start."""
+
+_LITTLE = 1e-4
+"""Displacement of lengths [m] beside the start, enough to tell which coefficients are constant."""
 
 _REGULAR = 1e-3
 """Smallest size of an independent combination of constraints, over the largest."""
@@ -46,7 +47,7 @@ _LONGER = 20
 """Most doublings of a spacing that is too short."""
 
 GROSS = 1e-6
-"""Residue of a constraint [m, rad; per s] above which a projected step is refused."""
+"""Residue of a constraint, in units of its row [m, rad; per s], above which a projected step is refused."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +139,11 @@ class Oracle:
         names = ("dynamics", "constraints", "power", "energy", "readings")
         calls = (Call(backend, name, equations.signatures[name]) for name in names)
         self._dynamics, self._constraints, self._power, self._energy, self._outputs = calls
+        kept = equations.signatures.get("displacements")
+        self._displacements = Call(backend, "displacements", kept) if kept else None
         self.sparse = not isinstance(self._dynamics.y[0], np.ndarray)
         self.counters = Counters()
+        self.units = np.ones(equations.l)
         self.freedom, self.masses, self.scales = equations.n, 0.0, np.ones(equations.n)
         self.rank, self.brakes = 0, False
 
@@ -148,11 +152,23 @@ class Oracle:
         self.settings = settings.checked(self.equations.name, self.equations.l)
         self.p = p
         self.counters = Counters()
+        default, self.units = self._scaled(q)
         alpha = np.asarray(settings.penalty, float)
         if alpha.ndim == 0:
-            M = self._constraints(q, np.zeros_like(q), p)[0]
-            alpha = np.full(self.equations.l, alpha or PENALTY_RATIO * max(M.diagonal().max(initial=0.0), 1e-300))
+            alpha = np.full(self.equations.l, alpha) if alpha else default
         self.penalty = alpha
+
+    def _scaled(self, q: NDArray) -> tuple[NDArray, NDArray]:
+        """Default penalties and units of the rows, as they are at q (n,) and where angles are turned."""
+        metres = np.array([c.unit == "m" for c in self.equations.coordinates])
+        turn = np.random.default_rng(0).standard_normal(len(q)) * np.where(metres, _LITTLE, 1.0)
+        M, C, _, _ = self._constraints(q, np.zeros_like(q), self.p)
+        masses, (row, column) = M.diagonal().copy(), _places(C)
+        entries = []
+        for k in (0.0, *ASIDE):
+            C = self._constraints(q + k * turn, np.zeros_like(q), self.p)[1]
+            entries.append(_entries(C).ravel().copy())
+        return scaled(masses, np.array(entries), row, column, self.equations.l, metres)
 
     @property
     def penalty(self) -> NDArray:
@@ -372,14 +388,19 @@ class Oracle:
         method.residual(M, F, C, xi, self.alpha, solve, *zeros, self.settings.max_iterations, done)
         return made
 
-    def impact(self, q: NDArray, v: NDArray, t: float) -> NDArray:
+    def displacements(self, q: NDArray) -> NDArray:
+        """What locks keep, at q (n,)."""
+        return self._displacements(q, self.p)[0].copy() if self._displacements else np.zeros(0)
+
+    def impact(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray, float]:
         """v (n,) after a plastic impact that makes it consistent with the constraints: the nearest in the metric of M.
 
-        M dv + C' impulse = 0, C dv = -C v in residual form, so that large changes are as exact as small ones.
+        M dv + C' impulse = 0, C dv = -C v in residual form, so that large changes are as exact as small ones. Also the
+        impulses (l,) [N.s, N.m.s] that the constraints gave, of least norm, and the kinetic energy lost [J].
         """
-        M, C, _, Cv = self._constraints(q, v, self.p)
-        dv, _, _, _ = self._iterated(method.residual, M, np.zeros_like(v), C, -Cv, t)
-        return v + dv
+        M, C, _, Cv = (x.copy() for x in self._constraints(q, v, self.p))
+        dv, impulses, _, _ = self._iterated(method.residual, M, np.zeros_like(v), C, -Cv, t)
+        return v + dv, -self.minimum_norm(q, v, impulses, t), float(dv @ (M @ dv)) / 2
 
     def _iterated(
         self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, t: float
@@ -428,7 +449,7 @@ class Oracle:
             Cv = C @ v
             c.projection_iterations += 1
         for what, residue in (("|Phi|", Phi), ("|Phi-dot|", Cv)):
-            if not self._largest(residue) <= GROSS:
+            if not self._largest(residue / self.units) <= GROSS:
                 raise StepError(self._open(t, what, residue))
         c.unprojected += not (self._closed(Phi, C, q) and self._closed(Cv, C, v))
         return q, v, self._largest(Phi), self._largest(Cv)
@@ -437,6 +458,10 @@ class Oracle:
         """The largest |Phi| and |Phi-dot|."""
         _, _, Phi, Cv = self._constraints(q, v, self.p)
         return self._largest(Phi), self._largest(Cv)
+
+    def widest(self, q: NDArray) -> tuple[float, str]:
+        """How far the constraint that is furthest open is at q (n,), and which it is."""
+        return self._worst(self._constraints(q, np.zeros_like(q), self.p)[2])
 
     def power(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> float:
         """Power [W] of inputs, loads and dampers."""
@@ -455,7 +480,7 @@ class Oracle:
 
     def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
         """Whether a residue of C is within the tolerance, or within the round-off of the row where that is larger."""
-        limit = np.maximum(self.settings.tolerance, 8 * np.finfo(float).eps * (abs(C) @ np.abs(x)))
+        limit = np.maximum(self.settings.tolerance * self.units, 8 * np.finfo(float).eps * (abs(C) @ np.abs(x)))
         return bool((np.abs(residue) <= limit)[self.active].all())
 
     def _pivots(self, q: NDArray) -> NDArray:
@@ -499,11 +524,15 @@ class Oracle:
             raise refused() from None
 
     def _open(self, t: float, what: str, residue: NDArray) -> str:
-        worst = int(np.argmax(np.where(self.active, np.nan_to_num(np.abs(residue), nan=np.inf), 0)))
-        row = self.equations.rows[worst]
-        where = f"{row.name} {row.direction}".strip()
-        measured = f"{what} = {abs(residue[worst]):.1e} at {where} > {GROSS:.0e} after {CORRECTIONS} corrections"
+        worst, where = self._worst(residue)
+        measured = f"{what} = {worst:.1e} at {where} > {GROSS:.0e} after {CORRECTIONS} corrections"
         return self._say(t, measured, "reduce solver.step_size")
+
+    def _worst(self, residue: NDArray) -> tuple[float, str]:
+        """The largest residue, in units of its row, and what the row is called."""
+        sizes = np.where(self.active, np.nan_to_num(np.abs(residue / self.units), nan=np.inf), 0)
+        row = self.equations.rows[int(np.argmax(sizes))]
+        return float(sizes.max()), f"{row.name} {row.direction}".strip()
 
     def _say(self, t: float, measured: str, remedy: str) -> str:
         return f"{self.equations.name}, t = {t:.6g} s: {measured}; {remedy}"
@@ -521,6 +550,14 @@ def _least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:
 def _entries(matrix: Any) -> NDArray:
     """The entries of a dense or sparse matrix, or of a vector."""
     return matrix if isinstance(matrix, np.ndarray) else matrix.data
+
+
+def _places(matrix: Any) -> tuple[NDArray, NDArray]:
+    """Row and column of each of `_entries`, flattened."""
+    if isinstance(matrix, np.ndarray):
+        row, column = np.indices(matrix.shape)
+        return row.ravel(), column.ravel()
+    return matrix.indices, np.repeat(np.arange(matrix.shape[1]), np.diff(matrix.indptr))
 
 
 def _sparse_diagonal(alpha: NDArray) -> Any:

@@ -21,6 +21,7 @@ from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
 from .kernel.program import TIERS, Backend, Layout, Machine, called
 from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
+from .topology import Topology, events
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
 
@@ -111,15 +112,17 @@ class Instance:
     def __init__(self, equations: Equations, settings: Settings | None = None):
         self.equations = e = equations
         self.name = e.name
-        self.input_variables = e.inputs
+        self.topology = Topology(e)
+        self.input_variables = [*e.inputs, *self.topology.inputs]
         self._given = settings or Settings(**{"step_size": e.step_size, **e.solver})
         solver = [replace(v, start=self._solver_default(v.name)) for v in SOLVER_VARIABLES]
         self.parameters = [*e.parameters, *e.starts, *e.start_rates, *solver]
-        self.outputs = [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors)]
+        self.outputs = [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors), *events(e)]
         self.values = np.array([v.start for v in self.parameters])
         self.choices = {name: getattr(self._given, _field(name)) for name in CHOICES}
         self._parameter = {v.name: i for i, v in enumerate(self.parameters)}
         self._input = {v.name: i for i, v in enumerate(e.inputs)}
+        self._switch = {v.name: i for i, v in enumerate(self.topology.inputs)}
         self._output = {v.name: i for i, v in enumerate(self.outputs)}
         self._wrapped = [(self._output[name], start) for name, start in e.wrapped.items()]
         backend: Backend = e.library or _portable(e)
@@ -130,11 +133,12 @@ class Instance:
         self.inputs[:] = [v.start for v in e.inputs]
         self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
         self._seen = self.memory["seen"]
+        self._events = bool(events(e))
         self.machine: Machine | None = backend.machine(self.memory) if e.kernel else None
         instant = e.kernel.get("instant", {"calls": []})
         evaluated = any(name.endswith("_evaluate") for name in called(instant["calls"]))
         self._iterations_read = instant["iterations"] if evaluated else 0
-        self._fast = self._scaled = False
+        self._fast = self._scaled = self._pending = False
         self.initialized = self._known = False
 
     # State -------------------------------------------------------------------------------------------------------
@@ -182,8 +186,14 @@ class Instance:
             self.inputs[self._input[name]] = value
             self._known = False
             return
+        if name in self._switch:
+            if value not in (0, 1):
+                raise InputError(f"{e.name}: {name} is {value!r}; it must be true or false")
+            self.topology.wanted[self._switch[name]] = value
+            self._pending = self.topology.pending
+            return
         if name not in self._parameter and name not in CHOICES:
-            names = [*self._input, *self._parameter, *CHOICES]
+            names = [*self._input, *self._switch, *self._parameter, *CHOICES]
             raise InputError(f"{e.name} has no input or parameter {name!r}; it has {', '.join(names)}")
         if self.initialized:
             raise InputError(f"{e.name}: {name} is fixed once the run has begun; set it before initialising")
@@ -200,6 +210,8 @@ class Instance:
             return float(self.read()[self._output[name]])
         if name in self._input:
             return float(self.inputs[self._input[name]])
+        if name in self._switch:
+            return float(self.topology.wanted[self._switch[name]])
         if name in self._parameter:
             return float(self.values[self._parameter[name]])
         if name in CHOICES:
@@ -226,19 +238,27 @@ class Instance:
         p, s, sdot = self._start_values()
         settings = self._settings()
         alpha = np.asarray(settings.penalty, float)
-        held = np.ones(e.l, bool) if alpha.ndim == 0 else alpha > 0
+        topology = self.topology
+        topology.on[:] = [wanted and not s.holds for wanted, s in zip(topology.wanted, e.switches, strict=True)]
+        held = (np.ones(e.l, bool) if alpha.ndim == 0 else alpha > 0) & topology.force(topology.on)
         q = self._assembly.assemble(p, s, held)
         v = self._assembly.rates(q, p, s, sdot, held)
         self._assembly.check_masses(q, p, held)
         oracle = self.oracle
         oracle.prepare(settings, p, q)
         # Whether the penalty is the one for which the quick step of the kernel is known to be enough.
-        self._scaled = alpha.ndim == 0 and alpha == 0
+        weighted = e.kernel.get("quick", {}).get("weighted", False)
+        self._scaled = alpha.ndim == 0 and alpha == 0 and (weighted or len(set(oracle.penalty)) <= 1)
+        self._full = oracle.penalty
+        oracle.penalty = self._full * held
         if oracle.settings.projects:
             q, v, _, _ = oracle.project(q, v, self.time)
         self._know(q, v)
         angles = [s[start] if start >= 0 else 0.0 for _, start in self._wrapped]
         self._begin([*q, *v, *angles, 0.0], oracle.energy(q, v))
+        self._pending = topology.pending
+        if self._pending:
+            self._take_effect()
 
     def _begin(self, state: Sequence[float], energy: float) -> None:
         """Go on from q, v, angles and work."""
@@ -253,7 +273,8 @@ class Instance:
         """Take note of what tells a singular position from a regular one, with the constraints that are held."""
         oracle = self.oracle
         if self.equations.l:
-            freedom = self.equations.freedom if oracle.active.all() else None
+            usual = self.topology.force(np.zeros(len(self.equations.switches)))
+            freedom = self.equations.freedom if (oracle.active == usual).all() else None
             oracle.know(q, v, self._mobility(q).freedom if freedom is None else freedom)
 
     def _choose(self) -> None:
@@ -275,14 +296,15 @@ class Instance:
             memory["dt"][:] = settings.step_size
             watched = oracle.freedom, oracle.masses, oracle.nothing, oracle.least_distance, self._continues
             first = largest if len(alpha) else 1.0, settings.tolerance, *watched
-            memory["k"][:] = [*first, *(alpha / largest), *(largest / oracle.scales)]
+            memory["k"][:] = [*first, *(alpha / largest), *(1 / oracle.units), *(largest / oracle.scales)]
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
 
     def _start_values(self) -> list[NDArray]:
-        """Parameters, start values and start rates."""
+        """Parameters with what locks keep, start values and start rates."""
         e = self.equations
-        return np.split(self.values, np.cumsum([len(e.parameters), len(e.starts), len(e.start_rates)]))[:3]
+        p, s, sdot, _ = np.split(self.values, np.cumsum([len(e.parameters), len(e.starts), len(e.start_rates)]))
+        return [np.concatenate([p, self.topology.kept]), s, sdot]
 
     def _settings(self) -> Settings:
         """Settings from the values of the solver variables, and from what has no variable."""
@@ -300,6 +322,8 @@ class Instance:
         Raises InputError or StepError and keeps the state before the step where the step cannot be taken.
         """
         h = communication_step
+        if self._pending:
+            self._take_effect()
         start = self.time if time is None else time
         if not (self._fast and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
             self._step(h, start)
@@ -390,6 +414,8 @@ class Instance:
         if not self._known:
             if self._fast and self.machine.read():
                 self._y = self._seen[:-3].copy()
+                if self._events:
+                    self._y = np.concatenate([self._y, self.topology.read()])
                 self._accelerations = None
                 acceleration, used = float(self._seen[-3]), self._iterations_read
                 self.oracle.counters.evaluations += used > 0
@@ -420,7 +446,7 @@ class Instance:
 
     def read_inputs(self) -> NDArray:
         """The inputs as they are now, in the order of `input_variables`."""
-        return self.inputs
+        return np.concatenate([self.inputs, self.topology.wanted])
 
     def read_state(self) -> NDArray:
         """Like `read` where accelerations and reactions cannot be computed: they are NaN, the rest is known."""
@@ -434,14 +460,15 @@ class Instance:
         y[[i for i, _ in self._wrapped]] = self.angles
         values = *oracle.residues(q, v), oracle.energy(q, v), used, math.sqrt(max(margin, 0.0)), singular
         seen = zip(MONITORS, values, strict=True)
-        return np.concatenate([y, [value for v, value in seen if v.name in self._output]])
+        monitors = [value for v, value in seen if v.name in self._output]
+        return np.concatenate([y, monitors, self.topology.read()] if self._events else [y, monitors])
 
     def mobility(self) -> Mobility:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
         return self._mobility(self.q)
 
     def _mobility(self, q: NDArray) -> Mobility:
-        return self._assembly.mobility(self._start_values()[0], q, self.oracle.active)
+        return self._assembly.mobility(self.oracle.p, q, self.oracle.active)
 
     @property
     def penalty(self) -> NDArray:
@@ -454,20 +481,54 @@ class Instance:
 
     @penalty.setter
     def penalty(self, alpha: NDArray) -> None:
+        e, full = self.equations, np.array(alpha, float)
+        replace(self.oracle.settings, penalty=full).checked(e.name, e.l)
+        full = np.broadcast_to(full, (e.l,)).copy()
+        self._change(full * self.topology.force(self.topology.on))
+        self._full, self._scaled = full, False
+        self._choose()
+
+    def _take_effect(self) -> None:
+        """Put in force what the Boolean inputs ask for, at this instant; where that cannot be, they are as before."""
+        oracle, topology = self.oracle, self.topology
+        if not self.initialized:
+            return
+        before = topology.kept.copy()
+        self._pending = False
+        topology.kept[:] = topology.stops(oracle.displacements(self.q))
+        oracle.p = self._start_values()[0]
+        try:
+            self._change(self._full * topology.force(topology.wanted))
+        except AlfmuError:
+            topology.kept[:], topology.wanted[:] = before, topology.on
+            oracle.p = self._start_values()[0]
+            raise
+        topology.on[:] = topology.wanted
+
+    def _change(self, alpha: NDArray) -> None:
+        """Other penalties (l,) from now on; what comes into force must be closed, and makes the velocity consistent."""
         e, oracle, before = self.equations, self.oracle, self.oracle.penalty
-        alpha = np.array(alpha, float)
-        replace(oracle.settings, penalty=alpha).checked(e.name, e.l)
-        oracle.penalty = np.broadcast_to(alpha, (e.l,))
-        gap, _ = oracle.residues(self.q, self.v)
-        if gap > GROSS:
+        oracle.penalty = alpha
+        try:
+            gap, row = oracle.widest(self.q)
+            if not gap <= GROSS:
+                raise InputError(
+                    f"{e.name}, t = {self.time:.6g} s: a constraint that is open by {gap:.3g} at {row} cannot be "
+                    "switched on; wait until it closes"
+                )
+            self._assembly.check_masses(self.q, oracle.p, oracle.active)
+            new = oracle.active & ~(before > 0)
+            nothing = self.v.copy(), np.zeros(e.l), 0.0
+            v, impulses, lost = oracle.impact(self.q, self.v, self.time) if new.any() else nothing
+            self._know(self.q, v)
+        except AlfmuError:
             oracle.penalty = before
-            raise InputError(
-                f"{e.name}, t = {self.time:.6g} s: a constraint that is open by {gap:.3g} cannot be switched on; "
-                "wait until it closes"
-            )
-        self.v[:] = oracle.impact(self.q, self.v, self.time)
-        self._known = self._scaled = False
-        self._know(self.q, self.v)
+            self._know(self.q, self.v)
+            raise
+        self.v[:] = v
+        self.state[self.layout.work] -= lost
+        self.topology.happened(impulses, lost, new)
+        self._known = False
         self._choose()
 
     # State -------------------------------------------------------------------------------------------------------
@@ -502,7 +563,7 @@ class Instance:
         if self.initialized:
             oracle = self.oracle
             known = self.energy_start, oracle.freedom, oracle.masses, oracle.rank, oracle.brakes
-            numbers += [known, oracle.penalty, oracle.scales]
+            numbers += [known, oracle.penalty, self._full, oracle.scales, oracle.units, self.topology.numbers]
         text = json.dumps(head, sort_keys=True).encode()
         return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
 
@@ -515,7 +576,7 @@ class Instance:
             numbers = np.frombuffer(state[8 + size :]).copy()
             sizes = [len(self.parameters), len(e.inputs), len(self.state)]
             if head["initialized"]:
-                sizes += [5, e.l, e.n]
+                sizes += [5, e.l, e.l, e.n, e.l, len(self.topology.numbers)]
             if numbers.size != sum(sizes):
                 raise ValueError(numbers.size)
         except (ValueError, KeyError) as error:
@@ -526,12 +587,14 @@ class Instance:
         self.initialized = self._known = False
         if head["initialized"]:
             state = self.state.copy()
+            self.topology.numbers[:] = parts[8]
+            self._pending = self.topology.pending
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
-            self.oracle.penalty = parts[4]
+            self.oracle.penalty, self._full = parts[4:6]
             self._scaled = head["scaled"]
             energy, freedom, masses, rank, brakes = map(float, parts[3])
             oracle = self.oracle
-            oracle.freedom, oracle.masses, oracle.scales = int(freedom), masses, parts[5]
+            oracle.freedom, oracle.masses, oracle.scales, oracle.units = int(freedom), masses, *parts[6:8]
             oracle.rank, oracle.brakes = int(rank), bool(brakes)
             self._begin(state[: self.layout.time], energy)
             self.state[:] = state

@@ -138,9 +138,13 @@ def run(
     variables = [*unit.outputs, *unit.input_variables]
     table = np.empty((len(times), len(variables)))
 
+    switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
+
     def apply(t: float) -> None:
         for name, signal in signals.items():
-            unit.set(name, signal(t))
+            value = signal(t)
+            # A table between 0 and 1 switches half-way.
+            unit.set(name, value >= 0.5 if name in switches and 0 <= value <= 1 else value)
 
     apply(0.0)
     unit.initialize()
@@ -233,5 +237,6 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
         for field in ("parameters", "starts", "start_rates", "inputs")
     }
     solver = {v.name for v in SOLVER_VARIABLES} | set(CHOICES)
+    changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]
     own = {name.removeprefix("solver."): probe.get(name) for name in values if name in solver}
     return replace(equations, **changed, solver={**equations.solver, **own})

@@ -12,6 +12,7 @@ from .equations import Equations
 from .errors import InputError
 from .evaluation import ARGUMENTS, evaluable, shared, symbols
 from .runtime import MONITORS
+from .topology import events
 
 __all__ = ["specialised"]
 
@@ -38,7 +39,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     """The same equations with those outputs and monitors alone that match a pattern."""
     e, patterns = equations, [patterns] if isinstance(patterns, str) else list(patterns)
     names = [o.name for o in e.outputs]
-    monitors = [m.name for m in MONITORS if m.name not in e.monitors]
+    monitors = [m.name for m in (*MONITORS, *events(e)) if m.name not in e.monitors]
     for pattern in patterns:
         if not any(_matches(name, [pattern]) for name in [*names, *monitors]):
             raise InputError(f"{e.name} has no output {pattern!r}; it has {', '.join([*names, *monitors])}")
@@ -69,8 +70,8 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
         raise InputError(f"{e.name} has no parameter {unknown[0]!r} to freeze; it has {', '.join(known) or 'none'}")
     left = [p for p in e.parameters if p.name not in names]
     x = symbols(replace(e, parameters=left))
-    own = iter(ca.vertsplit(x["p"])) if left else iter(())
-    p = ca.vertcat(*(ca.SX(p.start) if p.name in names else next(own) for p in e.parameters))
+    own = iter(ca.vertsplit(x["p"])) if x["p"].numel() else iter(())
+    p = ca.vertcat(*(ca.SX(p.start) if p.name in names else next(own) for p in e.parameters), *own)
     functions = {}
     for name, letters in ARGUMENTS.items():
         value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))

@@ -35,6 +35,8 @@ UNITS: dict[str, Unit] = {
         Unit("kg.m2", {"kg": 1, "m": 2}),
         Unit("N", {"kg": 1, "m": 1, "s": -2}, {"kN": 1e-3}),
         Unit("N.m", {"kg": 1, "m": 2, "s": -2}),
+        Unit("N.s", {"kg": 1, "m": 1, "s": -1}),
+        Unit("N.m.s", {"kg": 1, "m": 2, "s": -1}),
         Unit("N/m", {"kg": 1, "s": -2}),
         Unit("N.s/m", {"kg": 1, "s": -1}),
         Unit("N.m/rad", {"kg": 1, "m": 2, "s": -2, "rad": -1}),

@@ -26,7 +26,7 @@ def test_a_particle_leaves_its_circle_on_a_straight_line_and_is_caught_again():
     assert i.get("multiplier[1]") == 0.0
     assert i.get("monitor.position_error") == 0.0  # a constraint that is off has no error
     before = i.save()
-    with pytest.raises(alfmu.InputError, match=r"open by 0\.118 cannot be switched on"):
+    with pytest.raises(alfmu.InputError, match=r"open by 0\.118 at circle cannot be switched on"):
         i.penalty = on
     assert i.save() == before
     # A circle of the radius reached: the speed along the radius is lost, the speed along the circle kept.

@@ -101,9 +101,13 @@ def _variable(parent: ET.Element, reference: int, causality: str, v: Variable) -
 
 
 def _structure(root: ET.Element, causalities: Sequence[str], variables: Sequence[Variable]) -> None:
-    """Outputs with what they depend on: reactions and accelerations follow every input at once, the rest none."""
+    """Outputs with what they depend on: reactions and accelerations follow every input at once, the rest none.
+
+    A Boolean input takes effect in the next step.
+    """
     structure = ET.SubElement(root, "ModelStructure")
-    inputs = [str(i + 1) for i, causality in enumerate(causalities) if causality == "input"]
+    continuous = [v.type == "Real" for v in variables]
+    inputs = [str(i + 1) for i, causality in enumerate(causalities) if causality == "input" and continuous[i]]
     outputs, unknowns = ET.SubElement(structure, "Outputs"), ET.SubElement(structure, "InitialUnknowns")
     for i, (causality, v) in enumerate(zip(causalities, variables, strict=True)):
         if causality == "output":
@@ -124,11 +128,21 @@ def _display(unit_name: str) -> str | None:
 
 
 def _number(value: float, kind: str = "Real") -> str:
+    if kind == "Boolean":
+        return "true" if value else "false"
     return str(int(value)) if kind == "Integer" else f"{value:.17g}"
 
 
 def _start(causality: str, v: Variable) -> str:
-    return "" if causality == "output" else f"{v.start:g}" if v.type != "String" else html.escape(str(v.start))
+    if causality == "output":
+        return ""
+    return (
+        html.escape(str(v.start))
+        if v.type == "String"
+        else _number(v.start, v.type)
+        if v.type == "Boolean"
+        else f"{v.start:g}"
+    )
 
 
 _STYLE = """

@@ -44,15 +44,12 @@ class Fmu:
         self.name = self.description.modelName
         self._by_name = {v.name: v for v in self.description.modelVariables}
         self.outputs = [_variable(v) for v in self._of("output") if v.type in ("Real", "Integer")]
-        self.input_variables = [_variable(v) for v in self._of("input") if v.type == "Real"]
+        self.input_variables = [_variable(v) for v in self._of("input") if v.type in ("Real", "Boolean")]
         experiment = self.description.defaultExperiment
         self.stop_time = float(experiment.stopTime) if experiment and experiment.stopTime else 10.0
         self.step_size = float(experiment.stepSize) if experiment and experiment.stepSize else 0.02
-        self._inputs = [self._by_name[v.name].valueReference for v in self.input_variables]
-        self._real, self._integer = (
-            [(i, self._by_name[v.name].valueReference) for i, v in enumerate(self.outputs) if v.type == kind]
-            for kind in ("Real", "Integer")
-        )
+        self._inputs = self._readings(self.input_variables)
+        self._outputs = self._readings(self.outputs)
         self.parameters = {v.name: float(v.start) for v in self._of("parameter") if v.type == "Real" and v.start}
         """Defaults of the numbers that can be set before the run."""
         self._folder = extract(str(path))
@@ -88,7 +85,7 @@ class Fmu:
             settable = [v.name for v in self.description.modelVariables if v.causality in ("parameter", "input")]
             raise InputError(f"{self.name} has no input or parameter {name!r}; it has {', '.join(settable)}")
         try:
-            value = {"Real": float, "Integer": int, "Boolean": bool, "String": str}[variable.type](value)
+            value = {"Real": float, "Integer": int, "Boolean": _truth, "String": str}[variable.type](value)
         except (TypeError, ValueError):
             raise InputError(f"{self.name}: {name} is {value!r}; it must be a {variable.type} value") from None
         self._call(f"set{variable.type}", [variable.valueReference], [value])
@@ -103,14 +100,23 @@ class Fmu:
         self._call("doStep", time, communication_step)
 
     def read(self) -> NDArray:
-        y = np.empty(len(self.outputs))
-        for getter, pairs in (("getReal", self._real), ("getInteger", self._integer)):
-            if pairs:
-                y[[i for i, _ in pairs]] = self._call(getter, [reference for _, reference in pairs])
-        return y
+        return self._read(self._outputs, len(self.outputs))
 
     def read_inputs(self) -> NDArray:
-        return np.array(self._call("getReal", self._inputs) if self._inputs else [])
+        return self._read(self._inputs, len(self.input_variables))
+
+    def _read(self, readings: dict[str, list[tuple[int, int]]], size: int) -> NDArray:
+        y = np.empty(size)
+        for kind, pairs in readings.items():
+            y[[i for i, _ in pairs]] = self._call(f"get{kind}", [reference for _, reference in pairs])
+        return y
+
+    def _readings(self, variables: list[Variable]) -> dict[str, list[tuple[int, int]]]:
+        """By type, the places of variables among them and their value references."""
+        found: dict[str, list[tuple[int, int]]] = {}
+        for i, v in enumerate(variables):
+            found.setdefault(v.type, []).append((i, self._by_name[v.name].valueReference))
+        return found
 
     def reset(self) -> None:
         """Back to the state after instantiation."""
@@ -194,6 +200,13 @@ def _run(fmu: Fmu, step: float, steps: int, begin: int = 0) -> list[NDArray]:
 
 def _same(a: list[NDArray], b: list[NDArray]) -> bool:
     return len(a) == len(b) and all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
+
+
+def _truth(value: float | str) -> bool:
+    known = {"true": True, "1": True, "1.0": True, "false": False, "0": False, "0.0": False}
+    if (text := str(value).lower()) not in known:
+        raise ValueError(value)
+    return known[text]
 
 
 def _variable(v: ModelVariable) -> Variable:

@@ -44,6 +44,8 @@ RUN_SIDE = (
     "oracle.py",
     "assembly.py",
     "branch.py",
+    "scaling.py",
+    "topology.py",
     "kernel/program.py",
     "kernel/vm.py",
     "kernel/compiled.py",

@@ -38,7 +38,7 @@ def interface(instance: Instance) -> list[tuple[str, Variable]]:
     return [
         *(("parameter", v) for v in instance.parameters),
         *(("parameter", v) for v in choices(instance.choices)),
-        *(("input", v) for v in instance.equations.inputs),
+        *(("input", v) for v in instance.input_variables),
         *(("output", v) for v in instance.outputs),
     ]
 
@@ -169,7 +169,7 @@ class Slave(Fmi2Slave):
         if vrs and min(vrs) >= first_output:  # What is asked for in every step.
             y = self._read().tolist()
             return [y[i - first_output] for i in vrs]
-        inputs, values = self.instance.inputs.tolist(), self.instance.values.tolist()
+        inputs, values = self.instance.read_inputs().tolist(), self.instance.values.tolist()
         y = self._read().tolist() if vrs and max(vrs) >= first_output else []
         known = [*values, *self.instance.choices.values(), *inputs, *y]
         return [known[i] for i in vrs]
@@ -177,6 +177,10 @@ class Slave(Fmi2Slave):
     @_called_from_fmi
     def get_integer(self, vrs: list[int]) -> list[int]:
         return [int(value) for value in self.get_real(vrs)]
+
+    @_called_from_fmi
+    def get_boolean(self, vrs: list[int]) -> list[bool]:
+        return [value != 0.0 for value in self.get_real(vrs)]
 
     @_called_from_fmi
     def get_string(self, vrs: list[int]) -> list[str]:
@@ -187,7 +191,7 @@ class Slave(Fmi2Slave):
         for vr, value in zip(vrs, values, strict=True):
             self._set(vr, value)
 
-    set_integer = set_string = set_real
+    set_integer = set_boolean = set_string = set_real
 
     def _set(self, vr: int, value: float | str) -> None:
         name = self._names[vr]

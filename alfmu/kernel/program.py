@@ -85,8 +85,8 @@ class Layout:
               step on the branch those in which a limit was taken)
     after     the state after a step under way
     begin     the state before a communication step under way
-    u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, and alpha over the scale of
-              the pivot of each coordinate
+    u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, one over the unit of each
+              constraint, and alpha over the scale of the pivot of each coordinate
     dt        internal step [s]
     control   largest internal step [s], first tier (0 quick, 1 careful)
     tally     internal steps made by each tier, limits taken
@@ -106,8 +106,8 @@ class Layout:
             "after": size,
             "begin": size,
             "u": len(e.inputs),
-            "p": len(e.parameters),
-            "k": SETTINGS + e.l + e.n,
+            "p": len(e.parameters) + len(e.held),
+            "k": SETTINGS + 2 * e.l + e.n,
             "dt": 1,
             "control": 2,
             "tally": len(TIERS) + 1,

@@ -68,12 +68,12 @@ def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2)
     at a regular position.
     """
     e = untraced(equations)
-    redundant = mobility is None or mobility.redundant > 0
+    redundant = mobility is None or mobility.redundant > 0 or bool(e.switches)
     careful = Plan(CAREFUL, 3, weighted=True) if e.l else Plan(1, 0)
     quick = careful
     if mobility and e.l and iterations < CAREFUL:
         # A large scene shares the functions of the careful step, which are long to trace and to compile.
-        quick = Plan(iterations, 1, quick=True, weighted=e.n > DENSE)
+        quick = Plan(iterations, 1, quick=True, weighted=e.n > DENSE or bool(e.switches))
     tracer = _Tracer(e)
     kernel = {"quick": tracer.step(quick), "careful": tracer.step(careful)}
     if e.l:
@@ -352,12 +352,12 @@ class _Calls:
 class _Watch:
     """What an evaluation says of itself."""
 
-    FIELDS = ("change", "size", "pivot", "margin")
-    """Last change of a, and a itself (both squared); smallest pivot of H; margin to a singular position, of which the
-    quick step knows only whether it may be below `alfmu.branch.GUARD` (0) or not (1)."""
+    FIELDS = ("change", "size", "pivot", "near", "margin")
+    """Last change of a, and a itself (both squared); smallest pivot of H; whether the margin to a singular position may
+    be below `alfmu.branch.GUARD`, and that margin, of which the quick step knows nothing (1)."""
 
     def __init__(self, vector: ca.SX):
-        self.change, self.size, self.pivot, self.margin = ca.vertsplit(vector)
+        self.change, self.size, self.pivot, self.near, self.margin = ca.vertsplit(vector)
 
 
 class _Scene:
@@ -369,9 +369,12 @@ class _Scene:
         self.freedom, self.masses, self.nothing, self.least_distance, self.continues = singular
         # Equation (4) divided by alpha, so that no product with it is left: M / alpha, F / alpha, lam / alpha.
         self.scale = 1 / alpha
-        own = k[SETTINGS : SETTINGS + equations.l] if weighted else ca.SX.ones(equations.l)
+        rows, pivots = SETTINGS + equations.l, SETTINGS + 2 * equations.l
+        own = k[SETTINGS:rows] if weighted else ca.SX.ones(equations.l)
+        # One penalty for all rows is one unit for all.
+        self.inverse_units = k[rows:pivots] if weighted else k[rows]
         self.weights = ca.diag(own)
-        self.inverse_scales = k[SETTINGS + equations.l :]
+        self.inverse_scales = k[pivots:]
         self.held = own > 0 if weighted else own
 
     @cached_property
@@ -401,7 +404,7 @@ class _Scene:
         H = method.augmented_mass(M, C, self.weights)
         D, L, order = ca.ldl(H, True)
         a, lam = self.iterated(terms, (D, L, order), ca.SX(e.n, 1), ca.SX(e.l, 1), 1)
-        watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), self.margin(D, order))
+        watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), *self.margin(D, order))
         values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
         return {
             **{name: ca.vec(value.nz[:]) for name, value in values.items()},
@@ -414,14 +417,15 @@ class _Scene:
         before = a
         a, lam = self.iterated((M, C, F, xi), (D, L, self._order), a, lam, 1)
         seen = _Watch(watch)
-        watch = ca.vertcat(ca.sumsqr(a - before), ca.sumsqr(a), seen.pivot, seen.margin)
+        watch = ca.vertcat(ca.sumsqr(a - before), ca.sumsqr(a), seen.pivot, seen.near, seen.margin)
         return {"a": a, "lam": lam, "watch": watch}
 
-    def margin(self, pivots: ca.SX, order: list[int]) -> ca.SX:
-        """See `alfmu.branch.GUARD`."""
+    def margin(self, pivots: ca.SX, order: list[int]) -> tuple[ca.SX, ca.SX]:
+        """Whether the margin may be below `alfmu.branch.GUARD`, counted as NaN fails it; and the margin."""
         ratios = pivots * self.inverse_scales[order]
+        near = 1 - (ca.sum1(1 - (ratios >= branch.GUARD)) <= self.freedom)
         if self.kind == "plain":  # The quick step asks no more than whether it may go on.
-            return ca.sum1(ratios < branch.GUARD) <= self.freedom
+            return near, ca.SX(1)
         small = ratios < branch.SMALL
         more = ca.sum1(small) - self.freedom
         if self.e.n <= DENSE:  # else the product could leave the range of numbers
@@ -431,7 +435,7 @@ class _Scene:
             logarithm = ca.log(product)
         else:
             logarithm = ca.sum1(ca.if_else(small, ca.log(ratios), 0))
-        return ca.if_else(more > 0, ca.exp((logarithm - self.masses) / more), 1)
+        return near, ca.if_else(more > 0, ca.exp((logarithm - self.masses) / more), 1)
 
     def probed(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
         """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from."""
@@ -449,7 +453,7 @@ class _Scene:
             C = self.e.C(place, self.p)
             H = method.augmented_mass(self.scale * self.e.M(place, self.p), C, self.weights)
             D, _, order = ca.ldl(H, True)
-            margins.append(self.margin(D, order))
+            margins.append(self.margin(D, order)[1])
         squared, here = branch.curvature(*margins), margins[1]
         told = ca.logic_or(here > self.nothing, squared > self.nothing)
         return here, ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
@@ -463,7 +467,7 @@ class _Scene:
         a = branch.mean(dict(zip(branch.MEAN, accelerations, strict=True)))
         seen = [_Watch(x) for x in watches]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
-        watch = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, seen[0].margin)
+        watch = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, seen[0].near, seen[0].margin)
         return {"a": a, "watch": watch}
 
     def returned(self, q: ca.SX, wanted: ca.SX) -> ca.SX:
@@ -544,7 +548,7 @@ class _Scene:
         )
         seen = [_Watch(x) for x in watches.values()]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
-        said = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, _Watch(watch).margin)
+        said = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, 0, _Watch(watch).margin)
         return {
             "a": branch.mean(a),
             "lam": ca.if_else(chosen, through, branch.mean(lam)),
@@ -583,7 +587,7 @@ class _Scene:
         if plan.branch:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
         elif e.l:
-            near = sum(1 - (x.margin > branch.GUARD) for x in evaluations)
+            near = sum(x.near for x in evaluations)
             trouble += near if plan.quick else near * self.continues
             near *= self.continues
         if e.l:
@@ -620,7 +624,9 @@ class _Scene:
         return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else ca.SX(0)
 
     def _residues(self, q: ca.SX, Cv: ca.SX) -> ca.SX:
-        return ca.vertcat(*(ca.sumsqr(x * self.held) for x in (self.e.Phi(q, self.p), Cv)))
+        """Sums of squares of Phi and Phi-dot, in units of the rows."""
+        squares = (ca.sumsqr(x * self.held * self.inverse_units) for x in (self.e.Phi(q, self.p), Cv))
+        return ca.vertcat(*squares)
 
     def _augmented(self, q: ca.SX) -> tuple[ca.SX, ca.SX, method.Solve]:
         """C, the pivots of H (times `scale`), and what solves with it."""
