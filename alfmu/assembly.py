@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -138,6 +139,23 @@ class Assembly:
 
         Only constraints that are held (l,) count.
         """
+        ranks = [_rank(C) for C, _ in self._around(p, q, held)]
+        return Mobility(self.e.n - max(ranks), int(held.sum()) - max(ranks), self.e.n - ranks[0])
+
+    def redundancy(self, p: NDArray, q: NDArray, held: NDArray) -> NDArray:
+        """Multipliers (l, k) that move nothing at a regular position near q (n,): what redundant constraints share.
+
+        A row's multiplier is unique where all of these are zero in it.
+        """
+        C, units = max(self._around(p, q, held), key=lambda place: _rank(place[0]))
+        C = C if isinstance(C, np.ndarray) else C.toarray()
+        rows, _, _ = np.linalg.svd(C[held])
+        shares = np.zeros((self.e.l, int(held.sum()) - _rank(C)))
+        shares[held] = rows[:, _rank(C) :]
+        return shares / units[:, None]
+
+    def _around(self, p: NDArray, q: NDArray, held: NDArray) -> Iterator[tuple[Matrix, NDArray]]:
+        """C at q and at assembled places near, its rows in the units that are given with it (l,)."""
         e = self.e
         random = np.random.default_rng(0)
         C = self._at(q, p, held)[0]
@@ -148,7 +166,7 @@ class Assembly:
             largest = [np.abs(self._at(place, p, held)[0]).max(axis=1, initial=0.0) for place in (q, *(q + places))]
             units = np.max(largest, axis=0)
             units[units == 0] = 1.0
-        ranks = [_rank(self._at(q, p, held / units)[0])]
+        yield self._at(q, p, held / units)[0], units
         for aside in places:
             if sparse:  # Along the motion: in a long chain any other way leads far from an assembly.
                 aside = aside - _least_norm(C, C @ aside, 1e-8)
@@ -161,8 +179,7 @@ class Assembly:
                 near = near - _least_norm(J, Phi, 1e-8)
             J, Phi = self._at(near, p, held / units)
             if np.abs(Phi).max(initial=0.0) < 1e-9:
-                ranks.append(_rank(J))
-        return Mobility(e.n - max(ranks), int(held.sum()) - max(ranks), e.n - ranks[0])
+                yield J, units
 
     def _at(self, q: NDArray, p: NDArray, weights: NDArray) -> tuple[Matrix, NDArray]:
         """C and Phi, each row times its weight (l,), which is zero where a constraint is not held."""

@@ -230,6 +230,9 @@ def _info(chosen: argparse.Namespace) -> None:
     print(f"constraints ({equations.l}): {', '.join(text for (text,) in rows) or 'none'}")
     print(f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}", end="")
     print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
+    if shared := instance.shared():
+        each = _merged((name,) for name in shared)
+        print(f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}")
     for title, variables in (
         ("parameters and start values", [v for causality, v in interface(instance) if causality == "parameter"]),
         ("inputs", instance.input_variables),

@@ -118,6 +118,8 @@ class Equations:
     """Order of the coordinates in which the augmented mass fills in least when it is factorised."""
     freedom: int | None = None
     """Degrees of freedom at regular positions; None where they are not known before a run."""
+    shared: list[str] | None = None
+    """Outputs that are not unique, as redundant constraints share a load; None where that is not known yet."""
     switches: list[Switch] = field(default_factory=list)
     """Boolean inputs that change the topology."""
     held: list[str] = field(default_factory=list)

@@ -19,11 +19,14 @@ from .branch import BRANCHES, MEAN, SPACING
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
-from .kernel.program import TIERS, Backend, Layout, Machine, called
+from .kernel.program import TIERS, TURN, Backend, Layout, Machine, called
 from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
 from .topology import Topology, events
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
+
+TORN = 0.3
+"""Gap that a step may leave before it is closed, over the largest displacement in it."""
 
 SOLVER_VARIABLES = (
     Variable("solver.step_size", "s", Settings.step_size, 1e-9, None, "largest internal step"),
@@ -133,6 +136,7 @@ class Instance:
         self.inputs[:] = [v.start for v in e.inputs]
         self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
         self._seen = self.memory["seen"]
+        self._turns = np.array([c.unit == "rad" for c in e.coordinates])
         self._events = bool(events(e))
         self.machine: Machine | None = backend.machine(self.memory) if e.kernel else None
         instant = e.kernel.get("instant", {"calls": []})
@@ -395,6 +399,7 @@ class Instance:
         if not np.isfinite(y).all():
             raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
         if oracle.settings.projects:
+            self._check_length(q - begin[:size], q, t)
             q, v, position, velocity = oracle.project(q, v, t)
         else:
             position, velocity = oracle.residues(q, v)
@@ -406,6 +411,22 @@ class Instance:
             zeros = np.zeros(size), np.zeros(e.l)
             angles = self._unwrap(oracle.outputs(q, v, *zeros, u, t), angles)
         self.state[: self.layout.time + 1] = [*q, *v, *angles, y[-1], t]
+
+    def _check_length(self, moved: NDArray, q: NDArray, t: float) -> None:
+        """StepError where a step to q that moved the coordinates so far (n,) is too long to mean anything."""
+        e, say = self.equations, f"{self.equations.name}, t = {t:.6g} s"
+        turned = np.where(self._turns, np.abs(moved), 0.0)
+        if turned.max(initial=0.0) > TURN:
+            name = e.coordinates[int(np.argmax(turned))].name
+            raise StepError(
+                f"{say}: {name} turned by {turned.max():.3g} rad in one step, more than half a turn; "
+                "reduce solver.step_size"
+            )
+        gap, row = self.oracle.widest(q)
+        if gap > TORN * np.abs(moved).max(initial=0.0) and gap > GROSS:
+            raise StepError(
+                f"{say}: a step of {np.abs(moved).max():.3g} opened {row} by {gap:.3g}; reduce solver.step_size"
+            )
 
     def read(self) -> NDArray:
         """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
@@ -466,6 +487,19 @@ class Instance:
     def mobility(self) -> Mobility:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
         return self._mobility(self.q)
+
+    def shared(self) -> list[str]:
+        """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
+        e, oracle, zeros = self.equations, self.oracle, np.zeros(self.equations.n)
+
+        def read(lam: NDArray) -> NDArray:
+            return oracle.outputs(self.q, zeros, zeros, lam, self.inputs, self.time)
+
+        nothing = read(np.zeros(e.l))
+        found = np.zeros(len(nothing))
+        for lam in self._assembly.redundancy(oracle.p, self.q, oracle.active).T:
+            found = np.maximum(found, np.abs(read(lam) - nothing))
+        return [v.name for v, size in zip(e.outputs, found, strict=True) if size > 1e-7]
 
     def _mobility(self, q: NDArray) -> Mobility:
         return self._assembly.mobility(self.oracle.p, q, self.oracle.active)

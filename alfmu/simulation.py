@@ -204,20 +204,41 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
+    probe = None
+    if not equations.kernel or equations.shared is None:
+        probe = _started(equations)
+        equations = _surveyed(equations, probe)
     if kernel == "oracle":
         return replace(untraced(equations), library=None)
-    e = equations if equations.kernel else _traced(equations)
+    e = equations if equations.kernel else _traced(equations, probe)
     if kernel == "compiled" or (kernel == "auto" and compiler()):
         return e if e.library else compiled(e)
     return replace(e, library=None)
 
 
-def _traced(equations: Equations) -> Equations:
+def _started(equations: Equations) -> Instance | None:
+    """An instance at the start, None where the defaults have none, so that nothing is known of its freedoms."""
     probe = Instance(equations)
     try:
         probe.initialize()
     except AlfmuError:
-        return traced(equations, None)  # the defaults have no start, so nothing is known of its freedoms
+        return None
+    return probe
+
+
+def _surveyed(equations: Equations, probe: Instance | None) -> Equations:
+    """The same equations with what redundant constraints share said of each output that it concerns."""
+    if equations.shared is not None or probe is None:
+        return equations
+    shared = probe.shared()
+    note = "; not unique: of all that redundant constraints allow, that of least norm"
+    outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
+    return replace(equations, outputs=outputs, shared=shared)
+
+
+def _traced(equations: Equations, probe: Instance | None) -> Equations:
+    if probe is None:
+        return traced(equations, None)
     mobility = probe.mobility()
     if mobility.freedom_here > mobility.freedom:
         return traced(equations, mobility)  # a singular start says nothing of other positions

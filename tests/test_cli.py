@@ -223,3 +223,12 @@ def test_a_long_run_shows_its_progress_on_a_terminal(tmp_path):
     assert run.returncode == 0
     assert "simulating" in shown
     assert "%" in shown
+
+
+def test_info_says_which_reactions_are_unique(capsys):
+    assert main(["info", "five_bar"]) == 0
+    line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("not unique"))
+    names = line.split(": ")[1].split(", ")
+    assert names == [f"{joint}.force.x" for joint in "ABCDEF"] + [f"multiplier[{i}]" for i in (1, 3, 5, 7)]
+    assert main(["info", "four_bar"]) == 0
+    assert "not unique" not in capsys.readouterr().out

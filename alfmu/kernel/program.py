@@ -22,6 +22,7 @@ __all__ = [
     "SETTINGS",
     "SUFFIX",
     "TIERS",
+    "TURN",
     "Backend",
     "Call",
     "Layout",
@@ -58,6 +59,9 @@ PLATFORM = f"{sys.platform}-{platform.machine().lower()}"
 
 LIBRARY = f"kernel-{PLATFORM}{SUFFIX}"
 """Name of the compiled functions in an FMU."""
+
+TURN = np.pi
+"""Most that a coordinate in radians may turn in an internal step [rad]; beyond it no method sees what lies between."""
 
 SETTINGS = 7
 """Numbers before the weights of the constraints in k: alpha, tolerance; degrees of freedom, logarithm of the product of

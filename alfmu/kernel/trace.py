@@ -26,7 +26,7 @@ from ..assembly import Mobility
 from ..equations import Equations
 from ..evaluation import DENSE, EVALUATED, shared, symbols, with_functions
 from ..integrators import rk4
-from .program import CHOICE, SETTINGS, TIERS, Layout, Program, called
+from .program import CHOICE, SETTINGS, TIERS, TURN, Layout, Program, called
 
 __all__ = ["Plan", "parts", "traced", "untraced"]
 
@@ -595,6 +595,8 @@ class _Scene:
                 trouble += 1 - (residue <= ca.fmax(self.tolerance**2, _ROUND_OFF**2 * ca.sumsqr(x)))
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
+        turned = (q - z[: e.n])[[i for i, c in enumerate(e.coordinates) if c.unit == "rad"]]
+        trouble += 1 - (ca.sumsqr(turned) <= TURN**2)
         change = sum(x.change for x in evaluations) / (evaluations[0].size + _TINY)
         angles = self.unwrapped(q, z[2 * e.n : layout.work])
         return ca.vertcat(q, v, angles, work, z[layout.time] + dt, z[layout.trouble] + trouble, change, pivot, near)
