@@ -131,6 +131,11 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
         help="make parameters of the mechanism constants at their values, as m1,m2 or all: smaller and faster",
     )
     sub.add_argument(
+        "--compliances",
+        action="store_true",
+        help="add a compliance of each constraint as a parameter: redundant constraints share a load accordingly",
+    )
+    sub.add_argument(
         "--lock",
         metavar="JOINTS",
         type=_names,
@@ -155,6 +160,8 @@ def _declared(chosen: argparse.Namespace, name: str) -> Any:
         mechanism.lock(joint)
     for joint in chosen.release:
         mechanism.release(joint)
+    if chosen.compliances:
+        mechanism.compliances()
     return mechanism
 
 
@@ -320,7 +327,17 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     if chosen.unit.endswith(".fmu"):
         from .fmi.drive import Fmu
 
-        if any((chosen.option, chosen.kernel, chosen.outputs, chosen.freeze, chosen.lock, chosen.release)):
+        if any(
+            (
+                chosen.option,
+                chosen.kernel,
+                chosen.outputs,
+                chosen.freeze,
+                chosen.lock,
+                chosen.release,
+                chosen.compliances,
+            )
+        ):
             raise InputError(
                 f"{chosen.unit}: options, outputs, frozen parameters, locks and the kernel of an FMU are fixed when it "
                 "is exported; give them to `alfmu export`"

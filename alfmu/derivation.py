@@ -428,6 +428,7 @@ def derive(mechanism: Mechanism) -> Equations:
         inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
         outputs=outputs,
         rows=rows,
+        compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
         held=[lock.name for lock in locks],
         wrapped=wrapped,
@@ -539,6 +540,19 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
             closures.append((closure, direction))
             signs.append(sign)
     return rows, closures, stack(signs)
+
+
+def _compliances(rows: list[Row]) -> list[Variable]:
+    units = {"m": "m/N", "rad": "rad/(N.m)"}
+    return [
+        Variable(
+            f"{row.name}.compliance.{row.direction}".removesuffix("."),
+            units.get(row.unit, "1"),
+            minimum=0.0,
+            description=f"compliance of {row.name} {row.direction}".strip() + ", for shares of redundant constraints",
+        )
+        for row in rows
+    ]
 
 
 def _locking(locks: list[Lock], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:

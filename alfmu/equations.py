@@ -120,6 +120,8 @@ class Equations:
     """Degrees of freedom at regular positions; None where they are not known before a run."""
     shared: list[str] | None = None
     """Outputs that are not unique, as redundant constraints share a load; None where that is not known yet."""
+    compliances: list[Variable] = field(default_factory=list)
+    """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
     switches: list[Switch] = field(default_factory=list)
     """Boolean inputs that change the topology."""
     held: list[str] = field(default_factory=list)
@@ -160,7 +162,7 @@ class Equations:
         data = json.loads(text)
         if (found := data.pop("format", None)) != FORMAT:
             raise ValueError(f"scene file of format {found}, this alfmu reads {FORMAT}; export it again")
-        for key in ("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs"):
+        for key in ("coordinates", "parameters", "starts", "start_rates", "compliances", "inputs", "outputs"):
             data[key] = [Variable(**v) for v in data[key]]
         data["rows"] = [Row(**r) for r in data["rows"]]
         data["switches"] = [Switch(**s) for s in data["switches"]]

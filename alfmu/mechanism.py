@@ -269,6 +269,7 @@ class Mechanism:
     gravity_vector: tuple[Scalar, Scalar] = field(default=(0.0, 0.0), init=False)
     documentation: str = field(default="", init=False)
     options: dict[str, Any] = field(default_factory=dict, init=False)
+    compliant: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z_]\w*", self.name):
@@ -519,6 +520,14 @@ class Mechanism:
         """A holonomic constraint Phi(q) = 0 in m or rad, after the joints declared so far."""
         self._claim(name, unit, "a constraint")
         self.closures.append(Constraint(name, ca.SX(expression), unit))
+
+    def compliances(self) -> None:
+        """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.
+
+        Where they are given, redundant constraints share a load as joints of that compliance do; otherwise their
+        multipliers are of least norm. The motion is that of rigid joints either way.
+        """
+        self.compliant = True
 
     # Changing topology ------------------------------------------------------------------------------------------
 

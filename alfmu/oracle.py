@@ -144,6 +144,7 @@ class Oracle:
         self.sparse = not isinstance(self._dynamics.y[0], np.ndarray)
         self.counters = Counters()
         self.units = np.ones(equations.l)
+        self.compliances = np.zeros(equations.l)
         self.freedom, self.masses, self.scales = equations.n, 0.0, np.ones(equations.n)
         self.rank, self.brakes = 0, False
 
@@ -417,15 +418,26 @@ class Oracle:
         return iterate(M, F, C, xi, self.alpha, solve, *zeros, self.settings.max_iterations, done)
 
     def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray, t: float) -> NDArray:
-        """Multipliers of least norm that act like lam (l,)."""
+        """Multipliers that act like lam (l,): of least norm, or as constraints of the given compliances share them."""
         M, C, _, _ = self._constraints(q, v, self.p)
-        solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
+        alpha = self.alpha
+        if self.compliances.any():
+            stiffness = self.stiffnesses * self._penalty.max()
+            alpha = _sparse_diagonal(stiffness) if self.sparse else np.diag(stiffness)
+        solve = self._factor(method.augmented_mass(M, C, alpha), t)
         limit = np.finfo(float).eps
 
         def done(change: NDArray, value: NDArray) -> bool:
             return np.abs(change).max(initial=0.0) <= limit * np.abs(value).max(initial=0.0)
 
-        return method.minimum_norm(C, self.alpha, solve, lam, CORRECTIONS, done)
+        return method.minimum_norm(C, alpha, solve, lam, CORRECTIONS, done)
+
+    @property
+    def stiffnesses(self) -> NDArray:
+        """Stiffness of each constraint (l,) over the largest, zero where it is off; penalties where none is known."""
+        if self.compliances.any():
+            return self.active * self.compliances.min() / self.compliances
+        return self._penalty / self._penalty.max(initial=1e-300)
 
     def project(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray, float, float]:
         """q and v brought back to the constraints with (10), and the largest |Phi| and |Phi-dot| left.

@@ -119,7 +119,7 @@ class Instance:
         self.input_variables = [*e.inputs, *self.topology.inputs]
         self._given = settings or Settings(**{"step_size": e.step_size, **e.solver})
         solver = [replace(v, start=self._solver_default(v.name)) for v in SOLVER_VARIABLES]
-        self.parameters = [*e.parameters, *e.starts, *e.start_rates, *solver]
+        self.parameters = [*e.parameters, *e.starts, *e.start_rates, *e.compliances, *solver]
         self.outputs = [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors), *events(e)]
         self.values = np.array([v.start for v in self.parameters])
         self.choices = {name: getattr(self._given, _field(name)) for name in CHOICES}
@@ -250,6 +250,7 @@ class Instance:
         self._assembly.check_masses(q, p, held)
         oracle = self.oracle
         oracle.prepare(settings, p, q)
+        self._comply()
         # Whether the penalty is the one for which the quick step of the kernel is known to be enough.
         weighted = e.kernel.get("quick", {}).get("weighted", False)
         self._scaled = alpha.ndim == 0 and alpha == 0 and (weighted or len(set(oracle.penalty)) <= 1)
@@ -300,15 +301,28 @@ class Instance:
             memory["dt"][:] = settings.step_size
             watched = oracle.freedom, oracle.masses, oracle.nothing, oracle.least_distance, self._continues
             first = largest if len(alpha) else 1.0, settings.tolerance, *watched
-            memory["k"][:] = [*first, *(alpha / largest), *(1 / oracle.units), *(largest / oracle.scales)]
+            shares = oracle.stiffnesses if self.equations.compliances else ()
+            memory["k"][:] = [*first, *(alpha / largest), *(1 / oracle.units), *(largest / oracle.scales), *shares]
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
 
     def _start_values(self) -> list[NDArray]:
         """Parameters with what locks keep, start values and start rates."""
         e = self.equations
-        p, s, sdot, _ = np.split(self.values, np.cumsum([len(e.parameters), len(e.starts), len(e.start_rates)]))
+        p, s, sdot, *_ = np.split(self.values, np.cumsum([len(e.parameters), len(e.starts), len(e.start_rates)]))
         return [np.concatenate([p, self.topology.kept]), s, sdot]
+
+    def _comply(self) -> None:
+        """Hand compliances on; all constraints have one, or none."""
+        e = self.equations
+        given = np.array([self.values[self._parameter[v.name]] for v in e.compliances])
+        if given.any():
+            if not given.all():
+                name = e.compliances[int(np.argmin(given))].name
+                raise InputError(
+                    f"{e.name}: {name} is 0 and others are not; give each constraint a compliance, or none"
+                )
+            self.oracle.compliances = given
 
     def _settings(self) -> Settings:
         """Settings from the values of the solver variables, and from what has no variable."""
@@ -624,6 +638,7 @@ class Instance:
             self.topology.numbers[:] = parts[8]
             self._pending = self.topology.pending
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
+            self._comply()
             self.oracle.penalty, self._full = parts[4:6]
             self._scaled = head["scaled"]
             energy, freedom, masses, rank, brakes = map(float, parts[3])

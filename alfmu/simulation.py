@@ -255,7 +255,7 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
         probe.set(name, value)
     changed = {
         field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
-        for field in ("parameters", "starts", "start_rates", "inputs")
+        for field in ("parameters", "starts", "start_rates", "compliances", "inputs")
     }
     solver = {v.name for v in SOLVER_VARIABLES} | set(CHOICES)
     changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]

@@ -38,6 +38,8 @@ UNITS: dict[str, Unit] = {
         Unit("N.s", {"kg": 1, "m": 1, "s": -1}),
         Unit("N.m.s", {"kg": 1, "m": 2, "s": -1}),
         Unit("N/m", {"kg": 1, "s": -2}),
+        Unit("m/N", {"kg": -1, "s": 2}),
+        Unit("rad/(N.m)", {"kg": -1, "m": -2, "s": 2, "rad": 1}),
         Unit("N.s/m", {"kg": 1, "s": -1}),
         Unit("N.m/rad", {"kg": 1, "m": 2, "s": -2, "rad": -1}),
         Unit("N.m.s/rad", {"kg": 1, "m": 2, "s": -1, "rad": -1}),

@@ -90,7 +90,8 @@ class Layout:
     after     the state after a step under way
     begin     the state before a communication step under way
     u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, one over the unit of each
-              constraint, and alpha over the scale of the pivot of each coordinate
+              constraint, alpha over the scale of the pivot of each coordinate, and where constraints may have a
+              compliance the least one over that of each
     dt        internal step [s]
     control   largest internal step [s], first tier (0 quick, 1 careful)
     tally     internal steps made by each tier, limits taken
@@ -111,7 +112,7 @@ class Layout:
             "begin": size,
             "u": len(e.inputs),
             "p": len(e.parameters) + len(e.held),
-            "k": SETTINGS + 2 * e.l + e.n,
+            "k": SETTINGS + 2 * e.l + e.n + len(e.compliances),
             "dt": 1,
             "control": 2,
             "tally": len(TIERS) + 1,

@@ -33,6 +33,12 @@ __all__ = ["Plan", "parts", "traced", "untraced"]
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
 
+SHARES = 6
+"""Passes that share a load among constraints of different compliances; each gains alpha over masses and their ratio."""
+
+_SHARED = 1e-12
+"""Last change of these shares, over what they are."""
+
 MONITORED = tuple(
     f"monitor.{name}" for name in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")
 )
@@ -227,9 +233,13 @@ class _Tracer:
 
     def _least(self, calls: _Calls, scene: _Scene, name: str) -> None:
         """Multipliers of least norm in place of those found last."""
-        matrices = self._matrices(scene)
+        matrices, lam = self._matrices(scene), ca.SX.sym("lam", self.e.l)
+        if self.e.compliances:
+            some = {each: matrices[each] for each in ("M", "C")}
+            known = {"k": self._known["k"], **some, name: lam}
+            calls("distribute", known, lambda: {"lam": scene.distributed(some, lam)}, [name])
+            return
         some = {each: matrices[each] for each in ("C", "D", "L")}
-        lam = ca.SX.sym("lam", self.e.l)
         known = {"k": self._known["k"], **some, name: lam}
         calls("least", known, lambda: {"lam": scene.least(some, lam)}, [name])
 
@@ -374,7 +384,7 @@ class _Scene:
         # One penalty for all rows is one unit for all.
         self.inverse_units = k[rows:pivots] if weighted else k[rows]
         self.weights = ca.diag(own)
-        self.inverse_scales = k[pivots:]
+        self.inverse_scales, self.stiffnesses = k[pivots : pivots + equations.n], k[pivots + equations.n :]
         self.held = own > 0 if weighted else own
 
     @cached_property
@@ -485,6 +495,19 @@ class _Scene:
         """lam of least norm."""
         C, D, L = (self.matrix(name, nonzeros) for name in ("C", "D", "L"))
         return method.minimum_norm(C, self.weights, _solver(D, L, self._order), lam, 2, lambda change, value: False)
+
+    def distributed(self, nonzeros: dict[str, ca.SX], lam: ca.SX) -> ca.SX:
+        """lam as constraints of the given compliances share it; not finite where the passes were too few."""
+        M, C = (self.matrix(name, nonzeros) for name in ("M", "C"))
+        stiffness, last = ca.diag(self.stiffnesses), []
+
+        def done(change: ca.SX, value: ca.SX) -> bool:
+            last[:] = [ca.sumsqr(stiffness @ change), ca.sumsqr(stiffness @ value)]
+            return False
+
+        solve = _solver(*ca.ldl(method.augmented_mass(M, C, stiffness), True))
+        lam = method.minimum_norm(C, stiffness, solve, lam, SHARES, done)
+        return ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
 
     def seen(
         self,

@@ -1,0 +1,92 @@
+"""Redundant constraints of given compliances: the shares of elastic joints, and the motion of rigid ones."""
+
+import numpy as np
+import pytest
+from oracles import stiff_joints
+
+import alfmu
+from alfmu.fmi.drive import Fmu
+from alfmu.simulation import prepared, run
+
+
+def with_compliances(name: str) -> alfmu.Equations:
+    m = alfmu.load(name)
+    m.compliances()
+    return alfmu.derive(m)
+
+
+def multipliers(i: alfmu.Instance) -> np.ndarray:
+    return np.array([i.get(f"multiplier[{k + 1}]") for k in range(i.equations.l)])
+
+
+def test_bennetts_linkage_shares_its_reactions_as_stiff_joints_do():
+    """Six constraints of compliances over two decades, three of them redundant; the stiffer, the nearer."""
+    e = with_compliances("bennett")
+    compliance = 10 ** np.random.default_rng(2).uniform(-1, 1, 6)
+    i = alfmu.Instance(prepared(e, "oracle"))
+    for variable, x in zip(e.compliances, compliance, strict=True):
+        i.set(variable.name, x * 1e-9)
+    i.set("solver.step_size", 1e-3)
+    i.initialize()
+    p, q, v = i.oracle.p, i.q.copy(), i.v.copy()
+    i.step(0.03)
+    shares = multipliers(i)
+    errors = [
+        np.abs(stiff_joints.forces(e, p, q, v, stiffness / compliance, 0.03) - shares).max() for stiffness in (1e6, 1e7)
+    ]
+    assert errors[1] < 1e-4 * np.abs(shares).max()
+    assert errors[0] / errors[1] > 5
+    plain = alfmu.Instance(prepared(e, "oracle"))
+    plain.set("solver.step_size", 1e-3)
+    plain.initialize()
+    plain.step(0.03)
+    assert np.abs(multipliers(plain) - shares).max() > 0.1 * np.abs(shares).max()  # else this would show nothing
+    assert np.array_equal(plain.q, i.q)  # shares are read, the motion does not know them
+
+
+@pytest.mark.parametrize("kernel", ["oracle", "vm"])
+@pytest.mark.parametrize("decades", [0.0, 1.5, 2.5])
+def test_shares_are_those_of_a_weighted_pseudo_inverse(kernel, decades):
+    """To 1e-12 of the reactions, for compliances over up to five decades."""
+    e = with_compliances("five_bar")
+    compliance = 10 ** np.random.default_rng(3).uniform(-decades, decades, e.l)
+    i = alfmu.Instance(prepared(e, kernel))
+    for variable, x in zip(e.compliances, compliance, strict=True):
+        i.set(variable.name, x)
+    i.set("start.angle", 0.7)
+    i.initialize()
+    for _ in range(5):
+        i.step(0.02)
+        lam = multipliers(i)
+        C = np.array(e.C(i.q, i.oracle.p))
+        _, some, _, _ = i.oracle.accelerations(i.q, i.v, i.inputs, 0.0)
+        W = np.diag(1 / np.sqrt(compliance))
+        expected = W @ np.linalg.pinv(C.T @ W, rcond=1e-9) @ (C.T @ some)
+        assert lam == pytest.approx(expected, abs=1e-12 * np.abs(lam).max() * 10 ** max(0, 2 * decades - 3))
+    if kernel == "vm":
+        assert i.machine.read()  # by the kernel, not by the oracle in its place
+
+
+def test_compliances_in_an_fmu(tmp_path):
+    m = alfmu.load("five_bar")
+    m.compliances()
+    names = [v.name for v in alfmu.derive(m).compliances]
+    assert names[:2] == ["B.compliance.x", "B.compliance.y"]
+    given = {name: 1e-8 * (k + 1) ** 2 for k, name in enumerate(names)}
+    path = alfmu.export(m, tmp_path / "five_bar.fmu", parameters={"start.angle": 0.7})
+    with Fmu(path) as fmu:
+        through_fmi = run(fmu, 0.5, 0.02, parameters=given)
+    library = alfmu.simulate(alfmu.derive(m), 0.5, 0.02, parameters={**given, "start.angle": 0.7})
+    assert np.array_equal(through_fmi.values, library.values)
+    equal = alfmu.simulate(alfmu.derive(m), 0.5, 0.02, parameters={"start.angle": 0.7})
+    assert np.abs(equal["B.force.x"] - library["B.force.x"]).max() > 0.01
+    assert equal["B.force.y"] == pytest.approx(library["B.force.y"], abs=1e-9)  # unique
+
+
+def test_some_compliances_and_not_all_are_refused():
+    i = alfmu.Instance(with_compliances("five_bar"))
+    i.set("C.compliance.x", 1e-8)
+    with pytest.raises(alfmu.InputError, match=r"B\.compliance\.x is 0 and others are not"):
+        i.initialize()
+    with pytest.raises(alfmu.InputError, match="outside"):
+        i.set("C.compliance.x", -1.0)
