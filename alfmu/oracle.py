@@ -329,7 +329,7 @@ class Oracle:
         """
         here, rate, spacing = self._approach(q, v, spacing)
         if not (rate > 0 and here < branch.ZONE * max(rate, self.least_distance)):
-            return self.accelerations(*self.on_branch(q, v), u, t)
+            return self.accelerations(*self._reached(q, v, t), u, t)
         _, found = self._beside(q, v, u, t, spacing * max(1.0, self.least_distance / rate), branch.MEAN)
         a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))
         return a, branch.mean({k: x[1] for k, x in found.items()}), max(x[2] for x in found.values()), left
@@ -369,8 +369,17 @@ class Oracle:
         self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float, at: Iterable[int]
     ) -> tuple[dict[int, tuple], dict[int, tuple]]:
         """q and v, and what `accelerations` returns, at places on the branch before and after q."""
-        places = {k: self.on_branch(q + k * spacing * v, v) for k in at}
+        places = {k: self._reached(q + k * spacing * v, v, t) for k in at}
         return places, {k: self.accelerations(*place, u, t) for k, place in places.items()}
+
+    def _reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
+        """What `on_branch` returns; StepError where the branch does not lead there."""
+        near, rate = self.on_branch(q, v)
+        gap, row = self.widest(near)
+        if not gap <= GROSS:
+            measured = f"the branch of the motion leaves {row} open by {gap:.1e} ahead"
+            raise StepError(self._say(t, measured, "reduce solver.step_size"))
+        return near, rate
 
     def iterations_needed(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> int:
         """Iterations of the residual form after which no more than a tenth of the tolerance is left.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .assembly import Assembly, Mobility
-from .branch import BRANCHES, MEAN, SPACING
+from .branch import BRANCHES, GUARD, MEAN, SPACING
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .integrators import rk4
@@ -24,6 +24,12 @@ from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
 from .topology import Topology, events
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
+
+SHORTEST = 2.0**-14
+"""Part of an internal step below which a motion that cannot go on is locked up."""
+
+SAID = 6
+"""Coordinates that an error lists at most."""
 
 TORN = 0.3
 """Gap that a step may leave before it is closed, over the largest displacement in it."""
@@ -366,7 +372,7 @@ class Instance:
                     self.time = start + done * dt
                     done += self.machine.advance(n - done, dt)
                 if done < n:
-                    self._follow(start + done * dt, dt)
+                    self._watched_step(start + done * dt, dt)
                     self._known, done = False, done + 1
         except AlfmuError:
             self.state[:] = before
@@ -374,6 +380,48 @@ class Instance:
             self.oracle.counters = counters
             raise
         self.time = start + h
+
+    def _watched_step(self, start: float, dt: float) -> None:
+        """One internal step by the oracle; where it cannot be made, or leaves constraints open, it is asked why."""
+        oracle, counters, before = self.oracle, self.oracle.counters, self.state.copy()
+        unprojected, error = counters.unprojected, None
+        try:
+            self._follow(start, dt)
+        except StepError as refused:
+            error = refused
+        if error or counters.unprojected > unprojected:
+            after = self.state.copy()
+            self.state[:] = before
+            if self._continues and oracle.margin(self.q) < GUARD:
+                self._subdivided(start, dt, error)
+            elif error:
+                raise error
+            else:
+                self.state[:] = after
+
+    def _subdivided(self, start: float, dt: float, error: StepError | None) -> None:
+        """An internal step near a singular position in shorter ones; StepError where none, however short, leads on."""
+        oracle, t, h = self.oracle, 0.0, dt / 2
+        while t < dt and h > dt * SHORTEST:
+            state, unprojected = self.state.copy(), oracle.counters.unprojected
+            try:
+                self._follow(start + t, h)
+                passed = oracle.counters.unprojected == unprojected
+            except StepError:
+                passed = False
+            if passed:
+                t, h = t + h, min(h, dt - t - h)
+            else:
+                self.state[:], h = state, h / 2
+        if t >= dt:
+            return
+        where = ", ".join(
+            f"{c.name} = {x:.6g}" for c, x in zip(self.equations.coordinates[:SAID], self.q, strict=False)
+        )
+        raise StepError(
+            f"{self.equations.name}, t = {start + t:.6g} s: locked up at {where}; no motion goes on from this singular "
+            f"position (distance {oracle.margin(self.q) ** 0.5:.1e}); turn round before it, or change lengths or start"
+        ) from error
 
     @np.errstate(all="ignore")
     def _follow(self, start: float, dt: float) -> None:

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
+from oracles.slider_crank import SliderCrank
 from scenes import derived
 
 import alfmu
+from alfmu.fmi.drive import Fmu
 from alfmu.simulation import prepared
 
 
@@ -104,3 +106,84 @@ def test_numbers_that_are_none_are_refused_everywhere(bad):
         with pytest.raises(alfmu.InputError, match="communication step"):
             i.step(step)
     assert i.save() == state
+
+
+def test_a_kilometre_stays_in_the_kernel():
+    _, i = error({"l": 1e3, "start.angular_velocity": 0.06, "start.angle": 0.4}, 0.1, 40)
+    assert i.counters.evaluations <= 1.5 * 4 * i.counters.steps  # not by the oracle, step after step
+
+
+@pytest.mark.parametrize(("crank", "rod"), [(1e-3, 1e3), (1e-3, 1.0), (1.0, 1e3)])
+def test_a_millimetre_and_a_kilometre_in_one_scene(crank, rod):
+    """Slider-crank with constraints of very different size: what a crank of its length loses with any rod."""
+    step = 0.5e-3 * min(1.0, (crank / 1e-3) ** 0.5)
+    times = np.linspace(0.0, 0.2, 21)
+    exact = SliderCrank(l1=crank, l2=rod).motion(0.7, 0.0, times)[:, 0]
+    i = alfmu.Instance(prepared(derived("slider_crank"), "vm"))
+    for name, value in {"l1": crank, "l2": rod, "start.angle": 0.7, "solver.step_size": step}.items():
+        i.set(name, value)
+    i.initialize()
+    worst = 0.0
+    for k in range(1, 21):
+        i.step(times[k] - times[k - 1])
+        worst = max(worst, abs(i.get("crank.angle") - exact[k]))
+    assert worst <= 5e-5
+    assert i.counters.position_error <= 1e-16 * 1e3 * rod + 1e-13
+
+
+@pytest.mark.parametrize("coordinates", ["mixed", "joint"])
+@pytest.mark.parametrize("torque", [1e6, -1e6])
+def test_a_torque_step_of_a_million_is_refused_until_the_step_suits_it(coordinates, torque):
+    """Steps that turn a link by more than half a turn are refused; short ones give the exact motion."""
+    equations = prepared(derived("four_bar", coordinates=coordinates), "vm")
+    i = alfmu.Instance(equations)
+    i.set("start.angle", 0.5)
+    i.initialize()
+    i.step(0.02)
+    before = i.save()
+    i.set("A.torque", torque)
+    with pytest.raises(alfmu.StepError, match=r"turned by \d+ rad in one step, more than half a turn; reduce solver"):
+        i.step(0.02)
+    i.set("A.torque", 0.0)
+    assert i.save() == before
+    fine = alfmu.Instance(equations)
+    fine.set("start.angle", 0.5)
+    fine.set("solver.step_size", 1e-5)
+    fine.initialize()
+    fine.set("A.torque", torque)
+    linkage = Parallelogram(m4=None)
+    inertia, weight = float(linkage.inertia), float(linkage.weight)
+    times = np.linspace(0.0, 0.01, 21)
+    exact = ode.motion(lambda t, x, v: (torque - weight * np.cos(x)) / inertia, 0.5, 2.0, times)[:, 0]
+    for k in range(1, 21):
+        fine.step(times[k] - times[k - 1])
+        assert abs(fine.q[0] - exact[k]) <= 5e-9 * max(1.0, abs(exact[k]))
+
+
+def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
+    """A point on y^2 = x^3 at constant speed comes to the cusp, where the curve has no way on, at 0.7986 s."""
+    m = alfmu.Mechanism("cusp")
+    x = m.coordinate("x", "m", start=1.0, rate=-1.0, independent=True)
+    y = m.coordinate("y", "m", start=1.0)
+    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
+    m.constraint("curve", y**2 - x**3, "m")
+    m.output("place", x, "m")
+    arrival = (13**1.5 - 8) / 27 / np.hypot(1.0, 1.5)
+    for kernel in ("oracle", "vm"):
+        i = alfmu.Instance(prepared(alfmu.derive(m), kernel))
+        i.set("solver.step_size", 0.005)
+        i.initialize()
+        with pytest.raises(alfmu.StepError, match=r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no"):
+            i.step(1.0)
+        assert i.time == 0.0  # the whole communication step is undone
+        i.step(0.79)
+        before = i.save()
+        with pytest.raises(alfmu.StepError, match="locked up") as said:
+            i.step(0.02)
+        assert i.save() == before
+        assert float(str(said.value).split("t = ")[1].split(" s")[0]) == pytest.approx(arrival, rel=5e-3)
+    with Fmu(alfmu.export(m, tmp_path / "cusp.fmu", parameters={"solver.step_size": 0.005})) as fmu:
+        fmu.initialize()
+        with pytest.raises(alfmu.StepError, match="locked up at x = "):
+            fmu.step(1.0, 0.0)
+        fmu.step(0.5, 0.0)

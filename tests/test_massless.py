@@ -1,0 +1,115 @@
+"""Massless links: any link of the mixed and absolute forms, by a parameter set to 0; what cannot be is named."""
+
+import numpy as np
+import pytest
+from oracles import ode
+from oracles.parallelogram import Parallelogram
+from oracles.slider_crank import SliderCrank
+from scenes import derived
+
+import alfmu
+from alfmu.fmi.drive import Fmu
+from alfmu.simulation import prepared, run
+
+PARALLELOGRAMS = [
+    (name, massless)
+    for name, links in (("four_bar", "123"), ("five_bar", "1234"))
+    for massless in [(f"m{k}",) for k in links] + [("m1", "m3")]
+] + [("five_bar", ("m1", "m2", "m3")), ("five_bar", ("m2", "m4"))]
+
+
+@pytest.mark.parametrize(("name", "massless"), PARALLELOGRAMS, ids=str)
+def test_every_link_of_the_parallelograms_can_be_massless(name, massless):
+    """Over 2 s, past a singular position: order 4 against the exact motion, and joints that balance."""
+    masses = dict.fromkeys(massless, 0.0)
+    linkage = Parallelogram(**{**({} if name == "five_bar" else {"m4": None}), **masses})
+    inertia, weight = float(linkage.inertia), float(linkage.weight)
+    times = np.linspace(0.0, 2.0, 101)
+    exact = ode.motion(lambda t, x, v: -weight * np.cos(x) / inertia, 0.4, 2.0, times)
+    errors = []
+    for step in (0.01, 0.005):
+        i = alfmu.Instance(prepared(derived(name), "vm"))
+        for variable, value in {**masses, "start.angle": 0.4, "solver.step_size": step}.items():
+            i.set(variable, value)
+        i.initialize()
+        worst = 0.0
+        for k in range(1, 101):
+            i.step(times[k] - times[k - 1])
+            worst = max(worst, abs(i.q[0] - exact[k, 0]))
+        errors.append(worst)
+        assert i.counters.position_error <= 1e-13
+        assert i.counters.unconverged == i.counters.unprojected == 0
+    assert errors[1] <= 5e-8
+    assert errors[0] > 10 * errors[1]
+    # The reactions at A and D carry the weight and move the centre of mass.
+    total = sum(i.get(f"m{k}") for k in range(1, 5 if name == "five_bar" else 4))
+    momentum = sum(i.get(f"m{k}") * i.get(f"link{k}.ay") for k in range(1, 5 if name == "five_bar" else 4))
+    assert i.get("A.force.y") + i.get("D.force.y") == pytest.approx(momentum + 9.81 * total, abs=1e-8)
+
+
+@pytest.mark.parametrize("massless", [("m1",), ("m2",), ("m3",), ("m2", "m3"), ("m1", "m3")], ids=str)
+@pytest.mark.parametrize("coordinates", ["absolute", "mixed"])
+def test_every_link_of_the_slider_crank_can_be_massless(coordinates, massless):
+    masses = dict.fromkeys(massless, 0.0)
+    reference = SliderCrank(**masses)
+    times = np.linspace(0.0, 1.0, 51)
+    exact = reference.motion(0.6, -2.0, times)[:, 0]
+    errors = []
+    for step in (0.004, 0.002):
+        i = alfmu.Instance(prepared(derived("slider_crank", coordinates=coordinates), "vm"))
+        for name, value in {
+            **masses,
+            "l1": 0.5,
+            "l2": 1.0,
+            "start.angle": 0.6,
+            "start.angular_velocity": -2.0,
+            "solver.step_size": step,
+        }.items():
+            i.set(name, value)
+        i.initialize()
+        worst = 0.0
+        for k in range(1, 51):
+            i.step(times[k] - times[k - 1])
+            worst = max(worst, abs(i.get("crank.angle") - exact[k]))
+        errors.append(worst)
+        assert i.counters.position_error <= 1e-13
+    assert errors[1] < 2e-6
+    assert errors[0] > 8 * errors[1]  # order 4
+
+
+def test_a_massless_link_in_an_fmu(exported):
+    given = {"m1": 0.0, "m4": 0.0, "start.angle": 0.4}
+    with Fmu(exported("five_bar")) as fmu:
+        through_fmi = run(fmu, 1.0, 0.02, parameters=given)
+    library = alfmu.simulate(derived("five_bar"), 1.0, 0.02, parameters=given)
+    assert np.array_equal(through_fmi.values, library.values)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "massless", "named"),
+    [
+        ("slider_crank", {"coordinates": "joint"}, ("m1", "m2", "m3"), "th1, th2, s"),
+        ("four_bar", {"coordinates": "joint"}, ("m1", "m2", "m3"), "th1, th2, th3"),
+        ("five_bar", {}, ("m1", "m2", "m3", "m4"), "th1"),
+    ],
+)
+def test_what_cannot_be_massless_is_refused_by_name(name, options, massless, named):
+    i = alfmu.Instance(derived(name, **options))
+    i.set("start.angle", 0.6)
+    for mass in massless:
+        i.set(mass, 0.0)
+    with pytest.raises(alfmu.AssemblyError, match=f"the motion along {named}.* has no mass and no constraint"):
+        i.initialize()
+
+
+def test_a_massless_last_link_of_an_open_chain_is_refused_by_name():
+    m = alfmu.Mechanism("arm")
+    a, b = (m.coordinate(name, "rad", start=0.3, independent=True) for name in ("a", "b"))
+    tip = m.parameter("tip", 1.0, "kg", minimum=0.0)
+    upper, lower = m.bar("upper", mass=1.0, length=1.0), m.bar("lower", mass=tip, length=1.0)
+    m.revolute("shoulder", m.ground.at(0.0, 0.0), upper.start, coordinate=a)
+    m.revolute("elbow", upper.end, lower.start, coordinate=b)
+    i = alfmu.Instance(alfmu.derive(m))
+    i.set("tip", 0.0)
+    with pytest.raises(alfmu.AssemblyError, match=r"arm: the motion along b has no mass.* last body of an open chain"):
+        i.initialize()
