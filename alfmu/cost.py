@@ -10,9 +10,9 @@ import casadi as ca
 
 from .assembly import Mobility
 from .equations import Equations, Variable
+from .kernel.fusion import program_function
 from .kernel.program import called
 from .kernel.trace import parts, traced
-from .kernel.vm import program_function
 from .runtime import MONITORS
 from .simulation import prepared
 from .specialisation import specialised
@@ -43,7 +43,7 @@ def cost(equations: Equations) -> Cost:
     """Operations of a traced scene."""
     e = equations
     quick = e.kernel["quick"]
-    step = _whole(e, quick)
+    step = _whole(e, "quick")
     evaluation, nonzeros = parts(e, quick)
     model, factored, iterated = (operations(evaluation[name]) for name in ("model", "factorisation", "iterations"))
     stages = list(called(quick["calls"])).count("rate")
@@ -62,8 +62,8 @@ def cost(equations: Equations) -> Cost:
     return Cost(
         step=step,
         parts=by_part,
-        careful=_whole(e, e.kernel["careful"]),
-        outputs=_whole(e, e.kernel["instant"]),
+        careful=_whole(e, "careful"),
+        outputs=_whole(e, "instant"),
         nonzeros=nonzeros,
         iterations=quick["iterations"],
         corrections=quick["corrections"],
@@ -136,11 +136,11 @@ def operations(function: ca.Function) -> int:
     return sum(function.instruction_id(k) not in _FREE for k in range(function.n_instructions()))
 
 
-def _whole(e: Equations, program: dict) -> int:
+def _whole(e: Equations, program: str) -> int:
     function = program_function(e, program)
     if function.is_a("SXFunction"):
         return operations(function)
-    return _together(e, called(program["calls"]))
+    return _together(e, called(e.kernel[program]["calls"]))
 
 
 def _together(e: Equations, names: Iterable[str]) -> int:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["Equations", "Row", "Switch", "Variable"]
 
 FORMAT = 4
-"""Version of the scene file; raised whenever its content changes meaning."""
+"""Version of the scene file and of the functions beside it; raised whenever their content changes meaning."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +133,9 @@ class Equations:
     """Numbers that compiled functions need beside the memory of an instance."""
     library: Any = field(default=None, repr=False)
     """The functions compiled (`alfmu.kernel.compiled.Library`), where they are."""
+    programs: dict[str, ca.Function] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Programs of the kernel as one function each (`alfmu.kernel.fusion`), as far as they were wanted; shared by all
+    instances of these equations, and not by others that are made of them."""
 
     @property
     def n(self) -> int:
@@ -152,7 +155,7 @@ class Equations:
 
     def to_json(self) -> str:
         """The scene file: everything but the functions as plain JSON, the same bytes for the same equations."""
-        data = {k: v for k, v in asdict_shallow(self).items() if k not in ("functions", "library")}
+        data = {k: v for k, v in asdict_shallow(self).items() if k not in ("functions", "library", "programs")}
         data["format"] = FORMAT
         return json.dumps(data, indent=1)
 
@@ -167,16 +170,6 @@ class Equations:
         data["rows"] = [Row(**r) for r in data["rows"]]
         data["switches"] = [Switch(**s) for s in data["switches"]]
         return cls(**data)
-
-    def functions_to_json(self) -> str:
-        """The functions that run with numbers, serialised by CasADi."""
-        return json.dumps({k: self.functions[k].serialize() for k in self.signatures})
-
-    def with_functions_from(self, text: str) -> Equations:
-        """The same equations with the functions that `functions_to_json` wrote; needs CasADi."""
-        import casadi as ca
-
-        return replace(self, functions={k: ca.Function.deserialize(f) for k, f in json.loads(text).items()})
 
 
 def asdict_shallow(equations: Equations) -> dict[str, Any]:

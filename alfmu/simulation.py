@@ -213,7 +213,7 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     e = equations if equations.kernel else _traced(equations, probe)
     if kernel == "compiled" or (kernel == "auto" and compiler()):
         return e if e.library else compiled(e)
-    return replace(e, library=None)
+    return replace(e, library=None) if e.library else e
 
 
 def _started(equations: Equations) -> Instance | None:

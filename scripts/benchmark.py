@@ -37,8 +37,9 @@ from tqdm import tqdm
 import alfmu
 from alfmu.cost import cost, operations
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.fusion import program_function
 from alfmu.kernel.trace import parts
-from alfmu.kernel.vm import Vm, program_function
+from alfmu.kernel.vm import Vm
 from alfmu.simulation import prepared
 from alfmu.specialisation import specialised
 
@@ -163,7 +164,7 @@ def functions(instance: alfmu.Instance) -> dict[str, Call]:
     bound = {"empty call": (ca.Function("empty", [x], [x]), [[0.0]])}
     bound |= {name: (f, state) for name, f in zip(ONCE[1:], parts(e, program)[0].values(), strict=True)}
     whole = [memory[name] for name in ("z", "u", "p", "k", "dt")]
-    bound["step, function alone"] = program_function(e, program), whole
+    bound["step, function alone"] = program_function(e, "quick"), whole
     calls = {}
     for name, (function, arguments) in bound.items():
         vm, x = Vm(e), [np.array(each, float) for each in arguments]

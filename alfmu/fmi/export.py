@@ -20,8 +20,10 @@ from pythonfmu.builder import FmuBuilder
 
 from ..derivation import derive
 from ..errors import ExportError
+from ..evaluation import EVALUATED
 from ..kernel import DEFAULT
 from ..kernel.program import LIBRARY
+from ..kernel.vm import serialized
 from ..mechanism import Mechanism
 from ..picture import model_png
 from ..registry import load
@@ -47,12 +49,16 @@ RUN_SIDE = (
     "scaling.py",
     "topology.py",
     "kernel/program.py",
+    "kernel/fusion.py",
     "kernel/vm.py",
     "kernel/compiled.py",
     "runtime.py",
     "fmi/slave.py",
 )
 """Modules of alfmu that travel inside an FMU, those that its kernel does not need left out."""
+
+PORTABLE = ("kernel/fusion.py", "kernel/vm.py")
+"""Those that run the portable form, and need CasADi."""
 
 _ENTRY = '''"""FMU entry of a mechanism that has none of its own."""
 
@@ -101,11 +107,11 @@ def export(
     version = importlib.metadata.version("alfmu")
     generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
     library = equations.library
-    unneeded = {"kernel/compiled.py"} if library is None else set() if portable else {"kernel/vm.py"}
+    unneeded = ("kernel/compiled.py",) if library is None else () if portable else PORTABLE
     sources = {name: _source(name) for name in RUN_SIDE if name not in unneeded}
     resources = {SCENE: equations.to_json().encode()}
     if library is None or portable:
-        resources[FUNCTIONS] = equations.functions_to_json().encode()
+        resources[FUNCTIONS] = serialized(equations, EVALUATED).encode()
     if library is not None:
         resources[LIBRARY] = library.path.read_bytes()
     entry = _entry(equations.name)

@@ -10,7 +10,7 @@ import logging
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import wraps
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,8 @@ def loaded(folder: Path) -> tuple[Equations, str]:
     Compiled functions where there are some for this platform, otherwise the portable ones; ExportError where there are
     neither, or where these need a package that is missing.
     """
-    equations = Equations.from_json((folder / SCENE).read_text(encoding="utf-8"))
+    scene = (folder / SCENE).read_text(encoding="utf-8")
+    equations = Equations.from_json(scene)
     name = equations.name
     kernel = "kernel" if equations.kernel else "oracle"
     if equations.workspace:
@@ -62,11 +63,19 @@ def loaded(folder: Path) -> tuple[Equations, str]:
         there = ", ".join(sorted(path.name for path in folder.glob("kernel-*")))
         raise ExportError(f"{name}: this FMU has {there}, nothing for {PLATFORM}; export it without --no-portable")
     try:
-        functions = (folder / FUNCTIONS).read_text(encoding="utf-8")
-        return equations.with_functions_from(functions), f"{name}: portable {kernel}"
+        equations = _portable(scene, (folder / FUNCTIONS).read_text(encoding="utf-8"))
     except ImportError as error:
         missing = f"{name}: the portable {kernel} needs the Python package {error.name}; install it"
         raise ExportError(missing) from None
+    return equations, f"{name}: portable {kernel}"
+
+
+@lru_cache(maxsize=1)
+def _portable(scene: str, functions: str) -> Equations:
+    """A scene with its functions in portable form: kept, as instances and resets of an FMU share it."""
+    from ..kernel.vm import with_serialized
+
+    return with_serialized(Equations.from_json(scene), functions)
 
 
 def _kept(*objects: object) -> None:

@@ -218,7 +218,8 @@ class _Tracer:
         calls("unpack_limit", {"z": z}, lambda: unpacked, list(unpacked))
         calls("read_places", {"z": z, "dt": dt, "p": p, "k": k}, lambda: scene.read_places(q, v, dt), places)
         for j in count:
-            self._brought(calls, scene, plan, places[j], "vz")
+            self._place(calls, scene, places[j], "placed")
+            self._brought(calls, scene, plan, places[j], "placed", "vz")
             names = {f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"}
             self._evaluation(calls, scene, plan, str(j), names)
             if redundant:
@@ -259,14 +260,17 @@ class _Tracer:
         _, _, p, k, dt = self._known.values()
         q, v, spacing = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("spacing")
         here = {f"q{i}": q, f"v{i}": v}
-        calls("probe", {**here, "dt": dt, "p": p, "k": k}, lambda: scene.probed(q, v, dt), [f"zone{i}", "spacing"])
+        known = {**here, "dt": dt, "p": p, "k": k}
+        calls("probe", known, lambda: scene.probed(q, v, dt), [f"zone{i}", "spacing", "placed"])
         places = [f"place{j}" for j in range(len(branch.MEAN))]
         accelerations = {f"acceleration{j}": ca.SX.sym("a", n) for j in range(len(places))}
         watches = {f"watched{j}": ca.SX.sym("watch", len(_Watch.FIELDS)) for j in range(len(places))}
         limit = _Calls(self)
         limit("places", {**here, "spacing": spacing}, lambda: scene.places(q, v, spacing), places)
+        for j in range(len(places)):
+            self._place(limit, scene, f"place{j}", f"placed{j}")
         for j, (a, watch) in enumerate(zip(accelerations, watches, strict=True)):
-            self._brought(limit, scene, plan, f"place{j}", f"v{i}")
+            self._brought(limit, scene, plan, f"place{j}", f"placed{j}", f"v{i}")
             self._evaluation(limit, scene, plan, "0", {"t0": f"t{i}", "a0": a, "watch0": watch})
         limit(
             "mean",
@@ -275,18 +279,18 @@ class _Tracer:
             [f"a{i}", f"watch{i}"],
         )
         direct = _Calls(self)
-        self._brought(direct, scene, plan, f"q{i}", f"v{i}")
+        self._brought(direct, scene, plan, f"q{i}", "placed", f"v{i}")
         self._evaluation(direct, scene, plan, "0", {"t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"})
         calls.made.append([CHOICE, f"zone{i}", limit.made, direct.made])
         calls.made.append(["power", [f"q{i}", f"v{i}", "u", "p", f"t{i}"], [f"power{i}"]])
 
-    def _brought(self, calls: _Calls, scene: _Scene, plan: Plan, place: str, velocity: str) -> None:
-        """q0 and v0 on the branch: displaced across the motion alone, as the oracle does it."""
+    def _brought(self, calls: _Calls, scene: _Scene, plan: Plan, place: str, placed: str, velocity: str) -> None:
+        """q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a
+        first correction put the place."""
         n = self.e.n
         _, _, p, k, _ = self._known.values()
         q, v, wanted = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("wanted", n)
-        for at in (place, "q0"):
-            self._place(calls, scene, at, "q0")
+        self._place(calls, scene, placed, "q0")
         known = {"q0": q, place: wanted, "p": p, "k": k}
         calls(f"{scene.kind}_return", known, lambda: {"q": scene.returned(q, wanted)}, ["q0"])
         self._place(calls, scene, "q0", "q0")
@@ -448,12 +452,14 @@ class _Scene:
         return near, ca.if_else(more > 0, ca.exp((logarithm - self.masses) / more), 1)
 
     def probed(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
-        """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from."""
+        """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from; also q after
+        a correction (10), most of which is known then."""
         here, rate = self._approach(q, v, dt)
         zone = ca.sqrt(here) < branch.ZONE * ca.fmax(rate, self.least_distance)
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         zone = ca.if_else(rate > 0, zone, here <= self.nothing)
-        return {"zone": zone, "spacing": branch.SPACING * dt * ca.fmax(1, self.least_distance / rate)}
+        spacing = branch.SPACING * dt * ca.fmax(1, self.least_distance / rate)
+        return {"zone": zone, "spacing": spacing, "placed": self.placed(q)}
 
     def _approach(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Margin at q, and how much distance one spacing along v makes; 0 where that cannot be told."""

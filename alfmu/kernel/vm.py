@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 from numpy.typing import NDArray
 
 from ..equations import Equations
-from .program import CHOICE, TIERS, Layout, Memory, Program, called
+from .fusion import program_function
+from .program import TIERS, Layout, Memory
 
-__all__ = ["Vm", "program_function"]
-
-FLAT = 40000
-"""Instructions up to which a step is one flat function; a longer one calls its parts."""
+__all__ = ["Vm", "serialized", "with_serialized"]
 
 _BUNDLE = 8
 """Internal steps in one call of the next larger function."""
@@ -24,53 +24,22 @@ _LARGEST = 3
 """Bundles of bundles."""
 
 
-def program_function(equations: Equations, program: Program) -> ca.Function:
-    """A program as one function of z, u, p, k, dt: with subexpressions shared, or of calls where it is long."""
-    fields = Layout(equations).fields
-    calls = program["calls"]
-    flat = not any(call[0] == CHOICE for call in calls)
-    size = sum(equations.functions[name].n_instructions() for name in called(calls))
-    symbol = ca.SX if flat and size <= FLAT else ca.MX
-    known = {name: symbol.sym(name, fields[name][1]) for name in ("z", "u", "p", "k", "dt")}
-    arguments = list(known.values())
-    outputs = _run(equations, calls, known)
-    options = {"cse": True} if symbol is ca.SX else {}
-    return ca.Function("program", arguments, [known[outputs[-1]]], options)
+def serialized(equations: Equations, names: Iterable[str]) -> str:
+    """Functions by name, and all programs of the kernel as one function each: what `with_serialized` reads."""
+    e = equations
+    found = {name: e.functions[name] for name in names}, {name: program_function(e, name) for name in e.kernel}
+    stream = ca.StringSerializer()  # in which what several functions call is there once
+    stream.pack([function for each in found for function in each.values()])
+    return json.dumps({"functions": list(found[0]), "programs": list(found[1]), "casadi": stream.encode()}, indent=1)
 
 
-def _run(equations: Equations, calls: list[list], known: dict[str, Any]) -> list[str]:
-    """Make calls with what is known, to which the results are added; returns the names of the last results."""
-    outputs: list[str] = []
-    for name, *rest in calls:
-        if name == CHOICE:
-            number, *ways = rest
-            outputs = sorted(set.intersection(*(_made(way) for way in ways)))
-            inputs = sorted(set(known) & set.union(*(_used(way) for way in ways)))
-            choice = ca.Function.if_else("choice", *(_block(equations, way, known, inputs, outputs) for way in ways))
-            results = choice.call([known[number], *(known[i] for i in inputs)])
-        else:
-            inputs, outputs = rest
-            results = equations.functions[name].call([known[i] for i in inputs])
-        known.update(zip(outputs, results, strict=True))
-    return outputs
-
-
-def _block(
-    equations: Equations, calls: list[list], known: dict[str, Any], inputs: list[str], outputs: list[str]
-) -> ca.Function:
-    """Calls as a function of its own."""
-    x = {name: ca.MX.sym(name, known[name].sparsity()) for name in inputs}
-    arguments = list(x.values())
-    _run(equations, calls, x)
-    return ca.Function("block", arguments, [x[name] for name in outputs])
-
-
-def _made(calls: list[list]) -> set[str]:
-    return {key for _, _, outputs in calls for key in outputs}
-
-
-def _used(calls: list[list]) -> set[str]:
-    return {key for _, inputs, _ in calls for key in inputs}
+def with_serialized(equations: Equations, text: str) -> Equations:
+    """The same equations with the functions that `serialized` wrote; no program is left to be built."""
+    data = json.loads(text)
+    names, programs, found = data["functions"], data["programs"], ca.StringDeserializer(data["casadi"]).unpack()
+    e = replace(equations, functions=dict(zip(names, found[: len(names)], strict=True)))
+    e.programs.update(zip(programs, found[len(names) :], strict=True))
+    return e
 
 
 class Vm:
@@ -105,7 +74,8 @@ class _Machine:
 
     def __init__(self, vm: Vm, memory: Memory):
         self._vm, self._memory = vm, memory
-        self._z, self._after, self._begin = memory["z"], memory["after"], memory["begin"]
+        # Single numbers and short copies take a fraction of NumPy's time this way.
+        self._z, self._after, self._begin = (memoryview(memory[name]) for name in ("z", "after", "begin"))
         self._block = memoryview(memory.block)
         layout, at = memory.layout, memory.at
         self._time, self._trouble, self._near = (
@@ -114,17 +84,14 @@ class _Machine:
             at("after", layout.near),
         )
         self._dt, self._step_size, self._first = at("dt", 0), at("control", 0), at("control", 1)
-        self._tally = memory["tally"]
+        self._tally, self._tallied = memory["tally"], at("tally", 0)
         self._arguments = [memory[name] for name in ("z", "u", "p", "k", "dt")]
-        kernel = vm.equations.kernel
         self._functions: dict[int, list[ca.Function]] = {}
         self._runs: dict[int, list[Callable[[], Any]]] = {}
         for tier in (0, 1):
-            same = tier and kernel["quick"] == kernel["careful"]
-            self._build(tier, self._functions[0][0] if same else None)
-        instant = program_function(vm.equations, kernel["instant"])
+            self._build(tier)
         self._seen = memory["seen"]
-        self._instant = vm.bound(instant, self._arguments, [self._seen])
+        self._instant = vm.bound(self._program("instant"), self._arguments, [self._seen])
         self._limit: Callable[[], Any] | None = None
         self._seen_near = at("seen", len(memory["seen"]) - 2)
         self._seen_trouble = at("seen", len(memory["seen"]) - 1)
@@ -166,7 +133,7 @@ class _Machine:
                 done, level = done + 1, 1
             elif self._ran(self._bundle(tier, level)):
                 done += _BUNDLE**level
-                self._tally[tier] += _BUNDLE**level
+                m[self._tallied + tier] += _BUNDLE**level
                 level = min(level + 1, _LARGEST)
             else:
                 level -= 1
@@ -176,8 +143,7 @@ class _Machine:
         self._instant()
         if self._block[self._seen_near] != 0.0:
             if self._limit is None:
-                limit = program_function(self._vm.equations, self._vm.equations.kernel["limit"])
-                self._limit = self._vm.bound(limit, self._arguments, [self._seen])
+                self._limit = self._vm.bound(self._program("limit"), self._arguments, [self._seen])
             self._limit()
         return self._block[self._seen_trouble] == 0.0
 
@@ -192,16 +158,18 @@ class _Machine:
             tier = 2 if near else 1
             if tier not in self._runs:
                 self._build(tier)
-        self._tally[tier] += 1.0
+        m[self._tallied + tier] += 1.0
         if tier == 2:
-            self._tally[-1] += m[self._near]
+            m[self._tallied + len(TIERS)] += m[self._near]
         return True
 
-    def _build(self, tier: int, function: ca.Function | None = None) -> None:
+    def _build(self, tier: int) -> None:
         """The step of a tier; that on the branch when it is first wanted."""
-        e = self._vm.equations
-        self._functions[tier] = [function or program_function(e, e.kernel[TIERS[tier]])]
+        self._functions[tier] = [self._program(TIERS[tier])]
         self._runs[tier] = [self._bound(self._functions[tier][0])]
+
+    def _program(self, name: str) -> ca.Function:
+        return program_function(self._vm.equations, name)
 
     def _ran(self, run: Callable[[], Any]) -> bool:
         run()
@@ -223,4 +191,4 @@ class _Machine:
         return runs[level]
 
     def _bound(self, function: ca.Function) -> Callable[[], Any]:
-        return self._vm.bound(function, self._arguments, [self._after])
+        return self._vm.bound(function, self._arguments, [self._memory["after"]])
