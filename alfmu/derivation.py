@@ -27,6 +27,8 @@ from .equations import Equations, Row, Switch, Variable
 from .errors import DeclarationError
 from .evaluation import ARGUMENTS, evaluable, shared
 from .mechanism import (
+    AnyJoint,
+    AnyMarker,
     Body,
     Constraint,
     Joint,
@@ -40,6 +42,7 @@ from .mechanism import (
     stack,
     symbolic,
 )
+from .spatial import SpatialJoint, SpatialMarker, angular_velocity
 from .units import rate_of
 
 __all__ = ["derive"]
@@ -70,7 +73,7 @@ class Frame:
         return _sum(self.x, dx), _sum(self.y, dy)
 
 
-Closing = tuple[Joint | Rigidity | Constraint | Lock, str]
+Closing = tuple[AnyJoint | Rigidity | Constraint | Lock, str]
 """One relative displacement that is kept at zero: of what, and in which direction."""
 
 Displacement = dict[str, ca.SX]
@@ -148,15 +151,19 @@ class Kinematics:
         ux, uy = self.frame(joint.first.body).turn(*_cis(joint.axis))
         return ux, uy, -uy, ux
 
-    def free(self, joint: Joint) -> ca.SX:
+    def free(self, joint: AnyJoint) -> ca.SX:
         """The free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
+        if isinstance(joint, SpatialJoint):
+            return joint.free
         if joint.kind == "revolute":
             return self.frame(joint.second.body).angle - self.frame(joint.first.body).angle
         (x1, y1), (x2, y2) = self.place(joint.first), self.place(joint.second)
         ux, uy, _, _ = self.axes(joint)
         return ux * (x2 - x1) + uy * (y2 - y1)
 
-    def distance(self, between: tuple[Marker, Marker]) -> ca.SX:
+    def distance(self, between: tuple[AnyMarker, AnyMarker]) -> ca.SX:
+        if isinstance(between[0], SpatialMarker):
+            return ca.norm_2(between[1].place - between[0].place)
         (x1, y1), (x2, y2) = (self.place(m) for m in between)
         return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
 
@@ -164,6 +171,8 @@ class Kinematics:
         """The displacement that a lock keeps, and whether it is an angle known up to whole turns only."""
         if isinstance(lock.of, ca.SX):
             return lock.of, False
+        if isinstance(lock.of, SpatialJoint):
+            return lock.of.free, lock.of.kind == "revolute"
         if isinstance(lock.of, Joint):
             turns = lock.of.kind == "revolute"
             bodies, value = (lock.of.first.body, lock.of.second.body), self.free(lock.of)
@@ -172,14 +181,14 @@ class Kinematics:
             value = self.frame(bodies[1]).angle - self.frame(bodies[0]).angle
         return value, turns and any(self.frame(body).wrapped for body in bodies)
 
-    def gap(self, closure: Joint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def gap(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
         """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
         if direction == "length":
             square, length = self._apart(closure)
             return ca.sqrt(square + 1e-300) - length
         return self.residual(closure, direction)
 
-    def residual(self, closure: Joint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def residual(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
         """What a closure keeps at zero along one direction.
 
         For lengths it is zero at the given one, polynomial, and with a multiplier that is the force along the line.
@@ -188,9 +197,11 @@ class Kinematics:
             self.residuals[closure, direction] = self._residual(closure, direction)
         return self.residuals[closure, direction]
 
-    def _residual(self, closure: Joint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def _residual(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
         if isinstance(closure, Constraint):
             return closure.expression
+        if isinstance(closure, SpatialJoint):
+            return closure.residual(direction)
         if isinstance(closure, Lock):
             value, wrapped = self.locked(closure)
             return ca.sin(value - closure.value) if wrapped else value - closure.value
@@ -376,9 +387,15 @@ def derive(mechanism: Mechanism) -> Equations:
     efforts_of_locks, lock_outputs = _locking(locks, closures, lam)
     values += efforts_of_locks
     outputs += lock_outputs
+    spatial_values, spatial_outputs = _spatial_outputs(m, q, v, a, closures, lam)
+    values += spatial_values
+    outputs += spatial_outputs
+    for joint in m.spatial_joints:
+        if joint.kind == "revolute":
+            wrapped[f"{joint.name}.angle"] = _tied_start(m, joint.free)
     values += ca.vertsplit(lam)
     for i, row in enumerate(rows):
-        force = "N.m" if row.unit == "rad" else "N" if row.unit == "m" else "1"
+        force = "N" if row.unit == "m" else "N.m"  # times the row it is work
         outputs.append(
             Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}")
         )
@@ -528,14 +545,17 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
             directions = ("",)
         elif isinstance(closure, Lock):
             directions = ("locked",)
+        elif isinstance(closure, SpatialJoint):
+            directions = closure.directions
         elif isinstance(closure, Joint):
             directions = tuple(k for k in closure.directions if k not in held.get(closure, ()))
             first, second = closure.first.body, closure.second.body
             if first.pose is not None and second.pose is None and first is not m.ground:
                 sign = -1.0
         for direction in directions:
+            turning = direction.startswith("rotation")
             own = isinstance(closure, Constraint | Lock)
-            unit = closure.unit if own else "rad" if direction == "rotation" else "m"
+            unit = closure.unit if own else "rad" if turning else "m"
             rows.append(Row(closure.name, direction, unit))
             closures.append((closure, direction))
             signs.append(sign)
@@ -589,7 +609,7 @@ def _switches(m: Mechanism, locks: list[Lock], closures: list[Closing]) -> list[
 
 
 def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
-    """Displacements X and their weights w: places of centres of mass, angles (natural coordinates: directions).
+    """Displacements X and their weights w: places of centres of mass, angles (natural coordinates, space: directions).
 
     With `pivoted`, a body that a hinge on the ground places counts by its angle and its inertia about the hinge alone.
     """
@@ -610,22 +630,28 @@ def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tup
             # (ex, ey) is linear in natural coordinates, so that the mass matrix is constant.
             X += [frame.ex, frame.ey] if frame.wrapped else [frame.angle]
             w += [body.inertia, body.inertia] if frame.wrapped else [body.inertia]
+    for body in m.spatial_bodies:
+        displacements, weights = body.displacements()
+        X += ca.vertsplit(displacements)
+        w += weights
     return stack(X), stack(w)
 
 
 def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
     """Potential energy of gravity, springs and the user's own terms."""
-    gx, gy = m.gravity_vector
+    gx, gy, _ = m.gravity_vector
     centers = [kinematics.center(body) for body in m.bodies]
     x, y = (stack([center[k] for center in centers]) for k in (0, 1))
     V = sum(m.potential, ca.SX(0)) - ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
+    for body in m.spatial_bodies:
+        V -= body.mass * ca.dot(stack(m.gravity_vector), body.position)
     for spring in m.springs:
         V += spring.stiffness * (_elongation(kinematics, spring.between) - spring.rest) ** 2 / 2
     return V
 
 
-def _elongation(kinematics: Kinematics, between: Joint | tuple[Marker, Marker]) -> ca.SX:
-    return kinematics.free(between) if isinstance(between, Joint) else kinematics.distance(between)
+def _elongation(kinematics: Kinematics, between: AnyJoint | tuple[AnyMarker, AnyMarker]) -> ca.SX:
+    return kinematics.free(between) if isinstance(between, AnyJoint) else kinematics.distance(between)
 
 
 def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
@@ -734,6 +760,59 @@ def _body_outputs(
         word = "position" if unit == "m" else "place"
         for name, name_unit, what in ((x, unit, word), (xv, rate, "velocity"), (xa, second, "acceleration")):
             outputs.append(Variable(name, name_unit, description=text.format(what).replace("angular place", "angle")))
+    return values, outputs
+
+
+def _spatial_outputs(
+    m: Mechanism, q: ca.SX, v: ca.SX, a: ca.SX, closures: list[Closing], lam: ca.SX
+) -> tuple[list[ca.SX], list[Variable]]:
+    """Motion of every body in space, free motion and reaction of every joint between such bodies."""
+
+    def rate(x: ca.SX) -> ca.SX:
+        return ca.jtimes(x, q, v) + ca.jtimes(x, v, a)
+
+    values: list[ca.SX] = []
+    outputs: list[Variable] = []
+
+    def add(name: str, vector: ca.SX, unit: str, text: str) -> None:
+        """A number, or a vector by its components; {} stands for the axis in the name, ` along {}` in the text."""
+        for axis, x in zip("xyz", ca.vertsplit(vector), strict=False):
+            values.append(x)
+            outputs.append(Variable(name.format(axis), unit, description=text.format(axis)))
+
+    for body in m.spatial_bodies:
+        b, r, e = body.name, body.position, body.attitude
+        spin = angular_velocity(e, ca.jtimes(e, q, v))
+        add(b + ".{}", r, "m", f"position of the centre of mass of {b} along {{}}")
+        add(b + ".v{}", rate(r), "m/s", f"velocity of the centre of mass of {b} along {{}}")
+        add(b + ".a{}", rate(rate(r)), "m/s2", f"acceleration of the centre of mass of {b} along {{}}")
+        for i, x in enumerate(ca.vertsplit(e)):
+            add(f"{b}.e{i}", x, "1", f"Euler parameter {i} of {b}")
+        add(b + ".angular_velocity.{}", spin, "rad/s", f"angular velocity of {b} along {{}}")
+        add(b + ".angular_acceleration.{}", rate(spin), "rad/s2", f"angular acceleration of {b} along {{}}")
+    sliders = Counter(j.second.body for j in m.spatial_joints if j.kind == "prismatic")
+    for joint in m.spatial_joints:
+        j, pair = joint.name, f"{joint.second.body.name} from {joint.first.body.name}"
+        if joint.kind == "revolute":
+            angle = joint.free
+            add(f"{j}.angle", angle, "rad", f"angle of {pair}")
+            add(f"{j}.angular_velocity", rate(angle), "rad/s", f"rate of {j}.angle")
+            add(f"{j}.angular_acceleration", rate(rate(angle)), "rad/s2", f"second rate of {j}.angle")
+        if joint.kind == "prismatic" and sliders[joint.second.body] == 1:
+            s, b = joint.free, joint.second.body.name
+            add(f"{b}.position", s, "m", f"position of {b} along {j}")
+            add(f"{b}.velocity", rate(s), "m/s", f"velocity of {b} along {j}")
+            add(f"{b}.acceleration", rate(rate(s)), "m/s2", f"acceleration of {b} along {j}")
+        own = {direction: x for (c, direction), x in zip(closures, ca.vertsplit(lam), strict=True) if c is joint}
+        force, moment = joint.reaction(own)
+        add(j + ".force.{}", force, "N", f"force along {{}} on {pair}")
+        if joint.kind != "spherical":
+            add(
+                j + ".moment.{}",
+                moment,
+                "N.m",
+                f"moment along {{}} on {pair}, about the joint's point on {joint.second.body.name}",
+            )
     return values, outputs
 
 

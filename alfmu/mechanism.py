@@ -6,6 +6,7 @@ Every number may be a float or an expression in parameters; poses, forces and ou
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from typing import Any
 import casadi as ca
 
 from .errors import DeclarationError
+from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .units import rate_of, unit
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
@@ -164,6 +166,10 @@ class Joint:
         return DIRECTIONS[self.kind]
 
 
+AnyMarker = Marker | SpatialMarker
+AnyJoint = Joint | SpatialJoint
+
+
 @dataclass(frozen=True)
 class Rigidity:
     """The constant distance between the two points that carry a body in natural coordinates."""
@@ -189,7 +195,7 @@ class Lock:
     """A displacement that a Boolean input stops where it is and lets go again; `value` is where it was stopped."""
 
     name: str
-    of: Joint | tuple[Body, Body] | ca.SX
+    of: AnyJoint | tuple[Body, Body] | ca.SX
     unit: str
     value: ca.SX
 
@@ -198,7 +204,7 @@ class Lock:
 class Spring:
     """A linear spring-damper along a displacement: of a joint, or the distance of two markers."""
 
-    between: Joint | tuple[Marker, Marker]
+    between: AnyJoint | tuple[AnyMarker, AnyMarker]
     stiffness: Scalar
     damping: Scalar
     rest: Scalar
@@ -208,7 +214,7 @@ class Spring:
 class Drive:
     """An effort along a joint's free direction, on the second body from the first."""
 
-    joint: Joint
+    joint: AnyJoint
     effort: Scalar
 
 
@@ -231,7 +237,7 @@ class Experiment:
 
 @dataclass
 class Mechanism:
-    """A planar mechanism, with a general level for everything else.
+    """A mechanism: bodies and joints in the plane or in space, with a general level for everything else.
 
     Declare parameters and coordinates, then bodies, then joints and forces::
 
@@ -258,15 +264,17 @@ class Mechanism:
     outputs: list[Output] = field(default_factory=list, init=False)
     bodies: list[Body] = field(default_factory=list, init=False)
     joints: list[Joint] = field(default_factory=list, init=False)
-    closures: list[Joint | Rigidity | Constraint | Lock] = field(default_factory=list, init=False)
-    releases: list[Joint | Constraint] = field(default_factory=list, init=False)
+    spatial_bodies: list[SpatialBody] = field(default_factory=list, init=False)
+    spatial_joints: list[SpatialJoint] = field(default_factory=list, init=False)
+    closures: list[AnyJoint | Rigidity | Constraint | Lock] = field(default_factory=list, init=False)
+    releases: list[AnyJoint | Constraint] = field(default_factory=list, init=False)
     springs: list[Spring] = field(default_factory=list, init=False)
     drives: list[Drive] = field(default_factory=list, init=False)
     loads: list[Load] = field(default_factory=list, init=False)
     kinetic: list[ca.SX] = field(default_factory=list, init=False)
     potential: list[ca.SX] = field(default_factory=list, init=False)
     generalized: list[tuple[ca.SX, Scalar]] = field(default_factory=list, init=False)
-    gravity_vector: tuple[Scalar, Scalar] = field(default=(0.0, 0.0), init=False)
+    gravity_vector: Vector = field(default=(0.0, 0.0, 0.0), init=False)
     documentation: str = field(default="", init=False)
     options: dict[str, Any] = field(default_factory=dict, init=False)
     compliant: bool = field(default=False, init=False)
@@ -275,10 +283,12 @@ class Mechanism:
         if not re.fullmatch(r"[A-Za-z_]\w*", self.name):
             raise DeclarationError(f"{self.name!r} cannot name a mechanism; use letters, digits and underscores")
         self.ground = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
+        origin, upright = ca.SX.zeros(3), ca.SX([1, 0, 0, 0])
+        self.spatial_ground = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
         self.time = ca.SX.sym("time")
         self._names: dict[str, str] = {}
         self._by_symbol: dict[int, Start | Coordinate] = {}
-        self._owned: set[Body] = {self.ground}
+        self._owned: set[Body | SpatialBody] = {self.ground, self.spatial_ground}
 
     # Quantities -------------------------------------------------------------------------------------------------
 
@@ -419,9 +429,42 @@ class Mechanism:
         """A point in ground axes [m], usually a pair of coordinates."""
         return Point(x, y)
 
-    def gravity(self, x: Scalar, y: Scalar) -> None:
+    def gravity(self, x: Scalar, y: Scalar, z: Scalar = 0.0) -> None:
         """The acceleration of gravity [m/s2] in ground axes."""
-        self.gravity_vector = (x, y)
+        self.gravity_vector = (x, y, z)
+
+    def spatial_body(
+        self,
+        name: str,
+        *,
+        mass: Scalar,
+        inertia: Vector,
+        center: Vector = (0.0, 0.0, 0.0),
+        position: Vector | ca.SX = (0.0, 0.0, 0.0),
+        attitude: Sequence[Scalar] | ca.SX = (1.0, 0.0, 0.0, 0.0),
+    ) -> SpatialBody:
+        """A rigid body in space: mass [kg], principal moments of inertia about its centre of mass [kg.m2], along the
+        axes of its frame, and the centre of mass in its frame [m].
+
+        It has seven coordinates, `<name>_x` ... `<name>_e3`: the place of the centre of mass and the Euler parameters
+        of the frame, kept at unit length by a constraint. `position` and `attitude` are their guesses at the start, as
+        `start` of `coordinate` is; `spatial.about` and `spatial.product` make Euler parameters from turns. Joints to
+        `spatial_ground` and to other bodies in space are closed by constraints.
+        """
+        moments = [self._at_defaults(x) for x in inertia]
+        if len(moments) != 3 or min(moments) < 0 or 2 * max(moments) > sum(moments) * (1 + 1e-12):
+            raise DeclarationError(
+                f"{self.name}: no body has the principal moments of inertia {moments} that {name} is given; give "
+                "three, none negative and none above the sum of the others"
+            )
+        r = [self.coordinate(f"{name}_{axis}", "m", start=x) for axis, x in zip("xyz", _entries(position), strict=True)]
+        e = [self.coordinate(f"{name}_e{i}", "1", start=x) for i, x in enumerate(_entries(attitude))]
+        body = SpatialBody(name, mass, tuple(inertia), center, stack(r), stack(e))
+        self._claim(name, "1", "a body")
+        self.spatial_bodies.append(body)
+        self._owned.add(body)
+        self.constraint(f"{name}.attitude", (ca.sumsqr(body.attitude) - 1) / 2, "1")
+        return body
 
     # Joints -----------------------------------------------------------------------------------------------------
 
@@ -467,9 +510,49 @@ class Mechanism:
         """A massless rod: the markers stay `length` [m] apart."""
         return self._join(Joint(name, "distance", first, second, length=length))
 
+    def spherical(self, name: str, first: SpatialMarker, second: SpatialMarker) -> SpatialJoint:
+        """A ball joint in space: the two markers coincide."""
+        return self._join_in_space(SpatialJoint(name, "spherical", first, second))
+
+    def spatial_revolute(
+        self,
+        name: str,
+        first: SpatialMarker,
+        second: SpatialMarker,
+        *,
+        axis: Sequence[float],
+        second_axis: Sequence[float] | None = None,
+    ) -> SpatialJoint:
+        """A hinge in space: the two markers coincide, and so does an axis fixed on both bodies.
+
+        `axis` gives its direction in the frame of the first body, `second_axis` in that of the second (the same numbers
+        if left out). The angle, output `<name>.angle` [rad], is zero where the triads of `spatial.right_handed` on both
+        coincide: for one and the same axis, where the frames are parallel.
+        """
+        return self._join_in_space(SpatialJoint(name, "revolute", first, second, self._axes(name, axis, second_axis)))
+
+    def cylindrical(
+        self,
+        name: str,
+        first: SpatialMarker,
+        second: SpatialMarker,
+        *,
+        axis: Sequence[float],
+        second_axis: Sequence[float] | None = None,
+    ) -> SpatialJoint:
+        """A sleeve on a shaft: the second marker on an axis through the first, free to slide along it and to turn."""
+        axes = self._axes(name, axis, second_axis)
+        return self._join_in_space(SpatialJoint(name, "cylindrical", first, second, axes))
+
+    def spatial_prismatic(
+        self, name: str, first: SpatialMarker, second: SpatialMarker, *, axis: Sequence[float]
+    ) -> SpatialJoint:
+        """A slider in space: the second marker on an axis through the first, the frames of both bodies parallel."""
+        return self._join_in_space(SpatialJoint(name, "prismatic", first, second, self._axes(name, axis, None)))
+
     # Forces -----------------------------------------------------------------------------------------------------
 
-    def drive(self, joint: Joint, effort: Scalar) -> None:
+    def drive(self, joint: AnyJoint, effort: Scalar) -> None:
         """A torque [N.m] (revolute) or force along the guide [N] (prismatic) on the second body from the first."""
         self._free(joint)
         self.drives.append(Drive(joint, effort))
@@ -484,7 +567,7 @@ class Mechanism:
 
     def spring_damper(
         self,
-        between: Joint | tuple[Marker, Marker],
+        between: AnyJoint | tuple[AnyMarker, AnyMarker],
         *,
         stiffness: Scalar = 0.0,
         damping: Scalar = 0.0,
@@ -492,13 +575,20 @@ class Mechanism:
     ) -> None:
         """A linear spring-damper: torsional on a revolute joint, along the guide on a prismatic one, or between points.
 
-        stiffness [N.m/rad or N/m], damping [N.m.s/rad or N.s/m], rest angle or length [rad or m].
+        stiffness [N.m/rad or N/m], damping [N.m.s/rad or N.s/m], rest angle or length [rad or m]. Points may belong to
+        bodies in space; the angle of a spatial hinge is known within a turn, so that its spring should stay within one.
         """
-        if isinstance(between, Joint):
+        if isinstance(between, AnyJoint):
             self._free(between)
+        else:
+            self._own(between, "a spring")
+            if isinstance(between[0], Marker) != isinstance(between[1], Marker):
+                raise DeclarationError(
+                    f"{self.name}: a spring joins a point in the plane to one in space; take one kind"
+                )
         self.springs.append(Spring(between, stiffness, damping, rest))
 
-    def friction(self, joint: Joint, coefficient: Scalar) -> None:
+    def friction(self, joint: AnyJoint, coefficient: Scalar) -> None:
         """Viscous friction in a joint [N.m.s/rad or N.s/m]."""
         self.spring_damper(joint, damping=coefficient)
 
@@ -517,7 +607,7 @@ class Mechanism:
         self.generalized.append((self._coordinate(coordinate).q, expression))
 
     def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
-        """A holonomic constraint Phi(q) = 0 in m or rad, after the joints declared so far."""
+        """A holonomic constraint Phi(q) = 0 in m, rad or 1, after the joints declared so far."""
         self._claim(name, unit, "a constraint")
         self.closures.append(Constraint(name, ca.SX(expression), unit))
 
@@ -531,7 +621,7 @@ class Mechanism:
 
     # Changing topology ------------------------------------------------------------------------------------------
 
-    def lock(self, of: Joint | str) -> None:
+    def lock(self, of: AnyJoint | str) -> None:
         """Let the Boolean input `<joint>.locked` stop the free motion of a revolute or prismatic joint while it is on.
 
         A joint that moves stops in a plastic impact, and keeps its state where it is let go.
@@ -553,7 +643,7 @@ class Mechanism:
         self._claim(name, unit, "a lock")
         self._lock(name, ca.SX(expression), unit)
 
-    def release(self, of: Joint | str) -> None:
+    def release(self, of: AnyJoint | str) -> None:
         """Let the Boolean input `<joint>.released` switch the constraints of a joint off while it is on.
 
         It can be switched off where the joint is closed again, in a plastic impact. `of` may name a `constraint`.
@@ -561,23 +651,24 @@ class Mechanism:
         found = [c for c in self.closures if c is of or (not isinstance(c, Rigidity | Lock) and c.name == of)]
         if not found:
             names = ", ".join(c.name for c in self.closures if not isinstance(c, Rigidity | Lock)) or "none"
-            called = of.name if isinstance(of, Joint) else of
+            called = of.name if isinstance(of, AnyJoint) else of
             raise DeclarationError(
                 f"{self.name}: {called} is not closed by constraints, so it cannot be released; those are {names}"
             )
         self._claim(f"{found[0].name}.released", "1", "an input")
         self.releases.append(found[0])
 
-    def _lock(self, name: str, of: Joint | tuple[Body, Body] | ca.SX, unit: str) -> None:
+    def _lock(self, name: str, of: AnyJoint | tuple[Body, Body] | ca.SX, unit: str) -> None:
         self._claim(f"{name}.locked", "1", "an input")
         self.closures.append(Lock(name, of, unit, ca.SX.sym(f"{name}.locked_at")))
 
-    def _joint(self, of: Joint | str) -> Joint:
-        for joint in self.joints:
+    def _joint(self, of: AnyJoint | str) -> AnyJoint:
+        joints = [*self.joints, *self.spatial_joints]
+        for joint in joints:
             if of is joint or of == joint.name:
                 return joint
-        names = ", ".join(joint.name for joint in self.joints) or "none"
-        called = of.name if isinstance(of, Joint) else of
+        names = ", ".join(joint.name for joint in joints) or "none"
+        called = of.name if isinstance(of, AnyJoint) else of
         raise DeclarationError(f"{self.name} has no joint {called}; it has {names}")
 
     # ------------------------------------------------------------------------------------------------------------
@@ -630,12 +721,45 @@ class Mechanism:
         self.joints.append(joint)
         return joint
 
-    def _own(self, markers: Iterable[Marker], user: str) -> None:
+    def _join_in_space(self, joint: SpatialJoint) -> SpatialJoint:
+        self._claim(joint.name, "1", "a joint")
+        for marker in (joint.first, joint.second):
+            if not isinstance(marker, SpatialMarker):
+                raise DeclarationError(
+                    f"{self.name}: joint {joint.name} joins bodies in space; take its markers from spatial_body() and "
+                    "spatial_ground"
+                )
+        self._own((joint.first, joint.second), joint.name)
+        first, second = joint.first.body, joint.second.body
+        if first is second:
+            raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
+        if second is self.spatial_ground:
+            raise DeclarationError(f"{self.name}: joint {joint.name} ends on the ground; name the ground first")
+        self.closures.append(joint)
+        self.spatial_joints.append(joint)
+        return joint
+
+    def _axes(self, name: str, axis: Sequence[float], second: Sequence[float] | None) -> tuple[tuple[float, ...], ...]:
+        axes = tuple(axis), tuple(axis if second is None else second)
+        for x in axes:
+            if len(x) != 3 or any(isinstance(a, ca.SX) for a in x) or not 0 < math.hypot(*x) < math.inf:
+                raise DeclarationError(f"{self.name}: the axis {x} of {name} has no direction; give three numbers")
+        return axes
+
+    def _at_defaults(self, value: Scalar) -> float:
+        """A number, or an expression in parameters at their defaults."""
+        symbols, defaults = stack([x.symbol for x in self.parameters]), stack([x.default for x in self.parameters])
+        found = ca.substitute(symbolic(value), symbols, defaults) if self.parameters else symbolic(value)
+        if not found.is_constant():
+            raise DeclarationError(f"{self.name}: {value} must be a number or an expression in parameters")
+        return float(found)
+
+    def _own(self, markers: Iterable[AnyMarker], user: str) -> None:
         for marker in markers:
             if marker.body not in self._owned:
                 raise DeclarationError(f"{self.name}: {user} uses {marker.body.name}, a body of another mechanism")
 
-    def _free(self, joint: Joint) -> None:
+    def _free(self, joint: AnyJoint) -> None:
         if joint.kind not in ("revolute", "prismatic"):
             raise DeclarationError(
                 f"{self.name}: {joint.name} is a {joint.kind}, which has no single free motion; "
@@ -646,6 +770,10 @@ class Mechanism:
 def key_of(symbol: Scalar) -> int | None:
     """What tells one scalar symbol or expression from all others; None for a number."""
     return symbol.element_hash() if isinstance(symbol, ca.SX) and symbol.is_scalar(True) else None
+
+
+def _entries(vector: Sequence[Scalar] | ca.SX) -> Sequence[Scalar]:
+    return ca.vertsplit(vector) if isinstance(vector, ca.SX) else vector
 
 
 def symbolic(value: Scalar) -> ca.SX:

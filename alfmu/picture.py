@@ -149,7 +149,9 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) 
     ties = [Tie(j.name, "rod", j.first, j.second) for j in joints if j.kind == "distance"]
     for spring in m.springs:
         between = spring.between
-        first, second = (between.first, between.second) if isinstance(between, Joint) else between
+        first, second = between if isinstance(between, tuple) else (between.first, between.second)
+        if not isinstance(first, Marker):
+            continue  # of bodies in space the centres of mass are shown
         kinds = {"spring": spring.stiffness, "damper": spring.damping}
         kind = "-".join(kind for kind, strength in kinds.items() if not ca.SX(strength).is_zero())
         if isinstance(between, Joint) and between.kind == "revolute":
@@ -171,7 +173,7 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) 
             points.append((0.0, 0.0))
         links.append(Link(body.name, kind, tuple(points)))
 
-    places = [o.name for o in m.outputs if o.unit == "m"]
+    places = [o.name for o in m.outputs if o.unit == "m"] + [f"{b.name}.{k}" for b in m.spatial_bodies for k in "xy"]
     dots = tuple(name[:-2] for name in places if name.endswith(".x") and f"{name[:-2]}.y" in places)
     return Shapes(m.name, tuple(links), joints, guides, tuple(ties), dots)
 

@@ -31,6 +31,7 @@ UNITS: dict[str, Unit] = {
         Unit("rad", {"rad": 1}, {"deg": _DEGREES}),
         Unit("rad/s", {"rad": 1, "s": -1}, {"deg/s": _DEGREES, "r/min": 9.549296585513721}),
         Unit("rad/s2", {"rad": 1, "s": -2}),
+        Unit("s/m", {"s": 1, "m": -1}),
         Unit("kg", {"kg": 1}),
         Unit("kg.m2", {"kg": 1, "m": 2}),
         Unit("N", {"kg": 1, "m": 1, "s": -2}, {"kN": 1e-3}),

@@ -13,10 +13,11 @@ PACKAGE = Path(alfmu.__file__).parent
 ALLOWED: dict[str, set[str]] = {
     "errors": set(),
     "units": {"errors"},
-    "mechanism": {"errors", "units"},
+    "spatial": set(),
+    "mechanism": {"errors", "spatial", "units"},
     "equations": set(),
     "evaluation": {"equations"},
-    "derivation": {"equations", "errors", "evaluation", "mechanism", "units"},
+    "derivation": {"equations", "errors", "evaluation", "mechanism", "spatial", "units"},
     "method": set(),
     "branch": set(),
     "scaling": set(),

@@ -22,7 +22,10 @@ CASES = [
     ("four_bar", {}),
     ("particle_on_circle", {}),
     *(("slider_crank", {"coordinates": c}) for c in ("absolute", "joint", "mixed", "natural")),
+    ("flexible_four_bar", {}),
+    ("end_stop", {}),
 ]
+LOADS = {"particle_on_circle": {"force.y": 0.7}, "flexible_four_bar": {"O.torque": 0.3}, "end_stop": {"O.torque": 0.3}}
 each_case = pytest.mark.parametrize(("name", "options"), CASES, ids=["_".join([n, *o.values()]) for n, o in CASES])
 
 
@@ -39,7 +42,7 @@ def test_fmpy_and_alfmu_find_no_problem(exported, name, options):
 
 @each_case
 def test_the_fmu_gives_the_numbers_of_the_library_to_the_last_bit(exported, name, options):
-    inputs = {"force.y": 0.7} if name == "particle_on_circle" else {"A.torque": 0.3}
+    inputs = LOADS.get(name, {"A.torque": 0.3})
     with Fmu(exported(name, **options)) as fmu:
         through_fmi = run(fmu, 1.5, 0.03, inputs)
     equations = alfmu.derive(alfmu.load(name, **options))

@@ -369,7 +369,7 @@ def trace(i: alfmu.Instance, steps: int, read: bool = True) -> list[bytes]:
     """States and outputs along some steps under a torque that changes."""
     seen = []
     for k in range(steps):
-        i.set("A.torque", 0.3 * (k % 3))
+        i.set(i.input_variables[0].name, 0.3 * (k % 3))
         i.step(0.017)
         if read:
             seen.append(i.read().tobytes())
@@ -381,6 +381,8 @@ CASES = [
     ("four_bar", {}, {"solver.penalty": 1e6, "solver.formulation": "classic", "start.angle": -1.0}),
     ("slider_crank", {"coordinates": "absolute"}, {"b": 0.1}),
     ("slider_crank", {"coordinates": "natural"}, {"start.angle": 9.0, "start.angular_velocity": 14.0}),
+    ("end_stop", {}, {"start.angle": -0.6}),
+    ("flyball_governor", {}, {"solver.step_size": 3e-4}),
 ]
 
 

@@ -40,3 +40,28 @@ def plain_steps(acceleration: Callable[[float, float], float], x: float, v: floa
         v = v1 + h * (a1 + 2 * a2 + 2 * a3 + a4) / 6
         places.append(x)
     return np.array(places)
+
+
+def solved(
+    right_side: Callable[[float, np.ndarray], list[float]],
+    start: tuple,
+    times: np.ndarray,
+    *,
+    method: str = "DOP853",
+    rtol: float = 1e-12,
+    most: float = np.inf,
+) -> np.ndarray:
+    """y (len(times), n) at `times` of y' = right_side(t, y), by steps of at most `most`."""
+    solution = solve_ivp(
+        right_side,
+        (times[0], times[-1]),
+        start,
+        method,
+        times,
+        rtol=rtol,
+        atol=rtol / 100,
+        first_step=1e-6,
+        max_step=most,
+    )
+    assert solution.success, solution.message
+    return solution.y.T

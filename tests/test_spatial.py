@@ -1,0 +1,280 @@
+"""Bodies in space, their joints, springs and drives, against rotations by SciPy, Euler's equations, and the plane."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from oracles import ode
+from oracles.free_body import SpatialBalance
+from scenes import evaluate, readings, started
+from scipy.spatial.transform import Rotation
+
+import alfmu
+from alfmu import spatial
+
+INERTIA = (0.03, 0.05, 0.07)
+MASS = 1.3
+G = 9.81
+
+
+def quaternion(turn: Rotation) -> list[float]:
+    """Euler parameters, the scalar first."""
+    *e, e0 = turn.as_quat()
+    return [e0, *e]
+
+
+def rates_of(e: list[float], w: np.ndarray) -> list[float]:
+    """Rates of Euler parameters for an angular velocity in ground axes, by the product of quaternions."""
+    e0, v = e[0], np.array(e[1:])
+    return [-w @ v / 2, *((e0 * w + np.cross(w, v)) / 2)]
+
+
+def moving(place: np.ndarray, turn: Rotation, speed: np.ndarray, w: np.ndarray) -> tuple[list, list]:
+    """Coordinates and velocities of one body."""
+    e = quaternion(turn)
+    return [*place, *e], [*speed, *rates_of(e, w)]
+
+
+# The parts ------------------------------------------------------------------------------------------------------------
+
+
+def test_euler_parameters_are_those_of_quaternions():
+    """Rotation matrix, product, turn about an axis and angular velocity, against SciPy and differences."""
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        one, two = Rotation.from_quat(random.normal(size=4)), Rotation.from_quat(random.normal(size=4))
+        e, f = ca.SX(quaternion(one)), ca.SX(quaternion(two))
+        assert np.array(ca.DM(spatial.rotation(e))) == pytest.approx(one.as_matrix(), abs=1e-15)
+        assert np.array(ca.DM(spatial.rotation(spatial.product(e, f)))) == pytest.approx(
+            (one * two).as_matrix(), abs=1e-15
+        )
+        axis = random.normal(size=3)
+        axis /= np.linalg.norm(axis)
+        turned = np.array(ca.DM(spatial.rotation(spatial.about(tuple(axis), 0.7))))
+        assert turned == pytest.approx(Rotation.from_rotvec(0.7 * axis).as_matrix(), abs=1e-15)
+        w = random.normal(size=3)
+        rate = ca.SX(rates_of(quaternion(one), w))
+        assert np.array(ca.DM(spatial.angular_velocity(e, rate))).ravel() == pytest.approx(w, abs=1e-15)
+
+
+def test_the_triad_of_an_axis_is_right_handed_and_of_unit_length():
+    random = np.random.default_rng(1)
+    for axis in [(1, 0, 0), (0, -2, 0), (0, 0, 1), *random.normal(size=(5, 3))]:
+        triad = np.array(spatial.right_handed(tuple(map(float, axis))))
+        assert triad @ triad.T == pytest.approx(np.eye(3), abs=1e-15)
+        assert np.linalg.det(triad) == pytest.approx(1.0)
+        assert triad[2] * np.linalg.norm(axis) == pytest.approx(np.array(axis), abs=1e-15)
+
+
+# A body alone ---------------------------------------------------------------------------------------------------------
+
+
+def thrown() -> alfmu.Mechanism:
+    m = alfmu.Mechanism("thrown")
+    m.spatial_body("stone", mass=MASS, inertia=INERTIA)
+    m.gravity(0.0, 0.0, -G)
+    return m
+
+
+def test_a_thrown_body_turns_by_eulers_equations():
+    """1 s of torque-free motion about no principal axis: w in body axes by DOP853, attitude by its quaternion."""
+    w = np.array([2.0, 5.0, 1.0])
+    J = np.array(INERTIA)
+
+    def right_side(t, y):
+        e, w = y[:4], y[4:]
+        return [-w @ e[1:] / 2, *((e[0] * w + np.cross(e[1:], w)) / 2), *(np.cross(J * w, w) / J)]
+
+    exact = ode.solved(right_side, (1.0, 0.0, 0.0, 0.0, *w), np.array([0.0, 1.0]))[-1]
+    m, errors = thrown(), []
+    e = alfmu.derive(m)
+    steps = (0.02, 0.01, 0.005)
+    for h in steps:
+        i = started(e, {"solver.step_size": h})
+        i.v[:] = [0.3, 0.0, 2.0, *rates_of([1.0, 0.0, 0.0, 0.0], w)]
+        i.step(1.0)
+        r = readings(i)
+        got = [r[f"stone.e{k}"] for k in range(4)]
+        errors.append(np.abs(np.array(got) - exact[:4]).max())
+        turn = Rotation.from_quat([*exact[1:4], exact[0]])
+        spin = [r[f"stone.angular_velocity.{k}"] for k in "xyz"]
+        assert spin == pytest.approx(turn.apply(exact[4:]), abs=30 * errors[-1])
+        assert [r["stone.x"], r["stone.y"], r["stone.z"]] == pytest.approx([0.3, 0.0, 2.0 - G / 2], abs=1e-13)
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(4.0, abs=0.3)
+    assert errors[-1] < 1e-6
+
+
+# Every joint, a spring, drives ----------------------------------------------------------------------------------------
+
+AXIS, SECOND = (1.0, 2.0, -0.5), (0.3, -1.0, 0.4)
+AT, ON = (0.1, -0.2, 0.3), (-0.05, 0.1, 0.2)
+CENTERS = {"base": (0.1, 0.0, -0.1), "arm": (0.05, -0.02, 0.03)}
+
+
+def pair(kind: str) -> alfmu.Mechanism:
+    """A free base and an arm on it by one joint; a spring-damper to the ground, another between the bodies."""
+    m = alfmu.Mechanism("pair")
+    base, arm = (m.spatial_body(n, mass=MASS, inertia=INERTIA, center=c) for n, c in CENTERS.items())
+    first, second = base.at(*AT), arm.at(*ON)
+    if kind == "spherical":
+        m.spherical("J", first, second)
+    elif kind == "revolute":
+        m.drive(m.spatial_revolute("J", first, second, axis=AXIS, second_axis=SECOND), 3.0)
+    elif kind == "cylindrical":
+        m.cylindrical("J", first, second, axis=AXIS, second_axis=SECOND)
+    else:
+        m.drive(m.spatial_prismatic("J", first, second, axis=AXIS), 3.0)
+    m.spring_damper((m.spatial_ground.at(0, 0, 1), arm.at(0.2, 0, 0)), stiffness=40.0, damping=2.0, rest=0.3)
+    m.spring_damper((base.at(0, 0.4, 0), arm.at(0, 0, 0.5)), stiffness=70.0, damping=3.0, rest=0.2)
+    m.gravity(0.5, 0.0, -G)
+    return m
+
+
+@pytest.mark.parametrize("kind", ["spherical", "revolute", "cylindrical", "prismatic"])
+@pytest.mark.parametrize("seed", range(3))
+def test_every_body_balances_and_every_joint_holds(kind, seed):
+    """At a random state: forces and moments on both bodies add up, and the joint is kept by the accelerations."""
+    random = np.random.default_rng(seed)
+    unit = np.array(AXIS) / np.linalg.norm(AXIS)
+    base, w1 = Rotation.from_quat(random.normal(size=4)), random.normal(size=3)
+    axis = base.apply(unit)
+    along = spin = 0.0
+    if kind == "spherical":
+        arm, w2 = Rotation.from_quat(random.normal(size=4)), random.normal(size=3)
+    elif kind == "prismatic":
+        arm, w2, along, spin = base, w1, 0.4, 1.1
+    else:
+        second = np.array(SECOND) / np.linalg.norm(SECOND)
+        turn = Rotation.from_rotvec(0.9 * axis) * Rotation.align_vectors([axis], [second])[0]
+        arm, w2 = turn, w1 + 1.7 * axis
+        along, spin = (0.4, 1.1) if kind == "cylindrical" else (0.0, 0.0)
+    r1, v1 = random.normal(size=(2, 3))
+    meet = r1 + base.apply(np.array(AT) - CENTERS["base"]) + along * axis
+    speed = v1 + np.cross(w1, meet - r1) + spin * axis
+    lever = arm.apply(np.array(ON) - CENTERS["arm"])
+    q1, qd1 = moving(r1, base, v1, w1)
+    q2, qd2 = moving(meet - lever, arm, speed - np.cross(w2, lever), w2)
+    e = alfmu.derive(pair(kind))
+    r = evaluate(e, q1 + q2, qd1 + qd2)
+    b = SpatialBalance(r, {n: (MASS, INERTIA, c) for n, c in CENTERS.items()}, (0.5, 0.0, -G))
+    drive = {"revolute": ((0.0,) * 3, 3.0 * axis), "prismatic": (3.0 * axis, (0.0,) * 3)}
+    b.joint("J", "base", "arm", ON, *drive.get(kind, ()))
+    b.spring(("ground", (0, 0, 1)), ("arm", (0.2, 0, 0)), 40.0, 2.0, 0.3)
+    b.spring(("base", (0, 0.4, 0)), ("arm", (0, 0, 0.5)), 70.0, 3.0, 0.2)
+    assert b.lack() <= 1e-12
+    # The joint: reactions do no work along its freedoms, and the relative motion stays along them.
+    force, moment = b.vector("J.force."), b.vector("J.moment.") if kind != "spherical" else np.zeros(3)
+    apart = b.acceleration("arm", ON) - b.acceleration("base", AT)
+    if kind in ("cylindrical", "prismatic"):
+        assert abs(force @ axis) <= 1e-12 * b.largest
+        offset = along * axis
+        carried = np.cross(b.vector("base.angular_acceleration."), offset)
+        carried += np.cross(w1, np.cross(w1, offset)) + 2 * np.cross(w1, spin * axis)
+        apart = np.cross(axis, apart - carried)
+    assert np.abs(apart).max() <= 1e-11 * b.largest
+    if kind in ("revolute", "cylindrical"):
+        assert abs(moment @ axis) <= 1e-12 * b.largest
+    if kind == "revolute":
+        relative = b.vector("arm.angular_acceleration.") - b.vector("base.angular_acceleration.")
+        assert r["J.angular_velocity"] == pytest.approx(1.7, rel=1e-12)
+        assert r["J.angular_acceleration"] == pytest.approx(axis @ relative, abs=1e-12 * b.largest)
+    if kind == "prismatic":
+        assert [r["arm.position"], r["arm.velocity"]] == pytest.approx([0.4, 1.1], rel=1e-12)
+
+
+def double_pendulum(space: bool) -> alfmu.Mechanism:
+    """Two bars on hinges about z, a torsional spring-damper in the second one, in absolute coordinates."""
+    m = alfmu.Mechanism("double_pendulum")
+    bodies = []
+    for name in ("one", "two"):
+        if space:
+            body = m.spatial_body(name, mass=MASS, inertia=(0.01, 0.1, 0.1), center=(0.5, 0, 0))
+        else:
+            pose = tuple(m.coordinate(f"{name}_{k}", u) for k, u in (("x", "m"), ("y", "m"), ("a", "rad")))
+            body = m.body(name, mass=MASS, inertia=0.1, center=(0.5, 0.0), pose=pose)
+        bodies.append(body)
+    one, two = bodies
+    ends = ((m.spatial_ground if space else m.ground).at(0.1, 0.2), one.at()), (one.at(1.0, 0.1), two.at())
+    hinge = (lambda name, *on: m.spatial_revolute(name, *on, axis=(0, 0, 1))) if space else m.revolute
+    m.drive(hinge("A", *ends[0]), m.input("A.torque", "N.m"))
+    m.spring_damper(hinge("B", *ends[1]), stiffness=7.0, damping=0.5, rest=0.3)
+    m.gravity(0.0, -G)
+    return m
+
+
+def test_a_mechanism_in_a_plane_of_space_is_the_planar_one():
+    """Accelerations, joint forces and energies of a double pendulum declared in the plane and in space."""
+    a, b, wa, wb = 0.4, 1.3, 2.0, -1.0
+
+    def along(angle, w, x, y):
+        c, s = np.cos(angle), np.sin(angle)
+        place = np.array([c * x - s * y, s * x + c * y])
+        return place, w * np.array([-place[1], place[0]])
+
+    (r1, v1), (tip, tip_v), (half, half_v) = along(a, wa, 0.5, 0), along(a, wa, 1.0, 0.1), along(b, wb, 0.5, 0)
+    foot = np.array([0.1, 0.2])
+    places = [foot + r1, foot + tip + half]
+    speeds = [v1, tip_v + half_v]
+    flat = alfmu.derive(double_pendulum(False))
+    deep = alfmu.derive(double_pendulum(True))
+    q = [x for r, angle in zip(places, (a, b), strict=True) for x in (*r, angle)]
+    v = [x for r, w in zip(speeds, (wa, wb), strict=True) for x in (*r, w)]
+    want = evaluate(flat, q, v, [2.5])
+    moved = [
+        moving([*r, 0.0], Rotation.from_rotvec([0, 0, angle]), [*s, 0.0], np.array([0, 0, w]))
+        for r, angle, s, w in zip(places, (a, b), speeds, (wa, wb), strict=True)
+    ]
+    q3, v3 = ([x for pair in moved for x in pair[k]] for k in (0, 1))
+    got = evaluate(deep, q3, v3, [2.5])
+    for body in ("one", "two"):
+        assert got[f"{body}.angular_acceleration.z"] == pytest.approx(want[f"{body}.angular_acceleration"], rel=1e-12)
+        assert got[f"{body}.ax"] == pytest.approx(want[f"{body}.ax"], rel=1e-12)
+    for joint in "AB":
+        for axis in "xy":
+            assert got[f"{joint}.force.{axis}"] == pytest.approx(want[f"{joint}.force.{axis}"], rel=1e-12)
+        assert got[f"{joint}.force.z"] == 0.0
+    p = np.zeros(0)
+    for quantity, flat_at, deep_at in (
+        ("kinetic_energy", (q, v, p), (q3, v3, p)),
+        ("potential_energy", (q, p), (q3, p)),
+    ):
+        energy = float(getattr(flat, quantity)(*flat_at))
+        assert float(getattr(deep, quantity)(*deep_at)) == pytest.approx(energy, rel=1e-13)
+
+
+# What is refused ------------------------------------------------------------------------------------------------------
+
+
+def _plate(m: alfmu.Mechanism) -> spatial.SpatialBody:
+    return m.spatial_body("plate", mass=1.0, inertia=INERTIA)
+
+
+def _mixed_spring(m: alfmu.Mechanism) -> None:
+    m.spring_damper((m.ground.at(), _plate(m).at()), stiffness=1.0)
+
+
+def _inertia(m: alfmu.Mechanism) -> None:
+    k = m.parameter("k", 3.0)
+    m.spatial_body("plate", mass=1.0, inertia=(1.0, 1.0, k))
+
+
+@pytest.mark.parametrize(
+    ("declare", "says"),
+    [
+        (_inertia, r"odd: no body has the principal moments of inertia \[1.0, 1.0, 3.0\] that plate is given"),
+        (lambda m: m.spatial_body("plate", mass=1.0, inertia=(1.0, 1.0)), "give three"),
+        (lambda m: m.spatial_body("x", mass=1.0, inertia=(m.time, 1.0, 1.0)), "expression in parameters"),
+        (lambda m: m.spherical("J", m.ground.at(), _plate(m).at()), "J joins bodies in space"),
+        (lambda m: m.spherical("J", _plate(m).at(), m.spatial_ground.at()), "ends on the ground"),
+        (lambda m: m.spherical("J", *[_plate(m).at()] * 2), "connects plate to itself"),
+        (
+            lambda m: m.spherical("J", _plate(alfmu.Mechanism("other")).at(), _plate(m).at()),
+            "a body of another mechanism",
+        ),
+        (lambda m: m.spatial_revolute("J", m.spatial_ground.at(), _plate(m).at(), axis=(0, 0, 0)), "no direction"),
+        (lambda m: m.drive(m.spherical("J", m.spatial_ground.at(), _plate(m).at()), 1.0), "J is a spherical"),
+        (_mixed_spring, "a point in the plane to one in space"),
+    ],
+)
+def test_a_declaration_in_space_that_makes_no_sense_says_why(declare, says):
+    with pytest.raises(alfmu.DeclarationError, match=says):
+        declare(alfmu.Mechanism("odd"))
