@@ -112,6 +112,8 @@ class Equations:
     """Once traced, the programs of the kernel (`alfmu.kernel.program`): a quick and a careful step, and `instant`."""
     solver: dict[str, float | str] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
+    reason: str = ""
+    """Why `solver.method` is what it is, where `auto` chose it."""
     monitors: list[str] = field(default_factory=list)
     """Monitors that are left out."""
     order: list[int] = field(default_factory=list)

@@ -9,7 +9,7 @@ import casadi as ca
 
 from .equations import Equations
 
-__all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "with_functions"]
+__all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "with_functions", "with_tangents"]
 
 DENSE = 50
 """Coordinates up to which matrices are dense arrays; larger ones are sparse."""
@@ -48,6 +48,7 @@ EVALUATED = {
     "closure": 2,
     "guesses": 0,
     "displacements": 0,
+    "tangents": 4,
 }
 """Functions that run with numbers outside the kernel, and how many of their results are matrices."""
 
@@ -128,3 +129,19 @@ def _signature(f: ca.Function, matrices: int = 0) -> dict:
         shape = list(pattern.shape)
         outputs.append(shape if pattern.is_dense() else [*shape, pattern.colind(), pattern.row()])
     return {"inputs": [f.nnz_in(i) for i in range(f.n_in())], "outputs": outputs, "matrices": matrices}
+
+
+def with_tangents(equations: Equations) -> Equations:
+    """The same equations with what implicit methods need: derivatives of what (4) and (3) lack at fixed a and lam.
+
+    tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n), Xq, Xv (l, n), Rt (n,) by q, v and t of R = F - M a - C' lam and
+    X = xi - C a.
+    """
+    if "tangents" in equations.signatures:
+        return equations
+    e, x = equations, symbols(equations)
+    q, v, a, lam, u, p, t = (x[k] for k in ("q", "v", "a", "lam", "u", "p", "t"))
+    R = e.f(q, v, u, p, t) - e.d(q, v, p) - e.M(q, p) @ a - e.C(q, p).T @ lam
+    X = e.xi(q, v, p) - e.C(q, p) @ a
+    values = [ca.jacobian(R, q), ca.jacobian(R, v), ca.jacobian(X, q), ca.jacobian(X, v), ca.jacobian(R, t)]
+    return with_functions(e, {"tangents": shared("tangents", [q, v, a, lam, u, p, t], list(map(ca.densify, values)))})

@@ -16,7 +16,7 @@ from .errors import InputError, StepError
 from .kernel.program import Backend, Call
 from .scaling import scaled
 
-__all__ = ["FORMULATIONS", "Counters", "Oracle", "Settings"]
+__all__ = ["FIXED", "FORMULATIONS", "METHODS", "Counters", "Oracle", "Settings"]
 
 FORMULATIONS: dict[str, str] = {
     "residual": "augmented Lagrangian (8) in residual form",
@@ -27,6 +27,20 @@ FORMULATIONS: dict[str, str] = {
     "dae": "index-1 DAE (9)",
 }
 """Names of the formulations and the equations they stand for."""
+
+METHODS: dict[str, str] = {
+    "rk4": "classic Runge-Kutta, steps of solver.step_size",
+    "order8": "Verner 8(7), steps of solver.step_size",
+    "explicit": "Verner 8(7) or Dormand-Prince 5(4), steps by solver.relative_tolerance",
+    "stiff": "Radau IIA of order 9, steps by solver.relative_tolerance",
+    "trapezoidal": "index-3 augmented Lagrangian with the trapezoidal rule, steps of solver.step_size",
+    "generalized_alpha": "the same with damping of high frequencies",
+    "auto": "explicit or stiff, chosen from the scene",
+}
+"""Names of the methods of integration."""
+
+FIXED = ("rk4", "order8", "trapezoidal", "generalized_alpha")
+"""Methods whose steps have a given length."""
 
 PROJECTED = ("residual", "classic")
 """Formulations that correct the state with (10) after each step; the others are run as they are known."""
@@ -64,6 +78,14 @@ class Settings:
     """Of the multiplier iteration."""
     formulation: str = "residual"
     """One of FORMULATIONS."""
+    method: str = "rk4"
+    """One of METHODS."""
+    relative_tolerance: float = 1e-6
+    """Of a run, for methods that control their error."""
+    absolute_tolerance: float = 0.0
+    """The same where values are small [m, rad; per s]; 0 is the number of the relative one."""
+    input_order: int = 0
+    """Of the extrapolation of inputs inside a communication step; 0 holds them."""
     branch: str = "continue"
     """How singular positions are passed, one of alfmu.branch.BRANCHES; `residual` alone continues."""
     zeta: float = 1.0
@@ -81,7 +103,13 @@ class Settings:
             )
         if self.branch not in branch.BRANCHES:
             raise InputError(f"{name}: solver.branch is {self.branch!r}; use one of {', '.join(branch.BRANCHES)}")
-        for field, low in (("step_size", 0.0), ("tolerance", 0.0)):
+        if self.method not in METHODS:
+            raise InputError(f"{name}: solver.method is {self.method!r}; use one of {', '.join(METHODS)}")
+        if self.method in ("stiff", "trapezoidal", "generalized_alpha") and not self.projects:
+            raise InputError(
+                f"{name}: solver.method {self.method} takes the augmented Lagrangian; use solver.formulation residual"
+            )
+        for field, low in (("step_size", 0.0), ("tolerance", 0.0), ("relative_tolerance", 0.0)):
             value = getattr(self, field)
             if not (np.isfinite(value) and value > low):
                 raise InputError(f"{name}: solver.{field} is {value}; it must be a finite number above {low:g}")
@@ -116,6 +144,8 @@ class Counters:
     unconverged: int = 0
     """Evaluations in which the multiplier iteration reached its limit."""
     projection_iterations: int = 0
+    refused: int = 0
+    """Steps that were too inaccurate, and made again shorter."""
     unprojected: int = 0
     """Steps after which a constraint was left above the tolerance."""
     position_error: float = 0.0
@@ -139,8 +169,10 @@ class Oracle:
         names = ("dynamics", "constraints", "power", "energy", "readings")
         calls = (Call(backend, name, equations.signatures[name]) for name in names)
         self._dynamics, self._constraints, self._power, self._energy, self._outputs = calls
-        kept = equations.signatures.get("displacements")
-        self._displacements = Call(backend, "displacements", kept) if kept else None
+        self._displacements, self._tangents = (
+            Call(backend, name, equations.signatures[name]) if name in equations.signatures else None
+            for name in ("displacements", "tangents")
+        )
         self.sparse = not isinstance(self._dynamics.y[0], np.ndarray)
         self.counters = Counters()
         self.units = np.ones(equations.l)
@@ -182,6 +214,18 @@ class Oracle:
         self.alpha = _sparse_diagonal(alpha) if self.sparse else np.diag(alpha)
         self.active = np.asarray(alpha) > 0
 
+    def dynamics(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> list[NDArray]:
+        """M, C, F, xi; overwritten by the next call."""
+        return self._dynamics(q, v, u, self.p, t)
+
+    def constraints(self, q: NDArray, v: NDArray) -> list[NDArray]:
+        """M, C, Phi, C v; overwritten by the next call."""
+        return self._constraints(q, v, self.p)
+
+    def tangents(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> list[NDArray]:
+        """Rq, Rv, Xq, Xv, Rt (`alfmu.evaluation.with_tangents`); overwritten by the next call."""
+        return self._tangents(q, v, a, lam, u, self.p, t)
+
     def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> tuple[NDArray, NDArray, int, NDArray]:
         """a (n,), lam (l,), the multiplier iterations used, and Phi-ddot (l,) that is left."""
         M, C, F, xi = self._dynamics(q, v, u, self.p, t)
@@ -201,9 +245,9 @@ class Oracle:
                 _, _, Phi, Cv = self._constraints(q, v, self.p)
                 stabilised = method.stabilised(xi, Cv, Phi, self.settings.zeta, self.settings.omega)
             if kind == "penalty":
-                a, lam = method.penalty(F, C, stabilised, alpha, self._factor(method.augmented_mass(M, C, alpha), t))
+                a, lam = method.penalty(F, C, stabilised, alpha, self.factor(method.augmented_mass(M, C, alpha), t))
             elif kind == "stiffness":
-                a, lam = method.stiffness(F, C, Phi, self.settings.omega**2 * alpha, self._factor(M, t))
+                a, lam = method.stiffness(F, C, Phi, self.settings.omega**2 * alpha, self.factor(M, t))
             else:
                 held = np.flatnonzero(self.active)
                 lam = np.zeros_like(xi)
@@ -220,7 +264,7 @@ class Oracle:
         M, C, _, _ = self._constraints(q, v, self.p)
         way = v.copy()
         if not way.any():
-            solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
+            solve = self.factor(method.augmented_mass(M, C, self.alpha), 0.0)
             aside = np.random.default_rng(0).standard_normal(len(q))
             way = branch.tangential(C.copy(), self.alpha, solve, aside)
         way /= max(np.abs(way).max(), 1e-300)
@@ -307,10 +351,10 @@ class Oracle:
         for _ in range(2):
             near = self._closer(near, v)
         M, C, _, _ = self._constraints(near, v, self.p)
-        solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
+        solve = self.factor(method.augmented_mass(M, C, self.alpha), 0.0)
         near = self._closer(near + branch.tangential(C, self.alpha, solve, q - near), v)
         M, C, _, _ = self._constraints(near, v, self.p)
-        solve = self._factor(method.augmented_mass(M, C, self.alpha), 0.0)
+        solve = self.factor(method.augmented_mass(M, C, self.alpha), 0.0)
         for _ in range(2):
             v = v + method.project(C, self.alpha, solve, C @ v)  # (10)
         return near, v
@@ -318,7 +362,7 @@ class Oracle:
     def _closer(self, q: NDArray, v: NDArray) -> NDArray:
         """q after one correction (10)."""
         M, C, Phi, _ = self._constraints(q, v, self.p)
-        return q + method.project(C, self.alpha, self._factor(method.augmented_mass(M, C, self.alpha), 0.0), Phi)
+        return q + method.project(C, self.alpha, self.factor(method.augmented_mass(M, C, self.alpha), 0.0), Phi)
 
     def accelerations_on_branch(
         self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float
@@ -327,9 +371,9 @@ class Oracle:
 
         `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow.
         """
-        here, rate, spacing = self._approach(q, v, spacing)
+        here, rate, spacing = self.approach(q, v, spacing)
         if not (rate > 0 and here < branch.ZONE * max(rate, self.least_distance)):
-            return self.accelerations(*self._reached(q, v, t), u, t)
+            return self.accelerations(*self.reached(q, v, t), u, t)
         _, found = self._beside(q, v, u, t, spacing * max(1.0, self.least_distance / rate), branch.MEAN)
         a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))
         return a, branch.mean({k: x[1] for k, x in found.items()}), max(x[2] for x in found.values()), left
@@ -343,7 +387,7 @@ class Oracle:
         has a pole, of which the finite part is given at the position itself.
         """
         if continues and self.margin(q) ** 0.5 < branch.READ_ZONE * branch.READ_DISTANCE:
-            _, rate, spacing = self._approach(q, v, branch.SPACING * self.settings.step_size)
+            _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
             if rate > 0:
                 spacing *= branch.READ_DISTANCE / rate
                 places, found = self._beside(q, v, u, t, spacing, branch.READ_MEAN)
@@ -355,7 +399,7 @@ class Oracle:
         a, lam, used, left = self.accelerations(q, v, u, t)
         return a, self.minimum_norm(q, v, lam, t) if self.settings.projects else lam, used, left, 0
 
-    def _approach(self, q: NDArray, v: NDArray, spacing: float) -> tuple[float, float, float]:
+    def approach(self, q: NDArray, v: NDArray, spacing: float) -> tuple[float, float, float]:
         """Distance to a singular position, how much of it one spacing [s] makes, and a spacing that can tell."""
         for _ in range(_LONGER):
             before, here, after = (self.margin(q + k * spacing * v) for k in (-1, 0, 1))
@@ -369,10 +413,10 @@ class Oracle:
         self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float, at: Iterable[int]
     ) -> tuple[dict[int, tuple], dict[int, tuple]]:
         """q and v, and what `accelerations` returns, at places on the branch before and after q."""
-        places = {k: self._reached(q + k * spacing * v, v, t) for k in at}
+        places = {k: self.reached(q + k * spacing * v, v, t) for k in at}
         return places, {k: self.accelerations(*place, u, t) for k, place in places.items()}
 
-    def _reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
+    def reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
         """What `on_branch` returns; StepError where the branch does not lead there."""
         near, rate = self.on_branch(q, v)
         gap, row = self.widest(near)
@@ -394,9 +438,13 @@ class Oracle:
             made += 1
             return made > 1 and np.linalg.norm(da) <= limit ** ((made - 1) / made) * np.linalg.norm(a)
 
-        solve, zeros = self._factor(method.augmented_mass(M, C, self.alpha), t), (np.zeros_like(F), np.zeros_like(xi))
+        solve, zeros = self.factor(method.augmented_mass(M, C, self.alpha), t), (np.zeros_like(F), np.zeros_like(xi))
         method.residual(M, F, C, xi, self.alpha, solve, *zeros, self.settings.max_iterations, done)
         return made
+
+    def nearest(self, M: NDArray, C: NDArray, a: NDArray, xi: NDArray, t: float) -> NDArray:
+        """Accelerations (n,) that keep the constraints, the nearest to a in the metric of M."""
+        return self._iterated(method.residual, M, M @ a, C, xi, t)[0]
 
     def displacements(self, q: NDArray) -> NDArray:
         """What locks keep, at q (n,)."""
@@ -416,7 +464,7 @@ class Oracle:
         self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, t: float
     ) -> tuple[NDArray, NDArray, int, bool]:
         """(8), classic or residual, until the change is within the tolerance of the accelerations it changes."""
-        solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
+        solve = self.factor(method.augmented_mass(M, C, self.alpha), t)
         scale = np.abs(F).max(initial=0.0) / np.abs(_entries(M)).max(initial=1e-300)
         limit = self.settings.tolerance
 
@@ -433,7 +481,7 @@ class Oracle:
         if self.compliances.any():
             stiffness = self.stiffnesses * self._penalty.max()
             alpha = _sparse_diagonal(stiffness) if self.sparse else np.diag(stiffness)
-        solve = self._factor(method.augmented_mass(M, C, alpha), t)
+        solve = self.factor(method.augmented_mass(M, C, alpha), t)
         limit = np.finfo(float).eps
 
         def done(change: NDArray, value: NDArray) -> bool:
@@ -459,10 +507,10 @@ class Oracle:
         for _ in range(CORRECTIONS):
             if self._closed(Phi, C, q):
                 break
-            q += method.project(C, self.alpha, self._factor(method.augmented_mass(M, C, self.alpha), t), Phi)  # (10)
+            q += method.project(C, self.alpha, self.factor(method.augmented_mass(M, C, self.alpha), t), Phi)  # (10)
             M, C, Phi, Cv = self._constraints(q, v, self.p)
             c.projection_iterations += 1
-        solve = self._factor(method.augmented_mass(M, C, self.alpha), t)
+        solve = self.factor(method.augmented_mass(M, C, self.alpha), t)
         for _ in range(CORRECTIONS):
             if self._closed(Cv, C, v):
                 break
@@ -524,7 +572,7 @@ class Oracle:
         except np.linalg.LinAlgError:
             return np.zeros(len(order))
 
-    def _factor(self, H: NDArray, t: float) -> method.Solve:
+    def factor(self, H: NDArray, t: float) -> method.Solve:
         def refused() -> StepError:
             advice = "give the massless body a mass, or hold it by constraints"
             return StepError(self._say(t, "the augmented mass matrix is singular", advice))

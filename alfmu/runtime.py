@@ -10,6 +10,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,10 @@ from .assembly import Assembly, Mobility
 from .branch import BRANCHES, GUARD, MEAN, SPACING
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
+from .inputs import Past
 from .integrators import rk4
 from .kernel.program import TIERS, TURN, Backend, Layout, Machine, called
-from .oracle import FORMULATIONS, GROSS, Counters, Oracle, Settings
+from .oracle import FIXED, FORMULATIONS, GROSS, METHODS, Counters, Oracle, Settings
 from .topology import Topology, events
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]
@@ -54,10 +56,35 @@ SOLVER_VARIABLES = (
         "limit of the multiplier iteration",
         type="Integer",
     ),
+    Variable(
+        "solver.relative_tolerance",
+        "1",
+        Settings.relative_tolerance,
+        1e-13,
+        1e-1,
+        "of methods that control their error",
+    ),
+    Variable(
+        "solver.absolute_tolerance",
+        "1",
+        Settings.absolute_tolerance,
+        0.0,
+        1.0,
+        "the same for small values (m, rad; per s); 0 is the number of the relative one",
+    ),
+    Variable(
+        "solver.input_order",
+        "1",
+        Settings.input_order,
+        0,
+        2,
+        "inputs inside a communication step: 0 held, 1 or 2 extrapolated from past communication points",
+        type="Integer",
+    ),
 )
 """Numbers of the method that a user may set; `CHOICES` come beside them."""
 
-CHOICES = {"solver.formulation": FORMULATIONS, "solver.branch": BRANCHES}
+CHOICES = {"solver.formulation": FORMULATIONS, "solver.branch": BRANCHES, "solver.method": METHODS}
 """Solver variables that are text, and what each can be."""
 
 
@@ -139,6 +166,7 @@ class Instance:
         self.layout = Layout(e)
         self.memory = backend.memory(self.layout)
         self.state, self.inputs = self.memory["z"], self.memory["u"]
+        self._past, self._adaptive = Past(len(e.inputs)), None
         self.inputs[:] = [v.start for v in e.inputs]
         self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
         self._seen = self.memory["seen"]
@@ -148,7 +176,7 @@ class Instance:
         instant = e.kernel.get("instant", {"calls": []})
         evaluated = any(name.endswith("_evaluate") for name in called(instant["calls"]))
         self._iterations_read = instant["iterations"] if evaluated else 0
-        self._fast = self._scaled = self._pending = False
+        self._fast = self._direct = self._scaled = self._pending = False
         self.initialized = self._known = False
 
     # State -------------------------------------------------------------------------------------------------------
@@ -278,6 +306,8 @@ class Instance:
         self.memory["tally"][:] = 0.0
         self.energy_start = energy
         self._known, self.initialized = False, True
+        self._past.numbers[:] = 0.0
+        self._adaptive = self._other_method() if self.oracle.settings.method != "rk4" else None
         self._choose()
 
     def _know(self, q: NDArray, v: NDArray) -> None:
@@ -311,6 +341,8 @@ class Instance:
             memory["k"][:] = [*first, *(alpha / largest), *(1 / oracle.units), *(largest / oracle.scales), *shares]
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
+        # Whether the kernel makes the steps too, beside what is read.
+        self._direct = self._fast and settings.method == "rk4" and not settings.input_order
 
     def _start_values(self) -> list[NDArray]:
         """Parameters with what locks keep, start values and start rates."""
@@ -334,7 +366,7 @@ class Instance:
         """Settings from the values of the solver variables, and from what has no variable."""
         values = {_field(v.name): self.values[self._parameter[v.name]] for v in SOLVER_VARIABLES}
         values |= {_field(name): value for name, value in self.choices.items()}
-        values["max_iterations"] = int(values["max_iterations"])
+        values |= {name: int(values[name]) for name in ("max_iterations", "input_order")}
         if np.ndim(self._given.penalty):
             values["penalty"] = self._given.penalty
         return replace(self._given, **values)
@@ -349,7 +381,7 @@ class Instance:
         if self._pending:
             self._take_effect()
         start = self.time if time is None else time
-        if not (self._fast and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
+        if not (self._direct and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
             self._step(h, start)
         self._known = False
 
@@ -366,9 +398,13 @@ class Instance:
         n = max(1, math.ceil(h / self.oracle.settings.step_size * (1 - 1e-12)))
         dt, done = h / n, 0
         before, counters = self.state.copy(), copy.copy(self.counters)
+        self._past.reach(start, self.inputs)
+        if self._adaptive:
+            self._advance(start, h, n)
+            return
         try:
             while done < n:
-                if self._fast:
+                if self._direct:
                     self.time = start + done * dt
                     done += self.machine.advance(n - done, dt)
                 if done < n:
@@ -380,6 +416,61 @@ class Instance:
             self.oracle.counters = counters
             raise
         self.time = start + h
+
+    def _extrapolated(self, t: float) -> NDArray:
+        """The inputs at t, inside the communication step under way."""
+        order = self.oracle.settings.input_order
+        return self._past.at(t, order) if order else self.inputs
+
+    def _other_method(self) -> Any:
+        """What makes steps by a method other than RK4; loaded where a scene asks for it."""
+        name, method = self.equations.name, self.oracle.settings.method
+        try:
+            from .adaptive import TANGENTS, adaptive
+        except ImportError:
+            raise InputError(
+                f"{name}: this FMU carries rk4 alone; export it with --set solver.method={method}"
+            ) from None
+        if method in TANGENTS and "tangents" not in self.equations.signatures:
+            raise InputError(
+                f"{name}: solver.method {method} needs the tangents of the equations; choose it where the scene is "
+                f"made: simulate(..., parameters={{'solver.method': '{method}'}}), or export with --set"
+            )
+        return adaptive(self.oracle, self._extrapolated)
+
+    def spectrum(self) -> NDArray:
+        """Eigenvalues [1/s] of small motions about the present one; for methods that have tangents."""
+        self._adaptive.place(self.time, self.q, self.v, self.work)
+        return self._adaptive.spectrum()
+
+    def _advance(self, start: float, h: float, n: int) -> None:
+        """A communication step by a method other than RK4; n steps where they have a given length."""
+        a, c = self._adaptive, self.oracle.counters
+        before, counters, control = self.state.copy(), copy.copy(c), copy.copy(a.control)
+        a.fixed = h / n if self.oracle.settings.method in FIXED else None
+        a.place(start, self.q, self.v, self.work)
+        refused = a.counts["refused"]
+        try:
+            a.advance(start + h, self._taken)
+        except AlfmuError:
+            self.state[:], self.oracle.counters, a.control = before, counters, control
+            raise
+        c.refused += a.counts["refused"] - refused
+        self.time = start + h
+        self._known = False
+
+    def _taken(self) -> None:
+        """Take over the state that a step led to."""
+        a, c, zeros = self._adaptive, self.oracle.counters, np.zeros(self.equations.n)
+        position, velocity = self.oracle.residues(a.q, a.v)
+        c.steps += 1
+        c.position_error = max(c.position_error, position)
+        c.velocity_error = max(c.velocity_error, velocity)
+        angles = self.angles
+        if self._wrapped:
+            u = self._extrapolated(a.t)
+            angles = self._unwrap(self.oracle.outputs(a.q, a.v, zeros, np.zeros(self.equations.l), u, a.t), angles)
+        self.state[: self.layout.time + 1] = [*a.q, *a.v, *angles, a.work, a.t]
 
     def _watched_step(self, start: float, dt: float) -> None:
         """One internal step by the oracle; where it cannot be made, or leaves constraints open, it is asked why."""
@@ -438,16 +529,17 @@ class Instance:
                 near = near or oracle.near(q)
             a = known
             if a is None or t != start:
-                a, _, _, _ = oracle.accelerations(q, v, u, t)
+                a, _, _, _ = oracle.accelerations(q, v, self._extrapolated(t), t)
             return moved(t, y, a)
 
         def rate_on_branch(t: float, y: NDArray) -> NDArray:
+            u = self._extrapolated(t)
             a, *_ = oracle.accelerations_on_branch(y[:size], y[size : 2 * size], u, t, SPACING * dt)
             return moved(t, y, a)
 
         def moved(t: float, y: NDArray, a: NDArray) -> NDArray:
             q, v = y[:size], y[size : 2 * size]
-            return np.concatenate([v, a, [oracle.power(q, v, u, t) if e.works else 0.0]])
+            return np.concatenate([v, a, [oracle.power(q, v, self._extrapolated(t), t) if e.works else 0.0]])
 
         oracle.hold(self.q)
         t = start + dt
@@ -659,7 +751,9 @@ class Instance:
         if self.initialized:
             oracle = self.oracle
             known = self.energy_start, oracle.freedom, oracle.masses, oracle.rank, oracle.brakes
-            numbers += [known, oracle.penalty, self._full, oracle.scales, oracle.units, self.topology.numbers]
+            control = self._adaptive.control.numbers if self._adaptive else ()
+            numbers += [known, self._past.numbers, control]
+            numbers += [oracle.penalty, self._full, oracle.scales, oracle.units, self.topology.numbers]
         text = json.dumps(head, sort_keys=True).encode()
         return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
 
@@ -672,7 +766,8 @@ class Instance:
             numbers = np.frombuffer(state[8 + size :]).copy()
             sizes = [len(self.parameters), len(e.inputs), len(self.state)]
             if head["initialized"]:
-                sizes += [5, e.l, e.l, e.n, e.l, len(self.topology.numbers)]
+                adaptive = head["choices"]["solver.method"] != "rk4"
+                sizes += [5, len(self._past.numbers), 3 * adaptive, e.l, e.l, e.n, e.l, len(self.topology.numbers)]
             if numbers.size != sum(sizes):
                 raise ValueError(numbers.size)
         except (ValueError, KeyError) as error:
@@ -683,21 +778,25 @@ class Instance:
         self.initialized = self._known = False
         if head["initialized"]:
             state = self.state.copy()
-            self.topology.numbers[:] = parts[8]
+            known, past, control, penalty, full, scales, units, topology = parts[3:]
+            self.topology.numbers[:] = topology
             self._pending = self.topology.pending
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
             self._comply()
-            self.oracle.penalty, self._full = parts[4:6]
+            self.oracle.penalty, self._full = penalty, full
             self._scaled = head["scaled"]
-            energy, freedom, masses, rank, brakes = map(float, parts[3])
+            energy, freedom, masses, rank, brakes = map(float, known)
             oracle = self.oracle
-            oracle.freedom, oracle.masses, oracle.scales, oracle.units = int(freedom), masses, *parts[6:8]
+            oracle.freedom, oracle.masses, oracle.scales, oracle.units = int(freedom), masses, scales, units
             oracle.rank, oracle.brakes = int(rank), bool(brakes)
             self._begin(state[: self.layout.time], energy)
+            self._past.numbers[:] = past
+            if self._adaptive:
+                self._adaptive.control.numbers = control
             self.state[:] = state
             self.oracle.counters = Counters(**head["counters"])
         else:
-            self._fast = False
+            self._fast = self._direct = False
 
     def _check_inputs(self) -> None:
         if not np.isfinite(self.inputs).all():

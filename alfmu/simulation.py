@@ -12,9 +12,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from .adaptive import TANGENTS
 from .derivation import derive
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError
+from .evaluation import DENSE, with_tangents
 from .kernel import DEFAULT, KERNELS
 from .kernel.build import compiled, compiler
 from .kernel.trace import traced, untraced
@@ -35,6 +37,12 @@ __all__ = [
     "simulate",
     "with_defaults",
 ]
+
+STIFF = 100.0
+"""Ratio of the fastest to the slowest small motion above which a scene is stiff, if the fastest decays."""
+
+DECAYS = 0.3
+"""Real part of that motion over its size, from which on it decays before it matters."""
 
 Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
@@ -114,7 +122,7 @@ def simulate(
     `kernel` is one of `alfmu.kernel.KERNELS`. Raises AlfmuError where a name, a value or the mechanism is at fault.
     """
     equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
-    if freeze is not None:
+    if freeze is not None or "solver.method" in (parameters or {}):
         equations, parameters = with_defaults(equations, parameters or {}), {}
     instance = Instance(prepared(specialised(equations, outputs, freeze), kernel), settings)
     stop_time = equations.stop_time if stop_time is None else stop_time
@@ -204,7 +212,7 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
-    probe = None
+    equations, probe = _with_method(equations), None
     if not equations.kernel or equations.shared is None:
         probe = _started(equations)
         equations = _surveyed(equations, probe)
@@ -224,6 +232,35 @@ def _started(equations: Equations) -> Instance | None:
     except AlfmuError:
         return None
     return probe
+
+
+def _with_method(equations: Equations) -> Equations:
+    """The same equations with what their method of integration needs, and `auto` decided."""
+    chosen, reason = equations.solver.get("method", "rk4"), equations.reason
+    if chosen == "auto":
+        chosen, reason = _chosen(equations)
+    if chosen in TANGENTS and equations.n > DENSE:
+        raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
+    e = with_tangents(equations) if chosen in TANGENTS else equations
+    same = reason == equations.reason
+    return e if same else replace(e, solver={**e.solver, "method": chosen}, reason=reason)
+
+
+def _chosen(equations: Equations) -> tuple[str, str]:
+    """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
+    if equations.n > DENSE:
+        return "explicit", f"explicit: more than {DENSE} coordinates"
+    solver = {**equations.solver, "method": "stiff"}
+    probe = _started(replace(with_tangents(equations), kernel={}, solver=solver))
+    if probe is None:
+        return "explicit", "explicit: the defaults have no start"
+    values = probe.spectrum()
+    fastest = values[np.argmax(np.abs(values))]
+    slow = max(2 * math.pi / equations.stop_time, min((abs(x) for x in values if abs(x) > 1e-3), default=0.0))
+    seen = f"the fastest small motion at the start has {abs(fastest):.3g} 1/s, the slowest {slow:.3g}"
+    if abs(fastest) > STIFF * slow and -fastest.real > DECAYS * abs(fastest):
+        return "stiff", f"stiff: {seen}, and it decays"
+    return "explicit", f"explicit: {seen}"
 
 
 def _surveyed(equations: Equations, probe: Instance | None) -> Equations:

@@ -48,6 +48,7 @@ RUN_SIDE = (
     "branch.py",
     "scaling.py",
     "topology.py",
+    "inputs.py",
     "kernel/program.py",
     "kernel/fusion.py",
     "kernel/vm.py",
@@ -56,6 +57,9 @@ RUN_SIDE = (
     "fmi/slave.py",
 )
 """Modules of alfmu that travel inside an FMU, those that its kernel does not need left out."""
+
+METHODS = ("adaptive.py", "implicit.py", "stepping.py")
+"""Those that methods beside RK4 need."""
 
 PORTABLE = ("kernel/fusion.py", "kernel/vm.py")
 """Those that run the portable form, and need CasADi."""
@@ -108,7 +112,8 @@ def export(
     generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
     library = equations.library
     unneeded = ("kernel/compiled.py",) if library is None else () if portable else PORTABLE
-    sources = {name: _source(name) for name in RUN_SIDE if name not in unneeded}
+    methods = METHODS if equations.solver.get("method", "rk4") != "rk4" else ()
+    sources = {name: _source(name) for name in (*RUN_SIDE, *methods) if name not in unneeded}
     resources = {SCENE: equations.to_json().encode()}
     if library is None or portable:
         resources[FUNCTIONS] = serialized(equations, EVALUATED).encode()
