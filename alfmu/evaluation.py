@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 import casadi as ca
 
@@ -13,6 +13,12 @@ __all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", 
 
 DENSE = 50
 """Coordinates up to which matrices are dense arrays; larger ones are sparse."""
+
+MANY = 100
+"""Coordinates from which on they may be eliminated in the order of declaration."""
+
+MORE = 1.1
+"""Work of a factorisation in the order of declaration, over that with little fill, up to which it is taken."""
 
 ARGUMENTS = {
     name: letters.split()
@@ -96,8 +102,27 @@ def evaluable(equations: Equations) -> Equations:
         dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
         functions[name] = shared(name, arguments, dense)
     pattern = ca.SX(M.sparsity(), 1) + ca.SX(C.T.sparsity(), 1) @ ca.SX(C.sparsity(), 1)  # of H
-    _, order = pattern.sparsity().ldl(True)
-    return with_functions(replace(e, order=list(order)), functions)
+    return with_functions(replace(e, order=elimination(pattern.sparsity())), functions)
+
+
+def elimination(pattern: ca.Sparsity) -> list[int]:
+    """The order in which coordinates are eliminated from H: one that fills L little.
+
+    Of many coordinates the order is that of their declaration where it takes hardly more work: what repeats in a
+    mechanism is then eliminated alike, and compiled as a loop.
+    """
+    factor, order = pattern.ldl(True)
+    if pattern.size1() >= MANY:
+        declared, plain = pattern.ldl(False)
+        if _work(declared) <= MORE * _work(factor):
+            return list(plain)
+    return list(order)
+
+
+def _work(factor: ca.Sparsity) -> int:
+    """Multiplications in a factorisation, nearly: squares of the nonzeros of the columns of L."""
+    ends = factor.colind()
+    return sum((end - begin) ** 2 for begin, end in pairwise(ends))
 
 
 def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Function:

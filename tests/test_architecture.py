@@ -35,7 +35,11 @@ ALLOWED: dict[str, set[str]] = {
     "kernel.vm": {"equations", "kernel.fusion", "kernel.program"},
     "kernel.compiled": {"equations", "kernel.program"},
     "kernel.trace": {"assembly", "branch", "equations", "evaluation", "integrators", "kernel.program", "method"},
-    "kernel.emit": {"equations", "errors", "kernel.program"},
+    "kernel.stream": {"errors"},
+    "kernel.repeat": {"kernel.stream"},
+    "kernel.places": {"kernel.repeat", "kernel.stream"},
+    "kernel.loops": {"kernel.places", "kernel.repeat", "kernel.stream"},
+    "kernel.emit": {"equations", "kernel.loops", "kernel.program", "kernel.stream"},
     "kernel.build": {"equations", "errors", "kernel.compiled", "kernel.emit", "kernel.program"},
     "runtime": {
         "assembly",

@@ -15,7 +15,7 @@ from scenes import derived
 import alfmu
 from alfmu.cli import main
 from alfmu.fmi.drive import Fmu, validate
-from alfmu.kernel import build, emit
+from alfmu.kernel import build, emit, stream
 from alfmu.kernel.program import LIBRARY
 from alfmu.simulation import prepared, run
 
@@ -54,7 +54,7 @@ def test_every_operation_means_the_same_in_c(tmp_path):
     results += [ca.SX(-0.5) + a, ca.if_else(a > 0, ca.inf, a)]
     f = ca.Function("f", [x], [ca.vertcat(*results)])
     used = {f.instruction_id(k) for k in range(f.n_instructions())} - {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
-    assert used == (set(emit._BINARY) | set(emit._UNARY)) - {ca.OP_ASSIGN}
+    assert used == (set(stream.BINARY) | set(stream.UNARY)) - {ca.OP_ASSIGN}
     e = derived("particle_on_circle")
     signature = {"inputs": [2], "outputs": [[len(results), 1]], "matrices": 0}
     library = build.compiled(replace(e, functions={"f": f}, signatures={"f": signature})).library
@@ -70,7 +70,7 @@ def test_an_operation_that_has_no_c_is_named():
     x = ca.SX.sym("x")
     f = ca.Function("f", [x], [ca.erfinv(x)])
     with pytest.raises(alfmu.ExportError, match=r"some_scene: operation \d+ of f has no C here; use --kernel vm"):
-        list(emit._operations(f, "some_scene"))
+        stream.Instructions.of(f, "some_scene")
 
 
 @scenes

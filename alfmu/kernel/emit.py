@@ -1,4 +1,4 @@
-"""The functions of a scene as C: straight-line code in blocks of bounded length, so that compile time stays linear.
+"""The functions of a scene as C: straight-line code, long ones in blocks of bounded length with loops for repetition.
 
 Each function becomes `name(x, y, w)`: arrays of its arguments and of the nonzeros of its results, and a workspace for
 values that pass from one block to the next. The code has no global state and allocates nothing.
@@ -11,8 +11,9 @@ from collections.abc import Iterator
 import casadi as ca
 
 from ..equations import Equations
-from ..errors import ExportError
+from .loops import blocks, c_function
 from .program import CHOICE, TIERS, Layout, Program
+from .stream import BINARY, UNARY, Instructions, Operations, number
 
 __all__ = ["sources"]
 
@@ -24,45 +25,6 @@ WHOLE = 2500
 
 UNIT = 2_000_000
 """Characters of source in one file, roughly; several are compiled at a time."""
-
-_FUNCTIONS = (
-    *("fabs", "floor", "ceil", "sqrt", "exp", "log", "expm1", "log1p", "erf", "sin", "cos", "tan", "asin", "acos"),
-    *("atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"),
-)
-"""Operations that have the name of a C function."""
-
-_BINARY = {
-    ca.OP_ADD: "{} + {}",
-    ca.OP_SUB: "{} - {}",
-    ca.OP_MUL: "{} * {}",
-    ca.OP_DIV: "{} / {}",
-    ca.OP_LT: "{} < {}",
-    ca.OP_LE: "{} <= {}",
-    ca.OP_EQ: "{} == {}",
-    ca.OP_NE: "{} != {}",
-    ca.OP_AND: "{} && {}",
-    ca.OP_OR: "{} || {}",
-    ca.OP_IF_ELSE_ZERO: "{} ? {} : 0.0",
-    ca.OP_POW: "pow({}, {})",
-    ca.OP_CONSTPOW: "pow({}, {})",
-    ca.OP_ATAN2: "atan2({}, {})",
-    ca.OP_FMIN: "fmin({}, {})",
-    ca.OP_FMAX: "fmax({}, {})",
-    ca.OP_FMOD: "fmod({}, {})",
-    ca.OP_REMAINDER: "remainder({}, {})",
-    ca.OP_HYPOT: "hypot({}, {})",
-    ca.OP_COPYSIGN: "copysign({}, {})",
-}
-_UNARY = {
-    ca.OP_ASSIGN: "{}",
-    ca.OP_NEG: "-{}",
-    ca.OP_NOT: "!{}",
-    ca.OP_SQ: "{0} * {0}",
-    ca.OP_TWICE: "2.0 * {}",
-    ca.OP_INV: "1.0 / {}",
-    ca.OP_SIGN: "({0} > 0.0) - ({0} < 0.0)",
-    **{getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})" for name in _FUNCTIONS},
-}
 
 _HEAD = """\
 #include <math.h>
@@ -160,8 +122,9 @@ def sources(equations: Equations) -> tuple[list[str], int]:
     """C files with all functions that run with numbers, and the length of the workspace behind an instance's memory."""
     e, layout = equations, Layout(equations)
     files, needed = [""], 0
+    overwritten = _overwritten(e)
     for name in e.signatures:
-        for text, workspace in _function(name, e.functions[name], e.name):
+        for text, workspace in _function(name, e.functions[name], overwritten[name], e.name):
             if len(files[-1]) > UNIT:
                 files.append("")
             files[-1] += text
@@ -231,92 +194,51 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
     return f"static void {name}(double *m, double *w)\n{{\n{body}}}\n"
 
 
-def _function(name: str, f: ca.Function, scene: str) -> Iterator[tuple[str, int]]:
+def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> Iterator[tuple[str, int]]:
     """C of a function in one or several pieces, each with the length of the workspace that the function needs."""
-    operations = list(_operations(f, scene))
-    if len(operations) > WHOLE:
-        yield from _blocks(name, [operations[i : i + BLOCK] for i in range(0, len(operations), BLOCK)])
-        return
-    yield _block(name, [_statement(line, used, made) for line, used, made in operations]), 0
+    instructions = Instructions.of(f, scene)
+    if len(instructions) > WHOLE:
+        yield from blocks(name, Operations.of(instructions), kept, BLOCK)
+    else:
+        yield c_function(name, _statements(instructions)), 0
 
 
-def _blocks(name: str, blocks: list[list]) -> Iterator[tuple[str, int]]:
-    """A long function as a chain of blocks; what a later block needs goes through the workspace, places reused."""
-    born = {made: b for b, block in enumerate(blocks) for _, _, made in block if made is not None}
-    last: dict[int, int] = {}
-    for b, block in enumerate(blocks):
-        for _, used, _ in block:
-            for value in used:
-                if born[value] != b:
-                    last[value] = b
-    place: dict[int, int] = {}
-    free: list[int] = []
-    ending: list[list[int]] = [[] for _ in blocks]
-    size = 0
-    for b, block in enumerate(blocks):
-        lines, loaded = [], set()
-        for line, used, made in block:
-            for value in used:
-                if born[value] != b and value not in loaded:
-                    loaded.add(value)
-                    lines.append(_defined(value, f"w[{place[value]}]"))
-            lines.append(_statement(line, used, made))
-        for value in (made for _, _, made in block if made in last):
-            if free:
-                place[value] = free.pop()
-            else:
-                place[value], size = size, size + 1
-            ending[last[value]].append(value)
-            lines.append(f"w[{place[value]}] = v{value};")
-        free += [place[value] for value in ending[b]]  # Only now: within a block no place is used twice.
-        yield _block(f"{name}_{b}", lines), size
-    names = [f"{name}_{b}" for b in range(len(blocks))]
-    declared = "".join(f"extern Function {each};\n" for each in names)
-    yield declared + _block(name, [f"{each}(x, y, w);" for each in names]), size
-
-
-def _block(name: str, lines: list[str]) -> str:
-    body = "".join(f"    {line}\n" for line in lines)
-    head = f"__attribute__((noinline)) void {name}(Arguments x, Results y, double *w)"
-    return f"extern Function {name};\n{head}\n{{\n    (void)x, (void)y, (void)w;\n{body}}}\n\n"
-
-
-def _statement(line: str, used: list[int], made: int | None) -> str:
-    text = line.format(*(f"v{i}" for i in used))
-    return text if made is None else _defined(made, text)
-
-
-def _defined(number: int, value: str) -> str:
-    return f"const double v{number} = {value};"
-
-
-def _operations(f: ca.Function, scene: str) -> Iterator[tuple[str, list[int], int | None]]:
-    """Each operation as C with places for the values it uses, their numbers, and the number of the value it makes."""
-    current: dict[int, int] = {}
+def _statements(instructions: Instructions) -> Iterator[str]:
+    """Each instruction as a line of C."""
     made = 0
-    for k in range(f.n_instructions()):
-        operation, inputs, outputs = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
+    names: list[str] = []
+    for k, operation in enumerate(instructions.code.tolist()):
+        first, second = (names[i] if i >= 0 else "" for i in instructions.operands[:, k].tolist())
+        which, entry = instructions.place[:, k].tolist()
+        names.append(f"v{made}")
         if operation == ca.OP_OUTPUT:
-            yield f"y[{outputs[0]}][{outputs[1]}] = {{}};", [current[inputs[0]]], None
+            yield f"y[{which}][{entry}] = {first};"
             continue
         if operation == ca.OP_CONST:
-            text, used = _number(f.instruction_constant(k)), []
+            text = number(float(instructions.constant[k]))
         elif operation == ca.OP_INPUT:
-            text, used = f"x[{inputs[0]}][{inputs[1]}]", []
-        elif operation in _BINARY:
-            text, used = _BINARY[operation], [current[inputs[0]], current[inputs[1]]]
-        elif operation in _UNARY:
-            text, used = _UNARY[operation], [current[inputs[0]]]
+            text = f"x[{which}][{entry}]"
         else:
-            raise ExportError(f"{scene}: operation {operation} of {f.name()} has no C here; use --kernel vm")
-        current[outputs[0]] = made
-        yield text, used, made
+            text = (BINARY.get(operation) or UNARY[operation]).format(first, second)
+        yield f"const double v{made} = {text};"
         made += 1
 
 
-def _number(value: float) -> str:
-    if value != value:
-        return "NAN"
-    if value in (float("inf"), float("-inf")):
-        return "INFINITY" if value > 0 else "(-INFINITY)"
-    return f"({value!r})" if value < 0 else repr(value)
+def _overwritten(e: Equations) -> dict[str, dict[int, int]]:
+    """Arguments of functions, and their lengths, that some call writes a result over."""
+    found: dict[str, dict[int, int]] = {name: {} for name in e.signatures}
+    for program in e.kernel.values():
+        for name, arguments, results in _flat(program["calls"]):
+            lengths = e.signatures[name]["inputs"]
+            found[name] |= {i: lengths[i] for i, key in enumerate(arguments) if key in results}
+    return found
+
+
+def _flat(calls: list[list]) -> Iterator[list]:
+    """All calls, those of either choice too."""
+    for call in calls:
+        if call[0] == CHOICE:
+            yield from _flat(call[2])
+            yield from _flat(call[3])
+        else:
+            yield call

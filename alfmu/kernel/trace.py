@@ -115,7 +115,7 @@ def parts(equations: Equations, program: Program) -> tuple[dict[str, ca.Function
     terms = scene.terms(q, v, u, t)
     M, C = terms[:2]
     H = method.augmented_mass(M, C, scene.weights)
-    D, L, order = ca.ldl(H, True)
+    D, L, order = _factors(e, H)
     zeros = ca.SX(e.n, 1), ca.SX(e.l, 1)
     a, _ = scene.iterated(terms, (D, L, order), *zeros, plan.iterations)
     results = {"model": terms, "factorisation": [*terms, D, L], "iterations": [a, scene.power(q, v, u, t)]}
@@ -396,7 +396,7 @@ class _Scene:
         """Sparsity of what an evaluation hands on: M, C, F, xi, and the factors of H."""
         x = symbols(self.e)
         M, C, F, xi = self.terms(x["q"], x["v"], x["u"], x["t"])
-        D, L, self._order = ca.ldl(method.augmented_mass(M, C, self.weights), True)
+        D, L, self._order = _factors(self.e, method.augmented_mass(M, C, self.weights))
         values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
         return {name: value.sparsity() for name, value in values.items()}
 
@@ -416,7 +416,7 @@ class _Scene:
         e = self.e
         terms = M, C, F, xi = self.terms(q, v, u, t)
         H = method.augmented_mass(M, C, self.weights)
-        D, L, order = ca.ldl(H, True)
+        D, L, order = _factors(self.e, H)
         a, lam = self.iterated(terms, (D, L, order), ca.SX(e.n, 1), ca.SX(e.l, 1), 1)
         watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), *self.margin(D, order))
         values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
@@ -468,7 +468,7 @@ class _Scene:
             place = q + k * branch.SPACING * dt * v
             C = self.e.C(place, self.p)
             H = method.augmented_mass(self.scale * self.e.M(place, self.p), C, self.weights)
-            D, _, order = ca.ldl(H, True)
+            D, _, order = _factors(self.e, H)
             margins.append(self.margin(D, order)[1])
         squared, here = branch.curvature(*margins), margins[1]
         told = ca.logic_or(here > self.nothing, squared > self.nothing)
@@ -511,7 +511,7 @@ class _Scene:
             last[:] = [ca.sumsqr(stiffness @ change), ca.sumsqr(stiffness @ value)]
             return False
 
-        solve = _solver(*ca.ldl(method.augmented_mass(M, C, stiffness), True))
+        solve = _solver(*_factors(self.e, method.augmented_mass(M, C, stiffness)))
         lam = method.minimum_norm(C, stiffness, solve, lam, SHARES, done)
         return ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
 
@@ -662,10 +662,15 @@ class _Scene:
     def _augmented(self, q: ca.SX) -> tuple[ca.SX, ca.SX, method.Solve]:
         """C, the pivots of H (times `scale`), and what solves with it."""
         C = self.e.C(q, self.p)
-        D, L, order = ca.ldl(method.augmented_mass(self.scale * self.e.M(q, self.p), C, self.weights), True)
+        D, L, order = _factors(self.e, method.augmented_mass(self.scale * self.e.M(q, self.p), C, self.weights))
         return C, D, _solver(D, L, order)
 
 
+def _factors(e: Equations, H: ca.SX) -> tuple[ca.SX, ca.SX, list[int]]:
+    """D and L of the LDL' factorisation of H, and the order of the coordinates in it, which is that of `e`."""
+    return ca.ldl(H, e.order != list(range(e.n)))
+
+
 def _solver(D: ca.SX, L: ca.SX, order: list[int]) -> method.Solve:
-    """What solves with a sparse LDL' factorisation in a fill-reducing order."""
+    """What solves with a sparse LDL' factorisation."""
     return lambda b: ca.ldl_solve(b, D, L, order)

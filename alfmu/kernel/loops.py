@@ -1,0 +1,181 @@
+"""A long function in C: a chain of blocks of bounded length, in which what repeats is a loop.
+
+The operations and their order are those of the function, so the numbers are the same to the last bit. A value is a
+local variable of the piece of code, or of the pass of a loop, that makes it; `alfmu.kernel.places` says where others
+find it. Indices that go from pass to pass by a step are computed; others, and constants that differ, are in tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .places import Places, line
+from .repeat import Repeat, repeats
+from .stream import BINARY, CONSTANT, INPUT, UNARY, VALUE, Operations, number
+
+__all__ = ["blocks", "c_function"]
+
+
+def blocks(name: str, operations: Operations, kept: dict[int, int], most: int) -> Iterator[tuple[str, int]]:
+    """C functions of at most `most` operations or one loop each, and one that calls them; with their workspace.
+
+    `kept` are the lengths of arguments that are copied first, since results may be written over them.
+    """
+    pieces = list(_pieces(len(operations), repeats(operations), most))
+    code = _Code(operations, pieces, kept)
+    names: list[str] = []
+    lines = code.copies()
+    size = 0
+    for i, piece in enumerate(pieces):
+        lines += code.piece(i)
+        size += piece.period
+        if i + 1 == len(pieces) or size + pieces[i + 1].period > most:
+            names.append(f"{name}_{len(names)}")
+            yield c_function(names[-1], lines), code.workspace
+            lines, size = [], 0
+    declared = "".join(f"extern Function {each};\n" for each in names)
+    yield declared + c_function(name, [f"{each}(x, y, w);" for each in names]), code.workspace
+
+
+def c_function(name: str, lines: Iterable[str]) -> str:
+    """A function of arguments, results and workspace."""
+    body = "".join(f"    {line}\n" for line in lines)
+    head = f"__attribute__((noinline)) void {name}(Arguments x, Results y, double *w)"
+    return f"extern Function {name};\n{head}\n{{\n    (void)x, (void)y, (void)w;\n{body}}}\n\n"
+
+
+def _pieces(count: int, found: list[Repeat], most: int) -> Iterator[Repeat]:
+    """Loops, and between them straight code, which is what does not repeat."""
+    ends = [0, *(each.end for each in found)]
+    for end, loop in zip(ends, [*found, None], strict=True):
+        stop = loop.start if loop else count
+        yield from (Repeat(i, min(most, stop - i), 1) for i in range(end, stop, most))
+        if loop:
+            yield loop
+
+
+class _Code:
+    """The text of pieces."""
+
+    def __init__(self, operations: Operations, pieces: list[Repeat], kept: dict[int, int]):
+        self._operations, self._pieces, self._kept = operations, pieces, kept
+        ends = np.cumsum([0, *kept.values()]).tolist()
+        self._copy = dict(zip(kept, ends, strict=False))
+        self._places = Places(operations, pieces, ends[-1])
+        self.workspace = self._places.size
+        self._letter, self._which, self._entry = self._found()
+
+    def _found(self) -> tuple[NDArray, NDArray, NDArray]:
+        """Of each operand: where it is found, c a constant, v a local variable, w, x or y; which x or y; its entry."""
+        o, places = self._operations, self._places
+        offset = np.zeros(max([*self._copy, o.argument.max(initial=0)]) + 1, int)
+        offset[list(self._copy)] = list(self._copy.values())
+        copied = (o.kind == INPUT) & np.isin(o.argument, list(self._kept))
+        cases = [o.kind == CONSTANT, copied, o.kind == INPUT, places.fetched, places.elsewhere, o.kind == VALUE]
+        result, entry = o.written[:, o.made]
+        entries = [o.operand, offset[o.argument] + o.operand, o.operand, places.address[o.made], entry]
+        return (
+            np.select(cases, list("cwxwyv"), ""),
+            np.select(cases, [0, 0, o.argument, 0, result, 0]),
+            np.select(cases, [*entries, places.column[o.made]]),
+        )
+
+    def copies(self) -> list[str]:
+        """Of arguments, at the beginning of the workspace."""
+        return [f"memcpy(w + {self._copy[i]}, x[{i}], {n} * sizeof(double));" for i, n in self._kept.items()]
+
+    def piece(self, i: int) -> list[str]:
+        """Straight code, or a loop."""
+        o, piece = self._operations, self._pieces[i]
+        body = _Body(piece.count)
+        first = slice(piece.start, piece.start + piece.period)
+        letters, which = (x[:, first].tolist() for x in (self._letter, self._which))
+        entries = [piece.columns(x) for x in self._entry]
+        addresses, results = piece.columns(self._places.address), piece.columns(o.result[1])
+        facts = (x[first].tolist() for x in (o.code, o.result[0], self._places.stored))
+        for column, (code, result, stored) in enumerate(zip(*facts, strict=True)):
+            operands = [
+                self._operand(body, letters[j][column], which[j][column], entries[j][column])
+                for j in (0, 1)
+                if letters[j][column]
+            ]
+            if result >= 0:
+                body.store(f"y{result}", results[column], operands[0])
+                continue
+            template = BINARY.get(code) or UNARY[code]
+            body.lines.append(f"const double v{column} = {template.format(*operands)};")
+            if stored:
+                body.store("w", addresses[column], f"v{column}")
+        return body.text()
+
+    def _operand(self, body: _Body, letter: str, which: int, entries: Sequence[int]) -> str:
+        """An expression that may stand anywhere in a pass from here on."""
+        if letter == "v":
+            return f"v{entries[0]}"
+        if letter == "c":
+            return body.constant(self._operations.constant[entries])
+        return body.loaded("w" if letter == "w" else f"{letter}{which}", entries)
+
+
+class _Body:
+    """A piece of C while it is written: what stands before the loop, and in it."""
+
+    def __init__(self, count: int):
+        self.lines: list[str] = []
+        self._count = count
+        self._before: dict[str, str] = {}
+        self._tables: dict[tuple[str, str], str] = {}
+        self._known: dict[str, str] = {}
+
+    def constant(self, values: NDArray) -> str:
+        """A constant, or one of a table."""
+        if (values.view(np.int64) == values[:1].view(np.int64)).all():
+            return number(float(values[0]))
+        return self._local(self._table("double", map(number, values.tolist())))
+
+    def loaded(self, array: str, entries: Sequence[int]) -> str:
+        """A local variable with an entry of an array: each entry is loaded once in a pass, or once before the loop."""
+        text = self._element(array, entries)
+        if self._count == 1 or "k" in text:
+            return self._local(text)
+        name = self._known.setdefault(text, f"u{len(self._known)}")
+        self._before[f"const double {name}"] = text
+        return name
+
+    def store(self, array: str, entries: Sequence[int], value: str) -> None:
+        self.lines.append(f"{self._element(array, entries)} = {value};")
+
+    def text(self) -> list[str]:
+        before = [f"{head} = {tail};" for head, tail in self._before.items()]
+        if self._count == 1:
+            return ["{", *(f"    {line}" for line in (*before, *self.lines)), "}"]
+        loop = [f"for (long k = 0; k < {self._count}; k++) {{", *(f"    {line}" for line in self.lines), "}"]
+        return ["{", *(f"    {line}" for line in (*before, *loop)), "}"]
+
+    def _local(self, text: str) -> str:
+        if text not in self._known:
+            self._known[text] = f"u{len(self._known)}"
+            self.lines.append(f"const double {self._known[text]} = {text};")
+        return self._known[text]
+
+    def _element(self, array: str, entries: Sequence[int]) -> str:
+        """An element of w, or of an x or y; pointers to these are kept, lest they be loaded again after each store."""
+        if array != "w":
+            constant = "const " * array.startswith("x")
+            self._before[f"{constant}double *const {array}"] = f"{array[0]}[{array[1:]}]"
+        found = line(entries)
+        if found is None:
+            return f"{array}[{self._table('int', map(str, entries.tolist()))}]"
+        begin, step = found
+        if not step:
+            return f"{array}[{begin}]"
+        return f"{array}[{begin} {'-' if step < 0 else '+'} {abs(step)} * k]"
+
+    def _table(self, kind: str, entries: Iterable[str]) -> str:
+        text = ", ".join(entries)
+        name = self._tables.setdefault((kind, text), f"t{len(self._tables)}")
+        self._before[f"static const {kind} {name}[]"] = f"{{{text}}}"
+        return f"{name}[k]"

@@ -1,0 +1,241 @@
+"""Find where a sequence of operations repeats with a period: what can be one loop in C.
+
+A mechanism of many like parts has the same operations for each of them. In the order in which CasADi computes results,
+depth first, these follow each other part by part, so that repetition is a matter of comparing the sequence with itself,
+shifted. Nothing is reordered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .stream import INPUT, VALUE, Operations
+
+__all__ = ["Repeat", "repeats"]
+
+FEWEST = 4
+"""Repetitions that are worth a loop."""
+
+SAVED = 40
+"""Operations that a loop must save."""
+
+LONGEST = 2500
+"""Operations in the body of a loop; compilers take more than linear time for longer ones."""
+
+_WINDOWS = (4, 16, 64, 256, 1024)
+"""Lengths of what is looked up to find candidates: longer than what repeats within a period, for some of them."""
+
+_NEAR = 24
+"""Distance between operations up to which it is part of what is looked up."""
+
+_MULTIPLES = range(1, 13)
+"""Of a period, that may bring indices in line."""
+
+_TRIMMED = 2
+"""Passes at either end that may be left to straight code to bring the indices of the others in line."""
+
+_NONE = np.iinfo(np.int64).max
+"""No step."""
+
+_LINE = 8
+"""Entries in tables that are as long as the C of an operation."""
+
+_FACTOR = np.uint64(0x9E3779B97F4A7C15)
+"""Odd, and without pattern: for hashes."""
+
+
+class Repeat(NamedTuple):
+    """`count` times the same operations, `period` of them, from `start` on."""
+
+    start: int
+    period: int
+    count: int
+
+    @property
+    def end(self) -> int:
+        return self.start + self.period * self.count
+
+    def passes(self, column: int) -> NDArray:
+        """The same operation each time."""
+        return self.start + column + self.period * np.arange(self.count)
+
+    def columns(self, numbers: NDArray) -> Sequence[Sequence[int]]:
+        """Numbers of all operations, by operation of the period; plain lists where there is but one of each."""
+        columns = numbers[self.start : self.end].reshape(self.count, self.period).T
+        return columns.tolist() if self.count == 1 else columns
+
+
+class _Candidate(NamedTuple):
+    saved: int
+    period: int
+    start: int
+    end: int
+
+
+def repeats(operations: Operations) -> list[Repeat]:
+    """What repeats, in order and without overlap; the greatest gain is taken first."""
+    sequence = _Sequence(operations)
+    taken = np.zeros(len(operations), bool)
+    found = []
+    for each in sorted(sequence.candidates(), reverse=True):
+        free = np.flatnonzero(~taken[each.start : each.end])
+        if not len(free):
+            continue
+        start, end = each.start + int(free[0]), each.start + int(free[-1]) + 1
+        count = (end - start) // each.period
+        if taken[start:end].any() or count < FEWEST or (count - 1) * each.period < SAVED:
+            continue
+        repeat = sequence.begun_best(Repeat(start, each.period, count), end)
+        taken[repeat.start : repeat.end] = True
+        found.append(repeat)
+    return _Lines(operations).improved(sorted(found))
+
+
+class _Sequence:
+    """Operations as numbers that are the same where operations may be."""
+
+    def __init__(self, operations: Operations):
+        o = operations
+        self.values = o.kind == VALUE
+        self.distance = np.where(self.values, np.arange(len(o)) - o.operand, 0)
+        """From an operation back to that which makes its operand."""
+        self.token = np.zeros(len(o), np.uint64)
+        for part in (o.code, *o.kind, *o.argument, o.result[0]):
+            distinct, number = np.unique(part, return_inverse=True)
+            self.token = self.token * np.uint64(len(distinct)) + number.astype(np.uint64)
+
+    def candidates(self) -> Iterator[_Candidate]:
+        """Stretches that are the same as what stands one period before, for all lengths of windows."""
+        count = len(self.token)
+        hashed = self.token
+        for near in np.minimum(self.distance, _NEAR):
+            hashed = (hashed * np.uint64(_NEAR + 1) + near.astype(np.uint64)) * _FACTOR
+        hashed ^= hashed >> np.uint64(32)
+        length, seen = 1, set()
+        while 2 * length <= count:
+            hashed = hashed[: len(hashed) - length] * _power(length) + hashed[length:]
+            length *= 2
+            if length in _WINDOWS:
+                for period, start, end in _stretches(hashed):
+                    for each in self._exact(period, max(0, start - length - period), min(count, end + length + period)):
+                        if each not in seen:
+                            seen.add(each)
+                            yield each
+
+    def _exact(self, period: int, begin: int, end: int) -> Iterator[_Candidate]:
+        """Where the operations from `begin` to `end` do repeat with a period."""
+        same = self.token[begin : end - period] == self.token[begin + period : end]
+        for distance in self.distance:
+            one, other = distance[begin : end - period], distance[begin + period : end]
+            same &= (one == other) | ((one >= period) & (other >= period))  # from before the period is from elsewhere
+        for start, stop in _true(same):
+            length = stop - start
+            if length >= (FEWEST - 1) * period:
+                yield _Candidate(length, period, begin + start, begin + stop + period)
+
+    def begun_best(self, repeat: Repeat, end: int) -> Repeat:
+        """The same repetition, begun where fewest values pass from one period to the next, if that costs none."""
+        start, period, count = repeat
+        spare = end - repeat.end + 1
+        middle = start + count // 2 * period
+        reach = np.zeros(period, int)  # how far ahead a value is used, up to a period
+        users = np.arange(middle, min(middle + 2 * period, end))
+        for distance in self.distance[:, users]:
+            made = users - distance - middle
+            used = (distance > 0) & (distance < period) & (made >= 0) & (made < period)
+            np.maximum.at(reach, made[used], distance[used])
+        crossing = np.zeros(2 * period + 1, int)  # the boundary before an operation
+        np.add.at(crossing, np.arange(period) + 1, reach > 0)
+        np.add.at(crossing, np.arange(period) + 1 + reach, -(reach > 0).astype(int))
+        live = np.cumsum(crossing)
+        passing = live[:period] + live[period : 2 * period]
+        return Repeat(start + int(np.argmin(passing[:spare])), period, count)
+
+
+class _Lines:
+    """Which indices go by a step from one pass of a loop to the next, and which need tables."""
+
+    def __init__(self, operations: Operations):
+        self._operations = operations
+        self._period = np.zeros(len(operations), int)
+        """Of the loop that an operation is in, 0 where it is in none."""
+
+    def improved(self, found: list[Repeat]) -> list[Repeat]:
+        """The same repetitions, with longer periods or fewer passes where tables cost more than that."""
+        result = []
+        for each in found:
+            best = each
+            if self._tables(each, ends=True):
+                ways = [Repeat(each.start, m * each.period, each.count // m) for m in _MULTIPLES]
+                best = self._best(ways, each, ends=False)
+                ways = [
+                    Repeat(best.start + first * best.period, best.period, best.count - first - last)
+                    for first, last in product(range(_TRIMMED + 1), repeat=2)
+                ]
+                best = self._best(ways, best, ends=True)
+            self._period[best.start : best.end] = best.period
+            result.append(best)
+        return result
+
+    def _best(self, ways: list[Repeat], given: Repeat, ends: bool) -> Repeat:
+        """The way of the shortest C: entries in tables, operations in the loop, and those left to straight code."""
+
+        def cost(way: Repeat) -> int:
+            left = given.period * given.count - way.period * way.count
+            return self._tables(way, ends) * way.count + _LINE * (way.period + left)
+
+        return min((way for way in ways if way.count >= FEWEST and way.period <= LONGEST), key=cost, default=given)
+
+    def _tables(self, repeat: Repeat, ends: bool) -> int:
+        """Tables that a loop needs; entries of the first and the last pass may differ unless `ends` says otherwise."""
+        o, part, shape = self._operations, slice(repeat.start, repeat.end), (repeat.count, repeat.period)
+        self._period[part] = repeat.period
+
+        def step(numbers: NDArray, ends: bool = ends) -> NDArray:
+            """From pass to pass; _NONE where it is not always the same."""
+            steps = np.diff(numbers.reshape(shape), axis=0)
+            steps = steps if ends or repeat.count < FEWEST else steps[1:-1]
+            return np.where((steps == steps[0]).all(axis=0), steps[0], _NONE)
+
+        writes = o.result[0, part][: repeat.period] >= 0
+        tables = np.count_nonzero(writes & (step(o.result[1, part]) == _NONE))
+        for kind, operand, made in zip(o.kind[:, part], o.operand[:, part], o.made[:, part], strict=True):
+            kind = kind[: repeat.period]
+            tables += np.count_nonzero((kind == INPUT) & (step(operand) == _NONE))
+            owner = self._period[made].reshape(shape)[repeat.count // 2]
+            own = made.reshape(shape)[repeat.count // 2] >= repeat.start
+            there = np.where(own, step(made, ends=False), step(made))
+            stored = (there == 0) | ((there != _NONE) & (owner > 0) & (there % np.maximum(owner, 1) == 0))
+            which, entry = o.written[:, made]
+            written = ~writes & (which[: repeat.period] >= 0) & (step(which) == 0) & (step(entry) != _NONE)
+            tables += np.count_nonzero((kind == VALUE) & ~stored & ~written)
+        self._period[part] = 0
+        return int(tables)
+
+
+def _power(exponent: int) -> np.uint64:
+    return np.uint64(pow(int(_FACTOR), exponent, 2**64))
+
+
+def _stretches(hashed: NDArray) -> Iterator[tuple[int, int, int]]:
+    """(period, start, end) of what is found again, over and over, one period after it was met last."""
+    order = np.argsort(hashed, kind="stable")
+    again = np.flatnonzero(hashed[order[1:]] == hashed[order[:-1]])
+    back = np.zeros(len(hashed), int)
+    back[order[again + 1]] = order[again + 1] - order[again]
+    edges = np.flatnonzero(np.diff(back, prepend=-1, append=-1))
+    for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        period = int(back[start])
+        if 0 < period <= LONGEST and end - start + period >= max((FEWEST - 2) * period, FEWEST):
+            yield period, start, end
+
+
+def _true(flags: NDArray) -> Iterator[tuple[int, int]]:
+    """Beginnings and ends of what is true."""
+    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
+    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
