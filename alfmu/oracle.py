@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from . import branch, method
 from .equations import Equations
 from .errors import InputError, StepError
-from .kernel.program import Backend, Call
+from .kernel.program import GROSS, Backend, Call
 from .scaling import scaled
 
 __all__ = ["FIXED", "FORMULATIONS", "METHODS", "Counters", "Oracle", "Settings"]
@@ -59,9 +59,6 @@ _REGULAR = 1e-3
 
 _LONGER = 20
 """Most doublings of a spacing that is too short."""
-
-GROSS = 1e-6
-"""Residue of a constraint, in units of its row [m, rad; per s], above which a projected step is refused."""
 
 
 @dataclass(frozen=True)

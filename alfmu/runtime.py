@@ -21,8 +21,8 @@ from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, StepError
 from .inputs import Past
 from .integrators import rk4
-from .kernel.program import TIERS, TURN, Backend, Layout, Machine, called
-from .oracle import FIXED, FORMULATIONS, GROSS, METHODS, Counters, Oracle, Settings
+from .kernel.program import GROSS, TIERS, TURN, Backend, Layout, Machine, called
+from .oracle import FIXED, FORMULATIONS, METHODS, Counters, Oracle, Settings
 from .topology import Topology, events
 
 __all__ = ["MONITORS", "SOLVER_VARIABLES", "Instance"]

@@ -17,6 +17,7 @@ from ..equations import Equations
 
 __all__ = [
     "CHOICE",
+    "GROSS",
     "LIBRARY",
     "PLATFORM",
     "SETTINGS",
@@ -59,6 +60,9 @@ PLATFORM = f"{sys.platform}-{platform.machine().lower()}"
 
 LIBRARY = f"kernel-{PLATFORM}{SUFFIX}"
 """Name of the compiled functions in an FMU."""
+
+GROSS = 1e-6
+"""Residue of a constraint, in units of its row [m, rad; per s], above which a projected step is refused."""
 
 TURN = np.pi
 """Most that a coordinate in radians may turn in an internal step [rad]; beyond it no method sees what lies between."""

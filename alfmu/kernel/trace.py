@@ -26,7 +26,7 @@ from ..assembly import Mobility
 from ..equations import Equations
 from ..evaluation import DENSE, EVALUATED, shared, symbols, with_functions
 from ..integrators import rk4
-from .program import CHOICE, SETTINGS, TIERS, TURN, Layout, Program, called
+from .program import CHOICE, GROSS, SETTINGS, TIERS, TURN, Layout, Program, called
 
 __all__ = ["Plan", "parts", "traced", "untraced"]
 
@@ -272,6 +272,7 @@ class _Tracer:
         for j, (a, watch) in enumerate(zip(accelerations, watches, strict=True)):
             self._brought(limit, scene, plan, f"place{j}", f"placed{j}", f"v{i}")
             self._evaluation(limit, scene, plan, "0", {"t0": f"t{i}", "a0": a, "watch0": watch})
+            self._reached(limit, watch)
         limit(
             "mean",
             {**accelerations, **watches},
@@ -281,8 +282,16 @@ class _Tracer:
         direct = _Calls(self)
         self._brought(direct, scene, plan, f"q{i}", "placed", f"v{i}")
         self._evaluation(direct, scene, plan, "0", {"t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"})
+        self._reached(direct, f"watch{i}")
         calls.made.append([CHOICE, f"zone{i}", limit.made, direct.made])
         calls.made.append(["power", [f"q{i}", f"v{i}", "u", "p", f"t{i}"], [f"power{i}"]])
+
+    def _reached(self, calls: _Calls, watch: str) -> None:
+        """Trouble in a watch where the branch does not lead to the place that was found last."""
+        known = {watch: ca.SX.sym("watch", len(_Watch.FIELDS)), "left": ca.SX.sym("left", 2)}
+        seen, left = known.values()
+        lost = ca.vertcat(ca.if_else(left[0] <= GROSS**2, 0, math.inf), ca.SX(len(_Watch.FIELDS) - 1, 1))
+        calls("reached", known, lambda: {"watch": seen + lost}, [watch])
 
     def _brought(self, calls: _Calls, scene: _Scene, plan: Plan, place: str, placed: str, velocity: str) -> None:
         """q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a

@@ -27,7 +27,8 @@ _LARGEST = 3
 def serialized(equations: Equations, names: Iterable[str]) -> str:
     """Functions by name, and all programs of the kernel as one function each: what `with_serialized` reads."""
     e = equations
-    found = {name: e.functions[name] for name in names}, {name: program_function(e, name) for name in e.kernel}
+    functions = {name: e.functions[name] for name in names if name in e.signatures}
+    found = functions, {name: program_function(e, name) for name in e.kernel}
     stream = ca.StringSerializer()  # in which what several functions call is there once
     stream.pack([function for each in found for function in each.values()])
     return json.dumps({"functions": list(found[0]), "programs": list(found[1]), "casadi": stream.encode()}, indent=1)
