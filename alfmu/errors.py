@@ -1,6 +1,6 @@
 """Errors that say which mechanism, what was measured, the limit, and what to do."""
 
-__all__ = ["AlfmuError", "AssemblyError", "DeclarationError", "ExportError", "InputError", "StepError"]
+__all__ = ["AlfmuError", "AssemblyError", "DeclarationError", "ExportError", "InputError", "OpenError", "StepError"]
 
 
 class AlfmuError(Exception):
@@ -25,3 +25,7 @@ class StepError(AlfmuError):
 
 class ExportError(AlfmuError):
     """An FMU cannot be built or is not what was expected."""
+
+
+class OpenError(StepError):
+    """A step after which constraints cannot be closed."""

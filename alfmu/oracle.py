@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from . import branch, method
 from .equations import Equations
-from .errors import InputError, StepError
+from .errors import InputError, OpenError, StepError
 from .kernel.program import GROSS, Backend, Call
 from .scaling import scaled
 
@@ -280,6 +280,16 @@ class Oracle:
         pivots = [np.sort(self._pivots(place))[: max(self.freedom, 0)] for place in places]
         self.masses = float(np.median([np.log(np.maximum(r, 1e-300)).sum() for r in pivots]))
 
+    @property
+    def known(self) -> NDArray:
+        """What `know` found, as numbers to be saved and restored."""
+        return np.array([self.freedom, self.masses, self.rank, self.brakes, *self.scales], float)
+
+    @known.setter
+    def known(self, numbers: NDArray) -> None:
+        freedom, self.masses, rank, brakes = map(float, numbers[:4])
+        self.freedom, self.rank, self.brakes, self.scales = int(freedom), int(rank), bool(brakes), numbers[4:].copy()
+
     def _brakes(self, q: NDArray, way: NDArray) -> bool:
         """Whether constraints that are redundant at q become independent beside the motion, and so would stop it.
 
@@ -419,7 +429,7 @@ class Oracle:
         gap, row = self.widest(near)
         if not gap <= GROSS:
             measured = f"the branch of the motion leaves {row} open by {gap:.1e} ahead"
-            raise StepError(self._say(t, measured, "reduce solver.step_size"))
+            raise OpenError(self._say(t, measured, "reduce solver.step_size"))
         return near, rate
 
     def iterations_needed(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> int:
@@ -516,7 +526,7 @@ class Oracle:
             c.projection_iterations += 1
         for what, residue in (("|Phi|", Phi), ("|Phi-dot|", Cv)):
             if not self._largest(residue / self.units) <= GROSS:
-                raise StepError(self._open(t, what, residue))
+                raise OpenError(self._open(t, what, residue))
         c.unprojected += not (self._closed(Phi, C, q) and self._closed(Cv, C, v))
         return q, v, self._largest(Phi), self._largest(Cv)
 
@@ -596,6 +606,8 @@ class Oracle:
 
     def _worst(self, residue: NDArray) -> tuple[float, str]:
         """The largest residue, in units of its row, and what the row is called."""
+        if not len(residue):
+            return 0.0, ""
         sizes = np.where(self.active, np.nan_to_num(np.abs(residue / self.units), nan=np.inf), 0)
         row = self.equations.rows[int(np.argmax(sizes))]
         return float(sizes.max()), f"{row.name} {row.direction}".strip()

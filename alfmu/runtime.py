@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from .assembly import Assembly, Mobility
 from .branch import BRANCHES, GUARD, MEAN, SPACING
 from .equations import Equations, Variable
-from .errors import AlfmuError, InputError, StepError
+from .errors import AlfmuError, InputError, OpenError, StepError
 from .inputs import Past
 from .integrators import rk4
 from .kernel.program import GROSS, TIERS, TURN, Backend, Layout, Machine, called
@@ -398,11 +398,12 @@ class Instance:
         n = max(1, math.ceil(h / self.oracle.settings.step_size * (1 - 1e-12)))
         dt, done = h / n, 0
         before, counters = self.state.copy(), copy.copy(self.counters)
+        past = self._past.numbers.copy()
         self._past.reach(start, self.inputs)
-        if self._adaptive:
-            self._advance(start, h, n)
-            return
         try:
+            if self._adaptive:
+                self._advance(start, h, n)
+                done = n
             while done < n:
                 if self._direct:
                     self.time = start + done * dt
@@ -411,7 +412,7 @@ class Instance:
                     self._watched_step(start + done * dt, dt)
                     self._known, done = False, done + 1
         except AlfmuError:
-            self.state[:] = before
+            self.state[:], self._past.numbers[:] = before, past
             self.memory["tally"][:] = 0.0
             self.oracle.counters = counters
             raise
@@ -446,17 +447,16 @@ class Instance:
     def _advance(self, start: float, h: float, n: int) -> None:
         """A communication step by a method other than RK4; n steps where they have a given length."""
         a, c = self._adaptive, self.oracle.counters
-        before, counters, control = self.state.copy(), copy.copy(c), copy.copy(a.control)
+        control = copy.copy(a.control)
         a.fixed = h / n if self.oracle.settings.method in FIXED else None
         a.place(start, self.q, self.v, self.work)
         refused = a.counts["refused"]
         try:
             a.advance(start + h, self._taken)
         except AlfmuError:
-            self.state[:], self.oracle.counters, a.control = before, counters, control
+            a.control = control
             raise
         c.refused += a.counts["refused"] - refused
-        self.time = start + h
         self._known = False
 
     def _taken(self) -> None:
@@ -483,7 +483,8 @@ class Instance:
         if error or counters.unprojected > unprojected:
             after = self.state.copy()
             self.state[:] = before
-            if self._continues and oracle.margin(self.q) < GUARD:
+            closing = error is None or isinstance(error, OpenError)
+            if closing and self._continues and oracle.margin(self.q) < GUARD:
                 self._subdivided(start, dt, error)
             elif error:
                 raise error
@@ -498,7 +499,7 @@ class Instance:
             try:
                 self._follow(start + t, h)
                 passed = oracle.counters.unprojected == unprojected
-            except StepError:
+            except OpenError:
                 passed = False
             if passed:
                 t, h = t + h, min(h, dt - t - h)
@@ -695,7 +696,7 @@ class Instance:
 
     def _change(self, alpha: NDArray) -> None:
         """Other penalties (l,) from now on; what comes into force must be closed, and makes the velocity consistent."""
-        e, oracle, before = self.equations, self.oracle, self.oracle.penalty
+        e, oracle, before, known = self.equations, self.oracle, self.oracle.penalty, self.oracle.known
         oracle.penalty = alpha
         try:
             gap, row = oracle.widest(self.q)
@@ -710,8 +711,7 @@ class Instance:
             v, impulses, lost = oracle.impact(self.q, self.v, self.time) if new.any() else nothing
             self._know(self.q, v)
         except AlfmuError:
-            oracle.penalty = before
-            self._know(self.q, self.v)
+            oracle.penalty, oracle.known = before, known
             raise
         self.v[:] = v
         self.state[self.layout.work] -= lost
@@ -750,10 +750,9 @@ class Instance:
         numbers = [self.values, self.inputs, self.state]
         if self.initialized:
             oracle = self.oracle
-            known = self.energy_start, oracle.freedom, oracle.masses, oracle.rank, oracle.brakes
             control = self._adaptive.control.numbers if self._adaptive else ()
-            numbers += [known, self._past.numbers, control]
-            numbers += [oracle.penalty, self._full, oracle.scales, oracle.units, self.topology.numbers]
+            numbers += [[self.energy_start], self._past.numbers, control]
+            numbers += [oracle.penalty, self._full, oracle.known, oracle.units, self.topology.numbers]
         text = json.dumps(head, sort_keys=True).encode()
         return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
 
@@ -767,7 +766,8 @@ class Instance:
             sizes = [len(self.parameters), len(e.inputs), len(self.state)]
             if head["initialized"]:
                 adaptive = head["choices"]["solver.method"] != "rk4"
-                sizes += [5, len(self._past.numbers), 3 * adaptive, e.l, e.l, e.n, e.l, len(self.topology.numbers)]
+                known = len(self.oracle.known)
+                sizes += [1, len(self._past.numbers), 3 * adaptive, e.l, e.l, known, e.l, len(self.topology.numbers)]
             if numbers.size != sum(sizes):
                 raise ValueError(numbers.size)
         except (ValueError, KeyError) as error:
@@ -778,18 +778,15 @@ class Instance:
         self.initialized = self._known = False
         if head["initialized"]:
             state = self.state.copy()
-            known, past, control, penalty, full, scales, units, topology = parts[3:]
+            energy, past, control, penalty, full, known, units, topology = parts[3:]
             self.topology.numbers[:] = topology
             self._pending = self.topology.pending
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
             self._comply()
             self.oracle.penalty, self._full = penalty, full
             self._scaled = head["scaled"]
-            energy, freedom, masses, rank, brakes = map(float, known)
-            oracle = self.oracle
-            oracle.freedom, oracle.masses, oracle.scales, oracle.units = int(freedom), masses, scales, units
-            oracle.rank, oracle.brakes = int(rank), bool(brakes)
-            self._begin(state[: self.layout.time], energy)
+            self.oracle.known, self.oracle.units = known, units
+            self._begin(state[: self.layout.time], float(energy[0]))
             self._past.numbers[:] = past
             if self._adaptive:
                 self._adaptive.control.numbers = control
