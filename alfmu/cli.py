@@ -8,6 +8,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -219,13 +220,13 @@ def _info(chosen: argparse.Namespace) -> None:
     from .fmi.slave import interface
     from .registry import choices
     from .runtime import Instance
-    from .simulation import with_defaults
+    from .simulation import prepared, with_defaults
     from .specialisation import specialised
 
     mechanism = _declared(chosen, chosen.mechanism)
     everything = with_defaults(derive(mechanism), dict(chosen.set))
     equations = specialised(everything, chosen.outputs, chosen.freeze)
-    instance = Instance(equations)
+    instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
     instance.initialize()
     size = instance.mobility()
     print(f"{mechanism.name}: {mechanism.description}\n\n{mechanism.sketch.strip()}\n")
@@ -251,6 +252,9 @@ def _info(chosen: argparse.Namespace) -> None:
         width = max([32, *(len(name) for name, *_ in lines)])
         for name, start, unit, text in lines:
             print(f"  {name:{width}} {start:>10} {unit:12} {text}".rstrip())
+    decided = prepared(equations, "oracle")
+    chosen_method = decided.solver.get("method", "rk4")
+    print(f"\nmethod of integration: {decided.reason or chosen_method}")
     print("\n" + "\n".join(described(everything, equations, size)))
 
 

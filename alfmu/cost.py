@@ -90,6 +90,9 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
         f"operations of reading the outputs: {now.outputs}",
         "structural nonzeros: " + ", ".join(f"{name} {count}" for name, count in now.nonzeros.items()),
         "",
+        "for hard scenes, apart from the step above, with operations (0: not in this scene)",
+        *(f"  {what:64} {count:>8}" for what, count in _hard(prepared_scene).items()),
+        "",
         f"{'left out, and the operations that it saves':66} {'step':>8} {'outputs':>8}",
     ]
     full = with_all_passes(everything)
@@ -119,6 +122,23 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
     text.append(f"  {'in all':64} {_saved(full, now)}")
     text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
     return text
+
+
+def _hard(e: Equations) -> dict[str, int]:
+    """Operations of what only hard scenes need, by what it is for."""
+    return {
+        "a step near a singular position, on the branch of the motion": _whole(e, "branch")
+        if "branch" in e.kernel
+        else 0,
+        "limits of reactions, read at a singular position": _whole(e, "limit") if "limit" in e.kernel else 0,
+        "shares of redundant constraints by their compliances": _of(e, "distribute"),
+        "what locks keep, when one is switched on": _of(e, "displacements"),
+        "tangents of implicit methods": _of(e, "tangents"),
+    }
+
+
+def _of(e: Equations, name: str) -> int:
+    return operations(e.functions[name]) if name in e.signatures else 0
 
 
 def _missing(before: list[Variable], after: list[Variable]) -> list[str]:

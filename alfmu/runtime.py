@@ -210,6 +210,11 @@ class Instance:
     def time(self, value: float) -> None:
         self.state[self.layout.time] = value
 
+    @property
+    def adapts(self) -> bool:
+        """Whether the method that is chosen controls its error."""
+        return self.choices["solver.method"] not in FIXED
+
     def _solver_default(self, name: str) -> float:
         value = getattr(self._given, _field(name))
         return float(value) if np.ndim(value) == 0 else 0.0

@@ -124,7 +124,8 @@ def export(
     digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]
     package = f"alfmu_{equations.name}_{digest}"
     guid = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, f"alfmu:{generator}:{digest}")) + "}"
-    picture = model_png(declared, parameters, equations=derived)
+    posed = {name: value for name, value in (parameters or {}).items() if not name.startswith("solver.")}
+    picture = model_png(declared, posed, equations=derived)
 
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)

@@ -125,6 +125,8 @@ class Slave(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         equations, self._kernel = loaded(Path(self.resources))
+        if equations.reason:
+            self._kernel += f", {equations.reason}"
         _LOGGER.info("%s", self._kernel)
         self.modelName = equations.name
         self.instance = Instance(equations)
@@ -139,6 +141,8 @@ class Slave(Fmi2Slave):
 
     def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
         self.instance.time = start_time
+        if tolerance and self.instance.adapts:
+            self._set(self._names.index("solver.relative_tolerance"), tolerance)
         self.log(self._kernel, Fmi2Status.ok, "logAll")
 
     @_called_from_fmi

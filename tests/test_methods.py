@@ -1,0 +1,208 @@
+"""solver.method and its numbers, in the library and through fmpy: tolerances, orders, saved states, what is carried."""
+
+import zipfile
+
+import fmpy
+import numpy as np
+import pytest
+from oracles import ode
+from oracles.parallelogram import Parallelogram
+from oracles.slider_crank import SliderCrank
+from scenes import derived
+
+import alfmu
+from alfmu.fmi.drive import Fmu
+from alfmu.oracle import METHODS
+from alfmu.simulation import prepared, run, with_defaults
+
+FOUR_BAR = Parallelogram(m4=None)
+
+
+def chosen(name: str, method: str, kernel: str = "oracle", **given: float | str) -> alfmu.Instance:
+    """An initialised instance with a method."""
+    given = {key.replace("__", "."): value for key, value in given.items()}
+    i = alfmu.Instance(prepared(with_defaults(derived(name), {"solver.method": method, **given}), kernel))
+    i.initialize()
+    return i
+
+
+@pytest.mark.parametrize("method", ["explicit", "stiff"])
+@pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
+def test_the_tolerance_is_held_through_singular_positions(method, tolerance):
+    """Four-bar under 4 N.m from its singular start, 3 s: within ten times the tolerance, never off its branch."""
+    i = chosen("four_bar", method, solver__relative_tolerance=tolerance)
+    i.set("A.torque", 4.0)
+    times = np.linspace(0.0, 3.0, 7)
+    exact = FOUR_BAR.driven(0.0, 2.0, times, 4.0)[:, 0]
+    for k in range(1, 7):
+        i.step(times[k] - times[k - 1])
+        assert abs(i.q[0] - exact[k]) <= 10 * tolerance
+    assert i.counters.energy_error <= 100 * tolerance
+    assert i.counters.refused <= 5
+
+
+@pytest.mark.parametrize("method", ["explicit", "stiff"])
+def test_the_tolerance_is_held_on_the_slider_crank(method):
+    times = np.linspace(0.0, 2.0, 5)
+    exact = SliderCrank().motion(np.pi / 4, 0.0, times)[:, 0]
+    i = chosen("slider_crank", method, start__angle=np.pi / 4, start__angular_velocity=0.0)
+    for k in range(1, 5):
+        i.step(times[k] - times[k - 1])
+        assert abs(i.get("crank.angle") - exact[k]) <= 1e-5
+
+
+def test_short_communication_steps_do_not_restart_the_control():
+    """Two hundred points in 4 s: about a step for each, and the step that is wanted is remembered."""
+    i = chosen("four_bar", "explicit", start__angle=0.7)
+    for _ in range(200):
+        i.step(0.02)
+    assert i.counters.steps <= 215
+    assert i.time == pytest.approx(4.0)
+    far = chosen("four_bar", "explicit", start__angle=0.7)
+    far.step(4.0)
+    assert far.counters.steps <= 80
+
+
+def test_order_8_at_fixed_steps():
+    """Five-bar, 2 s from a regular start: 1e-7 rad at 0.1 s, and order 8 down to round-off."""
+    linkage = Parallelogram()
+    inertia, weight = float(linkage.inertia), float(linkage.weight)
+    errors = []
+    for step in (0.1, 0.05, 0.02):
+        i = chosen("five_bar", "order8", start__angle=-0.7, solver__step_size=step, solver__tolerance=1e-15)
+        times = np.arange(0.0, 2.0 + step / 2, step)
+        exact = ode.motion(lambda t, x, v: -weight * np.cos(x) / inertia, -0.7, 2.0, times)[:, 0]
+        worst = 0.0
+        for k in range(1, len(times)):
+            i.step(step)
+            worst = max(worst, abs(i.q[0] - exact[k]))
+        errors.append(worst)
+    assert errors[0] < 1e-7
+    assert errors[0] / errors[1] > 2**6.5
+    assert errors[2] < 2e-12
+
+
+@pytest.mark.parametrize("method", ["trapezoidal", "generalized_alpha"])
+def test_the_index_3_form_is_of_order_two_in_a_run(method):
+    exact = FOUR_BAR.driven(0.0, 2.0, np.array([0.0, 1.0]), 4.0)[1, 0]
+    errors = []
+    for step in (0.01, 0.005):
+        i = chosen("four_bar", method, solver__step_size=step)
+        i.set("A.torque", 4.0)
+        i.step(1.0)
+        errors.append(abs(i.q[0] - exact))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+
+
+def test_inputs_extrapolated_inside_a_communication_step_keep_the_order():
+    """A smooth torque sampled at communication points: order 1 where it is held, 2 and 3 where it is extrapolated."""
+    linkage = FOUR_BAR
+    inertia, weight = float(linkage.inertia), float(linkage.weight)
+
+    def torque(t: float) -> float:
+        return 2 * (1 - np.cos(2 * t)) ** 2  # flat at the start, where there is no past to extrapolate from
+
+    exact = ode.motion(lambda t, x, v: (torque(t) - weight * np.cos(x)) / inertia, -1.0, 0.0, np.array([0.0, 2.0]))
+    observed = []
+    for order in (0, 1, 2):
+        errors = []
+        for step in (0.04, 0.02):
+            i = chosen("four_bar", "rk4", start__angle=-1.0, start__angular_velocity=0.0, solver__input_order=order)
+            for k in range(round(2.0 / step)):
+                i.set("A.torque", torque(k * step))
+                i.step(step)
+            errors.append(abs(i.q[0] - exact[1, 0]))
+        observed.append(np.log2(errors[0] / errors[1]))
+    assert observed[0] == pytest.approx(1.0, abs=0.2)
+    assert observed[1] == pytest.approx(2.0, abs=0.4)
+    assert observed[2] >= 2.6
+
+
+@pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
+def test_a_saved_state_goes_on_to_the_last_bit(method):
+    i = chosen("slider_crank", method, solver__input_order=1)
+    for k in range(3):
+        i.set("A.torque", 0.1 * k)
+        i.step(0.05)
+    state = i.save()
+    i.set("A.torque", 0.3)
+    i.step(0.05)
+    other = alfmu.Instance(i.equations)
+    other.restore(state)
+    other.set("A.torque", 0.3)
+    other.step(0.05)
+    assert np.array_equal(other.read(), i.read())
+
+
+@pytest.mark.parametrize("method", ["explicit", "stiff"])
+def test_through_fmpy_as_in_the_library(tmp_path, method):
+    path = alfmu.export("slider_crank", tmp_path / "s.fmu", parameters={"solver.method": method})
+    assert fmpy.validation.validate_fmu(str(path)) == []
+    with Fmu(path) as fmu:
+        through_fmi = run(fmu, 0.6, 0.1, {"A.torque": 0.5})
+    library = alfmu.simulate("slider_crank", 0.6, 0.1, inputs={"A.torque": 0.5}, parameters={"solver.method": method})
+    assert through_fmi.names == library.names
+    assert np.array_equal(through_fmi.values, library.values)
+
+
+def test_the_tolerance_of_fmi_is_honoured(tmp_path):
+    path = alfmu.export("four_bar", tmp_path / "f.fmu", parameters={"solver.method": "explicit"})
+    exact = FOUR_BAR.swing(0.0, 2.0, np.array([0.0, 2.0]))[1, 0]
+    errors = []
+    for tolerance in (1e-4, 1e-9):
+        result = fmpy.simulate_fmu(
+            str(path), stop_time=2.0, output_interval=1.0, relative_tolerance=tolerance, output=["link1.angle"]
+        )
+        errors.append(abs(result["link1.angle"][-1] - float(exact)))
+    assert errors[1] <= 1e-8
+    assert errors[0] > 10 * errors[1]
+
+
+def test_only_a_scene_that_asks_carries_a_method(tmp_path):
+    plain = alfmu.export("four_bar", tmp_path / "plain.fmu")
+    stiff = alfmu.export("four_bar", tmp_path / "stiff.fmu", parameters={"solver.method": "stiff"})
+    files = [{name.rsplit("/", 1)[-1] for name in zipfile.ZipFile(path).namelist()} for path in (plain, stiff)]
+    assert files[1] - files[0] >= {"adaptive.py", "implicit.py", "stepping.py"}
+    with Fmu(plain) as fmu:
+        fmu.set("solver.method", "explicit")
+        with pytest.raises(alfmu.StepError, match=r"carries rk4 alone; export it with --set solver\.method=explicit"):
+            fmu.initialize()
+
+
+def test_auto_says_what_it_chose_and_why(capsys):
+    from alfmu.cli import main
+
+    for name, expected in (("four_bar", "explicit"), ("flyball_governor", "stiff")):
+        e = prepared(with_defaults(derived(name), {"solver.method": "auto"}), "oracle")
+        assert e.solver["method"] == expected
+        assert e.reason.startswith(f"{expected}: the fastest small motion at the start has ")
+        again = alfmu.Equations.from_json(e.to_json())
+        assert (again.solver["method"], again.reason) == (expected, e.reason)
+    assert main(["info", "four_bar", "--set", "solver.method=auto"]) == 0
+    assert "method of integration: explicit: the fastest small motion" in capsys.readouterr().out
+
+
+def test_what_cannot_be_is_refused():
+    with pytest.raises(alfmu.InputError, match=r"solver\.method is 'euler'; use one of rk4, order8"):
+        with_defaults(derived("four_bar"), {"solver.method": "euler"})
+    for more, said in (({"solver.formulation": "dae"}, "takes the augmented Lagrangian"), ({}, "needs the tangents")):
+        i = alfmu.Instance(derived("four_bar"))
+        for name, value in {"solver.method": "stiff", **more}.items():
+            i.set(name, value)
+        with pytest.raises(alfmu.InputError, match=said):
+            i.initialize()
+    with pytest.raises(alfmu.InputError, match="takes up to 50 coordinates"):
+        prepared(with_defaults(derived("n_four_bar", loops=40), {"solver.method": "stiff"}))
+    assert set(METHODS) >= {"rk4", "explicit", "stiff", "auto"}
+
+
+def test_a_tolerance_that_cannot_be_met_is_said():
+    i = chosen("four_bar", "explicit", start__angle=0.7, solver__relative_tolerance=1e-13)
+    i.step(0.01)
+    before = i.save()
+    i.set("A.torque", 1e300)
+    with pytest.raises(alfmu.StepError, match=r"four_bar, t = 0\.\d+ s: no step however short meets the tolerance"):
+        i.step(0.1)
+    i.set("A.torque", 0.0)
+    assert i.save() == before
+    i.step(0.01)
