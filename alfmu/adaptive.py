@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from . import branch, implicit, method
 from .errors import StepError
-from .oracle import METHODS, Oracle
+from .oracle import Oracle
 from .stepping import (
-    EXPLICIT5,
-    EXPLICIT8,
     RADAU9,
     Collocation,
     Control,
@@ -24,13 +22,11 @@ from .stepping import (
     combined,
     continued,
     explicit,
+    explicit_rule,
     tolerance,
 )
 
 __all__ = ["TANGENTS", "Adaptive", "adaptive"]
-
-LOOSE = 1e-4
-"""Tolerance above which the pair of order 5 serves better than that of order 8."""
 
 DAMPED = 0.8
 """Spectral radius at infinite frequency of `generalized_alpha`."""
@@ -69,15 +65,12 @@ def adaptive(oracle: Oracle, inputs: Callable[[float], NDArray]) -> Adaptive:
     """What makes the steps of the oracle's `solver.method`, all but RK4."""
     settings = oracle.settings
     run = settings.relative_tolerance
-    rules: dict[str, Rule] = {
-        "order8": EXPLICIT8,
-        "explicit": EXPLICIT5 if run > LOOSE else EXPLICIT8,
+    rules = {
         "stiff": RADAU9,
         "trapezoidal": implicit.TRAPEZOIDAL,
         "generalized_alpha": implicit.damped(DAMPED),
     }
-    assert set(METHODS) - {"rk4", "auto"} == set(rules)
-    rule = rules[settings.method]
+    rule: Rule = explicit_rule(settings.method, run) or rules[settings.method]
     relative, absolute = run, settings.absolute_tolerance or run
     if not isinstance(rule, implicit.Newmark):
         relative, absolute = tolerance(rule, run), tolerance(rule, absolute)
@@ -98,6 +91,10 @@ class Adaptive:
     ):
         self.oracle, self.rule, self.inputs = oracle, rule, inputs
         self.relative, self.absolute = relative, absolute
+        self.attempt: Callable[[float], tuple | None] | None = None
+        """What makes a step faster where it can: what `step` returns, its whole state as the memory; or None."""
+        self.attempted: NDArray | None = None
+        """The whole state after the last step, where `attempt` made it."""
         self.fixed: float | None = None
         """Length of all steps [s]; None adapts them."""
         self.control = Control(3 if isinstance(rule, implicit.Newmark) else rule.estimate + 1, FIRST)
@@ -144,8 +141,12 @@ class Adaptive:
 
     def step(self, dt: float) -> tuple | None:
         """q, v, work, what the next step can use again, and the error over the tolerance; None where none is found."""
-        self.oracle.hold(self.q)
         self._why = ""
+        self.attempted = None
+        if self.attempt and (found := self.attempt(dt)):
+            self.attempted = found[4]
+            return *found[:4], None, found[5]
+        self.oracle.hold(self.q)
         make = {Explicit: self._explicit, Collocation: self._collocation, implicit.Newmark: self._newmark}
         try:
             try:

@@ -341,13 +341,18 @@ class Instance:
             memory["p"][:] = oracle.p
             memory["dt"][:] = settings.step_size
             watched = oracle.freedom, oracle.masses, oracle.nothing, oracle.least_distance, self._continues
-            first = largest if len(alpha) else 1.0, settings.tolerance, *watched
+            control = (self._adaptive.relative, self._adaptive.absolute) if self._adaptive else (0.0, 0.0)
+            first = largest if len(alpha) else 1.0, settings.tolerance, *watched, *control
             shares = oracle.stiffnesses if self.equations.compliances else ()
             memory["k"][:] = [*first, *(alpha / largest), *(1 / oracle.units), *(largest / oracle.scales), *shares]
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
         # Whether the kernel makes the steps too, beside what is read.
         self._direct = self._fast and settings.method == "rk4" and not settings.input_order
+        if self._adaptive:
+            traced = programs.get("method", {}).get("order")
+            same = traced and traced == getattr(self._adaptive.rule, "order", None)
+            self._adaptive.attempt = self._attempt if self._fast and same and not settings.input_order else None
 
     def _start_values(self) -> list[NDArray]:
         """Parameters with what locks keep, start values and start rates."""
@@ -464,9 +469,25 @@ class Instance:
         c.refused += a.counts["refused"] - refused
         self._known = False
 
+    def _attempt(self, dt: float) -> tuple | None:
+        """A step of dt by the kernel; what `Adaptive.step` returns, or None where the oracle has to make it."""
+        if not self.machine.attempt(dt):
+            return None
+        layout, after, c = self.layout, self.memory["after"].copy(), self.oracle.counters
+        n, program = self.equations.n, self.equations.kernel["method"]
+        evaluations = sum(name.endswith("_evaluate") for name in called(program["calls"]))
+        c.evaluations += evaluations
+        c.multiplier_iterations += evaluations * program["iterations"]
+        c.projection_iterations += 2 * program["corrections"]
+        return after[:n], after[n : 2 * n], float(after[layout.work]), None, after, float(after[layout.change])
+
     def _taken(self) -> None:
         """Take over the state that a step led to."""
         a, c, zeros = self._adaptive, self.oracle.counters, np.zeros(self.equations.n)
+        if a.attempted is not None:
+            c.steps += 1
+            self.state[:], self.time = a.attempted, a.t
+            return
         position, velocity = self.oracle.residues(a.q, a.v)
         c.steps += 1
         c.position_error = max(c.position_error, position)

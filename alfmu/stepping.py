@@ -20,6 +20,7 @@ __all__ = [
     "combined",
     "continued",
     "explicit",
+    "explicit_rule",
     "landing",
     "tolerance",
 ]
@@ -350,6 +351,17 @@ def continued(method: Collocation, k: list[State], ratio: Any) -> list[State]:
 
 
 # Step sizes -------------------------------------------------------------------------------------------------------
+
+
+LOOSE = 1e-4
+"""Tolerance of a run above which the pair of order 5 serves better than that of order 8."""
+
+
+def explicit_rule(method: str, run: float) -> Explicit | None:
+    """The explicit method that `solver.method` stands for at the tolerance of a run, None where it is another one."""
+    if method == "order8":
+        return EXPLICIT8
+    return {True: EXPLICIT5, False: EXPLICIT8}[run > LOOSE] if method == "explicit" else None
 
 
 SHARE = 0.02

@@ -117,6 +117,16 @@ EXPORT int alfmu_read(double *m)
 }}
 """
 
+_ATTEMPT = """
+/* A step by the method of the scene; the caller judges its error, and takes the result over. */
+EXPORT int alfmu_attempt(double *m, double dt)
+{{
+    m[{dt}] = dt;
+    run_method(m, m + {workspace});
+    return m[{trouble}] == 0.0;
+}}
+"""
+
 
 def sources(equations: Equations) -> tuple[list[str], int]:
     """C files with all functions that run with numbers, and the length of the workspace behind an instance's memory."""
@@ -153,6 +163,8 @@ def sources(equations: Equations) -> tuple[list[str], int]:
             "seen_trouble": at["seen"] + layout.fields["seen"][1] - 1,
         }
         calls += _DRIVER.format(**at)
+        if "method" in e.kernel:
+            calls += _ATTEMPT.format(**at)
         needed += sum(places.values())
     files[-1] += calls
     return [_HEAD + text for text in files], needed

@@ -67,10 +67,10 @@ GROSS = 1e-6
 TURN = np.pi
 """Most that a coordinate in radians may turn in an internal step [rad]; beyond it no method sees what lies between."""
 
-SETTINGS = 7
+SETTINGS = 9
 """Numbers before the weights of the constraints in k: alpha, tolerance; degrees of freedom, logarithm of the product of
 the pivots that masses make, margin that is nothing, least distance of places beside a singular position, whether to
-continue on the branch there (`alfmu.branch`)."""
+continue on the branch there (`alfmu.branch`), relative and absolute tolerance of a step with error control."""
 
 
 def called(calls: list[list]) -> Iterator[str]:
@@ -88,7 +88,8 @@ class Layout:
 
     ========  ==========================================================================================
     z         state: q, v, unwrapped angles, work, time, and from the last step: trouble (number of checks
-              that failed), change (of accelerations in the last iteration, squared over their size), pivot
+              that failed), change (of accelerations in the last iteration, squared over their size; of a step
+              with error control its error over the tolerance), pivot
               (smallest of the augmented mass over alpha), near (stages too near a singular position; in a
               step on the branch those in which a limit was taken)
     after     the state after a step under way
@@ -153,6 +154,9 @@ class Machine(Protocol):
 
     def advance(self, steps: int, dt: float) -> int:
         """Internal steps of dt [s], until one cannot be made; returns how many were."""
+
+    def attempt(self, dt: float) -> bool:
+        """A step of dt [s] by the method of the scene, of which `after` is the result; False where it could not be."""
 
     def read(self) -> bool:
         """Compute `seen`; False where the unrolled loops were not enough."""

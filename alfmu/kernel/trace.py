@@ -26,6 +26,8 @@ from ..assembly import Mobility
 from ..equations import Equations
 from ..evaluation import DENSE, EVALUATED, shared, symbols, with_functions
 from ..integrators import rk4
+from ..oracle import Settings
+from ..stepping import Explicit, explicit, explicit_rule
 from .program import CHOICE, GROSS, SETTINGS, TIERS, TURN, Layout, Program, called
 
 __all__ = ["Plan", "parts", "traced", "untraced"]
@@ -84,6 +86,10 @@ def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2)
     kernel = {"quick": tracer.step(quick), "careful": tracer.step(careful)}
     if e.l:
         kernel["branch"] = tracer.step(replace(careful, branch=True))
+    if rule := explicit_rule(
+        e.solver.get("method", "rk4"), e.solver.get("relative_tolerance", Settings.relative_tolerance)
+    ):
+        kernel["method"] = tracer.controlled(replace(quick, corrections=2 * bool(e.l)), rule)
     kernel["instant"] = tracer.instant(careful, redundant)
     if e.l and len(kernel["instant"]["calls"]) > 1:
         kernel["limit"] = tracer.limit(careful, redundant)
@@ -137,25 +143,9 @@ class _Tracer:
         e, layout = self.e, self.layout
         z, _, p, k, dt = self._known.values()
         scene = _Scene(e, plan.weighted, p, k)
-        calls = _Calls(self)
+        calls, rates = _Calls(self), {}
         q, v = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
-        rates: dict[str, ca.SX] = {}
-
-        def rate(t: ca.SX, y: ca.SX) -> ca.SX:
-            i = len(rates) + 1
-            stage = {f"t{i}": t, f"q{i}": y[: e.n], f"v{i}": y[e.n : 2 * e.n]}
-            calls(f"stage{i}", {"z": z, "dt": dt, **rates}, lambda: stage, list(stage))
-            (self._on_branch if plan.branch else self._evaluation)(calls, scene, plan, str(i))
-            a, power = ca.SX.sym("a", e.n), ca.SX.sym("power")
-            calls(
-                "rate",
-                {f"v{i}": v, f"a{i}": a, f"power{i}": power},
-                lambda: {"rate": ca.vertcat(v, a, power)},
-                [f"rate{i}"],
-            )
-            rates[f"rate{i}"] = ca.SX.sym(f"rate{i}", 2 * e.n + 1)
-            return rates[f"rate{i}"]
-
+        rate = self._rate(calls, scene, plan, "stage", rates)
         y = rk4(rate, z[layout.time], ca.vertcat(z[: 2 * e.n], z[layout.work]), dt)
         after = {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]}
         calls("sum", {"z": z, "dt": dt, **rates}, lambda: after, list(after))
@@ -181,6 +171,67 @@ class _Tracer:
         tier = TIERS[2 if plan.branch else 0 if plan.quick else 1]
         calls(f"{tier}_close", known, lambda: {"after": scene.closed(plan, known)}, ["after"])
         return {**asdict(plan), "calls": calls.made}
+
+    def controlled(self, plan: Plan, rule: Explicit) -> Program:
+        """A step of an explicit method with projection, and the size of its error."""
+        e, layout = self.e, self.layout
+        z, _, p, k, dt = self._known.values()
+        scene = _Scene(e, plan.weighted, p, k)
+        calls, rates = _Calls(self), {}
+        q, v, work = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.sym("work")
+        settled: dict[str, ca.SX] = {}
+
+        def settle(y: ca.SX) -> ca.SX:
+            after = {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]}
+            calls("method_sum", {"z": z, "dt": dt, **rates}, lambda: after, list(after))
+            for _ in range(plan.corrections):
+                self._place(calls, scene, "q", "q")
+            if e.l:
+                self._settle(calls, scene, plan, {"q": q, "v": v, "p": p, "k": k}, ["v", "pivot", "left"])
+            settled.update({"q": q, "v": v, "work": work})
+            return ca.vertcat(q, v, work)
+
+        rate = self._rate(calls, scene, plan, "method_stage", rates, settled)
+        begin = ca.vertcat(z[: 2 * e.n], z[layout.work])
+        _, [error], _ = explicit(rule, rate, z[layout.time], begin, dt, None, settle)
+        known = {"z": z, "dt": dt, **rates, "q": q, "v": v, "p": p, "k": k}
+        calls("method_error", known, lambda: {"error": scene.error_size(z, q, v, error)}, ["error"])
+        watches = {f"watch{i + 1}": ca.SX.sym("watch", len(_Watch.FIELDS)) for i in range(len(rates))}
+        if e.l:
+            watches |= {"pivot": ca.SX.sym("pivot"), "left": ca.SX.sym("left", 2)}
+        known = {"z": z, "dt": dt, "q": q, "v": v, "work": work, "p": p, "k": k, **watches, "error": ca.SX.sym("error")}
+        calls("method_close", known, lambda: {"after": scene.closed(plan, known)}, ["after"])
+        return {**asdict(plan), "order": rule.order, "calls": calls.made}
+
+    def _rate(
+        self,
+        calls: _Calls,
+        scene: _Scene,
+        plan: Plan,
+        name: str,
+        rates: dict[str, ca.SX],
+        settled: Mapping[str, ca.SX] = MappingProxyType({}),
+    ) -> Callable[[ca.SX, ca.SX], ca.SX]:
+        """The rate of a state as an integrator asks for it: its calls are made, and its symbol goes into `rates`."""
+        e = self.e
+        z, _, _, _, dt = self._known.values()
+
+        def rate(t: ca.SX, y: ca.SX) -> ca.SX:
+            i = len(rates) + 1
+            stage = {f"t{i}": t, f"q{i}": y[: e.n], f"v{i}": y[e.n : 2 * e.n]}
+            calls(f"{name}{i}", {"z": z, "dt": dt, **rates, **settled}, lambda: stage, list(stage))
+            (self._on_branch if plan.branch else self._evaluation)(calls, scene, plan, str(i))
+            v, a, power = ca.SX.sym("v", e.n), ca.SX.sym("a", e.n), ca.SX.sym("power")
+            calls(
+                "rate",
+                {f"v{i}": v, f"a{i}": a, f"power{i}": power},
+                lambda: {"rate": ca.vertcat(v, a, power)},
+                [f"rate{i}"],
+            )
+            rates[f"rate{i}"] = ca.SX.sym(f"rate{i}", 2 * e.n + 1)
+            return rates[f"rate{i}"]
+
+        return rate
 
     def instant(self, plan: Plan, redundant: bool) -> Program:
         """What a user can read, monitors, largest |Phi-ddot|, trouble."""
@@ -389,7 +440,8 @@ class _Scene:
     def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
         self.e, self.p, self.kind = equations, p, "weighted" if weighted else "plain"
         alpha, self.tolerance, *singular = ca.vertsplit(k[:SETTINGS])
-        self.freedom, self.masses, self.nothing, self.least_distance, self.continues = singular
+        self.freedom, self.masses, self.nothing, self.least_distance, self.continues, *control = singular
+        self.relative, self.absolute = control
         # Equation (4) divided by alpha, so that no product with it is left: M / alpha, F / alpha, lam / alpha.
         self.scale = 1 / alpha
         rows, pivots = SETTINGS + equations.l, SETTINGS + 2 * equations.l
@@ -615,6 +667,19 @@ class _Scene:
             v = v + method.project(C, self.weights, solve, C @ v)
         return v, ca.mmin(D), self._residues(q, C @ v)
 
+    def error_size(self, z: ca.SX, q: ca.SX, v: ca.SX, error: ca.SX) -> ca.SX:
+        """Largest error of the constrained state over the tolerance; whole turns make an angle no less exact."""
+        n = self.e.n
+        parts = error[:n], error[n : 2 * n]
+        if self.e.l:
+            C, _, solve = self._augmented(q)
+            parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
+        larger = ca.vertsplit(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v))))
+        for i, c in enumerate(self.e.coordinates):
+            if c.unit == "rad":
+                larger[i] = ca.fmin(larger[i], 1)
+        return ca.mmax(ca.fabs(ca.vertcat(*parts) / (self.absolute + self.relative * ca.vertcat(*larger))))
+
     def closed(self, plan: Plan, known: dict[str, ca.SX]) -> ca.SX:
         """The state after the step; its `trouble` counts failed checks, each a comparison that NaN fails."""
         e, layout = self.e, Layout(self.e)
@@ -635,7 +700,7 @@ class _Scene:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
         turned = (q - z[: e.n])[[i for i, c in enumerate(e.coordinates) if c.unit == "rad"]]
         trouble += 1 - (ca.sumsqr(turned) <= TURN**2)
-        change = sum(x.change for x in evaluations) / (evaluations[0].size + _TINY)
+        change = known.get("error", sum(x.change for x in evaluations) / (evaluations[0].size + _TINY))
         angles = self.unwrapped(q, z[2 * e.n : layout.work])
         return ca.vertcat(q, v, angles, work, z[layout.time] + dt, z[layout.trouble] + trouble, change, pivot, near)
 

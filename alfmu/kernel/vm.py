@@ -94,6 +94,7 @@ class _Machine:
         self._seen = memory["seen"]
         self._instant = vm.bound(self._program("instant"), self._arguments, [self._seen])
         self._limit: Callable[[], Any] | None = None
+        self._method: Callable[[], Any] | None = None
         self._seen_near = at("seen", len(memory["seen"]) - 2)
         self._seen_trouble = at("seen", len(memory["seen"]) - 1)
 
@@ -139,6 +140,13 @@ class _Machine:
             else:
                 level -= 1
         return done
+
+    def attempt(self, dt: float) -> bool:
+        if self._method is None:
+            self._method = self._bound(self._program("method"))
+        self._block[self._dt] = dt
+        self._method()
+        return self._block[self._trouble] == 0.0
 
     def read(self) -> bool:
         self._instant()
