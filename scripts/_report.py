@@ -1,4 +1,4 @@
-"""What scripts that measure share: timing in turns, where a study ran, CSV files, Markdown."""
+"""What scripts that measure share: timing in turns, targets, where a study ran, CSV files, Markdown."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from timeit import Timer
+from typing import NamedTuple
 
 from alfmu.kernel.build import compiler
 
@@ -77,6 +78,32 @@ class Chapter:
         for title, shown in self.tables.items():
             parts += [f"**{title}** (`{name}.csv`)", markdown(shown, [[row.get(x) for x in shown] for row in rows])]
         return "\n\n".join(parts)
+
+
+class Target(NamedTuple):
+    """What a number in a row of a study must not exceed, or must reach."""
+
+    study: str
+    row: Mapping[str, Cell]
+    column: str
+    limit: float
+    at_least: bool = False
+
+
+def judged(target: Target, results: Mapping[str, Sequence[Row]]) -> Row:
+    """A row of targets.csv: the target beside what was measured in this run, if it was."""
+    row = next((row for row in results.get(target.study, ()) if target.row.items() <= row.items()), {})
+    value, verdict = row.get(target.column), "not measured"
+    if value is not None:
+        verdict = "met" if (value >= target.limit if target.at_least else value <= target.limit) else "not met"
+    return {
+        "study": target.study,
+        "row": ", ".join(map(str, target.row.values())),
+        "number": target.column,
+        "target": f"{'>=' if target.at_least else '<='} {target.limit:g}",
+        "measured": value,
+        "verdict": verdict,
+    }
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Cell]]) -> None:

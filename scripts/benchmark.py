@@ -25,11 +25,10 @@ from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
 from timeit import Timer
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from _report import Call, Cell, Chapter, Laps, Row, environment, in_turns, rounded, times
+from _report import Call, Chapter, Laps, Row, Target, environment, in_turns, judged, rounded, times
 from matplotlib.figure import Figure
 from pythonfmu import FmuBuilder
 from tqdm import tqdm
@@ -350,16 +349,6 @@ def scale_plot(rows: Sequence[Row]) -> Figure:
 # Targets ----------------------------------------------------------------------------------------------------------
 
 
-class Target(NamedTuple):
-    """What a number in a row of a study must not exceed, or must reach."""
-
-    study: str
-    row: Mapping[str, Cell]
-    column: str
-    limit: float
-    at_least: bool = False
-
-
 STEP_LIMITS = {"compiled {} / solve": 0.4, "vm {} / solve": 3.5, "oracle / compiled {}": 50, "oracle / vm {}": 50}
 SCALE_LIMITS = {
     f"vm step [us] per loop / at {BASE}": 1.5,
@@ -381,22 +370,6 @@ TARGETS = (
         for column, limit in SCALE_LIMITS.items()
     ),
 )
-
-
-def judged(target: Target, results: Mapping[str, Sequence[Row]]) -> Row:
-    """A row of targets.csv: the target beside what was measured in this run, if it was."""
-    row = next((row for row in results.get(target.study, ()) if target.row.items() <= row.items()), {})
-    value, verdict = row.get(target.column), "not measured"
-    if value is not None:
-        verdict = "met" if (value >= target.limit if target.at_least else value <= target.limit) else "not met"
-    return {
-        "study": target.study,
-        "row": ", ".join(map(str, target.row.values())),
-        "number": target.column,
-        "target": f"{'>=' if target.at_least else '<='} {target.limit:g}",
-        "measured": value,
-        "verdict": verdict,
-    }
 
 
 # The report -------------------------------------------------------------------------------------------------------
