@@ -360,6 +360,7 @@ def test_the_names_that_users_rely_on(exported):
         f"monitor.{m}" for m in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")
     }
     solver = {f"solver.{s}" for s in ("step_size", "penalty", "tolerance", "max_iterations", "formulation", "branch")}
+    solver |= {f"solver.{s}" for s in ("method", "relative_tolerance", "absolute_tolerance", "input_order")}
     start = {"start.angle", "start.angular_velocity"}
     pins = {"A", "B", "C", "D", "E", "F"}
     names = set(variables(fmpy.read_model_description(str(exported("five_bar")))))
