@@ -1,11 +1,12 @@
 """solver.method and its numbers, in the library and through fmpy: tolerances, orders, saved states, what is carried."""
 
 import zipfile
+from pathlib import Path
 
 import fmpy
 import numpy as np
 import pytest
-from oracles import ode
+from oracles import flyball, ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
 from scenes import derived
@@ -16,6 +17,8 @@ from alfmu.oracle import METHODS
 from alfmu.simulation import prepared, run, with_defaults
 
 FOUR_BAR = Parallelogram(m4=None)
+GOVERNOR = np.loadtxt(Path(flyball.__file__).with_suffix(".csv"), delimiter=",", skiprows=1)
+"""Time, and height of the slider with springs of 8e5 and of 8e7 N/m: by DOP853 in minimal coordinates."""
 
 
 def chosen(name: str, method: str, kernel: str = "oracle", **given: float | str) -> alfmu.Instance:
@@ -210,3 +213,25 @@ def test_a_tolerance_that_cannot_be_met_is_said():
     i.set("A.torque", 0.0)
     assert i.save() == before
     i.step(0.01)
+
+
+@pytest.mark.parametrize(("tolerance", "most", "bound"), [(1e-4, 250, 3e-6), (1e-7, 700, 1e-8)])
+def test_the_governor_in_few_steps(tolerance, most, bound):
+    """Slider of the flyball governor (IFToMM A05) after 10 s, springs 8e5 N/m with 4e4 N.s/m: explicit methods need
+    30000 steps for it."""
+    i = chosen("flyball_governor", "stiff", solver__relative_tolerance=tolerance)
+    i.step(10.0)
+    assert GOVERNOR[-1, 0] == 10.0
+    assert abs(i.get("slider.position") - GOVERNOR[-1, 1]) <= bound
+    assert i.counters.steps <= most
+
+
+def test_a_stiffer_governor_takes_no_more_steps():
+    """Stiffness 100 times: at most 1.2 times the steps, and as exact."""
+    counts = []
+    for column, stiffness in enumerate((8e5, 8e7), 1):
+        i = chosen("flyball_governor", "stiff", solver__relative_tolerance=1e-6, stiffness=stiffness)
+        i.step(10.0)
+        counts.append(i.counters.steps)
+        assert abs(i.get("slider.position") - GOVERNOR[-1, column]) <= 1e-6
+    assert counts[1] <= 1.2 * counts[0]
