@@ -496,9 +496,9 @@ class _Scene:
         return {"a": a, "lam": lam, "watch": watch}
 
     def margin(self, pivots: ca.SX, order: list[int]) -> tuple[ca.SX, ca.SX]:
-        """Whether the margin may be below `alfmu.branch.GUARD`, counted as NaN fails it; and the margin."""
+        """Whether the margin may be below `alfmu.branch.GUARD`, and the margin."""
         ratios = pivots * self.inverse_scales[order]
-        near = 1 - (ca.sum1(1 - (ratios >= branch.GUARD)) <= self.freedom)
+        near = self.freedom < ca.sum1(ratios < branch.GUARD)
         if self.kind == "plain":  # The quick step asks no more than whether it may go on.
             return near, ca.SX(1)
         small = ratios < branch.SMALL
@@ -730,8 +730,10 @@ class _Scene:
 
     def _residues(self, q: ca.SX, Cv: ca.SX) -> ca.SX:
         """Sums of squares of Phi and Phi-dot, in units of the rows."""
-        squares = (ca.sumsqr(x * self.held * self.inverse_units) for x in (self.e.Phi(q, self.p), Cv))
-        return ca.vertcat(*squares)
+        both = self.e.Phi(q, self.p), Cv
+        if self.kind == "plain":
+            return ca.vertcat(*map(ca.sumsqr, both)) * self.inverse_units**2
+        return ca.vertcat(*(ca.sumsqr(x * self.held * self.inverse_units) for x in both))
 
     def _augmented(self, q: ca.SX) -> tuple[ca.SX, ca.SX, method.Solve]:
         """C, the pivots of H (times `scale`), and what solves with it."""
