@@ -277,10 +277,10 @@ class Oracle:
         self.freedom = freedom - int((held == 0).sum())
         self.rank = len(q) - freedom
         self.brakes = any(self._brakes(place, way) for place in places)
-        pivots, count = [np.sort(self._pivots(place)) for place in places], max(self.freedom, 0)
-        # Where more of them are small a place is nearly singular, or a coordinate cannot tell the motion there.
-        typical = [r for r in pivots if not (r[count : count + 1] < branch.SMALL).any()] or pivots
-        self.masses = float(np.median([np.log(np.maximum(r[:count], 1e-300)).sum() for r in typical]))
+        pivots = [np.sort(self._pivots(place))[: max(self.freedom, 0)] for place in places]
+        # Where a coordinate cannot tell the motion its pivot is larger, at a singular position it may be smaller.
+        found = np.sort([np.log(np.maximum(r, 1e-300)).sum() for r in pivots])
+        self.masses = float(found[min(1, len(found) - 1)])
 
     @property
     def known(self) -> NDArray:
