@@ -122,6 +122,8 @@ class Equations:
     """Degrees of freedom at regular positions; None where they are not known before a run."""
     shared: list[str] | None = None
     """Outputs that are not unique, as redundant constraints share a load; None where that is not known yet."""
+    brakes: bool = False
+    """Whether redundant constraints become independent beside the motion, and so would stop it (`Oracle.hold`)."""
     compliances: list[Variable] = field(default_factory=list)
     """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
     switches: list[Switch] = field(default_factory=list)

@@ -176,7 +176,7 @@ class Instance:
         instant = e.kernel.get("instant", {"calls": []})
         evaluated = any(name.endswith("_evaluate") for name in called(instant["calls"]))
         self._iterations_read = instant["iterations"] if evaluated else 0
-        self._fast = self._direct = self._scaled = self._pending = False
+        self._fast = self._direct = self._whole = self._scaled = self._pending = False
         self.initialized = self._known = False
 
     # State -------------------------------------------------------------------------------------------------------
@@ -332,7 +332,7 @@ class Instance:
             self.machine is not None
             and settings.formulation == "residual"
             and settings.projects
-            and not oracle.brakes
+            and (self.equations.brakes or not oracle.brakes)
             and settings.max_iterations >= programs["careful"]["iterations"]
             and (not len(alpha) or alpha.max() > 0)
         )
@@ -344,15 +344,30 @@ class Instance:
             control = (self._adaptive.relative, self._adaptive.absolute) if self._adaptive else (0.0, 0.0)
             first = largest if len(alpha) else 1.0, settings.tolerance, *watched, *control
             shares = oracle.stiffnesses if self.equations.compliances else ()
-            memory["k"][:] = [*first, *(alpha / largest), *(1 / oracle.units), *(largest / oracle.scales), *shares]
+            self._largest = largest
+            memory["k"][: memory["k"].size - self.equations.brakes * len(alpha) ** 2] = [
+                *first,
+                *(alpha / largest),
+                *(1 / oracle.units),
+                *(largest / oracle.scales),
+                *shares,
+            ]
+            if self.equations.brakes:
+                self._hold()
             # The quick step is known to be enough for the penalty scaled with the masses alone.
             memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
-        # Whether the kernel makes the steps too, beside what is read.
+        # Whether the kernel makes the steps too, beside what is read; and several of them in one call.
         self._direct = self._fast and settings.method == "rk4" and not settings.input_order
+        self._whole = self._direct and not self.equations.brakes
         if self._adaptive:
             traced = programs.get("method", {}).get("order")
             same = traced and traced == getattr(self._adaptive.rule, "order", None)
             self._adaptive.attempt = self._attempt if self._fast and same and not settings.input_order else None
+
+    def _hold(self) -> None:
+        """Hand the constraints that are independent here on to the kernel, where redundant ones would brake."""
+        self.oracle.hold(self.q)
+        self.memory["k"][-(self.equations.l**2) :] = self.oracle.alpha.ravel() / self._largest
 
     def _start_values(self) -> list[NDArray]:
         """Parameters with what locks keep, start values and start rates."""
@@ -391,7 +406,7 @@ class Instance:
         if self._pending:
             self._take_effect()
         start = self.time if time is None else time
-        if not (self._direct and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
+        if not (self._whole and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
             self._step(h, start)
         self._known = False
 
@@ -417,7 +432,10 @@ class Instance:
             while done < n:
                 if self._direct:
                     self.time = start + done * dt
-                    done += self.machine.advance(n - done, dt)
+                    if self.equations.brakes:
+                        self._hold()
+                    made = self.machine.advance(n - done if self._whole else 1, dt)
+                    self._known, done = self._known and not made, done + made
                 if done < n:
                     self._watched_step(start + done * dt, dt)
                     self._known, done = False, done + 1
@@ -471,6 +489,8 @@ class Instance:
 
     def _attempt(self, dt: float) -> tuple | None:
         """A step of dt by the kernel; what `Adaptive.step` returns, or None where the oracle has to make it."""
+        if self.equations.brakes:
+            self._hold()
         if not self.machine.attempt(dt):
             return None
         layout, after, c = self.layout, self.memory["after"].copy(), self.oracle.counters
@@ -499,38 +519,23 @@ class Instance:
         self.state[: self.layout.time + 1] = [*a.q, *a.v, *angles, a.work, a.t]
 
     def _watched_step(self, start: float, dt: float) -> None:
-        """One internal step by the oracle; where it cannot be made, or leaves constraints open, it is asked why."""
-        oracle, counters, before = self.oracle, self.oracle.counters, self.state.copy()
-        unprojected, error = counters.unprojected, None
+        """One internal step by the oracle; near a singular position in shorter ones where constraints stay open."""
         try:
             self._follow(start, dt)
-        except StepError as refused:
-            error = refused
-        if error or counters.unprojected > unprojected:
-            after = self.state.copy()
-            self.state[:] = before
-            closing = error is None or isinstance(error, OpenError)
-            if closing and self._continues and oracle.margin(self.q) < GUARD:
-                self._subdivided(start, dt, error)
-            elif error:
-                raise error
-            else:
-                self.state[:] = after
+        except OpenError as error:
+            if not (self._continues and self.oracle.margin(self.q) < GUARD):
+                raise
+            self._subdivided(start, dt, error)
 
-    def _subdivided(self, start: float, dt: float, error: StepError | None) -> None:
+    def _subdivided(self, start: float, dt: float, error: OpenError) -> None:
         """An internal step near a singular position in shorter ones; StepError where none, however short, leads on."""
         oracle, t, h = self.oracle, 0.0, dt / 2
         while t < dt and h > dt * SHORTEST:
-            state, unprojected = self.state.copy(), oracle.counters.unprojected
             try:
                 self._follow(start + t, h)
-                passed = oracle.counters.unprojected == unprojected
+                t, h = t + h, min(2 * h, dt - t - h)
             except OpenError:
-                passed = False
-            if passed:
-                t, h = t + h, min(h, dt - t - h)
-            else:
-                self.state[:], h = state, h / 2
+                h /= 2
         if t >= dt:
             return
         where = ", ".join(
@@ -614,6 +619,8 @@ class Instance:
         if not self.initialized:
             raise InputError(f"{self.equations.name}: outputs are known after initialising")
         if not self._known:
+            if self._fast and self.equations.brakes:
+                self._hold()
             if self._fast and self.machine.read():
                 self._y = self._seen[:-3].copy()
                 if self._events:
@@ -819,7 +826,7 @@ class Instance:
             self.state[:] = state
             self.oracle.counters = Counters(**head["counters"])
         else:
-            self._fast = self._direct = False
+            self._fast = self._direct = self._whole = False
 
     def _check_inputs(self) -> None:
         if not np.isfinite(self.inputs).all():

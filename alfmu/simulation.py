@@ -270,7 +270,7 @@ def _surveyed(equations: Equations, probe: Instance | None) -> Equations:
     shared = probe.shared()
     note = "; not unique: of all that redundant constraints allow, that of least norm"
     outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
-    return replace(equations, outputs=outputs, shared=shared)
+    return replace(equations, outputs=outputs, shared=shared, brakes=probe.oracle.brakes)
 
 
 def _traced(equations: Equations, probe: Instance | None) -> Equations:

@@ -187,3 +187,15 @@ def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
         with pytest.raises(alfmu.StepError, match="locked up at x = "):
             fmu.step(1.0, 0.0)
         fmu.step(0.5, 0.0)
+
+
+@pytest.mark.parametrize("communication", [0.1, 0.0371])
+def test_tiny_steps_pass_singular_positions(communication):
+    """Five-bar at 2e-4 s past -pi: a motion that goes on is not taken for one that is locked up."""
+    i = alfmu.Instance(prepared(derived("five_bar"), "vm"))
+    i.set("solver.step_size", 2e-4)
+    i.initialize()
+    while i.time < 1.2:
+        i.step(communication)
+    assert i.q[0] < -np.pi
+    assert abs(i.get("monitor.energy") - i.energy_start) <= 1e-9

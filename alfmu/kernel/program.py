@@ -96,7 +96,8 @@ class Layout:
     begin     the state before a communication step under way
     u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, one over the unit of each
               constraint, alpha over the scale of the pivot of each coordinate, and where constraints may have a
-              compliance the least one over that of each
+              compliance the least one over that of each; where redundant ones would brake, what stands for all
+              penalties over alpha (`Oracle.hold`), a matrix
     dt        internal step [s]
     control   largest internal step [s], first tier (0 quick, 1 careful)
     tally     internal steps made by each tier, limits taken
@@ -117,7 +118,7 @@ class Layout:
             "begin": size,
             "u": len(e.inputs),
             "p": len(e.parameters) + len(e.held),
-            "k": SETTINGS + 2 * e.l + e.n + len(e.compliances),
+            "k": SETTINGS + 2 * e.l + e.n + len(e.compliances) + e.brakes * e.l**2,
             "dt": 1,
             "control": 2,
             "tally": len(TIERS) + 1,

@@ -81,7 +81,7 @@ def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2)
     quick = careful
     if mobility and e.l and iterations < CAREFUL:
         # A large scene shares the functions of the careful step, which are long to trace and to compile.
-        quick = Plan(iterations, 1, quick=True, weighted=e.n > DENSE or bool(e.switches))
+        quick = Plan(iterations, 1, quick=True, weighted=e.n > DENSE or bool(e.switches) or e.brakes)
     tracer = _Tracer(e)
     kernel = {"quick": tracer.step(quick), "careful": tracer.step(careful)}
     if e.l:
@@ -449,8 +449,11 @@ class _Scene:
         # One penalty for all rows is one unit for all.
         self.inverse_units = k[rows:pivots] if weighted else k[rows]
         self.weights = ca.diag(own)
-        self.inverse_scales, self.stiffnesses = k[pivots : pivots + equations.n], k[pivots + equations.n :]
+        ends = pivots + equations.n, pivots + equations.n + len(equations.compliances)
+        self.inverse_scales, self.stiffnesses = k[pivots : ends[0]], k[ends[0] : ends[1]]
         self.held = own > 0 if weighted else own
+        if equations.brakes:
+            self.weights = ca.reshape(k[ends[1] :], equations.l, equations.l)
 
     @cached_property
     def patterns(self) -> dict[str, ca.Sparsity]:
