@@ -103,7 +103,18 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--speed", type=float, default=1.0, help="times real time (default: %(default)g)")
     _add_option(sub)
     _add_set(sub)
+
+    sub = command("report", _report, "measure error against run time of a mechanism, in every way to run it")
+    _add_study(sub, "report.md, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
+    sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")
+    _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within a quarter of an hour for all")
     return parser
+
+
+def _add_study(sub: argparse.ArgumentParser, what: str, usual: str) -> None:
+    sub.add_argument("mechanism", metavar="NAME|all", help=f"{_NAME_HELP}; or all that are registered")
+    sub.add_argument("-o", "--output", metavar="DIR", required=True, help=f"folder for {what}")
+    sub.add_argument("--quick", action="store_true", help=f"few and short runs: some minutes for all (usual: {usual})")
 
 
 def _add_kernel(sub: argparse.ArgumentParser) -> None:
@@ -400,6 +411,29 @@ def _animate(chosen: argparse.Namespace) -> None:
     print(f"wrote {path}")
 
 
+def _report(chosen: argparse.Namespace) -> None:
+    from .report import report
+
+    _study(chosen, report)
+
+
+def _stability(chosen: argparse.Namespace) -> None:
+    from .stability import stability
+
+    _study(chosen, stability)
+
+
+def _study(chosen: argparse.Namespace, write: Callable[..., Path]) -> None:
+    """Write a study of one mechanism or of all."""
+    from .registry import mechanisms
+
+    names = mechanisms() if chosen.mechanism == "all" else [chosen.mechanism]
+    try:
+        print(f"wrote {write(names, chosen.output, chosen.quick, lambda name: _progress(name, 'case'))}")
+    except OSError as error:
+        raise InputError(f"cannot write into {chosen.output} ({error.strerror})") from None
+
+
 def _writing(path: Path, write: Callable[[Path], Any]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -408,11 +442,11 @@ def _writing(path: Path, write: Callable[[Path], Any]) -> None:
         raise InputError(f"cannot write {path} ({error.strerror})") from None
 
 
-def _progress(what: str) -> Callable[[Iterable[float]], Iterable[float]]:
+def _progress(what: str, unit: str = "step") -> Callable[[Iterable[Any]], Iterable[Any]]:
     """A progress bar on a terminal, for what takes longer than a second."""
     from tqdm import tqdm
 
-    return lambda steps: tqdm(steps, desc=what, unit="step", delay=1.0, disable=None, leave=False)
+    return lambda steps: tqdm(steps, desc=what, unit=unit, delay=1.0, disable=None, leave=False)
 
 
 if __name__ == "__main__":

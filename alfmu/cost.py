@@ -17,7 +17,7 @@ from .runtime import MONITORS
 from .simulation import prepared
 from .specialisation import specialised
 
-__all__ = ["Cost", "cost", "described", "operations"]
+__all__ = ["Cost", "cost", "described", "left_out", "operations"]
 
 _FREE = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER)
 
@@ -77,11 +77,7 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
     left out is put back alone to see what that saves.
     """
     prepared_scene = prepared(scene)
-    now = cost(prepared_scene)
-
-    def with_all_passes(e: Equations) -> Cost:
-        return cost(traced(e, replace(mobility, redundant=1), prepared_scene.kernel["quick"]["iterations"]))
-
+    now, full = cost(prepared_scene), _with_all_passes(everything, mobility, prepared_scene)
     text = [
         f"operations of a step: {now.step} ({now.iterations} multiplier iterations in each of 4 evaluations, "
         f"{now.corrections} correction{'s' * (now.corrections != 1)} each of q and v)",
@@ -95,7 +91,15 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
         "",
         f"{'left out, and the operations that it saves':66} {'step':>8} {'outputs':>8}",
     ]
-    full = with_all_passes(everything)
+    lines = left_out(everything, scene, mobility)
+    text += [f"  {what:64} {_saved(back, now)}".rstrip() for what, back in lines] or ["  nothing: all of it is needed"]
+    text.append(f"  {'in all':64} {_saved(full, now)}")
+    text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
+    return text
+
+
+def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> list[tuple[str, Cost | None]]:
+    """What a scene does without, and what it would cost with this put back; None where that cannot be."""
     outputs = _missing(everything.outputs, scene.outputs)
     frozen = _missing(everything.parameters, scene.parameters)
     kept, constants = None, None
@@ -103,7 +107,7 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
         kept = [v.name for v in scene.outputs] + [m.name for m in MONITORS if m.name not in scene.monitors]
     if frozen:
         constants = frozen
-    lines = []
+    lines: list[tuple[str, Cost | None]] = []
     if kept is not None:
         back = cost(prepared(specialised(everything, None, constants)))
         some = "" if any(o.instant for o in scene.outputs) else ", so all accelerations and reactions with them"
@@ -112,16 +116,18 @@ def described(everything: Equations, scene: Equations, mobility: Mobility) -> li
         back = cost(prepared(specialised(everything, kept, None)))
         lines.append((f"{len(frozen)} parameters, folded into constants", back))
     if scene.l and not mobility.redundant and any(o.instant for o in scene.outputs):
-        back = full if scene is everything else with_all_passes(scene)
+        back = _with_all_passes(scene, mobility, prepared(scene))
         lines.append(("least-norm pass: no constraint is redundant", back))
     if not scene.l:
         lines.append(("multiplier iteration and projection: there are no constraints", None))
     if not scene.works:
         lines.append(("integral of work: nothing does work, or nobody reads the energy", None))
-    text += [f"  {what:64} {_saved(back, now)}".rstrip() for what, back in lines] or ["  nothing: all of it is needed"]
-    text.append(f"  {'in all':64} {_saved(full, now)}")
-    text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
-    return text
+    return lines
+
+
+def _with_all_passes(equations: Equations, mobility: Mobility, like: Equations) -> Cost:
+    """Cost of equations as if a constraint were redundant, with the multiplier iterations of a prepared scene."""
+    return cost(traced(equations, replace(mobility, redundant=1), like.kernel["quick"]["iterations"]))
 
 
 def _hard(e: Equations) -> dict[str, int]:

@@ -538,7 +538,9 @@ class Oracle:
         return self._largest(Phi), self._largest(Cv)
 
     def widest(self, q: NDArray) -> tuple[float, str]:
-        """How far the constraint that is furthest open is at q (n,), and which it is."""
+        """How far the constraint that is furthest open is at q (n,), and which it is; 0 where there are none."""
+        if not self.equations.l:
+            return 0.0, ""
         return self._worst(self._constraints(q, np.zeros_like(q), self.p)[2])
 
     def power(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> float:

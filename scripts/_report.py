@@ -1,26 +1,16 @@
-"""What scripts that measure share: timing in turns, targets, where a study ran, CSV files, Markdown."""
+"""What scripts that measure share: timing in turns, targets. Tables and files are those of `alfmu.tables`."""
 
 from __future__ import annotations
 
-import csv
-import datetime
 import math
-import os
-import platform
 import statistics
-import subprocess
-import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
 from timeit import Timer
 from typing import NamedTuple
 
-from alfmu.kernel.build import compiler
+from alfmu.tables import Cell, Row
 
-Cell = str | int | float | None
-Row = dict[str, Cell]
 Laps = dict[str, list[float]]
 """Time of a unit [s] of what was timed, lap by lap."""
 
@@ -57,29 +47,6 @@ def times(laps: Laps, yardstick: str) -> Row:
     return row | {f"{name} / {yardstick}": row[f"{name} [us]"] / row[f"{yardstick} [us]"] for name in laps}
 
 
-@dataclass(frozen=True)
-class Chapter:
-    """A part of a report: a heading, an introduction, and tables that each show some columns of one CSV file."""
-
-    heading: str
-    introduction: str
-    tables: Mapping[str, Sequence[str]]
-    """Columns by title."""
-
-    def write(self, path: Path, rows: Sequence[Row]) -> None:
-        """The CSV file, with all that the rows have and all that the tables show."""
-        named = [*(name for row in rows for name in row), *(name for shown in self.tables.values() for name in shown)]
-        write_csv(path, list(dict.fromkeys(named)), rows)
-
-    def markdown(self, name: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
-        """The chapter in Markdown; `name` is that of its CSV file, without the ending."""
-        introduction = textwrap.fill(" ".join(self.introduction.split()), 118, break_on_hyphens=False)
-        parts = [self.heading, introduction, *notes]
-        for title, shown in self.tables.items():
-            parts += [f"**{title}** (`{name}.csv`)", markdown(shown, [[row.get(x) for x in shown] for row in rows])]
-        return "\n\n".join(parts)
-
-
 class Target(NamedTuple):
     """What a number in a row of a study must not exceed, or must reach."""
 
@@ -104,72 +71,3 @@ def judged(target: Target, results: Mapping[str, Sequence[Row]]) -> Row:
         "measured": value,
         "verdict": verdict,
     }
-
-
-def write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Cell]]) -> None:
-    """A CSV file with 17 significant digits; what a row does not have stays empty."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([_exact(row.get(name)) for name in columns] for row in rows)
-
-
-def markdown(columns: Sequence[str], rows: Sequence[Sequence[Cell]], digits: int = 3) -> str:
-    """A Markdown table with rounded numbers."""
-    lines = [columns, ["---"] * len(columns), *([rounded(x, digits) for x in row] for row in rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def rounded(x: Cell, digits: int = 3) -> str:
-    """A cell as text; floats with so many significant digits, without an exponent where it can be helped."""
-    if x is None:
-        return "-"
-    if isinstance(x, float):
-        return f"{x:.0f}" if 10**digits <= abs(x) < 1e7 else f"{x:.{digits}g}"
-    return str(x).replace("|", "\\|")
-
-
-def environment(command: str, packages: Sequence[str]) -> list[tuple[str, str]]:
-    """Where, when and with what a study ran."""
-    load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
-    return [
-        ("command", f"`{command}`"),
-        ("date", datetime.date.today().isoformat()),
-        ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
-        ("processor", f"{processor()}, {os.cpu_count()} logical"),
-        ("load average at the start", load),
-        ("Python", f"{platform.python_implementation()} {platform.python_version()}"),
-        ("C compiler", _compiler()),
-        *((name, _version(name)) for name in packages),
-    ]
-
-
-def _exact(x: Cell) -> str:
-    return "" if x is None else f"{x:.17g}" if isinstance(x, float) else str(x)
-
-
-def _version(package: str) -> str:
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return "not installed"
-
-
-def _compiler() -> str:
-    command = compiler()
-    if command is None:
-        return "none"
-    try:
-        done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
-    except OSError as error:
-        return f"cannot be run ({error.strerror})"
-    return (done.stdout.strip().splitlines() or ["unknown"])[0]
-
-
-def processor() -> str:
-    """The name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()

@@ -28,7 +28,7 @@ from timeit import Timer
 
 import casadi as ca
 import numpy as np
-from _report import Call, Chapter, Laps, Row, Target, environment, in_turns, judged, rounded, times
+from _report import Call, Laps, Target, in_turns, judged, times
 from matplotlib.figure import Figure
 from pythonfmu import FmuBuilder
 from tqdm import tqdm
@@ -41,6 +41,7 @@ from alfmu.kernel.trace import parts
 from alfmu.kernel.vm import Vm
 from alfmu.simulation import prepared
 from alfmu.specialisation import specialised
+from alfmu.tables import Chapter, Row, environment, rounded
 
 KERNELS = ("vm", "compiled")
 

@@ -27,7 +27,6 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import mpmath
 import numpy as np
-from _report import processor
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -35,6 +34,7 @@ from scipy.integrate import solve_ivp
 from tqdm import tqdm
 
 import alfmu
+from alfmu.tables import processor
 
 GRAVITY = 9.81
 RATE = 2.0

@@ -38,7 +38,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import matplotlib
 import numpy as np
-from _report import Cell, environment, markdown, rounded, write_csv
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -48,6 +47,7 @@ from tqdm import tqdm
 import alfmu
 from alfmu.simulation import prepared
 from alfmu.specialisation import specialised
+from alfmu.tables import Cell, environment, markdown, rounded, write_csv
 
 matplotlib.use("Agg")
 
@@ -960,7 +960,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     clock(points, rounds)
     reached = [row for mechanism in MECHANISMS for row in reach_rows(points, mechanism)]
     for name, rows in (("peers.csv", [point_row(p) for p in points]), ("peers_reach.csv", reached)):
-        write_csv(chosen.output / name, list(dict.fromkeys(column for row in rows for column in row)), rows)
+        write_csv(chosen.output / name, rows)
     picture(points).savefig(chosen.output / "peers.png", dpi=120, metadata={"Software": None})
     (chosen.output / "peers.md").write_text(report(points, references, rounds, where), encoding="utf-8")
     print(chosen.output / "peers.md")

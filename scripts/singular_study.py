@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from _report import Chapter, Row, Target, environment, judged, rounded, write_csv
+from _report import Target, judged
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ import alfmu
 from alfmu.integrators import rk4
 from alfmu.kernel.build import compiler
 from alfmu.simulation import prepared, simulate
+from alfmu.tables import Chapter, Row, environment, rounded, write_csv
 
 GRAVITY = 9.81
 

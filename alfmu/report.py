@@ -1,0 +1,514 @@
+"""Error against run time: every formulation, method and way to run a mechanism, judged by a reference.
+
+`report` writes `report.md`, CSV files with every number in it, and two pictures for each mechanism into one folder.
+"""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import reference as exact
+from . import tables
+from .cases import (
+    ENERGY,
+    PHI,
+    PHI_DOT,
+    POSITION,
+    QUANTITIES,
+    REACTION,
+    Case,
+    Judge,
+    Progress,
+    Run,
+    choice,
+    command,
+    control,
+    exactness,
+    measured,
+    methods,
+    restarting,
+    run,
+)
+from .charts import require, scatter, slope
+from .cost import cost, left_out
+from .derivation import derive
+from .errors import AlfmuError
+from .fmi.drive import Fmu
+from .fmi.export import export
+from .kernel.build import compiler
+from .mechanism import Mechanism
+from .oracle import FORMULATIONS, Settings
+from .registry import load
+from .rivals import RIVALS
+from .runtime import Instance
+from .simulation import Unit, communication_points, prepared
+from .specialisation import specialised
+from .tables import Row, paragraph, shown, write_csv
+
+__all__ = ["Effort", "report"]
+
+PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib")
+
+TIME, STEP = "median [s]", "step [s]"
+
+LEVELS = (1e-3, 1e-6, 1e-9)
+"""Position errors [m, rad] at which run times are compared."""
+
+LOST = 0.1
+"""Position error [m, rad] of a run that has lost the motion; it tells nothing of an order."""
+
+ABOVE = 10.0
+"""Errors count towards an order as far as they are so many times that of the reference."""
+
+CLEARLY = 2.0
+"""Errors and times that differ by less than this factor are called equal."""
+
+ROUNDOFF = 1e-11
+"""Errors up to it are called equal."""
+
+OWN = Settings.formulation
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is measured."""
+
+    total: float
+    """Wall time for all mechanisms together [s]."""
+    horizon: float
+    """Longest simulated time [s]; a mechanism's own stop time where that is shorter."""
+    factors: tuple[float, ...]
+    """Steps over the mechanism's own, the longest first."""
+    tolerances: tuple[float, ...]
+    """Of methods with tolerances, the largest first."""
+    limit: float
+    """Wall time of one run [s]."""
+    repeats: int
+    """Most runs of a case; fewer where they are long."""
+    reference: exact.Effort
+
+
+USUAL = Effort(
+    720.0,
+    3.0,
+    (4, 2, 1, 1 / 2, 1 / 4, 1 / 8),
+    (1e-3, 1e-5, 1e-7, 1e-9, 1e-11),
+    4.0,
+    9,
+    exact.Effort(parts=100, seconds=10.0),
+)
+QUICK = Effort(180.0, 1.0, (2, 1, 1 / 2), (1e-3, 1e-7), 0.5, 5, exact.Effort(parts=50, seconds=6.0))
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A line in the pictures: what runs, and the steps [s] or tolerances with which it runs."""
+
+    code: str
+    formulation: str
+    method: str
+    way: str
+    control: str
+    values: tuple[float, ...]
+    default: float
+    """The value whose errors stand in the report."""
+    run: Callable[[float, Case], Run]
+
+    def row(self, value: float) -> Row:
+        """What tells a run of it from others."""
+        names = ("code", "formulation", "method", "way", "control")
+        return {name: getattr(self, name) for name in names} | {"value": value}
+
+    def growth(self, before: float, value: float) -> float:
+        """How much longer a run will take than the one before: guessed for tolerances with an order of 4."""
+        return (before / value) ** (1.0 if self.control == STEP else 0.25)
+
+
+# One mechanism -----------------------------------------------------------------------------------------------------
+
+
+class Study:
+    """Everything that is measured of one mechanism, as rows of CSV files."""
+
+    def __init__(self, name: str | Path | Mechanism, effort: Effort):
+        self.mechanism, self.effort = load(name), effort
+        self.name = self.mechanism.name
+        self.derived = derive(self.mechanism)
+        Instance(self.derived).initialize()
+        self.files: dict[str, list[Row]] = {name: [] for name in FILES}
+        self._before: dict[Setting, tuple[float, float]] = {}
+
+    def measure(self, deadline: float, progress: Progress) -> None:
+        """Run all cases, as far as time allows until `deadline`."""
+        logging.getLogger("alfmu").addHandler(logging.NullHandler())  # what an FMU says of a failure is in its row
+        self.equations = e = prepared(self.derived, "oracle")
+        horizon = min(e.stop_time, self.effort.horizon)
+        self.times = communication_points(e.name, horizon, min(max(self.effort.factors) * e.step_size, horizon))
+        self._judge(horizon)
+        self._scenes()
+        with ExitStack() as stack, tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+            ways = {way: stack.enter_context(unit) for way, unit in self._opened(Path(folder))}
+            for setting, value in progress(_passes(list(self._settings(ways)))):
+                self._run(setting, value, deadline)
+        self._summarise()
+        self._compare()
+
+    def _keep(self, file: str, row: Row) -> None:
+        self.files[file].append({"mechanism": self.name} | row)
+
+    def _judge(self, horizon: float) -> None:
+        """The reference, and its error."""
+        instance = Instance(self.equations)
+        instance.initialize()
+        self.mobility = instance.mobility()
+        found = exact.reference(instance, horizon, self.effort.reference)
+        known = None if isinstance(found, str) else found
+        self.judge = Judge(self.equations, known)
+        self.floors: dict[str, float | None] = dict.fromkeys(QUANTITIES)
+        if known is None:
+            self._keep("reference", {"horizon [s]": horizon, "note": found})
+            return
+        motion, readable = known.motion, known.readable(self.times)
+        about = {
+            "reduced by": motion.way.name,
+            "integrator": motion.method,
+            "tolerance": motion.tolerance,
+            "horizon [s]": horizon,
+            "known until [s]": known.until,
+            "energy drift [J]": float(np.ptp(known.energies(self.times))) if self.judge.conserves else None,
+            "points": len(self.times),
+            "points for reactions": int(readable.sum()),
+        }
+        compared = self.judge.errors_of_reference(self.times)
+        for row in compared or [{"compared with": "nothing"}]:
+            self._keep("reference", about | row)
+        self.floors |= {
+            x: max((r[x] for r in compared if r[x] is not None), default=None) for x in (POSITION, REACTION)
+        }
+
+    def _scenes(self) -> None:
+        """What scenes leave out, and the operations that this saves."""
+        everything = self.derived
+        motion = [v.name for v in everything.outputs if not v.instant]
+        scenes = {
+            "everything": everything,
+            "motion alone": specialised(everything, motion, None),
+            "motion alone, parameters frozen": specialised(everything, motion, ["all"]),
+        }
+        for name, scene in scenes.items():
+            now = cost(prepared(scene))
+            self._keep("scenes", {"scene": name, "left out": "", "step": now.step, "outputs": now.outputs})
+            for what, back in left_out(everything, scene, self.mobility):
+                saved = {"step": back.step - now.step, "outputs": back.outputs - now.outputs} if back else {}
+                self._keep("scenes", {"scene": name, "left out": what} | saved)
+
+    def _opened(self, folder: Path) -> Iterator[tuple[str, Any]]:
+        """Every way to run that there is, in a context that closes it."""
+        kernels = ["compiled"] * bool(compiler()) + ["vm", "oracle"]
+        ways = {kernel: partial(self._instance, kernel) for kernel in kernels}
+        ways[f"FMU ({kernels[0]})"] = partial(self._fmu, folder, kernels[0])
+        for way, opened in ways.items():
+            try:
+                yield way, closing(_Open(opened()))
+            except AlfmuError as error:
+                self._keep("skipped", {"way": way, "reason": str(error)})
+
+    def _instance(self, kernel: str) -> Instance:
+        return Instance(prepared(self.derived, kernel))
+
+    def _fmu(self, folder: Path, kernel: str) -> Fmu:
+        return Fmu(export(self.mechanism, folder / f"{self.name}.fmu", kernel=kernel))
+
+    def _settings(self, ways: dict[str, _Open]) -> Iterator[Setting]:
+        """All settings, those first whose rows are needed most."""
+        known, others = list(methods()), [name for name in FORMULATIONS if name != OWN]
+        wanted = [(OWN, m) for m in known], [(f, known[0]) for f in others], [(f, m) for f in others for m in known[1:]]
+        for i, pairs in enumerate(wanted):
+            for formulation, method in pairs:
+                for way, opened in ways.items():
+                    yield self._setting(formulation, method, way, opened)
+            if i == 0:
+                for rival in RIVALS:
+                    yield self._rival(rival)
+
+    def _setting(self, formulation: str, method: str, way: str, opened: _Open) -> Setting:
+        e, stepped = self.equations, control(method) == "step"
+        values = [k * e.step_size for k in self.effort.factors] if stepped else self.effort.tolerances
+
+        def once(value: float, case: Case) -> Run:
+            values = choice(formulation, method) | exactness(method, value)
+            return run(opened.unit, opened.restart, replace(case, values=values))
+
+        default = e.step_size if stepped else _middle(values)
+        kind = STEP if stepped else "tolerance"
+        return Setting("alfmu", formulation, method, way, kind, tuple(values), default, once)
+
+    def _rival(self, rival: Any) -> Setting:
+        values = tuple(x for x in rival.tolerances if x >= min(self.effort.tolerances))
+
+        def once(value: float, case: Case) -> Run:
+            return rival.run(self.equations, value, case)
+
+        return Setting(rival.name, "dae", rival.method, "Python", "tolerance", values, _middle(values), once)
+
+    def _run(self, setting: Setting, value: float, deadline: float) -> None:
+        """A run of a setting; what would take too long is listed with its estimate."""
+        before = self._before.get(setting)
+        estimate = before[1] * setting.growth(before[0], value) if before else None
+        late = time.perf_counter() > deadline
+        if late or (estimate is not None and estimate > self.effort.limit):
+            reason = "the time for this mechanism was used up" if late else "it would take too long"
+            self._keep("skipped", setting.row(value) | {"estimate [s]": estimate, "reason": reason})
+            return
+        found = setting.run(value, Case({}, self.times, self.effort.limit, self.effort.repeats))
+        if not found.failure:
+            self._before[setting] = value, min(found.seconds)
+        about = setting.row(value) | {"default": int(value == setting.default)}
+        self._keep("errors", about | self.judge.errors(found) | found.cost())
+
+    def _summarise(self) -> None:
+        """The row at the default step or tolerance of each setting, with its order and its slope over run time."""
+        lines: dict[tuple, list[Row]] = {}
+        for row in self.files["errors"]:
+            lines.setdefault(_line(row), []).append(row)
+        for rows in lines.values():
+            fit = [r for r in rows if r[TIME] is not None and self._tells(r[POSITION])]
+            stepped = [r for r in fit if r["control"] == STEP]
+            order = slope([r["value"] for r in stepped], [r[POSITION] for r in stepped]) if stepped else None
+            told = [r[TIME] for r in fit]
+            spread = bool(fit) and max(told) > CLEARLY * min(told)
+            falls = slope(told, [r[POSITION] for r in fit]) if spread else None
+            for row in rows:
+                if row["default"]:
+                    shown_row = {k: x for k, x in row.items() if k not in ("mechanism", "default")}
+                    self._keep("settings", shown_row | {"order": order, "slope over run time": falls})
+
+    def _tells(self, error: float | None) -> bool:
+        """Whether an error says something about an order."""
+        return error is not None and max(ABOVE * (self.floors[POSITION] or 0.0), ROUNDOFF) < error < LOST
+
+    # Comparisons -------------------------------------------------------------------------------------------------
+
+    def _compare(self) -> None:
+        """alfmu as it comes against all else: run times at equal error, errors at equal step; also where it loses."""
+        rows = [r for r in self.files["errors"] if r[TIME] is not None]
+        own = [r for r in rows if (r["code"], r["formulation"]) == ("alfmu", OWN)]
+        for level in LEVELS:
+            mine = _fastest(own, level)
+            for code in dict.fromkeys(r["code"] for r in rows if r["code"] != "alfmu"):
+                what = {"what": "run time to a position error of", "level or step": level}
+                self._versus(what, TIME, mine, _fastest([r for r in rows if r["code"] == code], level))
+        for theirs in rows:
+            if theirs["code"] == "alfmu" and theirs["formulation"] != OWN and theirs["default"]:
+                for mine in own:
+                    if _same(mine, theirs, ("method", "way", "value")):
+                        for quantity in (*QUANTITIES, TIME):
+                            what = "run time at equal step" if quantity == TIME else f"{quantity} at equal step"
+                            self._versus({"what": what, "level or step": theirs["value"]}, quantity, mine, theirs)
+
+    def _versus(self, about: Row, quantity: str, mine: Row | None, theirs: Row | None) -> None:
+        a, b = (None if row is None else row[quantity] for row in (mine, theirs))
+        row = about | {"alfmu": _named(mine), "its value": a, "other": _named(theirs), "other's value": b}
+        self._keep("comparisons", row | {"ratio": b / a if a and b else None, "result": _verdict(quantity, a, b)})
+
+
+@dataclass
+class _Open:
+    """A unit that can be run again and again."""
+
+    unit: Unit
+
+    def __post_init__(self) -> None:
+        self.restart = restarting(self.unit)
+
+    def close(self) -> None:
+        if hasattr(self.unit, "close"):
+            self.unit.close()
+
+
+def _passes(settings: Sequence[Setting]) -> list[tuple[Setting, float]]:
+    """All settings with the largest step or tolerance each, then with the next one: nothing is left without a run."""
+    most = max(len(setting.values) for setting in settings)
+    return [(setting, setting.values[i]) for i in range(most) for setting in settings if i < len(setting.values)]
+
+
+def _middle(values: Sequence[float]) -> float:
+    return values[len(values) // 2]
+
+
+def _line(row: Row) -> tuple:
+    return tuple(row[name] for name in ("code", "formulation", "method", "way"))
+
+
+def _named(row: Row | None) -> str | None:
+    return None if row is None else ", ".join(dict.fromkeys(map(str, _line(row))))
+
+
+def _kind(row: Row) -> str:
+    """The formulation of alfmu, or another code and its method."""
+    return row["formulation"] if row["code"] == "alfmu" else f"{row['code']}, {row['method']}"
+
+
+def _same(a: Row, b: Row, names: Sequence[str]) -> bool:
+    return all(a[name] == b[name] for name in names)
+
+
+def _fastest(rows: Sequence[Row], level: float) -> Row | None:
+    """The run that takes least among those with a position error up to a level."""
+    reached = [r for r in rows if r[POSITION] is not None and r[POSITION] <= level]
+    return min(reached, key=lambda r: r[TIME], default=None)
+
+
+def _verdict(quantity: str, mine: float | None, theirs: float | None) -> str:
+    if mine is None or theirs is None:
+        return "not compared" if mine is theirs is None else "lost: not reached" if mine is None else "alfmu alone"
+    level = 0.0 if quantity == TIME else ROUNDOFF
+    if not mine > max(CLEARLY * theirs, level):
+        return "alfmu better" if theirs > max(CLEARLY * mine, level) else "equal"
+    return "lost: slower" if quantity == TIME else "lost: less exact"
+
+
+# Report ------------------------------------------------------------------------------------------------------------
+
+FILES = ("reference", "errors", "settings", "comparisons", "scenes", "skipped")
+
+SHOWN = {
+    "reference": (
+        "The reference, and what it changes by where it is computed in other ways",
+        (
+            *("reduced by", "integrator", "tolerance", "known until [s]", "points", "points for reactions"),
+            *("energy drift [J]", "compared with", POSITION, REACTION),
+        ),
+    ),
+    "settings": (
+        "At the default step, or a middle tolerance",
+        (
+            *("code", "formulation", "method", "way", "control", "value", *QUANTITIES, TIME, "repeats"),
+            *("order", "slope over run time", "note"),
+        ),
+    ),
+    "comparisons": (
+        "Run times at equal error, and lost comparisons",
+        ("what", "level or step", "alfmu", "its value", "other", "other's value", "ratio", "result"),
+    ),
+    "skipped": (
+        "Skipped",
+        ("code", "formulation", "method", "way", "control", "value", "estimate [s]", "reason"),
+    ),
+    "scenes": (
+        "Operations of scenes, and what is saved by what they leave out",
+        ("scene", "left out", "step", "outputs"),
+    ),
+}
+"""Tables of a mechanism: title and columns by CSV file."""
+
+METHOD = f"""
+Every run is judged by a motion from an unrelated method: the equations of motion reduced to independent coordinates,
+with the constraints closed to round-off, integrated with tolerances near round-off (`alfmu.reference`). Its error is
+the change to other ways to compute it: the other reduction, a larger tolerance. {POSITION} and {REACTION} are the
+largest differences of outputs with these units at the points of the run; reactions are compared where they are unique
+and the position is not nearly singular. {PHI}, {PHI_DOT} and {ENERGY} are what the run itself leaves at these points.
+Run time is that of all steps and of reading all outputs at each point, without set-up; the median of the repeats.
+"""
+
+LIMITS = """
+SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the
+oracle, and is not told of singular positions. Formulations other than the default run by the oracle whatever the
+kernel. All runs share one machine and one process, in the order of `errors.csv`; small ratios of times are not to be
+trusted. Where the reference ends before the run, positions and reactions are judged up to there. Blajer (2002) side by
+side, with Table I, Figure 7 and the four-bar through singular positions, is remade by `scripts/paper_study.py`;
+Pinocchio, Exudyn and MuJoCo are compared by `scripts/peers.py` on the mechanisms it knows.
+"""
+
+
+def report(
+    names: Sequence[str | Path | Mechanism],
+    folder: str | Path,
+    quick: bool = False,
+    progress: Callable[[str], Progress] = lambda what: iter,
+    effort: Effort | None = None,
+) -> Path:
+    """Measure mechanisms and write the report into a folder; returns its path.
+
+    Raises AlfmuError where a name is unknown, a mechanism cannot start or matplotlib is missing, before any run.
+    """
+    require()
+    effort = effort or (QUICK if quick else USUAL)
+    studies = [Study(name, effort) for name in names]
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    bounds = {
+        "longest simulated time [s]": effort.horizon,
+        "wall time for all mechanisms [s]": effort.total,
+        "wall time of a run, at most [s]": effort.limit,
+        "repeats of a run, at most": effort.repeats,
+    }
+    where = tables.where(command("report", names, quick), PACKAGES, bounds)
+    for study in measured(studies, effort.total, progress):
+        _pictures(study, folder)
+    write_csv(folder / "environment.csv", where)
+    for file in FILES:
+        write_csv(folder / f"{file}.csv", [row for study in studies for row in study.files[file]])
+    path = folder / "report.md"
+    path.write_text(_markdown(studies, where), encoding="utf-8")
+    return path
+
+
+def _markdown(studies: Sequence[Study], where: Sequence[Row]) -> str:
+    parts = ["# Error against run time", shown("Where this was measured", "environment", ("what", "value"), where)]
+    parts.append(paragraph(METHOD))
+    for study in studies:
+        parts += _chapter(study)
+    return "\n\n".join([*parts, "## Where the comparison stops being fair", paragraph(LIMITS)]) + "\n"
+
+
+def _chapter(study: Study) -> Iterator[str]:
+    """One mechanism."""
+    yield f"## {study.name}"
+    yield study.mechanism.description + "."
+    for file, (title, columns) in SHOWN.items():
+        rows = study.files[file]
+        if file == "comparisons":
+            rows = [r for r in rows if r["what"].startswith("run time to") or r["result"].startswith("lost")]
+        if file == "reference" and "note" in rows[0]:
+            columns = ("horizon [s]", "note")
+        if rows:
+            yield shown(title, file, columns, rows)
+        if file == "reference":
+            yield f"![{OWN}: errors against run time]({study.name}.png)"
+            yield f"![formulations: errors against run time]({study.name}_formulations.png)"
+            yield "All runs: `errors.csv`."
+
+
+def _pictures(study: Study, folder: Path) -> None:
+    """The default formulation in every way, and every formulation in the fastest way."""
+    rows = study.files["errors"]
+    fitted = {_line(r): r for r in study.files["settings"]}
+    first = next((r["way"] for r in rows), "")
+
+    def label(row: Row, *names: str) -> str:
+        fit = fitted.get(_line(row), {})
+        values = [("order", fit.get("order")), ("slope", fit.get("slope over run time"))]
+        told = ", ".join(f"{name} {x:.1f}" for name, x in values if x is not None)
+        return ", ".join(str(row[name]) for name in names) + (f" ({told})" if told else "")
+
+    own = [r for r in rows if r["formulation"] == OWN or r["code"] != "alfmu"]
+    here = [r for r in rows if r["way"] == first or r["code"] != "alfmu"]
+    quantities = (POSITION, REACTION, PHI, ENERGY)
+    for name, chosen, colour, told in (
+        (study.name, own, lambda r: r["way"] if r["code"] == "alfmu" else r["method"], ("code", "method", "way")),
+        (f"{study.name}_formulations", here, _kind, ("code", "formulation", "method")),
+    ):
+        title = f"{study.name}: {OWN}" if chosen is own else f"{study.name}: formulations, {first}"
+        figure = scatter(title, chosen, quantities, TIME, lambda r, names=told: label(r, *names), colour, study.floors)
+        figure.savefig(folder / f"{name}.png", dpi=110, metadata={"Software": None})

@@ -1,0 +1,268 @@
+"""Error against run time at its smallest effort; and the reference, against exact solutions."""
+
+import sys
+from itertools import product
+
+import numpy as np
+import pytest
+from oracles.parallelogram import Parallelogram
+from oracles.slider_crank import SliderCrank
+from studies import prose, rows, tables, untraced
+
+import alfmu
+from alfmu import cases
+from alfmu import reference as exact
+from alfmu.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
+from alfmu.cli import main
+from alfmu.equations import Variable
+from alfmu.oracle import FORMULATIONS
+from alfmu.report import LEVELS, Effort, Setting, Study, report
+from alfmu.simulation import prepared
+
+SMALL = Effort(
+    total=25.0,
+    horizon=0.32,
+    factors=(2.0, 1.0, 0.5),
+    tolerances=(1e-5,),
+    limit=0.3,
+    repeats=2,
+    reference=exact.Effort(parts=40),
+)
+TIMES = np.linspace(0.0, 0.4, 21)
+SHORT = exact.Effort(parts=16)
+"""Enough for the TIMES."""
+
+DIAMOND = """
+import casadi as ca
+from alfmu import Mechanism
+
+def diamond() -> Mechanism:
+    m = Mechanism("diamond", "Two cranks and a coupler, with a guess that closes nothing but the start")
+    start = m.start("angle", {angle}, "rad", rate=1.0, rate_name="rate")
+    th1 = m.coordinate("th1", "rad", start=start)
+    th2 = m.coordinate("th2", "rad", start={angle})
+    m.kinetic_energy((m.rate(th1) ** 2 + 2 * m.rate(th2) ** 2) / 2)
+    m.constraint("mirror", ca.sin(th2) - ca.sin(th1), "m")
+    return m
+"""
+
+
+def started(name: str, **values: float) -> alfmu.Instance:
+    instance = alfmu.Instance(prepared(alfmu.derive(alfmu.load(name)), "oracle"))
+    for key, value in values.items():
+        instance.set(key.replace("__", "."), value)
+    instance.initialize()
+    return instance
+
+
+def columns(instance: alfmu.Instance, names: list[str]) -> list[int]:
+    known = [v.name for v in instance.equations.outputs]
+    return [known.index(name) for name in names]
+
+
+# The reference -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("angle", [0.5, 0.0], ids=["away from singular positions", "from a singular position"])
+def test_the_reference_of_the_five_bar_is_its_exact_motion(angle):
+    instance = started("five_bar", start__angle=angle, start__angular_velocity=2.0)
+    found = exact.reference(instance, TIMES[-1], SHORT)
+    angles = found.outputs(TIMES)[:, columns(instance, ["link1.angle", "link3.angle"])]
+    known = Parallelogram().swing(angle, 2.0, TIMES)
+    assert np.abs(angles - known[:, :1]).max() < 1e-12
+    readable = found.readable(TIMES)
+    assert readable[-1]
+    assert readable[0] == (angle != 0.0)
+    names = [f"{joint}.force.y" for joint in "ABCDEF"]
+    forces = found.outputs(TIMES)[-1, columns(instance, names)]
+    expected = Parallelogram().forces(*known[-1])
+    assert np.abs(forces - [expected[name] for name in names]).max() < 1e-10
+
+
+def test_the_reference_of_the_slider_crank_is_its_exact_motion():
+    instance = started("slider_crank", start__angular_velocity=1.0)
+    found = exact.reference(instance, TIMES[-1], SHORT)
+    known = SliderCrank().motion(np.pi / 4, 1.0, TIMES)
+    outputs = found.outputs(TIMES)
+    assert np.abs(outputs[:, columns(instance, ["crank.angle"])[0]] - known[:, 0]).max() < 1e-11
+    expected = SliderCrank().readings(*known[-1])
+    names = [name for name in expected if ".force" in name]
+    assert len(names) == 7
+    assert np.abs(outputs[-1, columns(instance, names)] - [expected[name] for name in names]).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["five_bar", "slider_crank", "bennett"])
+def test_the_reference_is_tighter_than_what_it_judges(name):
+    instance = started(name, start__angle=0.6, start__angular_velocity=2.0)
+    found = exact.reference(instance, TIMES[-1], SHORT)
+    assert {found.motion.way.name, *(other.way.name for other in found.others)} == {
+        "placement of the declaration",
+        "null space of C",
+    }
+    judge = Judge(instance.equations, found)
+    changes = judge.errors_of_reference(TIMES)
+    assert len(changes) == 2
+    unit = alfmu.Instance(instance.equations)
+    unit.set("start.angle", 0.6)
+    unit.set("start.angular_velocity", 2.0)
+    judged = judge.errors(run(unit, restarting(unit), Case({"solver.step_size": 0.005}, TIMES, 60.0)))
+    for quantity in (POSITION, REACTION):
+        assert max(row[quantity] for row in changes) < 0.02 * judged[quantity], quantity
+    assert judged[POSITION] < 1e-4
+    assert judged[ENERGY] < 1e-3
+    assert judged[PHI] < 1e-12
+
+
+def test_a_driven_mechanism_has_a_reference_too():
+    instance = started("four_bar", start__angle=0.5, start__angular_velocity=1.0)
+    instance.set("A.torque", 4.0)
+    found = exact.reference(instance, TIMES[-1], SHORT)
+    angles = found.outputs(TIMES)[:, columns(instance, ["link1.angle"])[0]]
+    assert np.abs(angles - Parallelogram(m4=None).driven(0.5, 1.0, TIMES, 4.0)[:, 0]).max() < 1e-11
+    assert not Judge(instance.equations, found).conserves
+    assert Judge(instance.equations, exact.reference(started("four_bar", start__angle=0.5), 0.1, SHORT)).conserves
+
+
+def test_without_a_placement_the_reference_ends_before_a_singular_position(tmp_path):
+    path = tmp_path / "diamond.py"
+    path.write_text(DIAMOND.format(angle=1.3))
+    found = exact.reference(started(str(path)), 1.0, SHORT)
+    assert found.motion.way.name == "null space of C"
+    assert 0.2 < found.until < np.pi / 2 - 1.3
+    known = found.outputs(np.array([0.0, found.until, 1.0]))
+    assert np.isfinite(known).all(axis=1).tolist() == [True, True, False]
+    assert found.readable(np.array([0.0, 1.0])).tolist() == [True, False]
+
+
+def test_why_there_is_no_reference_is_said(tmp_path):
+    path = tmp_path / "diamond.py"
+    path.write_text(DIAMOND.format(angle=np.pi / 2))
+    said = exact.reference(started(str(path)), 1.0, SHORT)
+    assert isinstance(said, str)
+    assert "the null space of C ends at a singular position" in said
+    assert "the placement of the declaration ends at" in said
+
+
+# Methods of integration --------------------------------------------------------------------------------------------
+
+
+def test_methods_are_taken_from_what_the_solver_offers(monkeypatch):
+    assert cases.methods().keys() == cases.CHOICES.get("solver.method", {"rk4": ""}).keys()
+    offered = {"rk4": "order 4", "stiff": "implicit, with tolerances"}
+    monkeypatch.setattr(cases, "CHOICES", {"solver.method": offered})
+    monkeypatch.setattr(cases, "SOLVER_VARIABLES", [Variable("solver.relative_tolerance", "1")])
+    assert cases.methods() == offered
+    assert cases.choice("dae", "stiff") == {"solver.formulation": "dae", "solver.method": "stiff"}
+    assert cases.exactness("rk4", 0.01) == {"solver.step_size": 0.01}
+    assert cases.exactness("stiff", 1e-6) == {"solver.relative_tolerance": 1e-6}
+    study = Study("particle_on_circle", SMALL)
+    study.equations = study.derived
+    found = list(study._settings({"vm": None}))
+    assert {(s.formulation, s.method) for s in found if s.code == "alfmu"} == set(product(FORMULATIONS, offered))
+    assert {s.control for s in found if s.method == "stiff"} == {"tolerance"}
+    assert [s.formulation for s in found[:2]] == ["residual", "residual"]
+
+
+# The report --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    return report(["particle_on_circle"], tmp_path_factory.mktemp("report"), effort=SMALL)
+
+
+def test_every_number_of_the_report_stands_in_a_csv_file(written):
+    shown = tables(written)
+    assert {name for _, name, _, _ in shown} >= {"environment", "reference", "settings", "comparisons", "scenes"}
+    for _, name, names, lines in shown:
+        assert untraced(written, name, names, lines) == [], name
+    assert not any(c.isdigit() for c in prose(written))
+
+
+def test_every_formulation_and_way_is_there_or_listed_as_skipped(written):
+    made = rows(written.parent, "errors") + rows(written.parent, "skipped")
+    own = {(r["formulation"], r["way"]) for r in made if r["code"] == "alfmu"}
+    ways = {way for _, way in own}
+    assert {"vm", "oracle"} < ways
+    assert any(way.startswith("FMU") for way in ways)
+    assert own == {(f, way) for f in FORMULATIONS for way in ways}
+    assert {r["method"] for r in made if r["code"] == "SciPy on (9)"} == {"DOP853", "Radau", "BDF"}
+
+
+def test_orders_errors_and_pictures(written):
+    settings = {(r["formulation"], r["way"]): r for r in rows(written.parent, "settings")}
+    for way in ("vm", "oracle"):
+        row = settings["residual", way]
+        assert float(row["order"]) == pytest.approx(4, abs=0.3)
+        assert float(row[PHI]) < 1e-13
+    assert float(settings["residual", "vm"][POSITION]) == pytest.approx(
+        float(settings["residual", "oracle"][POSITION]), rel=1e-3
+    )
+    error = max(float(r[POSITION]) for r in rows(written.parent, "reference"))
+    assert error < min(float(r[POSITION]) for r in rows(written.parent, "settings") if r["code"] == "alfmu")
+    for name in ("particle_on_circle", "particle_on_circle_formulations"):
+        assert (written.parent / f"{name}.png").stat().st_size > 20_000
+    machine = {r["what"]: r["value"] for r in rows(written.parent, "environment")}
+    assert machine["command"] == "`alfmu report particle_on_circle`"
+    assert {"processor", "Python", "C compiler", "scipy", "repeats of a run, at most"} < machine.keys()
+
+
+def test_lost_comparisons_are_listed(written):
+    compared = rows(written.parent, "comparisons")
+    lost = [r for r in compared if r["result"].startswith("lost")]
+    shown = next(lines for _, name, _, lines in tables(written) if name == "comparisons")
+    assert sum(line[-1].startswith("lost") for line in shown) == len(lost)
+    assert [r["level or step"] for r in compared if r["what"].startswith("run time to")] == [
+        f"{x:.17g}" for x in LEVELS
+    ]
+    slower = [r for r in compared if r["result"] == "lost: slower"]
+    assert all(float(r["its value"]) > 2 * float(r["other's value"]) for r in slower)
+
+
+def test_a_way_that_cannot_be_opened_is_listed(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", "no-such-compiler")
+    study = Study("particle_on_circle", SMALL)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("alfmu.kernel.build.cache", lambda: tmp_path / "cache")
+        assert [way for way, _ in study._opened(tmp_path)] == ["vm", "oracle"]
+    ways = {row["way"]: row["reason"] for row in study.files["skipped"]}
+    assert set(ways) == {"compiled", "FMU (compiled)"}
+    assert all("no-such-compiler" in reason for reason in ways.values())
+
+
+def test_what_would_take_too_long_is_skipped_with_its_estimate():
+    study = Study("particle_on_circle", SMALL)
+    study.times = TIMES
+    study.judge = Judge(study.derived, None)
+    unit = alfmu.Instance(prepared(study.derived, "oracle"))
+    restart = restarting(unit)
+
+    def once(value: float, case: Case):
+        found = run(unit, restart, Case({}, case.times, case.limit))
+        found.seconds = [0.002 / value]
+        return found
+
+    setting = Setting("alfmu", "residual", "rk4", "oracle", "step [s]", (0.02, 0.01, 0.005), 0.02, once)
+    for value in setting.values:
+        study._run(setting, value, deadline=np.inf)
+    assert [r["value"] for r in study.files["errors"]] == [0.02, 0.01]
+    (skipped,) = study.files["skipped"]
+    assert skipped["estimate [s]"] == pytest.approx(0.4)
+    assert skipped["reason"] == "it would take too long"
+    study._run(setting, 0.02, deadline=0.0)
+    assert study.files["skipped"][1]["reason"] == "the time for this mechanism was used up"
+
+
+@pytest.mark.parametrize("command", ["report", "stability"])
+def test_mistakes_are_said_before_anything_runs(command, tmp_path, capsys, monkeypatch):
+    assert main([command, "nonsense", "-o", str(tmp_path / "out")]) == 1
+    assert "there is no mechanism 'nonsense'; use one of bennett" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "file").write_text("")
+    assert main([command, "particle_on_circle", "-o", str(tmp_path / "file")]) == 1
+    assert "cannot write into" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        main([command, "particle_on_circle"])
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert main([command, "particle_on_circle", "-o", str(tmp_path / "out")]) == 1
+    assert "pip install 'alfmu[plot]'" in capsys.readouterr().err
