@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import branch, implicit, method
-from .errors import StepError
+from .errors import InputError, StepError
 from .oracle import Oracle
 from .stepping import (
     RADAU9,
@@ -70,7 +70,12 @@ def adaptive(oracle: Oracle, inputs: Callable[[float], NDArray]) -> Adaptive:
         "trapezoidal": implicit.TRAPEZOIDAL,
         "generalized_alpha": implicit.damped(DAMPED),
     }
-    rule: Rule = explicit_rule(settings.method, run) or rules[settings.method]
+    rule: Rule | None = explicit_rule(settings.method, run) or rules.get(settings.method)
+    if rule is None:
+        raise InputError(
+            f"{oracle.equations.name}: solver.method {settings.method} is decided where a scene is made; "
+            "choose it there, or explicit or stiff"
+        )
     relative, absolute = run, settings.absolute_tolerance or run
     if not isinstance(rule, implicit.Newmark):
         relative, absolute = tolerance(rule, run), tolerance(rule, absolute)

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from .equations import Equations
 from .errors import AlfmuError
-from .oracle import Counters
+from .oracle import FIXED, Counters
 from .reference import Reference
 from .runtime import CHOICES, SOLVER_VARIABLES
-from .simulation import Unit
+from .simulation import Unit, prepared, with_defaults
 from .tables import Row
 
 __all__ = [
@@ -28,12 +28,10 @@ __all__ = [
     "POSITION",
     "QUANTITIES",
     "REACTION",
-    "STEPPED",
     "Case",
     "Judge",
     "Progress",
     "Run",
-    "choice",
     "command",
     "control",
     "exactness",
@@ -41,6 +39,7 @@ __all__ = [
     "methods",
     "restarting",
     "run",
+    "scene",
 ]
 
 POSITION, REACTION = "position error [m, rad]", "reaction error [N, N.m]"
@@ -48,9 +47,6 @@ PHI, PHI_DOT = "constraint error, Phi [m, rad]", "constraint error, Phi-dot [m/s
 ENERGY = "energy error [J]"
 QUANTITIES = (POSITION, REACTION, PHI, PHI_DOT, ENERGY)
 """What is measured of each run: largest values over the points where it was read."""
-
-STEPPED = ("rk4", "order8", "trapezoidal", "generalized_alpha")
-"""Methods whose error is set by the internal step; that of the others by their tolerances."""
 
 REPEATED = 0.25
 """Part of the limit of time that goes into repeating a run."""
@@ -61,18 +57,17 @@ ARITHMETIC = (AlfmuError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 
 def methods() -> dict[str, str]:
     """Names of the methods of integration that there are to choose from, and what they are."""
-    return dict(CHOICES.get("solver.method", {"rk4": "the classic Runge-Kutta method of order 4"}))
+    return dict(CHOICES["solver.method"])
 
 
 def control(method: str) -> str:
     """What sets the error of a method: `step` or `tolerance`."""
-    return "step" if method in STEPPED else "tolerance"
+    return "step" if method in FIXED else "tolerance"
 
 
-def choice(formulation: str, method: str) -> dict[str, float | str]:
-    """Solver variables for a formulation and a method."""
-    values: dict[str, float | str] = {"solver.formulation": formulation}
-    return {**values, "solver.method": method} if "solver.method" in CHOICES else values
+def scene(equations: Equations, method: str, kernel: str) -> Equations:
+    """The scene of a mechanism that carries a method."""
+    return prepared(with_defaults(equations, {"solver.method": method}), kernel)
 
 
 def exactness(method: str, value: float) -> dict[str, float | str]:

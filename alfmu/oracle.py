@@ -54,6 +54,9 @@ ASIDE = (-0.7, -0.1, 0.1, 0.7)
 _LITTLE = 1e-4
 """Displacement of lengths [m] beside the start, enough to tell which coefficients are constant."""
 
+_FAR = 2.0
+"""Logarithm of a ratio of pivots that masses make, above which one is not typical."""
+
 _REGULAR = 1e-3
 """Smallest size of an independent combination of constraints, over the largest."""
 
@@ -278,9 +281,9 @@ class Oracle:
         self.rank = len(q) - freedom
         self.brakes = any(self._brakes(place, way) for place in places)
         pivots = [np.sort(self._pivots(place))[: max(self.freedom, 0)] for place in places]
-        # Where a coordinate cannot tell the motion its pivot is larger, at a singular position it may be smaller.
+        # Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller.
         found = np.sort([np.log(np.maximum(r, 1e-300)).sum() for r in pivots])
-        self.masses = float(found[min(1, len(found) - 1)])
+        self.masses = float(np.median(found[found <= found[min(1, len(found) - 1)] + _FAR]))
 
     @property
     def known(self) -> NDArray:

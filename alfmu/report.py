@@ -19,6 +19,7 @@ import numpy as np
 
 from . import reference as exact
 from . import tables
+from .adaptive import TANGENTS
 from .cases import (
     ENERGY,
     PHI,
@@ -30,7 +31,6 @@ from .cases import (
     Judge,
     Progress,
     Run,
-    choice,
     command,
     control,
     exactness,
@@ -38,6 +38,7 @@ from .cases import (
     methods,
     restarting,
     run,
+    scene,
 )
 from .charts import require, scatter, slope
 from .cost import cost, left_out
@@ -51,7 +52,7 @@ from .oracle import FORMULATIONS, Settings
 from .registry import load
 from .rivals import RIVALS
 from .runtime import Instance
-from .simulation import Unit, communication_points, prepared
+from .simulation import KERNELS, Unit, communication_points, prepared
 from .specialisation import specialised
 from .tables import Row, paragraph, shown, write_csv
 
@@ -156,9 +157,9 @@ class Study:
         self.times = communication_points(e.name, horizon, min(max(self.effort.factors) * e.step_size, horizon))
         self._judge(horizon)
         self._scenes()
-        with ExitStack() as stack, tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
-            ways = {way: stack.enter_context(unit) for way, unit in self._opened(Path(folder))}
-            for setting, value in progress(_passes(list(self._settings(ways)))):
+        with ExitStack() as self._stack, tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+            self._ways, self._units = self._makers(Path(folder)), {}
+            for setting, value in progress(_passes(list(self._settings()))):
                 self._run(setting, value, deadline)
         self._summarise()
         self._compare()
@@ -205,48 +206,52 @@ class Study:
             "motion alone": specialised(everything, motion, None),
             "motion alone, parameters frozen": specialised(everything, motion, ["all"]),
         }
-        for name, scene in scenes.items():
-            now = cost(prepared(scene))
+        for name, each in scenes.items():
+            now = cost(prepared(each))
             self._keep("scenes", {"scene": name, "left out": "", "step": now.step, "outputs": now.outputs})
-            for what, back in left_out(everything, scene, self.mobility):
+            for what, back in left_out(everything, each, self.mobility):
                 saved = {"step": back.step - now.step, "outputs": back.outputs - now.outputs} if back else {}
                 self._keep("scenes", {"scene": name, "left out": what} | saved)
 
-    def _opened(self, folder: Path) -> Iterator[tuple[str, Any]]:
-        """Every way to run that there is, in a context that closes it."""
+    def _makers(self, folder: Path) -> dict[str, Callable[[str], Any]]:
+        """Every way to run that there is: what makes a unit of it that carries a method."""
         kernels = ["compiled"] * bool(compiler()) + ["vm", "oracle"]
-        ways = {kernel: partial(self._instance, kernel) for kernel in kernels}
-        ways[f"FMU ({kernels[0]})"] = partial(self._fmu, folder, kernels[0])
-        for way, opened in ways.items():
-            try:
-                yield way, closing(_Open(opened()))
-            except AlfmuError as error:
-                self._keep("skipped", {"way": way, "reason": str(error)})
+        makers: dict[str, Callable[[str], Any]] = {kernel: partial(self._instance, kernel) for kernel in kernels}
+        return {**makers, f"FMU ({kernels[0]})": partial(self._fmu, folder, kernels[0])}
 
-    def _instance(self, kernel: str) -> Instance:
-        return Instance(prepared(self.derived, kernel))
+    def _instance(self, kernel: str, method: str) -> Instance:
+        return Instance(scene(self.derived, method, kernel))
 
-    def _fmu(self, folder: Path, kernel: str) -> Fmu:
-        return Fmu(export(self.mechanism, folder / f"{self.name}.fmu", kernel=kernel))
+    def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
+        path = folder / f"{self.name}_{method}.fmu"
+        return Fmu(export(self.mechanism, path, kernel=kernel, parameters={"solver.method": method}))
 
-    def _settings(self, ways: dict[str, _Open]) -> Iterator[Setting]:
+    def _unit(self, way: str, method: str) -> _Open:
+        """A unit of a way to run that carries a method, made when it is first wanted."""
+        if (way, method) not in self._units:
+            self._units[way, method] = self._stack.enter_context(closing(_Open(self._ways[way](method))))
+        return self._units[way, method]
+
+    def _settings(self) -> Iterator[Setting]:
         """All settings, those first whose rows are needed most."""
         known, others = list(methods()), [name for name in FORMULATIONS if name != OWN]
         wanted = [(OWN, m) for m in known], [(f, known[0]) for f in others], [(f, m) for f in others for m in known[1:]]
         for i, pairs in enumerate(wanted):
             for formulation, method in pairs:
-                for way, opened in ways.items():
-                    yield self._setting(formulation, method, way, opened)
+                for way in self._ways:
+                    if method not in TANGENTS or way not in KERNELS or way == "oracle":  # else the oracle runs it
+                        yield self._setting(formulation, method, way)
             if i == 0:
                 for rival in RIVALS:
                     yield self._rival(rival)
 
-    def _setting(self, formulation: str, method: str, way: str, opened: _Open) -> Setting:
+    def _setting(self, formulation: str, method: str, way: str) -> Setting:
         e, stepped = self.equations, control(method) == "step"
         values = [k * e.step_size for k in self.effort.factors] if stepped else self.effort.tolerances
 
         def once(value: float, case: Case) -> Run:
-            values = choice(formulation, method) | exactness(method, value)
+            opened = self._unit(way, method)
+            values = {"solver.formulation": formulation} | exactness(method, value)
             return run(opened.unit, opened.restart, replace(case, values=values))
 
         default = e.step_size if stepped else _middle(values)
@@ -270,7 +275,11 @@ class Study:
             reason = "the time for this mechanism was used up" if late else "it would take too long"
             self._keep("skipped", setting.row(value) | {"estimate [s]": estimate, "reason": reason})
             return
-        found = setting.run(value, Case({}, self.times, self.effort.limit, self.effort.repeats))
+        try:
+            found = setting.run(value, Case({}, self.times, self.effort.limit, self.effort.repeats))
+        except AlfmuError as error:
+            self._keep("skipped", setting.row(value) | {"estimate [s]": estimate, "reason": str(error)})
+            return
         if not found.failure:
             self._before[setting] = value, min(found.seconds)
         about = setting.row(value) | {"default": int(value == setting.default)}

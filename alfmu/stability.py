@@ -27,12 +27,12 @@ from .cases import (
     Judge,
     Progress,
     Run,
-    choice,
     command,
     measured,
     methods,
     restarting,
     run,
+    scene,
 )
 from .charts import Map, maps, require
 from .derivation import derive
@@ -191,7 +191,7 @@ class Study:
         self.equations = e = prepared(self.derived, "auto")
         self.horizon = min(e.stop_time, self.effort.horizon)
         self.instance = Instance(e)
-        self.restart = restarting(self.instance)
+        self._units: dict[str, tuple[Instance, Callable[[], None]]] = {}
         self.defaults = {v.name: float(v.start) for v in e.parameters}
         self.springs = [v.name for v in e.parameters if v.unit in SPRINGS]
         self.masses = [v.name for v in e.parameters if v.unit == "kg" and v.start]
@@ -258,7 +258,10 @@ class Study:
     def _measured(self, cell: Cell) -> Row:
         """A cell run and classified."""
         step = cell.step * self.equations.step_size
-        found = run(self.instance, self.restart, Case(self._values(cell), self._times(step), self.effort.limit))
+        try:
+            found = run(*self._unit(cell.method), Case(self._values(cell), self._times(step), self.effort.limit))
+        except AlfmuError as error:
+            return self._row(cell, "not run", message=str(error))
         reached = float(found.times[-1]) if len(found.times) else 0.0
         judge, scale, kinetic = self._judge(cell)
         errors = judge.errors(found)
@@ -267,8 +270,15 @@ class Study:
         row |= {**errors, "scale [m, rad]": scale, "largest kinetic energy [J]": kinetic, "message": found.failure}
         return self._row(cell, name, **row)
 
+    def _unit(self, method: str) -> tuple[Instance, Callable[[], None]]:
+        """An instance that carries a method, and what brings it back to before its start; made when first wanted."""
+        if method not in self._units:
+            unit = Instance(scene(self.derived, method, "auto"))
+            self._units[method] = unit, restarting(unit)
+        return self._units[method]
+
     def _values(self, cell: Cell) -> dict[str, float | str]:
-        values = choice(cell.formulation, cell.method) | {"solver.step_size": cell.step * self.equations.step_size}
+        values = {"solver.formulation": cell.formulation, "solver.step_size": cell.step * self.equations.step_size}
         if cell.penalty:
             values["solver.penalty"] = cell.penalty * self.mass
         return values | {name: factor * self.defaults[name] for name, factor in dict(cell.scaled).items()}

@@ -780,7 +780,7 @@ def measure(folder: Path, effort: Effort, studies: Sequence[str], command: str) 
         if name in CHAPTERS:
             CHAPTERS[name].write(folder / f"{name}.csv", rows)
         else:
-            write_csv(folder / f"{name}.csv", list(dict.fromkeys(x for line in rows for x in line)), rows)
+            write_csv(folder / f"{name}.csv", rows)
     for name, (source, plot, _) in PICTURES.items():
         if source in results:
             plot(results[source]).savefig(folder / f"{name}.png", dpi=120)

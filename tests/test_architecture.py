@@ -99,6 +99,7 @@ ALLOWED: dict[str, set[str]] = {
     "cases": {"equations", "errors", "oracle", "reference", "runtime", "simulation", "tables"},
     "rivals": {"cases", "equations", "oracle", "runtime"},
     "report": {
+        "adaptive",
         "cases",
         "charts",
         "cost",

@@ -215,7 +215,7 @@ def test_a_tolerance_that_cannot_be_met_is_said():
     i.step(0.01)
 
 
-@pytest.mark.parametrize(("tolerance", "most", "bound"), [(1e-4, 250, 3e-6), (1e-7, 700, 1e-8)])
+@pytest.mark.parametrize(("tolerance", "most", "bound"), [(1e-4, 250, 3e-6), (1e-8, 700, 1e-8)])
 def test_the_governor_in_few_steps(tolerance, most, bound):
     """Slider of the flyball governor (IFToMM A05) after 10 s, springs 8e5 N/m with 4e4 N.s/m: explicit methods need
     30000 steps for it."""
