@@ -403,12 +403,22 @@ class Instance:
         Raises InputError or StepError and keeps the state before the step where the step cannot be taken.
         """
         h = communication_step
-        if self._pending:
-            self._take_effect()
         start = self.time if time is None else time
-        if not (self._whole and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
+        if self._pending:
+            self._step_after_event(h, start)
+        elif not (self._whole and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
             self._step(h, start)
         self._known = False
+
+    def _step_after_event(self, h: float, start: float) -> None:
+        """A communication step that begins with switches taking effect; where it cannot be taken, nothing has."""
+        before = self.save()
+        self._take_effect()
+        try:
+            self._step(h, start)
+        except AlfmuError:
+            self.restore(before)
+            raise
 
     def _step(self, h: float, start: float) -> None:
         """A communication step that the kernel cannot make in one go: everything is looked at."""

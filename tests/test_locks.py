@@ -229,6 +229,19 @@ def test_what_is_open_cannot_be_closed_and_nothing_is_lost(tmp_path):
         fmu.step(0.1, 0.2)
 
 
+def test_a_step_that_is_refused_undoes_its_event():
+    i = alfmu.Instance(prepared(alfmu.derive(double_pendulum())))
+    i.initialize()
+    i.step(0.2)
+    i.set("elbow.locked", True)
+    before = i.save()
+    with pytest.raises(alfmu.InputError, match="communication step of -1"):
+        i.step(-1.0)
+    assert i.save() == before
+    i.step(0.2)
+    assert i.get("monitor.energy_lost") > 0.0
+
+
 def test_a_massless_link_cannot_lose_what_holds_it():
     m = alfmu.load("five_bar")
     m.release("E")
