@@ -358,6 +358,11 @@ def test_a_step_that_misses_the_constraints_leaves_the_state_before_it() -> None
     with pytest.raises(alfmu.StepError, match=r"slider_crank, t = 1 s: th\d turned by .*; reduce solver.step_size"):
         i.step(1.0)
     assert i.save() == before
+    # What is left of |Phi| after corrections in vain is named too, with joint and remedy.
+    with pytest.raises(
+        alfmu.StepError, match=r"slider_crank, t = 1 s: \|Phi.* at C [xy] > .*; reduce solver.step_size"
+    ):
+        i.oracle.project(i.q + 1e14 * np.array([0.3, 1.0, -2.0]), i.v, 1.0)
 
 
 # Saved states ---------------------------------------------------------------------------------------------------------
