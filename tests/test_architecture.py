@@ -31,7 +31,8 @@ ALLOWED: dict[str, set[str]] = {
     "kernel.program": {"equations"},
     "oracle": {"branch", "equations", "errors", "kernel.program", "method", "scaling"},
     "assembly": {"equations", "errors", "kernel.program"},
-    "kernel.fusion": {"equations", "kernel.program"},
+    "kernel.order": {"kernel.stream"},
+    "kernel.fusion": {"equations", "kernel.order", "kernel.program"},
     "kernel.vm": {"equations", "kernel.fusion", "kernel.program"},
     "kernel.compiled": {"equations", "kernel.program"},
     "kernel.trace": {

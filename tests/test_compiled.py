@@ -70,7 +70,7 @@ def test_an_operation_that_has_no_c_is_named():
     x = ca.SX.sym("x")
     f = ca.Function("f", [x], [ca.erfinv(x)])
     with pytest.raises(alfmu.ExportError, match=r"some_scene: operation \d+ of f has no C here; use --kernel vm"):
-        stream.Instructions.of(f, "some_scene")
+        stream.Instructions.of(f).check("some_scene", f.name())
 
 
 @scenes

@@ -2,6 +2,7 @@
 
 import zipfile
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
@@ -13,6 +14,7 @@ import alfmu
 from alfmu.fmi.slave import FUNCTIONS, SCENE, loaded
 from alfmu.kernel import fusion
 from alfmu.kernel.fusion import program_function
+from alfmu.kernel.order import in_runs
 from alfmu.simulation import prepared
 
 
@@ -59,9 +61,31 @@ def test_a_program_is_one_function_or_few():
     for name in ("quick", "careful", "instant"):
         assert program_function(equations, name).is_a("SXFunction")
     for name in ("branch", "limit"):
-        fused = [f for f in program_function(equations, name).find_functions(9) if f.is_a("SXFunction")]
-        assert {f.name() for f in fused} == {"fused"}
-        assert len(fused) < 15
+        found = program_function(equations, name).find_functions(9)
+        names = [f.name() for f in found if f.is_a("SXFunction")]
+        assert set(names) == {"fused", "together"}
+        assert names.count("fused") < 15
+
+
+@pytest.mark.parametrize("mechanism", ["five_bar", "flyball_governor", "n_four_bar"])
+def test_operations_in_runs_give_the_same_numbers_to_the_last_bit(mechanism):
+    """A result that is an argument or a constant included."""
+    equations = prepared(derived(mechanism))
+    x = [ca.SX.sym(f"x{i}", size) for i, size in enumerate(equations.signatures["dynamics"]["inputs"])]
+    results = [*equations.functions["dynamics"](*x), x[0], ca.vertcat(2.0, x[0][0], 0.0)]
+    f = ca.Function("f", x, results, {"cse": True})
+    again = in_runs(f)
+    numbers = [np.random.default_rng(0).uniform(0.5, 2.0, size) for size in map(f.nnz_in, range(len(x)))]
+    for one, other in zip(f(*numbers), again(*numbers), strict=True):
+        assert one.sparsity() == other.sparsity()
+        assert np.array_equal(one.full(), other.full())
+    assert changes(again) < changes(f) / 2
+
+
+def changes(f: ca.Function) -> int:
+    """How often an operation is not the one before it."""
+    codes = [f.instruction_id(k) for k in range(f.n_instructions())]
+    return sum(a != b for a, b in pairwise(codes))
 
 
 def test_instances_of_the_same_equations_share_what_is_built(monkeypatch):

@@ -23,7 +23,7 @@ N = 60
 
 
 def operations(f: ca.Function) -> Operations:
-    return Operations.of(Instructions.of(f, "scene"))
+    return Operations.of(Instructions.of(f))
 
 
 def source(f: ca.Function) -> str:

@@ -50,6 +50,8 @@ RUN_SIDE = (
     "topology.py",
     "inputs.py",
     "kernel/program.py",
+    "kernel/stream.py",
+    "kernel/order.py",
     "kernel/fusion.py",
     "kernel/vm.py",
     "kernel/compiled.py",
@@ -61,7 +63,7 @@ RUN_SIDE = (
 METHODS = ("adaptive.py", "implicit.py", "stepping.py")
 """Those that methods beside RK4 need."""
 
-PORTABLE = ("kernel/fusion.py", "kernel/vm.py")
+PORTABLE = ("kernel/stream.py", "kernel/order.py", "kernel/fusion.py", "kernel/vm.py")
 """Those that run the portable form, and need CasADi."""
 
 _ENTRY = '''"""FMU entry of a mechanism that has none of its own."""

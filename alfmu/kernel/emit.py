@@ -208,7 +208,8 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
 
 def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> Iterator[tuple[str, int]]:
     """C of a function in one or several pieces, each with the length of the workspace that the function needs."""
-    instructions = Instructions.of(f, scene)
+    instructions = Instructions.of(f)
+    instructions.check(scene, f.name())
     if len(instructions) > WHOLE:
         yield from blocks(name, Operations.of(instructions), kept, BLOCK)
     else:

@@ -1,8 +1,8 @@
 """The programs of a scene as functions of CasADi: calls of small functions fused into long ones.
 
-A long function has no calls inside, and what its parts would compute twice it computes once. A program is one such
-function where it is not too long for that. Otherwise its calls are fused between choices, and a part that is made again
-and again (an evaluation at several places) is fused once and called.
+In a long function what its parts would compute twice is computed once, and operations are in runs
+(`alfmu.kernel.order`). A program is one such function where it is not too long for that. Otherwise its calls are fused
+between choices, and a part that is made again and again (an evaluation at several places) is fused once and called.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from itertools import chain, groupby, product
 import casadi as ca
 
 from ..equations import Equations
+from .order import in_runs
 from .program import CHOICE, Layout, Program
 
 __all__ = ["FLAT", "program_function"]
@@ -101,7 +102,7 @@ class _Fusion:
             for name, x, y in renamed:
                 known |= zip(y, self._small[name].call([known[i] for i in x]), strict=True)
             results = [known[i] for i in numbered(outputs)]
-            self._long[key] = ca.Function("fused", arguments, results, {"cse": True})
+            self._long[key] = in_runs(ca.Function("fused", arguments, results, {"cse": True}))
         return self._long[key]
 
     def _parts(self, calls: list[list]) -> list[list[list]]:

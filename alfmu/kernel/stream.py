@@ -78,12 +78,10 @@ class Instructions:
     constant: NDArray
 
     @classmethod
-    def of(cls, f: ca.Function, scene: str) -> Instructions:
-        """Raises ExportError where an operation has no C here."""
+    def of(cls, f: ca.Function) -> Instructions:
+        """Those of a function of symbols that calls no other."""
         count = f.n_instructions()
         code = list(map(f.instruction_id, range(count)))
-        if missing := set(code) - {*BINARY, *UNARY, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}:
-            raise ExportError(f"{scene}: operation {min(missing)} of {f.name()} has no C here; use --kernel vm")
         first, second, place = [-1] * count, [-1] * count, {}
         constant = np.zeros(count)
         current: dict[int, int] = {}  # place in CasADi's workspace -> instruction that wrote it last
@@ -95,7 +93,7 @@ class Instructions:
             else:
                 inputs = f.instruction_input(k)
                 first[k] = current[inputs[0]]
-                if operation in BINARY:
+                if len(inputs) > 1:
                     second[k] = current[inputs[1]]
                 elif operation == ca.OP_OUTPUT:
                     place[k] = f.instruction_output(k)
@@ -105,6 +103,11 @@ class Instructions:
         if place:
             places[:, list(place)] = np.array(list(place.values())).T
         return cls(np.array(code), np.array([first, second]), places, constant)
+
+    def check(self, scene: str, function: str) -> None:
+        """ExportError where an operation has no C here."""
+        if missing := set(self.code.tolist()) - {*BINARY, *UNARY, ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}:
+            raise ExportError(f"{scene}: operation {min(missing)} of {function} has no C here; use --kernel vm")
 
     def __len__(self) -> int:
         return len(self.code)

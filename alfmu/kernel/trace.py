@@ -20,6 +20,7 @@ from functools import cached_property
 from types import MappingProxyType
 
 import casadi as ca
+import numpy as np
 
 from .. import branch, method
 from ..assembly import Mobility
@@ -51,6 +52,12 @@ _TINY = 1e-300
 
 _ROUND_OFF = 8 * 2.0**-52
 """Of a constraint, over its coordinates."""
+
+_PROBES = 5
+"""Positions at which an entry of H is compared."""
+
+_SAME = 1e-13
+"""Largest difference of what is the same there, over its size."""
 
 
 @dataclass(frozen=True)
@@ -120,10 +127,10 @@ def parts(equations: Equations, program: Program) -> tuple[dict[str, ca.Function
     scene = _Scene(e, plan.weighted, p, k)
     terms = scene.terms(q, v, u, t)
     M, C = terms[:2]
-    H = method.augmented_mass(M, C, scene.weights)
+    H = scene.augmented_mass(M, C)
     D, L, order = _factors(e, H)
     zeros = ca.SX(e.n, 1), ca.SX(e.l, 1)
-    a, _ = scene.iterated(terms, (D, L, order), *zeros, plan.iterations)
+    a, _, _ = scene.iterated(terms, (D, L, order), *zeros, plan.iterations)
     results = {"model": terms, "factorisation": [*terms, D, L], "iterations": [a, scene.power(q, v, u, t)]}
     functions = {name: shared(name, [q, v, u, p, t, k], list(values)) for name, values in results.items()}
     return functions, {"M": M.nnz(), "C": C.nnz(), "H": H.nnz(), "L": L.nnz()}
@@ -438,7 +445,7 @@ class _Scene:
     """The method with symbols; every part says what tells whether its unrolled loops were enough."""
 
     def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
-        self.e, self.p, self.kind = equations, p, "weighted" if weighted else "plain"
+        self.e, self.p, self.k, self.kind = equations, p, k, "weighted" if weighted else "plain"
         alpha, self.tolerance, *singular = ca.vertsplit(k[:SETTINGS])
         self.freedom, self.masses, self.nothing, self.least_distance, self.continues, *control = singular
         self.relative, self.absolute = control
@@ -460,7 +467,7 @@ class _Scene:
         """Sparsity of what an evaluation hands on: M, C, F, xi, and the factors of H."""
         x = symbols(self.e)
         M, C, F, xi = self.terms(x["q"], x["v"], x["u"], x["t"])
-        D, L, self._order = _factors(self.e, method.augmented_mass(M, C, self.weights))
+        D, L, self._order = _factors(self.e, self.augmented_mass(M, C))
         values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
         return {name: value.sparsity() for name, value in values.items()}
 
@@ -479,9 +486,8 @@ class _Scene:
         """What an evaluation hands on, with a and lam (times `scale`) after the first iteration."""
         e = self.e
         terms = M, C, F, xi = self.terms(q, v, u, t)
-        H = method.augmented_mass(M, C, self.weights)
-        D, L, order = _factors(self.e, H)
-        a, lam = self.iterated(terms, (D, L, order), ca.SX(e.n, 1), ca.SX(e.l, 1), 1)
+        D, L, order = _factors(self.e, self.augmented_mass(M, C))
+        a, lam, _ = self.iterated(terms, (D, L, order), ca.SX(e.n, 1), ca.SX(e.l, 1), 1)
         watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), *self.margin(D, order))
         values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
         return {
@@ -492,10 +498,9 @@ class _Scene:
     def iterated_again(self, nonzeros: dict[str, ca.SX], a: ca.SX, lam: ca.SX, watch: ca.SX) -> dict[str, ca.SX]:
         """a and lam (times `scale`) after one more iteration."""
         M, C, F, xi, D, L = (self.matrix(name, nonzeros) for name in ("M", "C", "F", "xi", "D", "L"))
-        before = a
-        a, lam = self.iterated((M, C, F, xi), (D, L, self._order), a, lam, 1)
+        a, lam, change = self.iterated((M, C, F, xi), (D, L, self._order), a, lam, 1)
         seen = _Watch(watch)
-        watch = ca.vertcat(ca.sumsqr(a - before), ca.sumsqr(a), seen.pivot, seen.near, seen.margin)
+        watch = ca.vertcat(ca.sumsqr(change), ca.sumsqr(a), seen.pivot, seen.near, seen.margin)
         return {"a": a, "lam": lam, "watch": watch}
 
     def margin(self, pivots: ca.SX, order: list[int]) -> tuple[ca.SX, ca.SX]:
@@ -531,8 +536,7 @@ class _Scene:
         for k in (-1, 0, 1):
             place = q + k * branch.SPACING * dt * v
             C = self.e.C(place, self.p)
-            H = method.augmented_mass(self.scale * self.e.M(place, self.p), C, self.weights)
-            D, _, order = _factors(self.e, H)
+            D, _, order = _factors(self.e, self.augmented_mass(self.scale * self.e.M(place, self.p), C))
             margins.append(self.margin(D, order)[1])
         squared, here = branch.curvature(*margins), margins[1]
         told = ca.logic_or(here > self.nothing, squared > self.nothing)
@@ -555,11 +559,17 @@ class _Scene:
         C, _, solve = self._augmented(q)
         return q + branch.tangential(C, self.weights, solve, wanted - q)
 
-    def iterated(self, terms: tuple, factors: tuple, a: ca.SX, lam: ca.SX, most: int) -> tuple[ca.SX, ca.SX]:
+    def iterated(self, terms: tuple, factors: tuple, a: ca.SX, lam: ca.SX, most: int) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """a and lam after so many iterations, and the last change of a."""
         M, C, F, xi = terms
-        solve = _solver(*factors)
-        a, lam, _, _ = method.residual(M, F, C, xi, self.weights, solve, a, lam, most, lambda da, a: False)
-        return a, lam
+        changes = []
+
+        def done(change: ca.SX, _: ca.SX) -> bool:
+            changes.append(change)
+            return False
+
+        a, lam, _, _ = method.residual(M, F, C, xi, self.weights, _solver(*factors), a, lam, most, done)
+        return a, lam, changes[-1]
 
     def least(self, nonzeros: dict[str, ca.SX], lam: ca.SX) -> ca.SX:
         """lam of least norm."""
@@ -741,8 +751,34 @@ class _Scene:
     def _augmented(self, q: ca.SX) -> tuple[ca.SX, ca.SX, method.Solve]:
         """C, the pivots of H (times `scale`), and what solves with it."""
         C = self.e.C(q, self.p)
-        D, L, order = _factors(self.e, method.augmented_mass(self.scale * self.e.M(q, self.p), C, self.weights))
+        D, L, order = _factors(self.e, self.augmented_mass(self.scale * self.e.M(q, self.p), C))
         return C, D, _solver(D, L, order)
+
+    def augmented_mass(self, M: ca.SX, C: ca.SX) -> ca.SX:
+        """H (times `scale`), with what is the same at every position left to the parameters alone."""
+        H = method.augmented_mass(M, C, self.weights)
+        for place, value in self._steady.items():
+            H[place] = value
+        return H
+
+    @cached_property
+    def _steady(self) -> dict[tuple[int, int], ca.SX]:
+        """Entries of H that contain q and yet do not depend on it, as the square of a length that turns does not."""
+        e, q = self.e, ca.SX.sym("q", self.e.n)
+        if e.n > DENSE:
+            return {}
+        M, C, _, _ = self.terms(q, q, ca.SX.zeros(len(e.inputs)), ca.SX(0))
+        H = method.augmented_mass(M, C, self.weights)
+        entries = ca.vertcat(*H.nonzeros())
+        still = ca.substitute(entries, q, ca.SX.zeros(e.n))
+        numbers = ca.Function("entries", [q, self.p, self.k], [entries, still])
+        random = np.random.default_rng(0)
+        same = np.array(ca.which_depends(entries, q, 1, True))
+        for _ in range(_PROBES):
+            x, reference = numbers(*(random.uniform(0.5, 2.0, size) for size in map(numbers.nnz_in, range(3))))
+            same &= np.isclose(x.full(), reference.full(), _SAME, 0.0).ravel()
+        row, column = H.sparsity().get_triplet()
+        return {(row[i], column[i]): still[int(i)] for i in np.flatnonzero(same)}
 
 
 def _factors(e: Equations, H: ca.SX) -> tuple[ca.SX, ca.SX, list[int]]:
