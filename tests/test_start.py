@@ -469,7 +469,9 @@ def test_a_settings_state_is_restored_before_the_start() -> None:
 
 
 @pytest.mark.parametrize(
-    "state", [b"", b"not a state at all", lambda s: s[:-8], lambda s: s[:-3], lambda s: s + b"\0" * 8, None], ids=str
+    "state",
+    [b"", b"not a state at all", lambda s: s[:-8], lambda s: s[:-3], lambda s: s + b"\0" * 8, None],
+    ids=["nothing", "text", "a number short", "bytes short", "a number long", "another mechanism"],
 )
 def test_a_state_of_something_else_is_refused(state) -> None:
     """Truncated, padded, of another mechanism: InputError, and the instance goes on as it was."""
