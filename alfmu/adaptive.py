@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from . import branch, implicit, method
 from .errors import InputError, StepError
 from .oracle import Oracle
 from .stepping import (
-    RADAU9,
+    SHORTEST,
     Collocation,
     Control,
     Explicit,
@@ -25,13 +25,11 @@ from .stepping import (
     explicit_rule,
     tolerance,
 )
+from .threads import one_thread
 
 __all__ = ["TANGENTS", "Adaptive", "adaptive"]
 
-DAMPED = 0.8
-"""Spectral radius at infinite frequency of `generalized_alpha`."""
-
-TANGENTS = ("stiff", "trapezoidal", "generalized_alpha")
+TANGENTS = tuple(implicit.RULES)
 """Methods that need the tangents of the equations (`alfmu.evaluation.with_tangents`)."""
 
 FIRST = 1e-3
@@ -39,9 +37,6 @@ FIRST = 1e-3
 
 NEWTON = 8
 """Most iterations of Newton's method in a step."""
-
-NEWMARK_CONVERGED = 1e-12
-"""Last change of Newton's method in the index-3 form, over the coordinates."""
 
 CONVERGED = 0.01
 """Last change of Newton's method, over the tolerance of the step: what is left after it is about its square."""
@@ -52,25 +47,18 @@ SPACING = 0.1
 MEAN = branch.weights(4)
 """Those places: a limit of order 8, as that of the best method."""
 
-SHORTEST = 1e-12
-"""Step [s] below which a run is given up."""
-
 RETURNS = 4
 """Passes of the derivative of the return to the branch."""
 
 Rule = Explicit | Collocation | implicit.Newmark
 
 
-def adaptive(oracle: Oracle, inputs: Callable[[float], NDArray]) -> Adaptive:
-    """What makes the steps of the oracle's `solver.method`, all but RK4."""
+def adaptive(oracle: Oracle, inputs: Callable[[float], NDArray], pace: NDArray) -> Adaptive:
+    """What makes the steps of the oracle's `solver.method`, all but RK4; `pace` keeps what step control remembers."""
     settings = oracle.settings
     run = settings.relative_tolerance
-    rules = {
-        "stiff": RADAU9,
-        "trapezoidal": implicit.TRAPEZOIDAL,
-        "generalized_alpha": implicit.damped(DAMPED),
-    }
-    rule: Rule | None = explicit_rule(settings.method, run) or rules.get(settings.method)
+    carried = oracle.equations.kernel.get("method", {}).get("rule")
+    rule: Rule | None = explicit_rule(settings.method, run, carried) or implicit.RULES.get(settings.method)
     if rule is None:
         raise InputError(
             f"{oracle.equations.name}: solver.method {settings.method} is decided where a scene is made; "
@@ -79,7 +67,7 @@ def adaptive(oracle: Oracle, inputs: Callable[[float], NDArray]) -> Adaptive:
     relative, absolute = run, settings.absolute_tolerance or run
     if not isinstance(rule, implicit.Newmark):
         relative, absolute = tolerance(rule, run), tolerance(rule, absolute)
-    return Adaptive(oracle, rule, inputs, relative, absolute)
+    return Adaptive(oracle, rule, inputs, relative, absolute, pace)
 
 
 class Adaptive:
@@ -92,19 +80,22 @@ class Adaptive:
     """
 
     def __init__(
-        self, oracle: Oracle, rule: Rule, inputs: Callable[[float], NDArray], relative: float, absolute: float
+        self,
+        oracle: Oracle,
+        rule: Rule,
+        inputs: Callable[[float], NDArray],
+        relative: float,
+        absolute: float,
+        pace: NDArray | None = None,
     ):
         self.oracle, self.rule, self.inputs = oracle, rule, inputs
         self.relative, self.absolute = relative, absolute
-        self.attempt: Callable[[float], tuple | None] | None = None
-        """What makes a step faster where it can: what `step` returns, its whole state as the memory; or None."""
-        self.attempted: NDArray | None = None
-        """The whole state after the last step, where `attempt` made it."""
         self.fixed: float | None = None
         """Length of all steps [s]; None adapts them."""
-        self.control = Control(3 if isinstance(rule, implicit.Newmark) else rule.estimate + 1, FIRST)
+        self.control = Control(3 if isinstance(rule, implicit.Newmark) else rule.estimate + 1, FIRST, pace)
         self.counts = dict.fromkeys(("steps", "refused", "beside", "newton"), 0)
         """Steps, refused ones, tries made on the branch, iterations of Newton's method."""
+        self._error, self._why = math.inf, ""
         units = [c.unit for c in oracle.equations.coordinates]
         self._turning = np.array([unit == "rad" for unit in units] + [False] * len(units))
 
@@ -115,42 +106,39 @@ class Adaptive:
         self._k: Any = None
 
     @np.errstate(all="ignore")
-    def advance(self, end: float, taken: Callable[[], None] = lambda: None) -> None:
-        """Go on up to `end` and land on it; `taken` is called after each step."""
-        with _one_thread():
-            self._advance(end, taken)
+    def advance(self, end: float, taken: Callable[[], None] = lambda: None, tries: float = math.inf) -> None:
+        """Go on up to `end` and land on it, or until so many steps were tried; `taken` is called after each step."""
+        with one_thread():
+            while self.t < end and tries > 0:
+                self._try(end, taken)
+                tries -= 1
 
-    def _advance(self, end: float, taken: Callable[[], None]) -> None:
-        while self.t < end:
-            left = end - self.t
-            dt = min(self.fixed, left) if self.fixed else self.control.propose(left)
-            landed = dt >= left * (1 - 1e-9)
-            if dt < SHORTEST:
-                name = self.oracle.equations.name
-                raise StepError(
-                    f"{name}, t = {self.t:.6g} s: no step however short meets the tolerance (last error "
-                    f"{self._error:.1e} of it{self._why}); raise solver.relative_tolerance"
-                )
-            found = self.step(dt)
-            if self.fixed and found is None:
-                name = self.oracle.equations.name
-                raise StepError(f"{name}, t = {self.t:.6g} s: the step failed{self._why}; reduce solver.step_size")
-            self._error = found[-1] if found else np.inf
-            if self.fixed or self.control.judge(dt, self._error):
-                self.q, self.v, self.work, self._first, self._k, _ = found
-                self.t = end if landed else self.t + dt
-                self.counts["steps"] += 1
-                taken()
-            else:
-                self.counts["refused"] += 1
+    def _try(self, end: float, taken: Callable[[], None]) -> None:
+        left = end - self.t
+        dt = min(self.fixed, left) if self.fixed else self.control.propose(left)
+        landed = dt >= left * (1 - 1e-9)
+        if dt < SHORTEST:
+            name = self.oracle.equations.name
+            raise StepError(
+                f"{name}, t = {self.t:.6g} s: no step however short meets the tolerance (last error "
+                f"{self._error:.1e} of it{self._why}); raise solver.relative_tolerance"
+            )
+        found = self.step(dt)
+        if self.fixed and found is None:
+            name = self.oracle.equations.name
+            raise StepError(f"{name}, t = {self.t:.6g} s: the step failed{self._why}; reduce solver.step_size")
+        self._error = found[-1] if found else np.inf
+        if self.fixed or self.control.judge(dt, self._error):
+            self.q, self.v, self.work, self._first, self._k, _ = found
+            self.t = end if landed else self.t + dt
+            self.counts["steps"] += 1
+            taken()
+        else:
+            self.counts["refused"] += 1
 
     def step(self, dt: float) -> tuple | None:
         """q, v, work, what the next step can use again, and the error over the tolerance; None where none is found."""
         self._why = ""
-        self.attempted = None
-        if self.attempt and (found := self.attempt(dt)):
-            self.attempted = found[4]
-            return *found[:4], None, found[5]
         self.oracle.hold(self.q)
         make = {Explicit: self._explicit, Collocation: self._collocation, implicit.Newmark: self._newmark}
         try:
@@ -183,7 +171,7 @@ class Adaptive:
 
     def _check_near(self, q: NDArray) -> None:
         o = self.oracle
-        if o.settings.continues and o.equations.l and o.near(q):
+        if o.settings.continues and o.equations.l and o.margin(q) < branch.GUARD:
             raise _Near
 
     def _places(self, q: NDArray, v: NDArray, spacing: float, t: float) -> dict[int, tuple[NDArray, NDArray]]:
@@ -321,7 +309,7 @@ class Adaptive:
             dq, dlam = implicit.position_step(M, C, Phi, R, Rq, Rv, o.alpha, rule, dt, np.linalg.solve)
             change, lam = change + by_a * dq, lam + dlam
             size = float(np.abs(dq / scale).max())
-            if size <= NEWMARK_CONVERGED:
+            if size <= implicit.CONVERGED:
                 break
             if i + 1 == 2 * NEWTON or not size < 1e12:
                 raise StepError(f"Newton's method leaves a change of {size:.1e}")
@@ -362,22 +350,6 @@ class Adaptive:
         solve = o.factor(method.augmented_mass(M, C, o.alpha), self.t)
         parts = [branch.tangential(C, o.alpha, solve, x) for x in self._parts(error)]
         return float(np.abs(np.concatenate(parts) / self._scale(y, after)).max())
-
-
-def _one_thread() -> AbstractContextManager:
-    """Matrices of some hundred rows are slower in several threads, by far where others want the processor."""
-    if not _THREADS:
-        try:
-            from threadpoolctl import ThreadpoolController
-
-            _THREADS.append(ThreadpoolController())
-        except ImportError:  # in an FMU, whose host has what it has
-            return nullcontext()
-    return _THREADS[0].limit(limits=1, user_api="blas")
-
-
-_THREADS: list[Any] = []
-"""What holds the threads of the linear algebra back, once it is known."""
 
 
 class _Near(Exception):

@@ -10,7 +10,7 @@ import casadi as ca
 
 from .assembly import Mobility
 from .equations import Equations, Variable
-from .kernel.fusion import program_function
+from .kernel.fusion import functions_of
 from .kernel.program import called
 from .kernel.trace import parts, traced
 from .runtime import MONITORS
@@ -140,6 +140,7 @@ def _hard(e: Equations) -> dict[str, int]:
         "shares of redundant constraints by their compliances": _of(e, "distribute"),
         "what locks keep, when one is switched on": _of(e, "displacements"),
         "tangents of implicit methods": _of(e, "tangents"),
+        "a step by solver.method, its loops passed once": _whole(e, "method") if "method" in e.kernel else 0,
     }
 
 
@@ -163,8 +164,8 @@ def operations(function: ca.Function) -> int:
 
 
 def _whole(e: Equations, program: str) -> int:
-    function = program_function(e, program)
-    if function.is_a("SXFunction"):
+    [function, *more] = functions_of(e, program).values()
+    if not more and function.is_a("SXFunction"):
         return operations(function)
     return _together(e, called(e.kernel[program]["calls"]))
 

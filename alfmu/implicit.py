@@ -12,19 +12,25 @@ from dataclasses import dataclass
 from typing import Any
 
 from . import method
-from .stepping import Collocation
+from .stepping import RADAU9, Collocation, combined
 
 __all__ = [
+    "RULES",
     "TRAPEZOIDAL",
     "Newmark",
+    "at_node",
     "changes",
     "corrected",
     "damped",
+    "filter_weights",
     "moved",
     "on_branch",
     "position_step",
+    "position_weights",
     "return_map",
     "solved",
+    "stage_weights",
+    "stiffness",
     "tangent",
 ]
 
@@ -74,8 +80,7 @@ def corrected(
     `tangents` (aq, av) and `residues` by node; `joined` makes a matrix of blocks, `split` cuts a vector into
     equal parts.
     """
-    A, nodes = rule.matrix, range(len(rule.nodes))
-    squared = [[sum(A[i][k] * A[k][j] for k in nodes) for j in nodes] for i in nodes]
+    A, nodes, squared = rule.matrix, range(len(rule.nodes)), _squared(rule)
     blocks = [
         [(eye if i == j else 0 * eye) - (dt * A[i][j]) * av - (dt * dt * squared[i][j]) * aq for j in nodes]
         for i, (aq, av) in enumerate(tangents)
@@ -89,6 +94,45 @@ def corrected(
         (rq + dt * sum((A[i][j] * changes[j] for j in nodes[1:]), A[i][0] * changes[0]), changes[i])
         for i, (rq, _) in enumerate(residues)
     ]
+
+
+# The same by accelerations alone, with what the kernel keeps of a tangent: H, Q, V of `stiffness`. ------------------
+
+
+def stiffness(H: Array, C: Array, alpha: Array, Rq: Array, Rv: Array, Xq: Array, Xv: Array) -> tuple[Array, ...]:
+    """H, Q, V (n, n) with H da = Q dq + V dv: (8) for small changes, but for multipliers that are of size mass / alpha.
+
+    An iteration of Newton's method needs no more, as what it leaves is of the same size.
+    """
+    weighted = C.T @ alpha
+    return H, Rq + weighted @ Xq, Rv + weighted @ Xv
+
+
+def at_node(rule: Collocation, i: int, dt: Array, q: Array, v: Array, a: Sequence[Array]) -> tuple[Array, Array]:
+    """q and v at a node of a collocation step from q and v, with accelerations a at the nodes."""
+    return q + dt * (rule.nodes[i] * v + dt * combined(_squared(rule)[i], a)), v + dt * combined(rule.matrix[i], a)
+
+
+def stage_weights(rule: Collocation, dt: Array) -> list[list[list[Array]]]:
+    """Weights by which H, Q, V of each node make up the matrix of a collocation step, for its accelerations."""
+    nodes = range(len(rule.nodes))
+    eye = [[float(i == j) for j in nodes] for i in nodes]
+    first, second = ([[x * w for w in row] for row in A] for x, A in ((-dt, rule.matrix), (-dt * dt, _squared(rule))))
+    return [eye, second, first]
+
+
+def filter_weights(s: Array) -> list[list[list[Array]]]:
+    """The same for (I - s J)^-1 (rq, rv) = (rq + s dv, dv): (H - s V - s^2 Q) dv = H rv + s Q rq, see `solved`."""
+    return [[[1.0]], [[-s * s]], [[-s]]]
+
+
+def _squared(rule: Collocation) -> list[list[float]]:
+    """The matrix of a method, squared."""
+    A, nodes = rule.matrix, range(len(rule.nodes))
+    return [[sum(A[i][k] * A[k][j] for k in nodes) for j in nodes] for i in nodes]
+
+
+# Beside singular positions ------------------------------------------------------------------------------------
 
 
 def return_map(C: Array, alpha: Array, solve: method.Solve, Xv: Array, eye: Array, passes: int) -> tuple[Array, Array]:
@@ -127,6 +171,11 @@ class Newmark:
     beta: float
     gamma: float
 
+    @property
+    def name(self) -> str:
+        """What tells it from others."""
+        return f"newmark {self.m} {self.f}"
+
 
 TRAPEZOIDAL = Newmark(0.0, 0.0, 0.25, 0.5)
 """No damping (Bayo and Ledesma 1996)."""
@@ -139,6 +188,20 @@ def damped(radius: float) -> Newmark:
     return Newmark(m, f, (gamma + 0.5) ** 2 / 4, gamma)
 
 
+DAMPED = 0.8
+"""Spectral radius at infinite frequency of `generalized_alpha`."""
+
+CONVERGED = 1e-12
+"""Last change of Newton's method in the index-3 form, over the coordinates."""
+
+RULES: dict[str, Collocation | Newmark] = {
+    "stiff": RADAU9,
+    "trapezoidal": TRAPEZOIDAL,
+    "generalized_alpha": damped(DAMPED),
+}
+"""What the methods that need tangents of the equations (`alfmu.evaluation.with_tangents`) stand for."""
+
+
 def moved(rule: Newmark, dt: Array, q: Array, v: Array, w: Array, a: Array, change: Array) -> tuple:
     """q, v, w after a step in which the accelerations change from a to a + change."""
     after = ((1 - rule.f) * (a + change) + rule.f * a - rule.m * w) / (1 - rule.m)
@@ -149,6 +212,12 @@ def moved(rule: Newmark, dt: Array, q: Array, v: Array, w: Array, a: Array, chan
 def changes(rule: Newmark, dt: Array) -> tuple[Array, Array]:
     """What v1 and a1 change by, over a change of q1: gamma / (beta dt), (1 - m) / (beta dt^2 (1 - f))."""
     return rule.gamma / (rule.beta * dt), (1 - rule.m) / (rule.beta * dt * dt * (1 - rule.f))
+
+
+def position_weights(rule: Newmark, dt: Array) -> list[list[list[Array]]]:
+    """Weights by which H, Rq, Rv make up the matrix of `position_step`."""
+    by_v, by_a = changes(rule, dt)
+    return [[[1.0]], [[-1 / by_a]], [[-by_v / by_a]]]
 
 
 def position_step(

@@ -21,7 +21,7 @@ from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, OpenError, StepError
 from .inputs import Past
 from .integrators import rk4
-from .kernel.program import GROSS, TIERS, TURN, Backend, Layout, Machine, called
+from .kernel.program import GROSS, PACE, TIERS, TURN, Backend, Layout, Machine, called
 from .oracle import FIXED, FORMULATIONS, METHODS, Counters, Oracle, Settings
 from .topology import Topology, events
 
@@ -166,7 +166,8 @@ class Instance:
         self.layout = Layout(e)
         self.memory = backend.memory(self.layout)
         self.state, self.inputs = self.memory["z"], self.memory["u"]
-        self._past, self._adaptive = Past(len(e.inputs)), None
+        self._past = Past(len(e.inputs), self.memory["past"] if self.layout.fields["past"][1] else None)
+        self._adaptive: Any = None
         self.inputs[:] = [v.start for v in e.inputs]
         self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
         self._seen = self.memory["seen"]
@@ -176,7 +177,7 @@ class Instance:
         instant = e.kernel.get("instant", {"calls": []})
         evaluated = any(name.endswith("_evaluate") for name in called(instant["calls"]))
         self._iterations_read = instant["iterations"] if evaluated else 0
-        self._fast = self._direct = self._whole = self._scaled = self._pending = False
+        self._fast = self._direct = self._covers = self._whole = self._scaled = self._pending = False
         self.initialized = self._known = False
 
     # State -------------------------------------------------------------------------------------------------------
@@ -355,14 +356,18 @@ class Instance:
             if self.equations.brakes:
                 self._hold()
             # The quick step is known to be enough for the penalty scaled with the masses alone.
-            memory["control"][:] = settings.step_size, not (self._scaled or programs["quick"] == programs["careful"])
-        # Whether the kernel makes the steps too, beside what is read; and several of them in one call.
-        self._direct = self._fast and settings.method == "rk4" and not settings.input_order
-        self._whole = self._direct and not self.equations.brakes
-        if self._adaptive:
-            traced = programs.get("method", {}).get("order")
-            same = traced and traced == getattr(self._adaptive.rule, "order", None)
-            self._adaptive.attempt = self._attempt if self._fast and same and not settings.input_order else None
+            careful = not (self._scaled or programs["quick"] == programs["careful"])
+            kind = 0 if settings.method == "rk4" else 1 + (settings.method in FIXED)
+            memory["control"][:] = settings.step_size, careful, kind
+        # Whether the kernel makes the steps too, beside what is read, by RK4 or by the method of the scene; and all of
+        # a communication step in one call.
+        otherwise = settings.input_order != (self.equations.solver.get("input_order", 0) if "reach" in programs else 0)
+        self._direct = self._fast and settings.method == "rk4" and not otherwise
+        traced = programs.get("method")
+        self._covers = bool(
+            self._fast and self._adaptive and traced and traced["rule"] == self._adaptive.rule.name and not otherwise
+        )
+        self._whole = (self._direct or self._covers) and not self.equations.brakes
 
     def _hold(self) -> None:
         """Hand the constraints that are independent here on to the kernel, where redundant ones would brake."""
@@ -451,7 +456,7 @@ class Instance:
                     self._known, done = False, done + 1
         except AlfmuError:
             self.state[:], self._past.numbers[:] = before, past
-            self.memory["tally"][:] = 0.0
+            self.memory["tally"][:], self.memory["passes"][:] = 0.0, 0.0
             self.oracle.counters = counters
             raise
         self.time = start + h
@@ -475,7 +480,7 @@ class Instance:
                 f"{name}: solver.method {method} needs the tangents of the equations; choose it where the scene is "
                 f"made: simulate(..., parameters={{'solver.method': '{method}'}}), or export with --set"
             )
-        return adaptive(self.oracle, self._extrapolated)
+        return adaptive(self.oracle, self._extrapolated, self.memory["pace"][:3])
 
     def spectrum(self) -> NDArray:
         """Eigenvalues [1/s] of small motions about the present one; for methods that have tangents."""
@@ -484,40 +489,32 @@ class Instance:
 
     def _advance(self, start: float, h: float, n: int) -> None:
         """A communication step by a method other than RK4; n steps where they have a given length."""
-        a, c = self._adaptive, self.oracle.counters
-        control = copy.copy(a.control)
+        a, pace, end, brakes = self._adaptive, self.memory["pace"], start + h, self.equations.brakes
+        before, refused = pace.copy(), a.counts["refused"]
         a.fixed = h / n if self.oracle.settings.method in FIXED else None
+        pace[PACE.index("fixed")], pace[PACE.index("last")] = a.fixed or 0.0, 0.0
+        self.time = start
         a.place(start, self.q, self.v, self.work)
-        refused = a.counts["refused"]
         try:
-            a.advance(start + h, self._taken)
+            while self.time < end:
+                if not self._covers:
+                    a.advance(end, self._taken)
+                    continue
+                if brakes:
+                    self._hold()
+                if not self.machine.cover(end, 1 if brakes else -1):
+                    a.place(self.time, self.q, self.v, self.work)
+                    a.advance(end, self._taken, 1)
+                    pace[PACE.index("last")] = 0.0
         except AlfmuError:
-            a.control = control
+            pace[:] = before
             raise
-        c.refused += a.counts["refused"] - refused
+        self.oracle.counters.refused += a.counts["refused"] - refused
         self._known = False
-
-    def _attempt(self, dt: float) -> tuple | None:
-        """A step of dt by the kernel; what `Adaptive.step` returns, or None where the oracle has to make it."""
-        if self.equations.brakes:
-            self._hold()
-        if not self.machine.attempt(dt):
-            return None
-        layout, after, c = self.layout, self.memory["after"].copy(), self.oracle.counters
-        n, program = self.equations.n, self.equations.kernel["method"]
-        evaluations = sum(name.endswith("_evaluate") for name in called(program["calls"]))
-        c.evaluations += evaluations
-        c.multiplier_iterations += evaluations * program["iterations"]
-        c.projection_iterations += 2 * program["corrections"]
-        return after[:n], after[n : 2 * n], float(after[layout.work]), None, after, float(after[layout.change])
 
     def _taken(self) -> None:
         """Take over the state that a step led to."""
         a, c, zeros = self._adaptive, self.oracle.counters, np.zeros(self.equations.n)
-        if a.attempted is not None:
-            c.steps += 1
-            self.state[:], self.time = a.attempted, a.t
-            return
         position, velocity = self.oracle.residues(a.q, a.v)
         c.steps += 1
         c.position_error = max(c.position_error, position)
@@ -768,7 +765,7 @@ class Instance:
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
         c, tally = self.oracle.counters, self.memory["tally"]
-        *steps, limits = map(int, tally)
+        *steps, limits, covered, refused, beside, beside_limits = map(int, tally)
         first = TIERS[int(self.memory["control"][1])]
         for made, tier in zip(steps, TIERS, strict=True):
             if made:
@@ -779,7 +776,18 @@ class Instance:
                 c.evaluations += evaluations
                 c.multiplier_iterations += evaluations * program["iterations"]
                 c.projection_iterations += 2 * made * program["corrections"]
+        if tried := covered + refused + beside:
+            program = self.equations.kernel["method"]
+            passes = int(self.memory["passes"].sum())
+            evaluations = tried * program["evaluations"] + passes * program.get("nodes", 0)
+            evaluations += beside_limits * (2 * self.equations.kernel["beside"]["side"] - 1) if beside else 0
+            c.steps += covered
+            c.refused += refused
+            c.evaluations += evaluations
+            c.multiplier_iterations += evaluations * program["iterations"]
+            c.projection_iterations += 2 * tried * program["corrections"]
         tally[:] = 0.0
+        self.memory["passes"][:] = 0.0
         return c
 
     def save(self) -> bytes:
@@ -832,7 +840,7 @@ class Instance:
             self._begin(state[: self.layout.time], float(energy[0]))
             self._past.numbers[:] = past
             if self._adaptive:
-                self._adaptive.control.numbers = control
+                self._adaptive.control.numbers[:] = control
             self.state[:] = state
             self.oracle.counters = Counters(**head["counters"])
         else:

@@ -19,6 +19,7 @@ from .errors import AlfmuError, InputError
 from .evaluation import DENSE, with_tangents
 from .kernel import DEFAULT, KERNELS
 from .kernel.build import compiled, compiler
+from .kernel.controlled import controlled
 from .kernel.trace import traced, untraced
 from .mechanism import Mechanism
 from .oracle import Counters, Settings
@@ -275,11 +276,12 @@ def _surveyed(equations: Equations, probe: Instance | None) -> Equations:
 
 def _traced(equations: Equations, probe: Instance | None) -> Equations:
     if probe is None:
-        return traced(equations, None)
+        return traced(equations, None, controlled=controlled)
     mobility = probe.mobility()
     if mobility.freedom_here > mobility.freedom:
-        return traced(equations, mobility)  # a singular start says nothing of other positions
-    return traced(equations, mobility, probe.oracle.iterations_needed(probe.q, probe.v, probe.inputs, 0.0))
+        return traced(equations, mobility, controlled=controlled)  # a singular start says nothing of other positions
+    needed = probe.oracle.iterations_needed(probe.q, probe.v, probe.inputs, 0.0)
+    return traced(equations, mobility, needed, controlled)
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:

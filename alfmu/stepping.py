@@ -1,10 +1,11 @@
 """Methods with error control, free of mechanisms: they see a state vector, its rate, and what solves with its tangent.
 
 Methods are data; a step is the same lines on NumPy arrays and on symbols, so nothing in it depends on values. What does
-is in `Control`: plain arithmetic of step sizes.
+is in the rules at the end, plain arithmetic of step sizes, which choose by a `where` they are handed.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ __all__ = [
     "EXPLICIT5",
     "EXPLICIT8",
     "RADAU9",
+    "SHORTEST",
     "Collocation",
     "Control",
     "Explicit",
@@ -21,7 +23,9 @@ __all__ = [
     "continued",
     "explicit",
     "explicit_rule",
+    "judged",
     "landing",
+    "newton",
     "tolerance",
 ]
 
@@ -47,6 +51,11 @@ class Explicit:
     """Weights of the rates that make each estimate; one more than `weights` where the rate at the end counts too."""
 
     @property
+    def name(self) -> str:
+        """What tells it from others."""
+        return f"explicit {self.order}"
+
+    @property
     def reuses(self) -> bool:
         """Whether the rate at the end of a step belongs to it, and is the first of the next one."""
         return len(self.errors[0]) > len(self.weights)
@@ -65,6 +74,11 @@ class Collocation:
     """Weights of the rates at the nodes that make the place of each node."""
     errors: tuple[float, ...]
     """Weights of the rates at the nodes, beside gamma for the one at the begin, that make the estimate."""
+
+    @property
+    def name(self) -> str:
+        """What tells it from others."""
+        return f"collocation {self.order}"
 
 
 EXPLICIT5 = Explicit(
@@ -327,11 +341,13 @@ def collocation(
 def collocation_error(
     method: Collocation, solve: Callable[[Any, State], State], first: State, k: list[State], dt: Any
 ) -> State:
-    """Estimate of the error of a step from the rates, that at the begin first, kept bounded where the rate is stiff.
+    """Estimate of the error of a step from the rates, that at the begin first, damped where the rate is stiff.
 
-    `solve(s, r)` gives (I - s J)^-1 r with J the tangent at the begin of the step.
+    `solve(s, r)` gives (I - s J)^-1 r with J the tangent at the begin of the step. Solved twice: once bounds what is
+    stiff, but takes an offset of stiff springs for an error of velocities, over s; the step itself damps it.
     """
-    return solve(method.gamma * dt, dt * (method.gamma * first + combined(method.errors, k)))  # (IV.8.20)
+    s = method.gamma * dt
+    return solve(s, solve(s, dt * (method.gamma * first + combined(method.errors, k))))  # (IV.8.20), (IV.8.21)
 
 
 def continued(method: Collocation, k: list[State], ratio: Any) -> list[State]:
@@ -357,11 +373,17 @@ LOOSE = 1e-4
 """Tolerance of a run above which the pair of order 5 serves better than that of order 8."""
 
 
-def explicit_rule(method: str, run: float) -> Explicit | None:
-    """The explicit method that `solver.method` stands for at the tolerance of a run, None where it is another one."""
+def explicit_rule(method: str, run: float, carried: str | None = None) -> Explicit | None:
+    """The explicit method that `solver.method` stands for at the tolerance of a run, None where it is another one.
+
+    `carried` is the name of the one that is in the kernel: it is taken whatever the tolerance.
+    """
     if method == "order8":
         return EXPLICIT8
-    return {True: EXPLICIT5, False: EXPLICIT8}[run > LOOSE] if method == "explicit" else None
+    if method != "explicit":
+        return None
+    wanted = EXPLICIT5 if run > LOOSE else EXPLICIT8
+    return next((rule for rule in (EXPLICIT5, EXPLICIT8) if rule.name == carried), wanted)
 
 
 SHARE = 0.02
@@ -382,69 +404,110 @@ def tolerance(method: Explicit | Collocation, run: float) -> float:
 SPLIT = 2.0
 """Steps that are left up to an end below which they are made equal."""
 
+SHORTEST = 1e-12
+"""Step [s] below which a run is given up."""
 
-def landing(dt: float, left: float) -> float:
+SAFETY = 0.9
+"""Of a new step, over that which would just meet the tolerance."""
+
+INTEGRAL = 0.7
+"""Exponent of this error, over that of a step that just meets the tolerance."""
+
+PROPORTIONAL = 0.4
+"""The same of the error before, against it."""
+
+LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
+"""Of a step over the one before."""
+
+LEAST_ERROR, LEAST_BEFORE = 1e-10, 1e-4
+"""Errors over the tolerance below which one counts no more, as this error and as the one before."""
+
+Where = Callable[[Any, Any, Any], Any]
+"""Takes a condition, and what is chosen where it holds and where not: the rules below run on numbers and on symbols."""
+
+
+def chosen(condition: bool, a: float, b: float) -> float:
+    """`Where` of numbers."""
+    return a if condition else b
+
+
+def landing(dt: Any, left: Any, where: Where = chosen) -> Any:
     """A step of about dt, so that `left` is covered without a tiny step at the end."""
-    if dt >= left * (1 - 1e-9):
-        return left
-    return left / 2 if SPLIT * dt > left else dt
+    return where(dt >= left * (1 - 1e-9), left, where(SPLIT * dt > left, left / 2, dt))
 
 
-@dataclass
-class Control:
-    """Step sizes of one run, from one step to the next: proportional and integral in the logarithm of the error.
+def judged(
+    order: int, numbers: Sequence[Any], step: Any, error: Any, where: Where = chosen
+) -> tuple[Any, Any, Any, Any]:
+    """`Control.numbers` after a step with an error over the tolerance, and whether it is accepted.
 
-    Plain numbers that are the whole memory: `dt` the step that is wanted, `before` the error of the last accepted step
-    (over the tolerance), `refused` whether the last try was.
+    Proportional and integral in the logarithm of the error. A step that was cut to land, and is accepted, shortens none
+    after it. What is not a number is refused.
     """
 
-    order: int
-    """Of the estimate of the error in the step: `estimate` + 1 of the method."""
-    dt: float
-    most: float = float("inf")
-    """Longest step."""
-    before: float = 1e-4
-    refused: bool = False
-    safety: float = 0.9
-    integral: float = 0.7
-    """Exponent of this error, over that of a step that just meets the tolerance."""
-    proportional: float = 0.4
-    """The same of the error before, against it."""
-    least_factor: float = 0.2
-    most_factor: float = 5.0
-    keep: float = 1.0
-    """A factor from 1 to this leaves the step as it is, for methods whose matrices then serve again."""
+    def larger(a: Any, b: Any) -> Any:
+        return where(a > b, a, b)
+
+    def smaller(a: Any, b: Any) -> Any:
+        return where(a < b, a, b)
+
+    dt, before, refused = numbers
+    accepted = error <= 1.0
+    over = where(error < math.inf, larger(error, 1.0), math.inf)
+    again = step * larger(LEAST_FACTOR, SAFETY * over ** (-1 / order))
+    small = larger(error, LEAST_ERROR)
+    factor = SAFETY * small ** (-INTEGRAL / order) * before ** (PROPORTIONAL / order)
+    following = step * smaller(larger(factor, LEAST_FACTOR), where(refused, 1.0, MOST_FACTOR))
+    following = where(step < dt * (1 - 1e-9), larger(dt, following), following)
+    return (
+        where(accepted, following, again),
+        where(accepted, larger(error, LEAST_BEFORE), before),
+        where(accepted, 0.0, 1.0),
+        accepted,
+    )
+
+
+CONVERGED = 1e-5
+"""What Newton's method with tangents that are kept may leave, over the tolerance of the step."""
+
+SLOW = 0.2
+"""Change of one pass of it over that of the one before, from which on new tangents cost less than further passes."""
+
+
+def newton(change: Any, before: Any, where: Where = chosen) -> tuple[Any, Any]:
+    """Whether passes of Newton's method with the same tangents have converged, and whether another one is worth it.
+
+    `change` is that of the last pass over the tolerance, `before` that of the one before, infinite for the first.
+    """
+    rate = change / before
+    converged = where(before < math.inf, change * rate, change) <= CONVERGED * (1 - rate)
+    return converged, where(converged, 0.0, where(rate < SLOW, 1.0, 0.0))
+
+
+class Control:
+    """Step sizes of one run, from one step to the next.
+
+    `numbers` are the whole memory, and may be kept by the caller: the step that is wanted [s], the error of the last
+    accepted step over the tolerance, whether the last try was refused.
+    """
+
+    def __init__(self, order: int, dt: float, numbers: MutableSequence[float] | None = None):
+        self.order = order
+        """Of the estimate of the error in the step: `estimate` + 1 of the method."""
+        self.numbers = [0.0] * 3 if numbers is None else numbers
+        self.numbers[:] = dt, LEAST_BEFORE, 0.0
 
     @property
-    def numbers(self) -> tuple[float, float, float]:
-        """What is remembered from step to step, for saving and restoring."""
-        return self.dt, self.before, float(self.refused)
-
-    @numbers.setter
-    def numbers(self, values: Sequence[float]) -> None:
-        self.dt, self.before, refused = map(float, values)
-        self.refused = bool(refused)
+    def dt(self) -> float:
+        """The step that is wanted [s]."""
+        return float(self.numbers[0])
 
     def propose(self, left: float) -> float:
         """The next step where `left` is left up to the point to land on."""
-        return landing(min(self.dt, self.most), left)
+        return landing(self.dt, left)
 
     def judge(self, dt: float, error: float) -> bool:
-        """Take note of a step of dt with an error over the tolerance; whether it is accepted.
-
-        A step that was cut to land, and is accepted, shortens none after it.
-        """
-        if not error <= 1.0:  # also where it is not a number
-            factor = self.safety * error ** (-1 / self.order) if error < float("inf") else 0.0
-            self.dt = dt * max(self.least_factor, factor)
-            self.refused = True
-            return False
-        error = max(error, 1e-10)
-        factor = self.safety * error ** (-self.integral / self.order) * self.before ** (self.proportional / self.order)
-        factor = min(max(factor, self.least_factor), 1.0 if self.refused else self.most_factor)
-        if 1.0 <= factor <= self.keep:
-            factor = 1.0
-        cut = dt < self.dt * (1 - 1e-9)
-        self.dt = min(max(self.dt, dt * factor) if cut else dt * factor, self.most)
-        self.before, self.refused = max(error, 1e-4), False
-        return True
+        """Take note of a step of dt with an error over the tolerance; whether it is accepted."""
+        *numbers, accepted = judged(self.order, [float(x) for x in self.numbers], dt, error)
+        self.numbers[:] = numbers
+        return accepted

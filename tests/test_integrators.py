@@ -281,13 +281,6 @@ def test_refused_steps_shrink_and_do_not_grow_at_once():
         assert 0 < control.dt < 1
 
 
-def test_the_longest_step_is_kept():
-    control = Control(5, 0.1, most=0.2)
-    for _ in range(9):
-        control.judge(control.propose(1.0), 1e-9)
-    assert control.dt == control.propose(1.0) == 0.2
-
-
 @pytest.mark.parametrize("method", [EXPLICIT5, EXPLICIT8], ids=["5(4)", "8(7)"])
 @pytest.mark.parametrize("every", [2.0, 0.05])
 def test_the_error_follows_the_tolerance_and_steps_are_few(method, every):

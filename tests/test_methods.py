@@ -111,7 +111,8 @@ def test_inputs_extrapolated_inside_a_communication_step_keep_the_order():
     for order in (0, 1, 2):
         errors = []
         for step in (0.04, 0.02):
-            i = chosen("four_bar", "rk4", start__angle=-1.0, start__angular_velocity=0.0, solver__input_order=order)
+            given = {"start__angle": -1.0, "start__angular_velocity": 0.0, "solver__input_order": order}
+            i = chosen("four_bar", "rk4", "vm", **given)
             worst = 0.0
             for k in range(round(2.0 / step)):
                 i.set("A.torque", torque(k * step))
@@ -219,7 +220,7 @@ def test_a_tolerance_that_cannot_be_met_is_said():
 def test_the_governor_in_few_steps(tolerance, most, bound):
     """Slider of the flyball governor (IFToMM A05) after 10 s, springs 8e5 N/m with 4e4 N.s/m: explicit methods need
     30000 steps for it."""
-    i = chosen("flyball_governor", "stiff", solver__relative_tolerance=tolerance)
+    i = chosen("flyball_governor", "stiff", "vm", solver__relative_tolerance=tolerance)
     i.step(10.0)
     assert GOVERNOR[-1, 0] == 10.0
     assert abs(i.get("slider.position") - GOVERNOR[-1, 1]) <= bound
@@ -227,11 +228,11 @@ def test_the_governor_in_few_steps(tolerance, most, bound):
 
 
 def test_a_stiffer_governor_takes_no_more_steps():
-    """Stiffness 100 times: 1.27 times the steps, and as exact."""
+    """Stiffness 100 times: at most 1.2 times the steps, and as exact."""
     counts = []
     for column, stiffness in enumerate((8e5, 8e7), 1):
-        i = chosen("flyball_governor", "stiff", solver__relative_tolerance=1e-6, stiffness=stiffness)
+        i = chosen("flyball_governor", "stiff", "vm", solver__relative_tolerance=1e-6, stiffness=stiffness)
         i.step(10.0)
         counts.append(i.counters.steps)
         assert abs(i.get("slider.position") - GOVERNOR[-1, column]) <= 1e-6
-    assert counts[1] <= 1.3 * counts[0]
+    assert counts[1] <= 1.2 * counts[0]

@@ -60,7 +60,7 @@ RUN_SIDE = (
 )
 """Modules of alfmu that travel inside an FMU, those that its kernel does not need left out."""
 
-METHODS = ("adaptive.py", "implicit.py", "stepping.py")
+METHODS = ("adaptive.py", "implicit.py", "stepping.py", "threads.py")
 """Those that methods beside RK4 need."""
 
 PORTABLE = ("kernel/stream.py", "kernel/order.py", "kernel/fusion.py", "kernel/vm.py")

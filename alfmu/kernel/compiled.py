@@ -31,7 +31,7 @@ class Library:
             self._declare("alfmu_advance", integer, pointer, integer, double)
             self._declare("alfmu_read", ctypes.c_int, pointer)
             if "method" in equations.kernel:
-                self._declare("alfmu_attempt", ctypes.c_int, pointer, double)
+                self._declare("alfmu_cover", ctypes.c_int, pointer, double, integer)
 
     def _declare(self, name: str, result: Any, *arguments: Any) -> None:
         function = getattr(self._library, name)
@@ -63,6 +63,6 @@ class _Machine:
         self.communicate = partial(library.communicate, address)
         self.advance = partial(library.advance, address)
         self.read = partial(library.read, address)
-        self.attempt = partial(getattr(library, "attempt", None) or library.read, address)
-        for call in (self.communicate, self.advance, self.read, self.attempt):
+        self.cover = partial(getattr(library, "cover", None) or library.read, address)
+        for call in (self.communicate, self.advance, self.read, self.cover):
             call.alive = memory  # as long as its address is known

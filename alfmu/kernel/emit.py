@@ -6,16 +6,17 @@ values that pass from one block to the next. The code has no global state and al
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import casadi as ca
+import numpy as np
 
 from ..equations import Equations
 from .loops import blocks, c_function
-from .program import CHOICE, TIERS, Layout, Program
+from .program import CHOICE, FACTOR, LOOP, PACE, SOLVE, TIERS, Layout, Program
 from .stream import BINARY, UNARY, Instructions, Operations, number
 
-__all__ = ["sources"]
+__all__ = ["HEAD", "ROUTINES", "sources"]
 
 BLOCK = 400
 """Operations in one C function of a long one; compilers take more than linear time for longer blocks."""
@@ -26,7 +27,7 @@ WHOLE = 2500
 UNIT = 2_000_000
 """Characters of source in one file, roughly; several are compiled at a time."""
 
-_HEAD = """\
+HEAD = """\
 #include <math.h>
 #include <string.h>
 
@@ -85,11 +86,11 @@ EXPORT long alfmu_advance(double *m, long steps, double dt)
     return advance(m, steps, dt);
 }}
 
-/* A communication step in one go; 0, and nothing has changed, where that is not possible. */
+{cover}/* A communication step in one go; 0, and nothing has changed, where that is not possible. */
 EXPORT int alfmu_communicate(double *m, double start, double h)
 {{
-    double tally[{tiers} + 1], ratio;
-    long steps;
+    double counted[{counted}], ratio;
+    long steps, made;
     if (!(h > 0.0 && h < INFINITY && fabs(start - m[{time}]) <= 1e-6 * h + 1e-12 * fabs(start)))
         return 0;
     ratio = h / m[{step_size}] * (1 - 1e-12);
@@ -97,11 +98,12 @@ EXPORT int alfmu_communicate(double *m, double start, double h)
         return 0;
     steps = ratio <= 1.0 ? 1 : (long)ceil(ratio);
     memcpy(m + {begin}, m + {z}, {size} * sizeof(double));
-    memcpy(tally, m + {tally}, sizeof tally);
+    memcpy(counted, m + {tally}, sizeof counted);
     m[{time}] = start;
-    if (advance(m, steps, h / (double)steps) < steps) {{
+    {reached}{covered}made = advance(m, steps, h / (double)steps) == steps;
+    if (!made) {{
         memcpy(m + {z}, m + {begin}, {size} * sizeof(double));
-        memcpy(m + {tally}, tally, sizeof tally);
+        memcpy(m + {tally}, counted, sizeof counted);
         return 0;
     }}
     m[{time}] = start + h;
@@ -117,14 +119,116 @@ EXPORT int alfmu_read(double *m)
 }}
 """
 
-_ATTEMPT = """
-/* A step by the method of the scene; the caller judges its error, and takes the result over. */
-EXPORT int alfmu_attempt(double *m, double dt)
+_COVER = """\
+/* Steps by the method of the scene up to an end, or so many tries; 0 where one could not be judged. */
+EXPORT int alfmu_cover(double *m, double end, long tries)
 {{
-    m[{dt}] = dt;
-    run_method(m, m + {workspace});
-    return m[{trouble}] == 0.0;
+    m[{end}] = end;
+    for (; m[{time}] < end && tries != 0; tries--) {{
+        run_method(m, m + {workspace});
+{beside}        if (m[{trouble}] != 0.0)
+            return 0;
+        if (m[{accepted}] != 0.0)
+            memcpy(m + {z}, m + {after}, {size} * sizeof(double));
+        m[m[{accepted}] != 0.0 ? {made} : {made} + 1] += 1.0;
+    }}
+    return 1;
 }}
+
+"""
+
+_BESIDE = """\
+        if (m[{trouble}] != 0.0) {{
+            run_beside(m, m + {workspace});
+            m[{made} + 2] += 1.0;
+            m[{made} + 3] += m[{near}];
+        }}
+"""
+
+_COVERED = """\
+m[{last}] = 0.0;
+    m[{fixed}] = m[{chosen}] == 2.0 ? h / (double)steps : 0.0;
+    if (m[{chosen}] != 0.0)
+        made = alfmu_cover(m, start + h, -1);
+    else
+        """
+
+ROUTINES = """\
+/* Factors of the matrix of s * s blocks (n, n) that are sums of the parts of their row (by columns), by weights of row
+   and column: rows in `order`, L without its diagonal of ones below that of U. */
+static void factor(int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order)
+{
+    const int size = n * s;
+    for (int i = 0; i < s; i++)
+        for (int j = 0; j < s; j++)
+            for (int r = 0; r < n; r++) {
+                double *row = a + (i * n + r) * size + j * n;
+                for (int c = 0; c < n; c++)
+                    row[c] = weights[i * s + j] * parts[i][c * n + r];
+                for (int t = 1; t < terms; t++)
+                    for (int c = 0; c < n; c++)
+                        row[c] += weights[(t * s + i) * s + j] * parts[t * s + i][c * n + r];
+            }
+    for (int i = 0; i < size; i++)
+        order[i] = i;
+    for (int k = 0; k < size; k += 4) {
+        /* Four columns, with the rows below. */
+        const int end = k + 4 < size ? k + 4 : size;
+        for (int p = k; p < end; p++) {
+            int largest = p;
+            for (int i = p + 1; i < size; i++)
+                if (fabs(a[i * size + p]) > fabs(a[largest * size + p]))
+                    largest = i;
+            if (largest != p) {
+                double kept = order[p];
+                order[p] = order[largest];
+                order[largest] = kept;
+                for (int j = 0; j < size; j++) {
+                    kept = a[p * size + j];
+                    a[p * size + j] = a[largest * size + j];
+                    a[largest * size + j] = kept;
+                }
+            }
+            for (int i = p + 1; i < size; i++) {
+                const double by = a[i * size + p] /= a[p * size + p];
+                for (int j = p + 1; j < end; j++)
+                    a[i * size + j] -= by * a[p * size + j];
+            }
+        }
+        /* The same rows right of them, then what is left. */
+        for (int p = k; p < end; p++)
+            for (int i = p + 1; i < end; i++)
+                for (int j = end; j < size; j++)
+                    a[i * size + j] -= a[i * size + p] * a[p * size + j];
+        if (end - k == 4)
+            for (int i = end; i < size; i++) {
+                const double *restrict u = a + k * size, *l = a + i * size + k;
+                double *restrict row = a + i * size;
+                const double l0 = l[0], l1 = l[1], l2 = l[2], l3 = l[3];
+                for (int j = end; j < size; j++)
+                    row[j] -= l0 * u[j] + l1 * u[j + size] + (l2 * u[j + 2 * size] + l3 * u[j + 3 * size]);
+            }
+    }
+}
+
+static void solve(int n, int s, const double *a, const double *order, const double *const *right, double *x)
+{
+    const int size = n * s;
+    for (int i = 0; i < size; i++) {
+        const int from = (int)order[i];
+        double sum = right[from / n][from % n];
+        for (int j = 0; j < i; j++)
+            sum -= a[i * size + j] * x[j];
+        x[i] = sum;
+    }
+    for (int i = size - 1; i >= 0; i--) {
+        double sum = x[i];
+        for (int j = i + 1; j < size; j++)
+            sum -= a[i * size + j] * x[j];
+        x[i] = sum / a[i * size + i];
+    }
+}
+
 """
 
 
@@ -143,6 +247,8 @@ def sources(equations: Equations) -> tuple[list[str], int]:
     names = ",\n    ".join(e.signatures)
     calls += f"static Function *const functions[] = {{\n    {names}}};\n{_CALL}"
     if e.kernel:
+        if FACTOR in _marks(e.kernel.get("method", {}).get("calls", [])):
+            calls += ROUTINES
         places: dict[str, int] = {}
         for name, program in e.kernel.items():
             calls += _program(f"run_{name}", program, e, layout, needed, places)
@@ -161,13 +267,19 @@ def sources(equations: Equations) -> tuple[list[str], int]:
             "step_size": at["control"],
             "first": at["control"] + 1,
             "seen_trouble": at["seen"] + layout.fields["seen"][1] - 1,
+            "chosen": at["control"] + 2,
+            "made": at["tally"] + len(TIERS) + 1,
+            "counted": at["past"] + layout.fields["past"][1] - at["tally"],
+            **{name: at["pace"] + i for i, name in enumerate(PACE) if name in ("fixed", "end", "last", "accepted")},
         }
+        by_method = "method" in e.kernel
+        at["beside"] = _BESIDE.format(**at) * ("beside" in e.kernel)
+        at["reached"] = f"run_reach(m, m + {layout.size});\n    " if "reach" in e.kernel else ""
+        at |= {"cover": _COVER.format(**at) * by_method, "covered": _COVERED.format(**at) * by_method}
         calls += _DRIVER.format(**at)
-        if "method" in e.kernel:
-            calls += _ATTEMPT.format(**at)
         needed += sum(places.values())
     files[-1] += calls
-    return [_HEAD + text for text in files], needed
+    return [HEAD + text for text in files], needed
 
 
 def _program(name: str, program: Program, e: Equations, layout: Layout, workspace: int, places: dict[str, int]) -> str:
@@ -192,12 +304,29 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
                     lines += [head, *("    " + line for line in made(way))]
                 lines.append("}")
                 continue
-            inputs, outputs = rest
-            for key, shape in zip(outputs, e.signatures[called]["outputs"], strict=True):
+            if called == LOOP:
+                number, times, again = rest
+                lines.append(f"for (int i = 0; i < {times} && *({pointer(number)}) != 0.0; i++) {{")
+                lines += ["    " + line for line in made(again)]
+                lines.append("}")
+                continue
+            inputs, outputs, *sizes = rest
+            for key, length in zip(outputs, _lengths(called, e, sizes), strict=True):
                 if key not in layout.fields and key not in offsets:
-                    offsets[key], places[key] = top, shape[0]
-                    top += shape[0]
+                    offsets[key], places[key] = top, length
+                    top += length
             x, y = (", ".join(map(pointer, keys)) for keys in (inputs, outputs))
+            if called == FACTOR:
+                n, s = sizes
+                terms = (len(inputs) - 1) // s
+                lines += ["{", f"    const double *x[] = {{{x}}};"]
+                lines += [f"    factor({n}, {s}, {terms}, x[0], x + 1, {y});", "}"]
+                continue
+            if called == SOLVE:
+                n, s = sizes
+                lines += ["{", f"    const double *x[] = {{{x}}};"]
+                lines += [f"    solve({n}, {s}, x[0], x[1], x + 2, {y});", "}"]
+                continue
             lines += ["{", f"    const double *x[] = {{{x}}};", f"    double *y[] = {{{y}}};"]
             lines += [f"    {called}(x, y, w);", "}"]
         return lines
@@ -213,13 +342,17 @@ def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> It
     if len(instructions) > WHOLE:
         yield from blocks(name, Operations.of(instructions), kept, BLOCK)
     else:
-        yield c_function(name, _statements(instructions)), 0
+        yield c_function(name, _statements(instructions, kept)), 0
 
 
-def _statements(instructions: Instructions) -> Iterator[str]:
-    """Each instruction as a line of C."""
+def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str]:
+    """Each instruction as a line of C; arguments in `kept` are read first, since results may be written over them."""
     made = 0
     names: list[str] = []
+    which, entry = instructions.place
+    first = (instructions.code == ca.OP_INPUT) & np.isin(which, list(kept))
+    for i, j in dict.fromkeys(zip(which[first].tolist(), entry[first].tolist(), strict=True)):
+        yield f"const double x{i}_{j} = x[{i}][{j}];"
     for k, operation in enumerate(instructions.code.tolist()):
         first, second = (names[i] if i >= 0 else "" for i in instructions.operands[:, k].tolist())
         which, entry = instructions.place[:, k].tolist()
@@ -230,7 +363,7 @@ def _statements(instructions: Instructions) -> Iterator[str]:
         if operation == ca.OP_CONST:
             text = number(float(instructions.constant[k]))
         elif operation == ca.OP_INPUT:
-            text = f"x[{which}][{entry}]"
+            text = f"x{which}_{entry}" if which in kept else f"x[{which}][{entry}]"
         else:
             text = (BINARY.get(operation) or UNARY[operation]).format(first, second)
         yield f"const double v{made} = {text};"
@@ -247,11 +380,27 @@ def _overwritten(e: Equations) -> dict[str, dict[int, int]]:
     return found
 
 
+def _lengths(name: str, e: Equations, sizes: list[int]) -> list[int]:
+    """Lengths of the results of a call."""
+    if name in (FACTOR, SOLVE):
+        size = sizes[0] * sizes[1]
+        return [size * size, size] if name == FACTOR else [size]
+    return [shape[0] for shape in e.signatures[name]["outputs"]]
+
+
 def _flat(calls: list[list]) -> Iterator[list]:
-    """All calls, those of either choice too."""
+    """All calls of functions, those of either choice and in loops too."""
     for call in calls:
         if call[0] == CHOICE:
             yield from _flat(call[2])
             yield from _flat(call[3])
-        else:
+        elif call[0] == LOOP:
+            yield from _flat(call[3])
+        elif call[0] not in (FACTOR, SOLVE):
             yield call
+
+
+def _marks(calls: list[list]) -> set[str]:
+    """What else than calls of functions there is."""
+    found = {call[0] for call in calls}
+    return found.union(*(_marks(call[3]) for call in calls if call[0] == LOOP))

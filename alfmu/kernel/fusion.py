@@ -14,9 +14,12 @@ import casadi as ca
 
 from ..equations import Equations
 from .order import in_runs
-from .program import CHOICE, Layout, Program
+from .program import CHOICE, FACTOR, LOOP, SOLVE, STAGED, Layout, Program, given
 
-__all__ = ["FLAT", "program_function"]
+__all__ = ["FLAT", "functions_of", "program_function", "staged"]
+
+_APART = (LOOP, FACTOR, SOLVE)
+"""What stays between fused functions."""
 
 FLAT = 40000
 """Instructions up to which calls are fused; more stay calls, and all do in a scene whose quick step has more."""
@@ -29,27 +32,85 @@ def program_function(equations: Equations, name: str) -> ca.Function:
     """
     built, kernel = equations.programs, equations.kernel
     if name not in built:
-        same = next((other for other in built if kernel[other] == kernel[name]), None)
+        same = next((other for other in built if kernel.get(other) == kernel[name]), None)
         built[name] = built[same] if same else _Fusion(equations).program(kernel[name])
     return built[name]
+
+
+def functions_of(equations: Equations, name: str) -> dict[str, ca.Function]:
+    """All functions that a program is run by, under the names by which `Equations.programs` keeps them."""
+    if name not in STAGED:
+        return {name: program_function(equations, name)}
+    staged(equations, name)
+    return {key: f for key, f in equations.programs.items() if key.startswith(f"{name}.")}
+
+
+def staged(equations: Equations, name: str) -> list[list]:
+    """A program of a method with its calls fused as far as loops and routines let them; what they call is kept.
+
+    Names of functions are those of `Equations.programs`.
+    """
+    e, fusion, fields = equations, None, Layout(equations).fields
+    sizes = {name: length for name, (_, length) in fields.items()}
+
+    def function(calls: list[list], inputs: list[str], outputs: list[str]) -> str:
+        nonlocal fusion
+        key = f"{name}.{len(made)}"
+        if key not in e.programs:
+            fusion = fusion or _Fusion(e)
+            e.programs[key] = fusion.stage(calls, {name: sizes[name] for name in inputs}, outputs)
+        made.append(key)
+        sizes.update({name: e.programs[key].size1_out(i) for i, name in enumerate(outputs)})
+        return key
+
+    def stages(calls: list[list], after: set[str]) -> list[list]:
+        found, groups = [], [list(group) for _, group in groupby(calls, lambda call: call[0] in _APART)]
+        for i, group in enumerate(groups):
+            wanted = after.union(_taken(chain(*groups[i + 1 :])))
+            if group[0][0] not in _APART:
+                inputs, outputs = _taken(group), [name for name in _made(group) if name in wanted]
+                found.append([function(group, inputs, outputs), inputs, outputs])
+                continue
+            for k, call in enumerate(group):
+                if call[0] == LOOP:
+                    _, number, times, again = call
+                    later = wanted.union(_taken(group[k:]), _taken(again))
+                    found.append([LOOP, number, times, stages(again, later)])
+                else:
+                    mark, _, outputs, n, s = call
+                    lengths = [(n * s) ** 2, n * s] if mark == FACTOR else [n * s]
+                    sizes.update(zip(outputs, lengths, strict=True))
+                    found.append(call)
+        return found
+
+    made: list[str] = []
+    return stages(e.kernel[name]["calls"], set(fields))
 
 
 class _Fusion:
     """Fuses the calls of a program; a part that comes again is built once."""
 
     def __init__(self, equations: Equations):
-        self._small, self._fields = equations.functions, Layout(equations).fields
+        layout = Layout(equations)
+        self._small, self._fields, self._inputs = equations.functions, layout.fields, given(layout)
         self._most = FLAT if self._size(equations.kernel["quick"]["calls"]) <= FLAT else 0
         self._long: dict[str, ca.Function] = {}
 
     def program(self, program: Program) -> ca.Function:
         """A program in one function without calls, or in one that calls its parts."""
         calls = program["calls"]
-        inputs, outputs = ("z", "u", "p", "k", "dt"), calls[-1][-1]
-        known = {name: ca.MX.sym(name, self._fields[name][1]) for name in inputs}
+        outputs = calls[-1][-1]
+        known = {name: ca.MX.sym(name, self._fields[name][1]) for name in self._inputs}
         if self._parts(calls) == [calls] and self._fits(calls):
             return self._fused(calls, known, outputs)
         return self._function("program", calls, known, outputs)
+
+    def stage(self, calls: list[list], sizes: Mapping[str, int], outputs: list[str]) -> ca.Function:
+        """What calls give, as a function of what is taken by them."""
+        known = {name: ca.MX.sym(name, size) for name, size in sizes.items()}
+        if self._parts(calls) == [calls] and self._fits(calls):
+            return self._fused(calls, known, outputs)
+        return self._function("stage", calls, known, outputs)
 
     def _function(self, name: str, calls: list[list], known: dict[str, ca.MX], outputs: list[str]) -> ca.Function:
         """What calls give as a function of what is known before them, each part fused if it is not too long."""
@@ -144,8 +205,11 @@ def _taken(calls: Iterable[list], wanted: Iterable[str] = ()) -> list[str]:
         if name == CHOICE:
             number, *ways = rest
             names = dict.fromkeys([number, *chain(*(_taken(way, names) for way in ways))])
+        elif name == LOOP:
+            number, _, again = rest
+            names = dict.fromkeys([number, *names, *_taken(again, names)])
         else:
-            inputs, outputs = rest
+            inputs, outputs, *_ = rest
             for each in outputs:
                 names.pop(each, None)
             names.update(dict.fromkeys(inputs))
@@ -153,5 +217,13 @@ def _taken(calls: Iterable[list], wanted: Iterable[str] = ()) -> list[str]:
 
 
 def _made(calls: Iterable[list]) -> list[str]:
-    """What calls give."""
-    return list(dict.fromkeys(chain(*(outputs for _, _, outputs in calls))))
+    """What calls give, whatever is chosen."""
+    names: dict[str, None] = {}
+    for name, *rest in calls:
+        if name == CHOICE:
+            _, one, other = rest
+            given = set(_made(other))
+            names |= {each: None for each in _made(one) if each in given}
+        else:
+            names |= dict.fromkeys(rest[1])
+    return list(names)

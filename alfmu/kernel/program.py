@@ -14,13 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations
+from ..inputs import memory_size
 
 __all__ = [
     "CHOICE",
+    "FACTOR",
     "GROSS",
     "LIBRARY",
+    "LOOP",
+    "PACE",
     "PLATFORM",
     "SETTINGS",
+    "SOLVE",
+    "STAGED",
     "SUFFIX",
     "TIERS",
     "TURN",
@@ -32,18 +38,29 @@ __all__ = [
     "Program",
     "Signature",
     "called",
+    "given",
 ]
 
 Program = dict[str, Any]
 """A step, or what is read at an instant.
 
-The plan it was traced by (`alfmu.kernel.trace.Plan`), and its `calls`: a list that begins with z, u, p, k, dt and ends
-with `after` or `seen`. A call is [function, names of its arguments, names of its results]; or [CHOICE, name of a
-number, calls to make where it is not zero, calls to make where it is].
+The plan it was traced by (`alfmu.kernel.trace.Plan`), and its `calls`: a list that begins with `given` and ends with
+`after` or `seen`; in the programs of a method with pace in place of dt, and beside `after`. A call is [function,
+names of its arguments, names of its results]; or [CHOICE, name of a number, calls to make where it is not zero, calls
+to make where it is]. Programs of a method (STAGED) may also have [LOOP, name of a number, times, calls to make while
+it is not zero, at most so many times]; [FACTOR, [weights, parts], [factors, order], n, m], which factorises the
+matrix of m times m blocks (n, n) that are sums of the parts of their row, by weights of row and column; and [SOLVE,
+[factors, order, m vectors], [solution], n, m].
 """
 
 CHOICE = "?"
 """Marks a choice between calls."""
+
+STAGED = ("method", "beside")
+"""A step by the method of the scene; the same on the branch of the motion, beside singular positions."""
+
+LOOP, FACTOR, SOLVE = "*", "factor", "solve"
+"""Marks loops, and what is done by routines that all scenes share."""
 
 TIERS = ("quick", "careful", "branch")
 """Steps in the order in which they are tried; `branch` at once where a position is nearly singular."""
@@ -73,13 +90,26 @@ the pivots that masses make, margin that is nothing, least distance of places be
 continue on the branch there (`alfmu.branch`), relative and absolute tolerance of a step with error control."""
 
 
+PACE = ("dt", "before", "refused", "fixed", "end", "last", "accepted")
+"""What step control remembers (`alfmu.stepping.Control.numbers`); the length of all steps where they have one, else 0,
+the end of the communication step, the length of the last step in it that was accepted, 0 before the first; whether the
+last one was accepted."""
+
+
+def given(layout: Layout) -> list[str]:
+    """What a step takes."""
+    return ["z", "u", "p", "k", "dt", *["past"] * bool(layout.fields["past"][1])]
+
+
 def called(calls: list[list]) -> Iterator[str]:
     """Names of the functions that calls may call, in order and with repetition."""
     for name, *rest in calls:
         if name == CHOICE:
             yield from called(rest[1])
             yield from called(rest[2])
-        else:
+        elif name == LOOP:
+            yield from called(rest[2])
+        elif name not in (FACTOR, SOLVE):
             yield name
 
 
@@ -99,8 +129,14 @@ class Layout:
               compliance the least one over that of each; where redundant ones would brake, what stands for all
               penalties over alpha (`Oracle.hold`), a matrix
     dt        internal step [s]
-    control   largest internal step [s], first tier (0 quick, 1 careful)
-    tally     internal steps made by each tier, limits taken
+    control   largest internal step [s], first tier (0 quick, 1 careful), what makes the steps (0 the tiers, 1 the
+              method of the scene with error control, 2 the same in steps of one length)
+    tally     internal steps made by each tier, limits taken; by the method of the scene: steps, refused ones, tries
+              on the branch, limits taken
+    pace      PACE
+    past      inputs at past communication points (`alfmu.inputs`), where the scene extrapolates them
+    passes    of Newton's method, where the method is implicit
+    history   what the method keeps from step to step inside a communication step
     seen      what can be read at an instant, largest |Phi-ddot|, whether that is a limit, trouble
     ========  ==========================================================================================
     """
@@ -112,6 +148,7 @@ class Layout:
         self.time, self.trouble, self.change, self.pivot, self.near = (self.work + i for i in range(1, 6))
         size = self.work + 6
         seen = e.signatures["seen"]["outputs"][0][0] if e.kernel else 0
+        kept = e.kernel.get("method", {}).get("history", 0)
         fields = {
             "z": size,
             "after": size,
@@ -120,8 +157,12 @@ class Layout:
             "p": len(e.parameters) + len(e.held),
             "k": SETTINGS + 2 * e.l + e.n + len(e.compliances) + e.brakes * e.l**2,
             "dt": 1,
-            "control": 2,
-            "tally": len(TIERS) + 1,
+            "control": 3,
+            "tally": len(TIERS) + 5,
+            "pace": len(PACE),
+            "past": memory_size(len(e.inputs)) if "reach" in e.kernel else 0,
+            "passes": bool(kept),
+            "history": kept,
             "seen": seen,
         }
         self.fields: dict[str, tuple[int, int]] = {}
@@ -148,7 +189,7 @@ class Memory:
 
 
 class Machine(Protocol):
-    """The kernel of a scene at work on a memory. Nothing in the memory changes where a call could not do its work."""
+    """The kernel of a scene at work on a memory; what a call could not do has changed nothing in it."""
 
     def communicate(self, start: float, h: float) -> bool:
         """A whole communication step from `start` [s] over `h` [s]; False where the slower way must look at it."""
@@ -156,8 +197,8 @@ class Machine(Protocol):
     def advance(self, steps: int, dt: float) -> int:
         """Internal steps of dt [s], until one cannot be made; returns how many were."""
 
-    def attempt(self, dt: float) -> bool:
-        """A step of dt [s] by the method of the scene, of which `after` is the result; False where it could not be."""
+    def cover(self, end: float, tries: int) -> bool:
+        """Steps by the method of the scene up to `end` [s], or so many tries; False where one could not be judged."""
 
     def read(self) -> bool:
         """Compute `seen`; False where the unrolled loops were not enough."""

@@ -22,16 +22,16 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from .. import branch, method
+from .. import branch, implicit, method
 from ..assembly import Mobility
 from ..equations import Equations
 from ..evaluation import DENSE, EVALUATED, shared, symbols, with_functions
+from ..implicit import Newmark
+from ..inputs import KEPT, extrapolated, memory_size, reached
 from ..integrators import rk4
-from ..oracle import Settings
-from ..stepping import Explicit, explicit, explicit_rule
 from .program import CHOICE, GROSS, SETTINGS, TIERS, TURN, Layout, Program, called
 
-__all__ = ["Plan", "parts", "traced", "untraced"]
+__all__ = ["Calls", "Plan", "Scene", "Tracer", "Watch", "parts", "traced", "untraced"]
 
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
@@ -46,6 +46,9 @@ MONITORED = tuple(
     f"monitor.{name}" for name in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")
 )
 """Monitors that `instant` computes, in this order."""
+
+_TOLD = 4.0
+"""Margin that can be told from nothing, over it."""
 
 _TINY = 1e-300
 """Lets a mechanism at rest pass the check of convergence."""
@@ -72,15 +75,26 @@ class Plan:
     """Whether few iterations are judged by how they shrink; otherwise the last change must be within the tolerance."""
     weighted: bool = False
     """Whether each constraint may have a penalty of its own."""
+    spacing: float = branch.SPACING
+    """Of the places from which limits are taken on the branch, over the step."""
+    side: int = 2
+    """How many of these places there are on either side."""
     branch: bool = False
     """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
+    margins: bool = False
+    """Whether the margin itself tells what is near a singular position, not only that it may be; where weighted."""
 
 
-def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2) -> Equations:
+def traced(
+    equations: Equations,
+    mobility: Mobility | None,
+    iterations: int = 2,
+    controlled: Callable[[Tracer, Plan], dict[str, Program]] = lambda tracer, plan: {},
+) -> Equations:
     """The same equations with the functions of the kernel.
 
     `mobility` is what is known of constraints and freedoms, `iterations` how many multiplier iterations reach round-off
-    at a regular position.
+    at a regular position; `controlled` traces the method of the scene (`alfmu.kernel.controlled`).
     """
     e = untraced(equations)
     redundant = mobility is None or mobility.redundant > 0 or bool(e.switches)
@@ -89,15 +103,15 @@ def traced(equations: Equations, mobility: Mobility | None, iterations: int = 2)
     if mobility and e.l and iterations < CAREFUL:
         # A large scene shares the functions of the careful step, which are long to trace and to compile.
         quick = Plan(iterations, 1, quick=True, weighted=e.n > DENSE or bool(e.switches) or e.brakes)
-    tracer = _Tracer(e)
+    tracer = Tracer(e)
     kernel = {"quick": tracer.step(quick), "careful": tracer.step(careful)}
     if e.l:
         kernel["branch"] = tracer.step(replace(careful, branch=True))
-    if rule := explicit_rule(
-        e.solver.get("method", "rk4"), e.solver.get("relative_tolerance", Settings.relative_tolerance)
-    ):
-        kernel["method"] = tracer.controlled(replace(quick, corrections=2 * bool(e.l)), rule)
+    # Where redundant constraints would brake, what stands for their penalties is not the one that two iterations suit.
+    kernel |= controlled(tracer, replace(careful if e.brakes else quick, corrections=2 * bool(e.l)))
     kernel["instant"] = tracer.instant(careful, redundant)
+    if tracer.order:
+        kernel["reach"] = tracer.reach()
     if e.l and len(kernel["instant"]["calls"]) > 1:
         kernel["limit"] = tracer.limit(careful, redundant)
     return replace(with_functions(e, tracer.functions), kernel=kernel, freedom=mobility.freedom if mobility else None)
@@ -124,7 +138,7 @@ def parts(equations: Equations, program: Program) -> tuple[dict[str, ca.Function
     plan = Plan(**{name: x for name, x in program.items() if name != "calls"})
     x, k = symbols(e), ca.SX.sym("k", Layout(e).fields["k"][1])
     q, v, u, p, t = (x[letter] for letter in "qvupt")
-    scene = _Scene(e, plan.weighted, p, k)
+    scene = Scene(e, plan.weighted, p, k)
     terms = scene.terms(q, v, u, t)
     M, C = terms[:2]
     H = scene.augmented_mass(M, C)
@@ -136,33 +150,35 @@ def parts(equations: Equations, program: Program) -> tuple[dict[str, ca.Function
     return functions, {"M": M.nnz(), "C": C.nnz(), "H": H.nnz(), "L": L.nnz()}
 
 
-class _Tracer:
+class Tracer:
     """Collects the functions that programs call, each traced once."""
 
     def __init__(self, equations: Equations):
         self.e, self.layout = equations, Layout(equations)
         self.functions: dict[str, ca.Function] = {}
+        self.order = int(equations.solver.get("input_order", 0)) if equations.inputs else 0
+        self.past = ca.SX.sym("past", memory_size(len(equations.inputs)))
         fields = self.layout.fields
-        self._known = {name: ca.SX.sym(name, fields[name][1]) for name in ("z", "u", "p", "k", "dt")}
+        self.known = {name: ca.SX.sym(name, fields[name][1]) for name in ("z", "u", "p", "k", "dt")}
 
     def step(self, plan: Plan) -> Program:
         """An internal step of RK4 with projection."""
         e, layout = self.e, self.layout
-        z, _, p, k, dt = self._known.values()
-        scene = _Scene(e, plan.weighted, p, k)
-        calls, rates = _Calls(self), {}
+        z, _, p, k, dt = self.known.values()
+        scene = Scene(e, plan.weighted, p, k)
+        calls, rates = Calls(self), {}
         q, v = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
-        rate = self._rate(calls, scene, plan, "stage", rates)
+        rate = self.rate(calls, scene, plan, "stage", rates)
         y = rk4(rate, z[layout.time], ca.vertcat(z[: 2 * e.n], z[layout.work]), dt)
         after = {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]}
         calls("sum", {"z": z, "dt": dt, **rates}, lambda: after, list(after))
-        watches = {f"watch{i + 1}": ca.SX.sym("watch", len(_Watch.FIELDS)) for i in range(len(rates))}
+        watches = {f"watch{i + 1}": ca.SX.sym("watch", len(Watch.FIELDS)) for i in range(len(rates))}
         if e.l:
             state = {"q": q, "v": v, "p": p, "k": k}
             if plan.corrections > 1:
                 for _ in range(plan.corrections):
-                    self._place(calls, scene, "q", "q")
-                self._settle(calls, scene, plan, state, ["v", "pivot", "left"])
+                    self.place(calls, scene, "q", "q")
+                self.settle(calls, scene, plan, state, ["v", "pivot", "left"])
             else:
                 calls(
                     f"{scene.kind}_correct",
@@ -179,55 +195,60 @@ class _Tracer:
         calls(f"{tier}_close", known, lambda: {"after": scene.closed(plan, known)}, ["after"])
         return {**asdict(plan), "calls": calls.made}
 
-    def controlled(self, plan: Plan, rule: Explicit) -> Program:
-        """A step of an explicit method with projection, and the size of its error."""
-        e, layout = self.e, self.layout
-        z, _, p, k, dt = self._known.values()
-        scene = _Scene(e, plan.weighted, p, k)
-        calls, rates = _Calls(self), {}
-        q, v, work = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.sym("work")
-        settled: dict[str, ca.SX] = {}
+    def reach(self) -> Program:
+        """Take note of the inputs at a communication point."""
+        z, u, *_ = self.known.values()
+        calls, t = Calls(self), z[self.layout.time]
 
-        def settle(y: ca.SX) -> ca.SX:
-            after = {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]}
-            calls("method_sum", {"z": z, "dt": dt, **rates}, lambda: after, list(after))
-            for _ in range(plan.corrections):
-                self._place(calls, scene, "q", "q")
-            if e.l:
-                self._settle(calls, scene, plan, {"q": q, "v": v, "p": p, "k": k}, ["v", "pivot", "left"])
-            settled.update({"q": q, "v": v, "work": work})
-            return ca.vertcat(q, v, work)
+        def noted() -> dict[str, ca.SX]:
+            kept, times, inputs = reached(*self._noted(), t, u, ca.if_else)
+            return {"past": ca.vertcat(kept, *times, *inputs)}
 
-        rate = self._rate(calls, scene, plan, "method_stage", rates, settled)
-        begin = ca.vertcat(z[: 2 * e.n], z[layout.work])
-        _, [error], _ = explicit(rule, rate, z[layout.time], begin, dt, None, settle)
-        known = {"z": z, "dt": dt, **rates, "q": q, "v": v, "p": p, "k": k}
-        calls("method_error", known, lambda: {"error": scene.error_size(z, q, v, error)}, ["error"])
-        watches = {f"watch{i + 1}": ca.SX.sym("watch", len(_Watch.FIELDS)) for i in range(len(rates))}
-        if e.l:
-            watches |= {"pivot": ca.SX.sym("pivot"), "left": ca.SX.sym("left", 2)}
-        known = {"z": z, "dt": dt, "q": q, "v": v, "work": work, "p": p, "k": k, **watches, "error": ca.SX.sym("error")}
-        calls("method_close", known, lambda: {"after": scene.closed(plan, known)}, ["after"])
-        return {**asdict(plan), "order": rule.order, "calls": calls.made}
+        calls("reach", {"z": z, "u": u, "past": self.past}, noted, ["past"])
+        return {"calls": calls.made}
 
-    def _rate(
+    def inputs(self, calls: Calls, i: str) -> str:
+        """Name of the inputs at a stage: held over the communication step, or extrapolated to t with i in its name."""
+        if not self.order:
+            return "u"
+        t = ca.SX.sym("t")
+
+        def found() -> dict[str, ca.SX]:
+            return {"u": extrapolated(*self._noted(), t, self.order, ca.if_else)}
+
+        calls("inputs", {"past": self.past, f"t{i}": t}, found, [f"u{i}"])
+        return f"u{i}"
+
+    def _noted(self) -> tuple[ca.SX, list[ca.SX], list[ca.SX]]:
+        first = ca.vertsplit(self.past[: 1 + KEPT])
+        return first[0], first[1:], ca.vertsplit(self.past[1 + KEPT :], len(self.e.inputs))
+
+    def rate(
         self,
-        calls: _Calls,
-        scene: _Scene,
+        calls: Calls,
+        scene: Scene,
         plan: Plan,
         name: str,
         rates: dict[str, ca.SX],
         settled: Mapping[str, ca.SX] = MappingProxyType({}),
+        length: str = "dt",
     ) -> Callable[[ca.SX, ca.SX], ca.SX]:
-        """The rate of a state as an integrator asks for it: its calls are made, and its symbol goes into `rates`."""
-        e = self.e
-        z, _, _, _, dt = self._known.values()
+        """The rate of a state as an integrator asks for it: its calls are made, and its symbol goes into `rates`.
 
-        def rate(t: ca.SX, y: ca.SX) -> ca.SX:
+        `length` is the name of what holds the step.
+        """
+        e = self.e
+        z, _, _, _, dt = self.known.values()
+
+        def found(t: ca.SX, y: ca.SX) -> ca.SX:
             i = len(rates) + 1
             stage = {f"t{i}": t, f"q{i}": y[: e.n], f"v{i}": y[e.n : 2 * e.n]}
-            calls(f"{name}{i}", {"z": z, "dt": dt, **rates, **settled}, lambda: stage, list(stage))
-            (self._on_branch if plan.branch else self._evaluation)(calls, scene, plan, str(i))
+            calls(f"{name}{i}", {"z": z, length: dt, **rates, **settled}, lambda: stage, list(stage))
+            u = self.inputs(calls, str(i))
+            if plan.branch:
+                self._on_branch(calls, scene, plan, str(i), u, length)
+            else:
+                self.evaluation(calls, scene, plan, str(i), {"u": u})
             v, a, power = ca.SX.sym("v", e.n), ca.SX.sym("a", e.n), ca.SX.sym("power")
             calls(
                 "rate",
@@ -238,14 +259,14 @@ class _Tracer:
             rates[f"rate{i}"] = ca.SX.sym(f"rate{i}", 2 * e.n + 1)
             return rates[f"rate{i}"]
 
-        return rate
+        return found
 
     def instant(self, plan: Plan, redundant: bool) -> Program:
         """What a user can read, monitors, largest |Phi-ddot|, trouble."""
         e, layout = self.e, self.layout
-        z, u, p, k, _ = self._known.values()
-        scene = _Scene(e, plan.weighted, p, k)
-        calls = _Calls(self)
+        z, u, p, k, _ = self.known.values()
+        scene = Scene(e, plan.weighted, p, k)
+        calls = Calls(self)
         q, v, t = z[: e.n], z[e.n : 2 * e.n], z[layout.time]
         known = {"z": z, "u": u, "p": p, "k": k}
         distance = {"monitor.distance", "monitor.singular"} - set(e.monitors)
@@ -256,7 +277,7 @@ class _Tracer:
             return {**asdict(plan), "calls": calls.made}
         unpacked = {"t0": t, "q0": q, "v0": v, "singular": ca.SX(0)}
         calls("unpack", {"z": z}, lambda: unpacked, list(unpacked))
-        self._evaluation(calls, scene, plan, "0")
+        self.evaluation(calls, scene, plan, "0")
         if redundant and e.l:
             self._least(calls, scene, "lam0")
         self._seen(calls, scene, plan, "a0", "lam0", "watch0")
@@ -265,110 +286,115 @@ class _Tracer:
     def limit(self, plan: Plan, redundant: bool) -> Program:
         """What `instant` gives, with the limits of accelerations and reactions along the motion."""
         e, layout = self.e, self.layout
-        z, _, p, k, dt = self._known.values()
-        scene, calls, n = _Scene(e, plan.weighted, p, k), _Calls(self), e.n
+        z, _, p, k, dt = self.known.values()
+        scene, calls, n = Scene(e, plan.weighted, p, k), Calls(self), e.n
         q, v, t = z[:n], z[n : 2 * n], z[layout.time]
         count = range(len(branch.READ_MEAN))
         places = [f"place{j}" for j in count]
         found = {f"a{j}": ca.SX.sym("a", n) for j in count} | {f"lam{j}": ca.SX.sym("lam", e.l) for j in count}
-        found |= {f"watch{j}": ca.SX.sym("watch", len(_Watch.FIELDS)) for j in count}
+        found |= {f"watch{j}": ca.SX.sym("watch", len(Watch.FIELDS)) for j in count}
         unpacked = {"tz": t, "qz": q, "vz": v}
         calls("unpack_limit", {"z": z}, lambda: unpacked, list(unpacked))
         calls("read_places", {"z": z, "dt": dt, "p": p, "k": k}, lambda: scene.read_places(q, v, dt), places)
         for j in count:
-            self._place(calls, scene, places[j], "placed")
+            self.place(calls, scene, places[j], "placed")
             self._brought(calls, scene, plan, places[j], "placed", "vz")
             names = {f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"}
-            self._evaluation(calls, scene, plan, str(j), names)
+            self.evaluation(calls, scene, plan, str(j), names)
             if redundant:
                 self._least(calls, scene, f"lam{j}")
         here = {"tl": "tz", "ql": "qz", "vl": "vz"}
-        self._evaluation(calls, scene, replace(plan, iterations=1), "l", here)
-        watch = ca.SX.sym("watch", len(_Watch.FIELDS))
+        self.evaluation(calls, scene, replace(plan, iterations=1), "l", here)
+        watch = ca.SX.sym("watch", len(Watch.FIELDS))
         known = {**found, "watchl": watch}
         calls("limits", known, lambda: scene.limits(list(found.values()), watch), ["al", "laml", "watchl", "singular"])
         self._seen(calls, scene, plan, "al", "laml", "watchl")
         return {**asdict(plan), "calls": calls.made}
 
-    def _least(self, calls: _Calls, scene: _Scene, name: str) -> None:
+    def _least(self, calls: Calls, scene: Scene, name: str) -> None:
         """Multipliers of least norm in place of those found last."""
-        matrices, lam = self._matrices(scene), ca.SX.sym("lam", self.e.l)
+        matrices, lam = self.matrices(scene), ca.SX.sym("lam", self.e.l)
         if self.e.compliances:
             some = {each: matrices[each] for each in ("M", "C")}
-            known = {"k": self._known["k"], **some, name: lam}
+            known = {"k": self.known["k"], **some, name: lam}
             calls("distribute", known, lambda: {"lam": scene.distributed(some, lam)}, [name])
             return
         some = {each: matrices[each] for each in ("C", "D", "L")}
-        known = {"k": self._known["k"], **some, name: lam}
+        known = {"k": self.known["k"], **some, name: lam}
         calls("least", known, lambda: {"lam": scene.least(some, lam)}, [name])
 
-    def _seen(self, calls: _Calls, scene: _Scene, plan: Plan, a: str, lam: str, watch: str) -> None:
+    def _seen(self, calls: Calls, scene: Scene, plan: Plan, a: str, lam: str, watch: str) -> None:
         e = self.e
-        z, u, p, k, _ = self._known.values()
-        matrices = self._matrices(scene)
-        symbols = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(_Watch.FIELDS)), ca.SX.sym("s")
+        z, u, p, k, _ = self.known.values()
+        matrices = self.matrices(scene)
+        symbols = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(Watch.FIELDS)), ca.SX.sym("s")
         known = {"z": z, "u": u, "p": p, "k": k, "C": matrices["C"], "xi": matrices["xi"]}
         known |= dict(zip((a, lam, watch, "singular"), symbols, strict=True))
         results = {"C": scene.matrix("C", matrices), "xi": matrices["xi"], "watch": symbols[2], "singular": symbols[3]}
         calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *symbols[:2], **results)}, ["seen"])
 
-    def _on_branch(self, calls: _Calls, scene: _Scene, plan: Plan, i: str) -> None:
-        """a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name."""
+    def _on_branch(self, calls: Calls, scene: Scene, plan: Plan, i: str, u: str, length: str) -> None:
+        """a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
+
+        `u` and `length` are the names of the inputs and of the step.
+        """
+        own = "" if plan.side == Plan.side else f"_{plan.side}"
         n = self.e.n
-        _, _, p, k, dt = self._known.values()
+        _, _, p, k, dt = self.known.values()
         q, v, spacing = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("spacing")
         here = {f"q{i}": q, f"v{i}": v}
-        known = {**here, "dt": dt, "p": p, "k": k}
-        calls("probe", known, lambda: scene.probed(q, v, dt), [f"zone{i}", "spacing", "placed"])
-        places = [f"place{j}" for j in range(len(branch.MEAN))]
+        known = {**here, length: dt, "p": p, "k": k}
+        results = [f"zone{i}", "spacing", "placed"]
+        calls(f"probe{own}", known, lambda: scene.probed(q, v, scene.spacing(plan, v, dt)), results)
+        places = [f"place{j}" for j in range(2 * plan.side)]
         accelerations = {f"acceleration{j}": ca.SX.sym("a", n) for j in range(len(places))}
-        watches = {f"watched{j}": ca.SX.sym("watch", len(_Watch.FIELDS)) for j in range(len(places))}
-        limit = _Calls(self)
-        limit("places", {**here, "spacing": spacing}, lambda: scene.places(q, v, spacing), places)
+        watches = {f"watched{j}": ca.SX.sym("watch", len(Watch.FIELDS)) for j in range(len(places))}
+        limit = Calls(self)
+        limit(f"places{own}", {**here, "spacing": spacing}, lambda: scene.places(q, v, spacing, plan.side), places)
         for j in range(len(places)):
-            self._place(limit, scene, f"place{j}", f"placed{j}")
+            self.place(limit, scene, f"place{j}", f"placed{j}")
         for j, (a, watch) in enumerate(zip(accelerations, watches, strict=True)):
             self._brought(limit, scene, plan, f"place{j}", f"placed{j}", f"v{i}")
-            self._evaluation(limit, scene, plan, "0", {"t0": f"t{i}", "a0": a, "watch0": watch})
+            self.evaluation(limit, scene, plan, "0", {"u": u, "t0": f"t{i}", "a0": a, "watch0": watch})
             self._reached(limit, watch)
         limit(
-            "mean",
+            f"mean{own}",
             {**accelerations, **watches},
-            lambda: scene.mean(list(accelerations.values()), list(watches.values())),
+            lambda: scene.mean(list(accelerations.values()), list(watches.values()), plan.side),
             [f"a{i}", f"watch{i}"],
         )
-        direct = _Calls(self)
+        direct = Calls(self)
         self._brought(direct, scene, plan, f"q{i}", "placed", f"v{i}")
-        self._evaluation(direct, scene, plan, "0", {"t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"})
+        self.evaluation(direct, scene, plan, "0", {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"})
         self._reached(direct, f"watch{i}")
         calls.made.append([CHOICE, f"zone{i}", limit.made, direct.made])
-        calls.made.append(["power", [f"q{i}", f"v{i}", "u", "p", f"t{i}"], [f"power{i}"]])
+        calls.made.append(["power", [f"q{i}", f"v{i}", u, "p", f"t{i}"], [f"power{i}"]])
 
-    def _reached(self, calls: _Calls, watch: str) -> None:
+    def _reached(self, calls: Calls, watch: str) -> None:
         """Trouble in a watch where the branch does not lead to the place that was found last."""
-        known = {watch: ca.SX.sym("watch", len(_Watch.FIELDS)), "left": ca.SX.sym("left", 2)}
+        known = {watch: ca.SX.sym("watch", len(Watch.FIELDS)), "left": ca.SX.sym("left", 2)}
         seen, left = known.values()
-        lost = ca.vertcat(ca.if_else(left[0] <= GROSS**2, 0, math.inf), ca.SX(len(_Watch.FIELDS) - 1, 1))
+        lost = ca.vertcat(ca.if_else(left[0] <= GROSS**2, 0, math.inf), ca.SX(len(Watch.FIELDS) - 1, 1))
         calls("reached", known, lambda: {"watch": seen + lost}, [watch])
 
-    def _brought(self, calls: _Calls, scene: _Scene, plan: Plan, place: str, placed: str, velocity: str) -> None:
+    def _brought(self, calls: Calls, scene: Scene, plan: Plan, place: str, placed: str, velocity: str) -> None:
         """q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a
         first correction put the place."""
         n = self.e.n
-        _, _, p, k, _ = self._known.values()
+        _, _, p, k, _ = self.known.values()
         q, v, wanted = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("wanted", n)
-        self._place(calls, scene, placed, "q0")
+        self.place(calls, scene, placed, "q0")
         known = {"q0": q, place: wanted, "p": p, "k": k}
         calls(f"{scene.kind}_return", known, lambda: {"q": scene.returned(q, wanted)}, ["q0"])
-        self._place(calls, scene, "q0", "q0")
-        self._settle(calls, scene, plan, {"q0": q, velocity: v, "p": p, "k": k}, ["v0", "pivot", "left"])
+        self.place(calls, scene, "q0", "q0")
+        self.settle(calls, scene, plan, {"q0": q, velocity: v, "p": p, "k": k}, ["v0", "pivot", "left"])
 
-    def _place(self, calls: _Calls, scene: _Scene, at: str, to: str) -> None:
-        _, _, p, k, _ = self._known.values()
+    def place(self, calls: Calls, scene: Scene, at: str, to: str) -> None:
+        _, _, p, k, _ = self.known.values()
         q = ca.SX.sym("q", self.e.n)
         calls(f"{scene.kind}_place", {at: q, "p": p, "k": k}, lambda: {"q": scene.placed(q)}, [to])
 
-    def _settle(self, calls: _Calls, scene: _Scene, plan: Plan, known: dict[str, ca.SX], to: list[str]) -> None:
+    def settle(self, calls: Calls, scene: Scene, plan: Plan, known: dict[str, ca.SX], to: list[str]) -> None:
         q, v = list(known.values())[:2]
         names = "v", "pivot", "left"
         calls(
@@ -378,25 +404,25 @@ class _Tracer:
             to,
         )
 
-    def _evaluation(
-        self, calls: _Calls, scene: _Scene, plan: Plan, i: str, names: Mapping[str, str] = MappingProxyType({})
+    def evaluation(
+        self, calls: Calls, scene: Scene, plan: Plan, i: str, names: Mapping[str, str] = MappingProxyType({})
     ) -> None:
         """a, lam (times `scale`), power and watch from t, q, v, each with i in its name, or as `names` has it."""
         e, kind = self.e, scene.kind
-        _, u, p, k, _ = self._known.values()
+        _, u, p, k, _ = self.known.values()
         t, q, v = ca.SX.sym("t"), ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
-        matrices = self._matrices(scene)
+        matrices = self.matrices(scene)
         at, qi, vi, acceleration, lami, poweri, watchi = (
             names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam", "power", "watch")
         )
-        known = {at: t, qi: q, vi: v, "u": u, "p": p, "k": k}
+        known = {at: t, qi: q, vi: v, names.get("u", "u"): u, "p": p, "k": k}
         calls(
             f"{kind}_evaluate",
             known,
             lambda: scene.evaluated(q, v, u, t),
             [*matrices, acceleration, lami, poweri, watchi],
         )
-        a, lam, watch = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(_Watch.FIELDS))
+        a, lam, watch = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(Watch.FIELDS))
         again = {"k": k, **matrices, acceleration: a, lami: lam, watchi: watch}
         for _ in range(plan.iterations - 1):
             calls(
@@ -406,15 +432,15 @@ class _Tracer:
                 [acceleration, lami, watchi],
             )
 
-    def _matrices(self, scene: _Scene) -> dict[str, ca.SX]:
+    def matrices(self, scene: Scene) -> dict[str, ca.SX]:
         """Symbols for the nonzeros of what an evaluation hands on."""
         return {name: ca.SX.sym(name, pattern.nnz()) for name, pattern in scene.patterns.items()}
 
 
-class _Calls:
+class Calls:
     """The calls of a program; a function that is called the first time is traced."""
 
-    def __init__(self, tracer: _Tracer):
+    def __init__(self, tracer: Tracer):
         self._tracer = tracer
         self.made: list[list] = []
 
@@ -430,7 +456,7 @@ class _Calls:
         self.made.append([name, list(arguments), outputs])
 
 
-class _Watch:
+class Watch:
     """What an evaluation says of itself."""
 
     FIELDS = ("change", "size", "pivot", "near", "margin")
@@ -441,7 +467,7 @@ class _Watch:
         self.change, self.size, self.pivot, self.near, self.margin = ca.vertsplit(vector)
 
 
-class _Scene:
+class Scene:
     """The method with symbols; every part says what tells whether its unrolled loops were enough."""
 
     def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
@@ -499,7 +525,7 @@ class _Scene:
         """a and lam (times `scale`) after one more iteration."""
         M, C, F, xi, D, L = (self.matrix(name, nonzeros) for name in ("M", "C", "F", "xi", "D", "L"))
         a, lam, change = self.iterated((M, C, F, xi), (D, L, self._order), a, lam, 1)
-        seen = _Watch(watch)
+        seen = Watch(watch)
         watch = ca.vertcat(ca.sumsqr(change), ca.sumsqr(a), seen.pivot, seen.near, seen.margin)
         return {"a": a, "lam": lam, "watch": watch}
 
@@ -520,21 +546,28 @@ class _Scene:
             logarithm = ca.sum1(ca.if_else(small, ca.log(ratios), 0))
         return near, ca.if_else(more > 0, ca.exp((logarithm - self.masses) / more), 1)
 
-    def probed(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
+    def spacing(self, plan: Plan, v: ca.SX, dt: ca.SX) -> ca.SX:
+        """Of places along v that tell a singular position [s]; steps of error control may be too short for it."""
+        spacing = plan.spacing * dt
+        if plan.side == Plan.side:
+            return spacing
+        return ca.fmax(spacing, ca.sqrt(_TOLD * self.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
+
+    def probed(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
         """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from; also q after
         a correction (10), most of which is known then."""
-        here, rate = self._approach(q, v, dt)
+        here, rate = self._approach(q, v, spacing)
         zone = ca.sqrt(here) < branch.ZONE * ca.fmax(rate, self.least_distance)
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         zone = ca.if_else(rate > 0, zone, here <= self.nothing)
-        spacing = branch.SPACING * dt * ca.fmax(1, self.least_distance / rate)
+        spacing = spacing * ca.fmax(1, self.least_distance / rate)
         return {"zone": zone, "spacing": spacing, "placed": self.placed(q)}
 
-    def _approach(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> tuple[ca.SX, ca.SX]:
+    def _approach(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Margin at q, and how much distance one spacing along v makes; 0 where that cannot be told."""
         margins = []
         for k in (-1, 0, 1):
-            place = q + k * branch.SPACING * dt * v
+            place = q + k * spacing * v
             C = self.e.C(place, self.p)
             D, _, order = _factors(self.e, self.augmented_mass(self.scale * self.e.M(place, self.p), C))
             margins.append(self.margin(D, order)[1])
@@ -542,14 +575,14 @@ class _Scene:
         told = ca.logic_or(here > self.nothing, squared > self.nothing)
         return here, ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
 
-    def places(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
+    def places(self, q: ca.SX, v: ca.SX, spacing: ca.SX, side: int) -> dict[str, ca.SX]:
         """The places from which a limit is taken."""
-        return {str(k): q + k * spacing * v for k in branch.MEAN}
+        return {str(k): q + k * spacing * v for k in branch.weights(side)}
 
-    def mean(self, accelerations: list[ca.SX], watches: list[ca.SX]) -> dict[str, ca.SX]:
+    def mean(self, accelerations: list[ca.SX], watches: list[ca.SX], side: int) -> dict[str, ca.SX]:
         """The limit, and the worst of what the evaluations say."""
-        a = branch.mean(dict(zip(branch.MEAN, accelerations, strict=True)))
-        seen = [_Watch(x) for x in watches]
+        a = branch.mean(dict(zip(branch.weights(side), accelerations, strict=True)))
+        seen = [Watch(x) for x in watches]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
         watch = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, seen[0].near, seen[0].margin)
         return {"a": a, "watch": watch}
@@ -570,6 +603,44 @@ class _Scene:
 
         a, lam, _, _ = method.residual(M, F, C, xi, self.weights, _solver(*factors), a, lam, most, done)
         return a, lam, changes[-1]
+
+    def stiffness(
+        self, q: ca.SX, v: ca.SX, a: ca.SX, lam: ca.SX, u: ca.SX, t: ca.SX, nonzeros: dict[str, ca.SX]
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """H, Q, V (times `scale`) of `alfmu.implicit.stiffness`, at a and lam (times `scale`)."""
+        M, C = (self.matrix(name, nonzeros) for name in ("M", "C"))
+        tangents = self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)
+        Rq, Rv, Xq, Xv = map(ca.sparsify, tangents[:4])
+        return implicit.stiffness(self.augmented_mass(M, C), C, self.weights, self.scale * Rq, self.scale * Rv, Xq, Xv)
+
+    def positions(
+        self, rule: Newmark, dt: ca.SX, q: ca.SX, v: ca.SX, a: ca.SX, lam: ca.SX, u: ca.SX, t: ca.SX
+    ) -> tuple[ca.SX, ...]:
+        """H, Rq, Rv (times `scale`), C (by columns), Phi and the right-hand side of `alfmu.implicit.position_step`.
+
+        At a and lam (times `scale`).
+        """
+        M, C, F, _ = self.terms(q, v, u, t)
+        Phi = self.e.Phi(q, self.p)
+        Rq, Rv = (self.scale * ca.sparsify(x) for x in self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)[:2])
+        R = F - M @ a - C.T @ lam
+        right: list[ca.SX] = []
+
+        def divide(A: ca.SX, b: ca.SX) -> ca.SX:
+            right.append(b)
+            return b
+
+        implicit.position_step(M, C, Phi, R, Rq, Rv, self.weights, rule, dt, divide)
+        return self.augmented_mass(M, C), Rq, Rv, ca.vec(ca.densify(C)), Phi, *right
+
+    def nearest(self, plan: Plan, q: ca.SX, v: ca.SX, u: ca.SX, t: ca.SX, a: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Accelerations that keep the constraints, the nearest to a in the metric of M, and what tells of them."""
+        M, C, _, xi = self.terms(q, v, u, t)
+        D, L, order = _factors(self.e, self.augmented_mass(M, C))
+        zeros = ca.SX(self.e.n, 1), ca.SX(self.e.l, 1)
+        found, _, change = self.iterated((M, C, M @ a, xi), (D, L, order), *zeros, plan.iterations)
+        watch = ca.vertcat(ca.sumsqr(change), ca.sumsqr(found), ca.mmin(D), *self.margin(D, order))
+        return found, watch
 
     def least(self, nonzeros: dict[str, ca.SX], lam: ca.SX) -> ca.SX:
         """lam of least norm."""
@@ -611,13 +682,13 @@ class _Scene:
         monitors = []
         if set(MONITORED) - set(e.monitors):
             _, _, Phi, Cv = e.constraints(q, v, p)
-            margin = _Watch(watch).margin if watch is not None else ca.SX(1)
+            margin = Watch(watch).margin if watch is not None else ca.SX(1)
             values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), plan.iterations, ca.sqrt(margin)
             values = *values, singular
             monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
-        seen, near = _Watch(watch), ca.SX(0)
+        seen, near = Watch(watch), ca.SX(0)
         trouble = self._unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
         if e.l:
             near = self.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
@@ -625,8 +696,9 @@ class _Scene:
 
     def read_places(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
         """The places from which a limit is read; not finite where they cannot be told from the singular position."""
-        _, rate = self._approach(q, v, dt)
-        spacing = branch.SPACING * dt * branch.READ_DISTANCE / rate
+        spacing = branch.SPACING * dt
+        _, rate = self._approach(q, v, spacing)
+        spacing *= branch.READ_DISTANCE / rate
         return {str(k): q + k * spacing * v for k in branch.READ_MEAN}
 
     def limits(self, found: list[ca.SX], watch: ca.SX) -> dict[str, ca.SX]:
@@ -649,9 +721,9 @@ class _Scene:
         chosen = ca.vertcat(
             *(pole * passed * (n > f) for n, f in zip(ca.vertsplit(near), ca.vertsplit(far), strict=True))
         )
-        seen = [_Watch(x) for x in watches.values()]
+        seen = [Watch(x) for x in watches.values()]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
-        said = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, 0, _Watch(watch).margin)
+        said = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, 0, Watch(watch).margin)
         return {
             "a": branch.mean(a),
             "lam": ca.if_else(chosen, through, branch.mean(lam)),
@@ -681,30 +753,37 @@ class _Scene:
         return v, ca.mmin(D), self._residues(q, C @ v)
 
     def error_size(self, z: ca.SX, q: ca.SX, v: ca.SX, error: ca.SX) -> ca.SX:
-        """Largest error of the constrained state over the tolerance; whole turns make an angle no less exact."""
+        """Largest error of the constrained state over the tolerance."""
         n = self.e.n
         parts = error[:n], error[n : 2 * n]
         if self.e.l:
             C, _, solve = self._augmented(q)
             parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
-        larger = ca.vertsplit(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v))))
+        return ca.mmax(
+            ca.fabs(ca.vertcat(*parts) / self.allowed(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v)))))
+        )
+
+    def allowed(self, sizes: ca.SX) -> ca.SX:
+        """Tolerance of each entry of q and v of given sizes; whole turns make an angle no less exact."""
+        larger = ca.vertsplit(sizes)
         for i, c in enumerate(self.e.coordinates):
             if c.unit == "rad":
                 larger[i] = ca.fmin(larger[i], 1)
-        return ca.mmax(ca.fabs(ca.vertcat(*parts) / (self.absolute + self.relative * ca.vertcat(*larger))))
+        return self.absolute + self.relative * ca.vertcat(*larger)
 
     def closed(self, plan: Plan, known: dict[str, ca.SX]) -> ca.SX:
         """The state after the step; its `trouble` counts failed checks, each a comparison that NaN fails."""
         e, layout = self.e, Layout(self.e)
-        z, dt, q, v, work = (known[name] for name in ("z", "dt", "q", "v", "work"))
-        evaluations = [_Watch(x) for name, x in known.items() if name.startswith("watch")]
+        z, q, v, work = (known[name] for name in ("z", "q", "v", "work"))
+        evaluations = [Watch(x) for name, x in known.items() if name.startswith("watch")]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), known.get("pivot", ca.SX(0, 1))))
         trouble, near = 1 - (pivot > 0) + self._unconverged(plan, evaluations), ca.SX(0)
         if plan.branch:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
+            trouble += 1 - self.continues
         elif e.l:
-            near = sum(x.near for x in evaluations)
-            trouble += near if plan.quick else near * self.continues
+            near = sum(x.margin < branch.GUARD if plan.margins else x.near for x in evaluations)
+            trouble += near if plan.quick and not plan.margins else near * self.continues
             near *= self.continues
         if e.l:
             for residue, x in zip(ca.vertsplit(known["left"]), (q, v), strict=True):
@@ -715,7 +794,8 @@ class _Scene:
         trouble += 1 - (ca.sumsqr(turned) <= TURN**2)
         change = known.get("error", sum(x.change for x in evaluations) / (evaluations[0].size + _TINY))
         angles = self.unwrapped(q, z[2 * e.n : layout.work])
-        return ca.vertcat(q, v, angles, work, z[layout.time] + dt, z[layout.trouble] + trouble, change, pivot, near)
+        arrival = known["arrival"] if "arrival" in known else z[layout.time] + known["dt"]
+        return ca.vertcat(q, v, angles, work, arrival, z[layout.trouble] + trouble, change, pivot, near)
 
     def unwrapped(self, q: ca.SX, near: ca.SX) -> ca.SX:
         """Computed angles moved by whole turns to the values nearest to `near`."""
@@ -727,7 +807,7 @@ class _Scene:
         raw = readings[[names[name] for name in e.wrapped]]
         return raw + 2 * ca.pi * ca.floor((near - raw) / (2 * ca.pi) + 0.5)
 
-    def _unconverged(self, plan: Plan, evaluations: list[_Watch]) -> ca.SX:
+    def _unconverged(self, plan: Plan, evaluations: list[Watch]) -> ca.SX:
         """Number of checks of the multiplier iteration that fail."""
         if not self.e.l:
             return ca.SX(0)

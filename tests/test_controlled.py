@@ -1,0 +1,404 @@
+"""Methods beside RK4 in the kernel: step control, linear algebra, steps against the oracle; runs, inputs, FMUs."""
+
+import ctypes
+import subprocess
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from oracles.parallelogram import Parallelogram
+from scenes import derived
+
+import alfmu
+from alfmu.fmi.drive import Fmu, validate
+from alfmu.inputs import Past
+from alfmu.kernel import build, emit
+from alfmu.kernel.program import PACE, Layout
+from alfmu.oracle import FIXED
+from alfmu.simulation import prepared, run, with_defaults
+from alfmu.stepping import Control, judged, landing, newton
+
+KERNELS = ("vm", "compiled")
+
+each_kernel = pytest.mark.parametrize("kernel", KERNELS)
+
+
+@cache
+def scene(name: str, method: str, kernel: str, order: int) -> alfmu.Equations:
+    """A mechanism with a method and an order of inputs in its kernel."""
+    return prepared(with_defaults(derived(name), {"solver.method": method, "solver.input_order": order}), kernel)
+
+
+def begun(name: str, method: str, kernel: str, order: int = 0, **given: float) -> alfmu.Instance:
+    """An initialised instance with a method; names of variables with two underscores for the point."""
+    i = alfmu.Instance(scene(name, method, kernel, order))
+    for key, value in given.items():
+        i.set(key.replace("__", "."), value)
+    i.initialize()
+    return i
+
+
+# Rules ------------------------------------------------------------------------------------------------------------
+
+
+def numbers() -> np.ndarray:
+    """Steps, errors before, refusals, steps that were made, errors, what is left: with every case of the rules."""
+    random = np.random.default_rng(3)
+    table = 10.0 ** random.uniform([-6, -4, 0, -6, -8, -6], [0, 1, 0, 0, 5, 1], (400, 6))
+    table[:, 2] = random.integers(0, 2, 400)
+    table[::3, 3] = table[::3, 0]  # not cut
+    table[:8, 4] = np.nan, np.inf, 0.0, 1.0, 1e300, 1e-300, 1 + 1e-15, 1 - 1e-15
+    table[8:12, 5] = table[8:12, 0] * [1.0, 1.5, 2.0, 1 + 1e-12]
+    return table
+
+
+@pytest.mark.parametrize("order", [5, 6, 8])
+def test_step_control_in_the_kernel_is_that_of_numbers(order):
+    """To the last bit."""
+    x = ca.SX.sym("x", 6)
+    dt, before, refused, step, error, left = ca.vertsplit(x)
+    found = *judged(order, (dt, before, refused), step, error, ca.if_else), landing(dt, left, ca.if_else)
+    rule = ca.Function("rule", [x], [ca.vertcat(*found)])
+    accepted = 0
+    for row in numbers():
+        control = Control(order, 1.0)
+        control.numbers[:] = row[:3]
+        proposed = control.propose(row[5])
+        expected = [control.judge(row[3], row[4]), *control.numbers, proposed]
+        *after, said, proposed = np.array(rule(row)).ravel()
+        assert [bool(said), *after, proposed] == expected
+        accepted += expected[0]
+    assert 100 < accepted < 300
+
+
+def test_newtons_method_goes_on_as_long_as_it_gains():
+    inf = float("inf")
+    for change, before, converged, worth in [
+        (1e-6, inf, True, False),
+        (1.0, inf, False, True),
+        (1e-2, 1.0, False, True),
+        (1e-4, 1e-2, True, False),
+        (0.5, 1.0, False, False),
+        (1e-9, 1e-12, False, False),
+        (float("nan"), 1.0, False, False),
+    ]:
+        assert [bool(x) for x in newton(change, before)] == [converged, worth]
+        assert [bool(x) for x in newton(ca.DM(change), ca.DM(before), ca.if_else)] == [converged, worth]
+
+
+@pytest.mark.parametrize(("n", "s"), [(1, 1), (3, 1), (7, 5), (4, 2), (28, 5)])
+def test_the_linear_algebra_of_compiled_kernels(tmp_path, n, s):
+    """Against LAPACK, on matrices of blocks that need pivoting, to a small multiple of their condition."""
+    command = build.compiler() or pytest.skip("no compiler")
+    source = (
+        emit.HEAD
+        + emit.ROUTINES
+        + (
+            "EXPORT void both(int n, int s, int terms, const double *w, const double *const *parts, double *a,\n"
+            "    double *o, const double *const *b, double *x)\n{\n"
+            "    factor(n, s, terms, w, parts, a, o);\n    solve(n, s, a, o, b, x);\n}\n"
+        )
+    )
+    (tmp_path / "both.c").write_text(source)
+    flags = ["-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", "both.c", "-o", "both.so", "-lm"]
+    subprocess.run([*command, *flags], cwd=tmp_path, check=True)
+    both = ctypes.CDLL(str(tmp_path / "both.so")).both
+    random = np.random.default_rng(n * s)
+    weights = random.standard_normal((2, s, s))
+    parts = random.standard_normal((2, s, n, n))
+    parts[:, :, 0, 0] = 0.0
+    right, x = random.standard_normal((s, n)), np.zeros(n * s)
+    a, order = np.zeros(((n * s), (n * s))), np.zeros(n * s)
+
+    def pointers(arrays):
+        return (ctypes.c_void_p * len(arrays))(*(each.ctypes.data for each in arrays))
+
+    columns = [np.asfortranarray(block).ravel("F") for term in parts for block in term]
+    arguments = [pointers(columns), a.ctypes, order.ctypes, pointers(list(right)), x.ctypes]
+    arguments = [y if isinstance(y, ctypes.Array) else ctypes.c_void_p(y.data) for y in arguments]
+    both(n, s, 2, ctypes.c_void_p(weights.ctypes.data), *arguments)
+    matrix = np.einsum("tij,tirc->irjc", weights, parts).reshape(n * s, n * s)
+    if n == s == 1:
+        assert not np.isfinite(x).any()  # singular
+        return
+    expected = np.linalg.solve(matrix, right.ravel())
+    assert np.abs(x - expected).max() <= 1e-14 * np.linalg.cond(matrix) * np.abs(expected).max()
+
+
+# Steps ------------------------------------------------------------------------------------------------------------
+
+SCENES = [
+    ("slider_crank", {"start__angle": 0.4}),
+    ("five_bar", {"start__angle": 0.5}),
+    ("end_stop", {}),
+    ("bennett", {}),
+    ("flyball_governor", {}),
+]
+
+
+@pytest.mark.parametrize(("name", "given"), SCENES, ids=[name for name, _ in SCENES])
+@pytest.mark.parametrize(
+    ("method", "bound"), [("explicit", 1e-13), ("stiff", 1e-11), ("trapezoidal", 1e-10), ("generalized_alpha", 1e-10)]
+)
+def test_a_step_is_that_of_the_oracle(name, given, method, bound):
+    """From the same state with the same length: state and work, and the error within what multiplier iterations leave.
+
+    Where Newton's method decides when it stops, what it leaves counts too: in the index-3 form 1e-12 of positions, over
+    the step in velocities.
+    """
+    kernel, oracle = (begun(name, method, k, **given) for k in ("vm", "oracle"))
+    length = 1e-4 if name == "flyball_governor" else 0.01
+    adaptive, fixed = oracle._adaptive, method in FIXED
+    adaptive.fixed = length if fixed else None
+    for _ in range(3):
+        t, y = kernel.time, kernel.state.copy()
+        kernel.memory["pace"][PACE.index("fixed" if fixed else "dt")] = length
+        kernel.memory["pace"][PACE.index("last")] = 0.0  # without a guess, as the oracle below
+        if kernel.equations.brakes:
+            kernel._hold()
+        assert kernel.machine.cover(t + 10 * length, 1)
+        assert kernel.memory["pace"][PACE.index("accepted")]
+        adaptive.place(t, y[: kernel.layout.n], y[kernel.layout.n : 2 * kernel.layout.n], y[kernel.layout.work])
+        q, v, work, _, _, error = adaptive.step(length)
+        assert kernel.time == t + length
+        found = np.concatenate([kernel.q, kernel.v, [kernel.work]])
+        expected = np.concatenate([q, v, [work]])
+        assert np.abs(found - expected).max() <= bound * (1 + np.abs(expected).max())
+        if not fixed:
+            assert kernel.memory["after"][kernel.layout.change] == pytest.approx(error, rel=1e-4, abs=1e-6)
+
+
+@pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
+def test_both_kernels_make_the_same_run(method):
+    """The same tries, with results that differ by round-off."""
+    runs = [begun("slider_crank", method, kernel, start__angle=0.4, solver__step_size=0.01) for kernel in KERNELS]
+    for i in runs:
+        i.step(1.0)
+    vm, compiled = runs
+    assert vm.machine is not None
+    assert vm.counters.steps == compiled.counters.steps > 10
+    assert vm.counters.refused == compiled.counters.refused
+    assert vm.counters.evaluations == compiled.counters.evaluations
+    assert np.abs(vm.read() - compiled.read()).max() <= 1e-9 * np.abs(vm.read()).max()
+
+
+@each_kernel
+@pytest.mark.parametrize("method", ["explicit", "order8", "stiff", "trapezoidal"])
+def test_a_communication_step_is_one_call(kernel, method, monkeypatch):
+    """Whatever its length; steps, refused ones and evaluations are counted, and the oracle makes none."""
+    i = begun("end_stop", method, kernel, solver__step_size=1e-3)
+    monkeypatch.setattr(alfmu.Instance, "_step", None)
+    for h in (0.1, 0.013, 0.5, 0.02):
+        i.step(h)
+    assert i.time == pytest.approx(0.633)
+    tried = i.counters.steps + i.counters.refused
+    assert tried >= 4
+    assert i.counters.evaluations >= (2 if method == "trapezoidal" else 10) * tried
+    if method in FIXED:
+        assert i.counters.steps == 633
+        assert i.counters.refused == 0
+
+
+@each_kernel
+@pytest.mark.parametrize("method", ["explicit", "stiff"])
+def test_steps_are_refused_inside(kernel, method, monkeypatch):
+    """A first step much too long is made again shorter, as by the oracle."""
+    counts = []
+    for way in (kernel, "oracle"):
+        i = begun("slider_crank", method, way, start__angle=0.4)
+        i._adaptive.control.numbers[0] = 1.0
+        if way != "oracle":
+            assert i.machine.communicate(0.0, 1.0)
+        else:
+            i.step(1.0)
+        counts.append((i.counters.steps, i.counters.refused, *i.q))
+    assert counts[0] == pytest.approx(counts[1], rel=1e-7)
+    assert counts[0][1] >= 1
+
+
+@each_kernel
+def test_the_kernel_passes_singular_positions(kernel, monkeypatch):
+    """From a start in one, through others, by steps on the branch; against the exact motion."""
+    monkeypatch.setattr(alfmu.Instance, "_step", None)  # the kernel makes all of them
+    times = np.linspace(0.0, 3.0, 7)
+    exact = Parallelogram(m4=None).driven(0.0, 2.0, times, 4.0)[:, 0]
+    i = begun("four_bar", "explicit", kernel)
+    i.set("A.torque", 4.0)
+    for k in range(1, 7):
+        i.step(times[k] - times[k - 1])
+        assert abs(i.q[0] - exact[k]) <= 1e-5  # ten times the tolerance
+    made, refused, beside, limits = i.memory["tally"][-4:]
+    assert beside >= 10
+    assert limits >= 10
+    assert i.counters.steps == made
+    assert i.counters.evaluations == 13 * (made + refused + beside) + 7 * limits  # each after one that was troubled
+
+
+@each_kernel
+def test_the_procedure_of_the_paper_takes_no_limits(kernel):
+    """`solver.branch` = paper: no step is made on the branch, by whatever makes it."""
+    i = begun("four_bar", "explicit", kernel, solver__branch="paper", start__angle=0.7)
+    i.step(3.0)
+    made, _, _, limits = i.memory["tally"][-4:]
+    assert made >= 5
+    assert limits == 0
+    assert i._adaptive.counts["beside"] == 0
+    exact = Parallelogram(m4=None).swing(0.7, 2.0, np.array([0.0, 3.0]))[1, 0]
+    assert abs(i.q[0] - exact) <= 1e-2
+
+
+@each_kernel
+def test_what_cannot_be_judged_changes_nothing(kernel):
+    """A run into a singular position in one call: nothing has changed; with the oracle's help it goes on."""
+    i = begun("four_bar", "stiff", kernel, start__angle=0.7)
+    before = i.memory.block.copy()
+    kept = ("z", "tally", "pace")
+    assert not i.machine.communicate(0.0, 4.0)
+    for name in kept:
+        offset, length = i.layout.fields[name]
+        assert np.array_equal(i.memory[name], before[offset : offset + length])
+    oracle = begun("four_bar", "stiff", "oracle", start__angle=0.7)
+    for each in (i, oracle):
+        each.step(4.0)
+    assert abs(i.counters.steps - oracle.counters.steps) <= 2
+    assert np.abs(i.q - oracle.q).max() <= 1e-6  # the tolerance of both
+
+
+@each_kernel
+@pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
+def test_what_is_saved_goes_on_to_the_last_bit(kernel, method):
+    """By another instance, and by the same one after it went on."""
+    i = begun("slider_crank", method, kernel, start__angle=0.4)
+    for _ in range(3):
+        i.step(0.07)
+    state = i.save()
+    i.step(0.31)
+    expected, counters = i.read().copy(), i.counters
+    other = alfmu.Instance(i.equations)
+    for each in (other, i):
+        each.restore(state)
+        each.step(0.31)
+        assert np.array_equal(each.read(), expected)
+        assert each.counters == counters
+
+
+def test_only_a_scene_with_the_method_has_it_in_its_kernel():
+    """Its programs, its code and its memory."""
+    plain = scene("four_bar", "rk4", "vm", 0)
+    assert "method" not in plain.kernel
+    text = "".join(emit.sources(plain)[0])
+    for mark in ("alfmu_cover", "static void factor", "stiffness", "run_reach"):
+        assert mark not in text
+    assert "run_reach" in "".join(emit.sources(scene("five_bar", "rk4", "vm", 2))[0])
+    stiff = scene("four_bar", "stiff", "vm", 0)
+    text = "".join(emit.sources(stiff)[0])
+    for mark in ("alfmu_cover", "static void factor", "stiffness"):
+        assert mark in text
+    explicit = scene("four_bar", "explicit", "vm", 0)
+    text = "".join(emit.sources(explicit)[0])
+    assert "alfmu_cover" in text
+    assert "static void factor" not in text
+
+
+def test_the_c_of_an_implicit_method_is_free_of_warnings(tmp_path):
+    command = build.compiler() or pytest.skip("no compiler")
+    e = scene("end_stop", "stiff", "vm", 0)
+    for number, text in enumerate(emit.sources(e)[0]):
+        (tmp_path / f"{number}.c").write_text(text)
+        flags = ["-Wall", "-Wextra", "-Werror", "-c", f"{number}.c"]
+        done = subprocess.run([*command, *flags], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+
+def test_a_scene_may_run_by_another_method_than_its_own():
+    """Then the kernel makes the steps of RK4, and the oracle those of other methods."""
+    ends = []
+    for method in ("stiff", "explicit", "rk4"):
+        i = alfmu.Instance(scene("slider_crank", "stiff", "vm", 0))
+        i.set("start.angle", 0.4)
+        i.set("solver.method", method)
+        i.set("solver.step_size", 0.001)
+        i.initialize()
+        i.step(0.2)
+        assert i._covers == (method == "stiff")
+        ends.append(i.q.copy())
+    assert np.abs(ends[1] - ends[0]).max() <= 1e-6
+    assert np.abs(ends[2] - ends[0]).max() <= 1e-6
+
+
+# Inputs -----------------------------------------------------------------------------------------------------------
+
+
+def test_past_inputs_in_the_kernel_are_those_of_numbers():
+    """To the last bit, points that are reached again included."""
+    e = scene("five_bar", "rk4", "vm", 2)
+    reach, at = e.functions["reach"], e.functions["inputs"]
+    count, random = len(e.inputs), np.random.default_rng(5)
+    past, z = Past(count), np.zeros(reach.size1_in(0))
+    for t in (0.0, 0.1, 0.15, 0.3, 0.3, 0.32, 0.15, 0.2, 0.05, 0.4, 0.41, 0.42):
+        u = random.standard_normal(count)
+        z[Layout(e).time] = t
+        noted = np.array(reach(z, u, past.numbers)).ravel()
+        past.reach(t, u)
+        assert np.array_equal(noted, past.numbers)
+        for later in (t, t + 0.03, t + 0.1):
+            assert np.array_equal(np.array(at(past.numbers, later)).ravel(), past.at(later, 2))
+
+
+def test_the_polynomial_goes_through_past_inputs():
+    """Order 2 reproduces a parabola, order 1 a line, and fewer points a lower order."""
+    past = Past(1)
+    for t, known in ((0.0, 0), (0.1, 1), (0.25, 2), (0.3, 2)):
+        past.reach(t, np.array([3 * t**2 - t + 1]))
+        later = t + 0.07
+        exact = {2: 3 * later**2 - later + 1, 0: 3 * t**2 - t + 1}
+        if known in exact:
+            assert past.at(later, 2) == pytest.approx([exact[known]], rel=1e-12)
+        assert past.at(later, 0) == [3 * t**2 - t + 1]
+    line = Past(1)
+    for t in (0.0, 0.2):
+        line.reach(t, np.array([2 - t]))
+    assert line.at(0.3, 1) == pytest.approx([1.7], rel=1e-14)
+
+
+@each_kernel
+@pytest.mark.parametrize("method", ["rk4", "explicit", "stiff", "trapezoidal"])
+def test_inputs_are_extrapolated_by_the_kernel_as_by_the_oracle(kernel, method, monkeypatch):
+    """A torque sampled at communication points of different lengths; a saved state goes on to the last bit."""
+    given = {"start__angle": 0.4, "solver__step_size": 0.01, "solver__relative_tolerance": 1e-9}
+    lengths = (0.02, 0.035, 0.02, 0.05, 0.01, 0.03)
+
+    def driven(i: alfmu.Instance) -> np.ndarray:
+        for h in lengths:
+            i.set("A.torque", np.cos(5 * i.time))
+            i.step(h)
+        return np.concatenate([i.q, i.v, [i.work]])
+
+    oracle = begun("slider_crank", method, "oracle", 2, **given)
+    expected = driven(oracle)
+    monkeypatch.setattr(alfmu.Instance, "_step", None)  # the kernel makes all of them
+    i = begun("slider_crank", method, kernel, 2, **given)
+    assert driven(i) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    held = begun("slider_crank", method, kernel, **given)
+    assert np.abs(driven(held) - expected).max() > 1e-4
+    state = i.save()
+    after = driven(i)
+    other = alfmu.Instance(i.equations)
+    other.restore(state)
+    assert np.array_equal(driven(other), after)
+
+
+# FMUs -------------------------------------------------------------------------------------------------------------
+
+
+@each_kernel
+@pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
+def test_an_fmu_gives_the_numbers_of_the_library(tmp_path, kernel, method):
+    given = {"solver.method": method, "start.angle": 0.4}
+    path = alfmu.export("slider_crank", tmp_path / "s.fmu", parameters=given, kernel=kernel)
+    assert validate(path) == []
+    with Fmu(path) as fmu:
+        through_fmi = run(fmu, 0.6, 0.1, {"A.torque": 0.5})
+    library = alfmu.simulate("slider_crank", 0.6, 0.1, inputs={"A.torque": 0.5}, parameters=given, kernel=kernel)
+    assert np.array_equal(through_fmi.values, library.values)
