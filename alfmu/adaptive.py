@@ -47,6 +47,9 @@ SPACING = 0.1
 MEAN = branch.weights(4)
 """Those places: a limit of order 8, as that of the best method."""
 
+NOISE = 2e-11
+"""Errors [m, rad; per s] that a step on the branch may have: the return to it magnifies round-off up to them."""
+
 RETURNS = 4
 """Passes of the derivative of the return to the branch."""
 
@@ -243,7 +246,7 @@ class Adaptive:
         y = np.concatenate([self.q, self.v, [self.work]])
         first = None if beside else self._first
         after, errors, last = explicit(self.rule, rate, self.t, y, dt, first, lambda y: self._settled(y, self.t + dt))
-        size = max(self._size(y, after, error) for error in errors)
+        size = max(self._size(y, after, error, NOISE * beside) for error in errors)
         return *self._parts(after), float(after[-1]), None if beside else last, None, size
 
     def _collocation(self, dt: float, beside: bool) -> tuple:
@@ -341,15 +344,15 @@ class Adaptive:
         larger = np.maximum(np.abs(y), np.abs(after))[: len(self._turning)]
         return self.absolute + self.relative * np.where(self._turning, np.minimum(larger, 1.0), larger)
 
-    def _size(self, y: NDArray, after: NDArray, error: NDArray) -> float:
-        """Error of the constrained state over the tolerance."""
+    def _size(self, y: NDArray, after: NDArray, error: NDArray, least: float = 0.0) -> float:
+        """Error of the constrained state over the tolerance, or over `least` where that is more."""
         if self.fixed:
             return 0.0
         o, (q, v) = self.oracle, self._parts(after)
         M, C, _, _ = o.constraints(q, v)
         solve = o.factor(method.augmented_mass(M, C, o.alpha), self.t)
         parts = [branch.tangential(C, o.alpha, solve, x) for x in self._parts(error)]
-        return float(np.abs(np.concatenate(parts) / self._scale(y, after)).max())
+        return float(np.abs(np.concatenate(parts) / np.maximum(self._scale(y, after), least)).max())
 
 
 class _Near(Exception):

@@ -8,18 +8,24 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol, TypeVar
+from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import tables
+from .charts import require
+from .derivation import derive
 from .equations import Equations
 from .errors import AlfmuError
+from .mechanism import Mechanism
 from .oracle import FIXED, Counters
 from .reference import Reference
-from .runtime import CHOICES, SOLVER_VARIABLES
+from .registry import load
+from .runtime import CHOICES, SOLVER_VARIABLES, Instance
 from .simulation import Unit, prepared, with_defaults
-from .tables import Row
+from .tables import Cell, Row, write_csv
 
 __all__ = [
     "ENERGY",
@@ -28,14 +34,17 @@ __all__ = [
     "POSITION",
     "QUANTITIES",
     "REACTION",
+    "STEP",
+    "TOLERANCE",
+    "Begun",
     "Case",
     "Judge",
     "Progress",
     "Run",
-    "command",
+    "Study",
+    "begin",
     "control",
     "exactness",
-    "measured",
     "methods",
     "restarting",
     "run",
@@ -48,7 +57,10 @@ ENERGY = "energy error [J]"
 QUANTITIES = (POSITION, REACTION, PHI, PHI_DOT, ENERGY)
 """What is measured of each run: largest values over the points where it was read."""
 
-REPEATED = 0.25
+STEP, TOLERANCE = "step [s]", "tolerance"
+"""What sets the error of a method."""
+
+REPEATED = 0.1
 """Part of the limit of time that goes into repeating a run."""
 
 ARITHMETIC = (AlfmuError, ArithmeticError, ValueError, np.linalg.LinAlgError)
@@ -61,8 +73,8 @@ def methods() -> dict[str, str]:
 
 
 def control(method: str) -> str:
-    """What sets the error of a method: `step` or `tolerance`."""
-    return "step" if method in FIXED else "tolerance"
+    """What sets the error of a method: STEP or TOLERANCE."""
+    return STEP if method in FIXED else TOLERANCE
 
 
 def scene(equations: Equations, method: str, kernel: str) -> Equations:
@@ -72,7 +84,7 @@ def scene(equations: Equations, method: str, kernel: str) -> Equations:
 
 def exactness(method: str, value: float) -> dict[str, float | str]:
     """Solver variables for the step [s] of a method, or its tolerance."""
-    if control(method) == "step":
+    if control(method) == STEP:
         return {"solver.step_size": value}
     known = {v.name for v in SOLVER_VARIABLES}
     return {x: value for x in ("solver.relative_tolerance", "solver.absolute_tolerance") if x in known}
@@ -259,28 +271,81 @@ def _largest(values: NDArray | None) -> float | None:
 # Studies -----------------------------------------------------------------------------------------------------------
 
 
-class Study(Protocol):
+class Effort(Protocol):
+    """How much is measured."""
+
+    total: float
+    """Wall time for all mechanisms together [s]."""
+
+
+class Study:
     """All cases of one mechanism."""
 
-    name: str
+    def __init__(self, name: str | Path | Mechanism, effort: Any):
+        self.mechanism, self.effort = load(name), effort
+        self.name = self.mechanism.name
+        self.derived = derive(self.mechanism)
+        Instance(self.derived).initialize()
 
     def measure(self, deadline: float, progress: Progress) -> None:
         """Run the cases, as far as time allows until `deadline` (of `time.perf_counter`)."""
+        raise NotImplementedError
 
 
 AnyStudy = TypeVar("AnyStudy", bound=Study)
 
 
-def measured(studies: Sequence[AnyStudy], total: float, progress: Callable[[str], Progress]) -> Iterator[AnyStudy]:
-    """Measure studies one after another, each with an equal share of the time that is left [s]."""
-    end = time.perf_counter() + total
-    for i, study in enumerate(studies):
-        now = time.perf_counter()
-        study.measure(now + (end - now) / (len(studies) - i), progress(study.name))
-        yield study
+@dataclass(frozen=True)
+class Begun(Generic[AnyStudy]):
+    """Studies of mechanisms that are about to run."""
+
+    studies: list[AnyStudy]
+    folder: Path
+    """Where they are written."""
+    environment: list[Row]
+    """Where they are made."""
+    total: float
+    """Wall time for all [s]."""
+
+    def measured(self, progress: Callable[[str], Progress]) -> Iterator[AnyStudy]:
+        """The studies, each measured with an equal share of the time that is left."""
+        end = time.perf_counter() + self.total
+        for i, study in enumerate(self.studies):
+            now = time.perf_counter()
+            study.measure(now + (end - now) / (len(self.studies) - i), progress(study.name))
+            yield study
+
+    def rows(self, of: Callable[[AnyStudy], Iterable[Row]]) -> list[Row]:
+        """Rows of all studies."""
+        return [row for study in self.studies for row in of(study)]
+
+    def write(self, name: str, text: str) -> Path:
+        """Write the report and where it was made; returns the path of the report."""
+        write_csv(self.folder / "environment.csv", self.environment)
+        path = self.folder / name
+        path.write_text(text, encoding="utf-8")
+        return path
 
 
-def command(name: str, mechanisms: Sequence[Any], quick: bool) -> str:
-    """The command line that makes a study again."""
-    chosen = str(mechanisms[0]) if len(mechanisms) == 1 else "all"
-    return shlex.join(["alfmu", name, chosen, *["--quick"] * quick])
+def begin(
+    kind: str,
+    study: Callable[[Any, Any], AnyStudy],
+    names: Sequence[str | Path | Mechanism],
+    folder: str | Path,
+    effort: Effort,
+    quick: bool,
+    bounds: Mapping[str, Cell],
+    packages: Sequence[str],
+) -> Begun[AnyStudy]:
+    """Studies of mechanisms by the command `alfmu KIND`, and the folder for them.
+
+    Raises AlfmuError where a name is unknown, a mechanism cannot start or matplotlib is missing, before any run.
+    """
+    require()
+    studies = [study(name, effort) for name in names]
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    chosen = str(names[0]) if len(names) == 1 else "all"
+    command = shlex.join(["alfmu", kind, chosen, *["--quick"] * quick])
+    bounds = {"wall time for all mechanisms [s]": effort.total, **bounds}
+    return Begun(studies, folder, tables.where(command, packages, bounds), effort.total)

@@ -23,6 +23,11 @@ MANY = 300
 _NUMBER = re.compile(r"(?<=[A-Za-z_\[])(\d+)")
 """In a name."""
 
+_REPORT = """Beside alfmu's methods, formulations and kernels: SciPy on every mechanism; Pinocchio, Exudyn and MuJoCo on
+five_bar and slider_crank (pip install 'alfmu[bench]'). Also in it: tolerances held or not, the study of Blajer (2002)
+on particle_on_circle, five_bar and four_bar, what a scene leaves out, small maps of stability (`alfmu stability` has
+the full ones). What there was no time for, or what is not installed, is listed."""
+
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
 
@@ -104,8 +109,9 @@ def _parser() -> argparse.ArgumentParser:
     _add_option(sub)
     _add_set(sub)
 
-    sub = command("report", _report, "measure error against run time of a mechanism, in every way to run it")
+    sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
     _add_study(sub, "report.md, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
+    sub.epilog = _REPORT
     sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")
     _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within a quarter of an hour for all")
     return parser

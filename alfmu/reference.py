@@ -84,6 +84,10 @@ class _Stopped(Exception):
     """An integration cannot go on, for the reason given."""
 
 
+class _Far(_Stopped):
+    """A trial of a step is too far off to close the constraints: a shorter one is wanted."""
+
+
 class _Model:
     """The equations of a started instance, with its parameters and inputs: arrays of q, v and t."""
 
@@ -211,7 +215,7 @@ class _NullSpace:
                 if np.linalg.slogdet(inverse)[0] != self.side:
                     raise _Stopped("a singular position")
                 return q, inverse
-        raise _Stopped("a position where Newton's method does not close the constraints")
+        raise _Far("a position where Newton's method does not close the constraints")
 
 
 class _Placement:
@@ -369,7 +373,10 @@ def _integrate(motion: _Motion, method: type, stop: float, effort: Effort) -> No
         def rate(t: float, y: NDArray, reduction: _Reduction = reduction) -> NDArray:
             if time.perf_counter() > patience:
                 raise TimeoutError
-            return np.concatenate([y[len(y) // 2 :], reduction.reduced(t, y)[3]])
+            try:
+                return np.concatenate([y[len(y) // 2 :], reduction.reduced(t, y)[3]])
+            except _Far:
+                return np.full_like(y, np.nan)
 
         options = {"rtol": motion.tolerance, "atol": motion.tolerance, "max_step": longest, "first_step": first}
         solver = method(rate, t, y, stop, **options)

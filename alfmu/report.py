@@ -1,6 +1,7 @@
 """Error against run time: every formulation, method and way to run a mechanism, judged by a reference.
 
-`report` writes `report.md`, CSV files with every number in it, and two pictures for each mechanism into one folder.
+Beside them other codes, the study of Blajer (2002) where it is about the mechanism, and maps of stability. `report`
+writes `report.md`, CSV files with every number in it, and pictures of each mechanism into one folder.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from . import cases, paper
 from . import reference as exact
-from . import tables
+from . import stability as maps
 from .adaptive import TANGENTS
 from .cases import (
     ENERGY,
@@ -27,30 +30,30 @@ from .cases import (
     POSITION,
     QUANTITIES,
     REACTION,
+    STEP,
+    TOLERANCE,
+    Begun,
     Case,
     Judge,
     Progress,
     Run,
-    command,
+    begin,
     control,
     exactness,
-    measured,
     methods,
     restarting,
     run,
     scene,
 )
-from .charts import require, scatter, slope
+from .charts import scatter, slope
 from .cost import cost, left_out
-from .derivation import derive
-from .errors import AlfmuError
+from .errors import AlfmuError, InputError
 from .fmi.drive import Fmu
 from .fmi.export import export
 from .kernel.build import compiler
 from .mechanism import Mechanism
 from .oracle import FORMULATIONS, Settings
-from .registry import load
-from .rivals import RIVALS
+from .rivals import RIVALS, Rival
 from .runtime import Instance
 from .simulation import KERNELS, Unit, communication_points, prepared
 from .specialisation import specialised
@@ -58,9 +61,9 @@ from .tables import Row, paragraph, shown, write_csv
 
 __all__ = ["Effort", "report"]
 
-PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib")
+PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib", "pin", "exudyn", "mujoco")
 
-TIME, STEP = "median [s]", "step [s]"
+TIME = "median [s]"
 
 LEVELS = (1e-3, 1e-6, 1e-9)
 """Position errors [m, rad] at which run times are compared."""
@@ -71,11 +74,22 @@ LOST = 0.1
 ABOVE = 10.0
 """Errors count towards an order as far as they are so many times that of the reference."""
 
+LATE = "the time for this mechanism was used up"
+
 CLEARLY = 2.0
 """Errors and times that differ by less than this factor are called equal."""
 
 ROUNDOFF = 1e-11
 """Errors up to it are called equal."""
+
+POINTS = 40
+"""About how many times a run is read: few, as methods that control their error have to land on each."""
+
+HELD = 10.0
+"""Error of a run over its tolerance up to which the tolerance counts as held."""
+
+MAPPED = 0.15
+"""Part of the time of a mechanism that is kept for its maps of stability."""
 
 OWN = Settings.formulation
 
@@ -88,6 +102,8 @@ class Effort:
     """Wall time for all mechanisms together [s]."""
     horizon: float
     """Longest simulated time [s]; a mechanism's own stop time where that is shorter."""
+    steps: int
+    """Most of the mechanism's own steps in it."""
     factors: tuple[float, ...]
     """Steps over the mechanism's own, the longest first."""
     tolerances: tuple[float, ...]
@@ -97,18 +113,35 @@ class Effort:
     repeats: int
     """Most runs of a case; fewer where they are long."""
     reference: exact.Effort
+    paper: paper.Effort
+    stability: maps.Effort
+    """Its `total` does not count here."""
 
 
 USUAL = Effort(
-    720.0,
+    780.0,
     3.0,
+    5000,
     (4, 2, 1, 1 / 2, 1 / 4, 1 / 8),
-    (1e-3, 1e-5, 1e-7, 1e-9, 1e-11),
-    4.0,
+    (1e-3, 1e-6, 1e-9, 1e-11),
+    2.0,
     9,
     exact.Effort(parts=100, seconds=10.0),
+    paper.SHORT,
+    maps.QUICK,
 )
-QUICK = Effort(180.0, 1.0, (2, 1, 1 / 2), (1e-3, 1e-7), 0.5, 5, exact.Effort(parts=50, seconds=6.0))
+QUICK = Effort(
+    210.0,
+    1.0,
+    2000,
+    (2, 1, 1 / 2),
+    (1e-3, 1e-6),
+    0.5,
+    5,
+    exact.Effort(parts=50, seconds=6.0),
+    paper.QUICK,
+    replace(maps.QUICK, horizon=0.5, limit=0.01),
+)
 
 
 @dataclass(frozen=True)
@@ -138,31 +171,53 @@ class Setting:
 # One mechanism -----------------------------------------------------------------------------------------------------
 
 
-class Study:
+class Study(cases.Study):
     """Everything that is measured of one mechanism, as rows of CSV files."""
 
     def __init__(self, name: str | Path | Mechanism, effort: Effort):
-        self.mechanism, self.effort = load(name), effort
-        self.name = self.mechanism.name
-        self.derived = derive(self.mechanism)
-        Instance(self.derived).initialize()
+        super().__init__(name, effort)
         self.files: dict[str, list[Row]] = {name: [] for name in FILES}
+        self.chapters: list[paper.Chapter] = []
+        """Of the paper."""
+        self.maps = maps.Study(self.mechanism, effort.stability)
         self._before: dict[Setting, tuple[float, float]] = {}
 
     def measure(self, deadline: float, progress: Progress) -> None:
         """Run all cases, as far as time allows until `deadline`."""
         logging.getLogger("alfmu").addHandler(logging.NullHandler())  # what an FMU says of a failure is in its row
-        self.equations = e = prepared(self.derived, "oracle")
-        horizon = min(e.stop_time, self.effort.horizon)
-        self.times = communication_points(e.name, horizon, min(max(self.effort.factors) * e.step_size, horizon))
-        self._judge(horizon)
+        self.equations = prepared(self.derived, "oracle")
+        mapped = deadline - MAPPED * (deadline - time.perf_counter())
+        self._paper(mapped)
+        self.times = self._points()
+        self._judge(float(self.times[-1]))
         self._scenes()
         with ExitStack() as self._stack, tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
             self._ways, self._units = self._makers(Path(folder)), {}
-            for setting, value in progress(_passes(list(self._settings()))):
-                self._run(setting, value, deadline)
+            for setting, value in progress([case for group in self._settings() for case in _passes(group)]):
+                self._run(setting, value, mapped)
         self._summarise()
+        self._tolerances()
         self._compare()
+        self.maps.measure(deadline, progress)
+
+    def _points(self) -> NDArray:
+        """Times at which all runs are read: as far apart as the longest step, or a multiple of it."""
+        e, longest = self.equations, max(self.effort.factors) * self.equations.step_size
+        horizon = min(e.stop_time, self.effort.horizon, self.effort.steps * e.step_size)
+        apart = max(1, round(horizon / (POINTS * longest))) * longest
+        return communication_points(e.name, max(1, int(horizon / apart * (1 + 1e-12))) * apart, apart)
+
+    def _paper(self, deadline: float) -> None:
+        """The chapters of the paper's study that are about this mechanism as it comes."""
+        for name, (mechanism, chapter) in paper.STUDIES.items():
+            if mechanism != self.mechanism.name:
+                continue
+            try:
+                if time.perf_counter() > deadline:
+                    raise InputError(LATE)
+                self.chapters.append(chapter(self.effort.paper))
+            except InputError as error:
+                self._keep("skipped", {"code": "the paper's study", "method": name, "reason": str(error)})
 
     def _keep(self, file: str, row: Row) -> None:
         self.files[file].append({"mechanism": self.name} | row)
@@ -232,21 +287,22 @@ class Study:
             self._units[way, method] = self._stack.enter_context(closing(_Open(self._ways[way](method))))
         return self._units[way, method]
 
-    def _settings(self) -> Iterator[Setting]:
-        """All settings, those first whose rows are needed most."""
-        known, others = list(methods()), [name for name in FORMULATIONS if name != OWN]
-        wanted = [(OWN, m) for m in known], [(f, known[0]) for f in others], [(f, m) for f in others for m in known[1:]]
-        for i, pairs in enumerate(wanted):
-            for formulation, method in pairs:
-                for way in self._ways:
-                    if method not in TANGENTS or way not in KERNELS or way == "oracle":  # else the oracle runs it
-                        yield self._setting(formulation, method, way)
-            if i == 0:
-                for rival in RIVALS:
-                    yield self._rival(rival)
+    def _settings(self) -> list[list[Setting]]:
+        """All settings in groups, those first whose rows are needed most."""
+        (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
+        groups = [(OWN, first)], [(OWN, m) for m in more], [(f, first) for f in others]
+        found = [[self._setting(*pair, way) for pair in pairs for way in self._run_by(pair[1])] for pairs in groups]
+        found[0] += filter(None, map(self._rival, RIVALS))
+        # Other formulations are run by the oracle whatever the kernel: once is enough for what is left of them.
+        rest = [self._setting(f, m, "oracle") for f in others for m in more]
+        return [*found, rest]
+
+    def _run_by(self, method: str) -> list[str]:
+        """Ways to run a method; kernels that leave it to the oracle are left out."""
+        return [way for way in self._ways if method not in TANGENTS or way not in KERNELS or way == "oracle"]
 
     def _setting(self, formulation: str, method: str, way: str) -> Setting:
-        e, stepped = self.equations, control(method) == "step"
+        e, stepped = self.equations, control(method) == STEP
         values = [k * e.step_size for k in self.effort.factors] if stepped else self.effort.tolerances
 
         def once(value: float, case: Case) -> Run:
@@ -255,16 +311,23 @@ class Study:
             return run(opened.unit, opened.restart, replace(case, values=values))
 
         default = e.step_size if stepped else _middle(values)
-        kind = STEP if stepped else "tolerance"
-        return Setting("alfmu", formulation, method, way, kind, tuple(values), default, once)
+        return Setting("alfmu", formulation, method, way, control(method), tuple(values), default, once)
 
-    def _rival(self, rival: Any) -> Setting:
-        values = tuple(x for x in rival.tolerances if x >= min(self.effort.tolerances))
+    def _rival(self, rival: Rival) -> Setting | None:
+        """Another code, None where it does not know the mechanism; as many values as alfmu gets."""
+        values = tuple(rival.values(self.name))
+        if rival.control == TOLERANCE:
+            values = tuple(x for x in values if x >= min(self.effort.tolerances))
+        values = values[: len(self.effort.factors)]
+        if not values:
+            return None
 
         def once(value: float, case: Case) -> Run:
+            if rival.missing:
+                raise InputError(rival.missing)
             return rival.run(self.equations, value, case)
 
-        return Setting(rival.name, "dae", rival.method, "Python", "tolerance", values, _middle(values), once)
+        return Setting(rival.name, "dae", rival.method, "Python", rival.control, values, _middle(values), once)
 
     def _run(self, setting: Setting, value: float, deadline: float) -> None:
         """A run of a setting; what would take too long is listed with its estimate."""
@@ -272,7 +335,7 @@ class Study:
         estimate = before[1] * setting.growth(before[0], value) if before else None
         late = time.perf_counter() > deadline
         if late or (estimate is not None and estimate > self.effort.limit):
-            reason = "the time for this mechanism was used up" if late else "it would take too long"
+            reason = LATE if late else "it would take too long"
             self._keep("skipped", setting.row(value) | {"estimate [s]": estimate, "reason": reason})
             return
         try:
@@ -302,6 +365,16 @@ class Study:
                     shown_row = {k: x for k, x in row.items() if k not in ("mechanism", "default")}
                     self._keep("settings", shown_row | {"order": order, "slope over run time": falls})
 
+    def _tolerances(self) -> None:
+        """Errors over the tolerances that were asked for."""
+        for row in self.files["errors"]:
+            if row["code"] == "alfmu" and row["formulation"] == OWN and row["control"] == TOLERANCE:
+                told = {"method": row["method"], "way": row["way"], TOLERANCE: row["value"], POSITION: row[POSITION]}
+                over = row[POSITION] / row["value"] if row[TIME] is not None and row[POSITION] is not None else None
+                verdict = "not judged" if over is None else "held" if over <= HELD else "not held"
+                told |= {"error over tolerance": over, "steps": row["steps"], "within ten times": verdict}
+                self._keep("tolerances", told)
+
     def _tells(self, error: float | None) -> bool:
         """Whether an error says something about an order."""
         return error is not None and max(ABOVE * (self.floors[POSITION] or 0.0), ROUNDOFF) < error < LOST
@@ -315,7 +388,7 @@ class Study:
         for level in LEVELS:
             mine = _fastest(own, level)
             for code in dict.fromkeys(r["code"] for r in rows if r["code"] != "alfmu"):
-                what = {"what": "run time to a position error of", "level or step": level}
+                what = {"what": "run time to a position error of", "level or step": level, "other": code}
                 self._versus(what, TIME, mine, _fastest([r for r in rows if r["code"] == code], level))
         for theirs in rows:
             if theirs["code"] == "alfmu" and theirs["formulation"] != OWN and theirs["default"]:
@@ -327,7 +400,8 @@ class Study:
 
     def _versus(self, about: Row, quantity: str, mine: Row | None, theirs: Row | None) -> None:
         a, b = (None if row is None else row[quantity] for row in (mine, theirs))
-        row = about | {"alfmu": _named(mine), "its value": a, "other": _named(theirs), "other's value": b}
+        row = about | {"alfmu": _named(mine), "its value": a, "other": _named(theirs) or about.get("other")}
+        row["other's value"] = b
         self._keep("comparisons", row | {"ratio": b / a if a and b else None, "result": _verdict(quantity, a, b)})
 
 
@@ -347,12 +421,12 @@ class _Open:
 
 def _passes(settings: Sequence[Setting]) -> list[tuple[Setting, float]]:
     """All settings with the largest step or tolerance each, then with the next one: nothing is left without a run."""
-    most = max(len(setting.values) for setting in settings)
+    most = max((len(setting.values) for setting in settings), default=0)
     return [(setting, setting.values[i]) for i in range(most) for setting in settings if i < len(setting.values)]
 
 
 def _middle(values: Sequence[float]) -> float:
-    return values[len(values) // 2]
+    return values[(len(values) - 1) // 2]
 
 
 def _line(row: Row) -> tuple:
@@ -389,7 +463,7 @@ def _verdict(quantity: str, mine: float | None, theirs: float | None) -> str:
 
 # Report ------------------------------------------------------------------------------------------------------------
 
-FILES = ("reference", "errors", "settings", "comparisons", "scenes", "skipped")
+FILES = ("reference", "errors", "settings", "tolerances", "comparisons", "scenes", "skipped")
 
 SHOWN = {
     "reference": (
@@ -405,6 +479,10 @@ SHOWN = {
             *("code", "formulation", "method", "way", "control", "value", *QUANTITIES, TIME, "repeats"),
             *("order", "slope over run time", "note"),
         ),
+    ),
+    "tolerances": (
+        "Errors over tolerances",
+        ("method", "way", TOLERANCE, POSITION, "error over tolerance", "steps", "within ten times"),
     ),
     "comparisons": (
         "Run times at equal error, and lost comparisons",
@@ -434,9 +512,11 @@ LIMITS = """
 SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the
 oracle, and is not told of singular positions. Formulations other than the default run by the oracle whatever the
 kernel. All runs share one machine and one process, in the order of `errors.csv`; small ratios of times are not to be
-trusted. Where the reference ends before the run, positions and reactions are judged up to there. Blajer (2002) side by
-side, with Table I, Figure 7 and the four-bar through singular positions, is remade by `scripts/paper_study.py`;
-Pinocchio, Exudyn and MuJoCo are compared by `scripts/peers.py` on the mechanisms it knows.
+trusted. Where the reference ends before the run, positions and reactions are judged up to there. Pinocchio, Exudyn and
+MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned to them with exact motions at
+hand; the angle of the first link and the reactions are what is judged. Pinocchio is stepped in Python. Longer runs, in
+rounds of random order, are those of `scripts/peers.py`; the study of the paper in full is that of
+`scripts/paper_study.py`, maps with all their cells are those of `alfmu stability`.
 """
 
 
@@ -451,33 +531,32 @@ def report(
 
     Raises AlfmuError where a name is unknown, a mechanism cannot start or matplotlib is missing, before any run.
     """
-    require()
     effort = effort or (QUICK if quick else USUAL)
-    studies = [Study(name, effort) for name in names]
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     bounds = {
         "longest simulated time [s]": effort.horizon,
-        "wall time for all mechanisms [s]": effort.total,
         "wall time of a run, at most [s]": effort.limit,
         "repeats of a run, at most": effort.repeats,
+        "wall time of a cell of a map [s]": effort.stability.limit,
     }
-    where = tables.where(command("report", names, quick), PACKAGES, bounds)
-    for study in measured(studies, effort.total, progress):
-        _pictures(study, folder)
-    write_csv(folder / "environment.csv", where)
+    begun = begin("report", Study, names, folder, effort, quick, bounds, PACKAGES)
+    for study in begun.measured(progress):
+        _pictures(study, begun.folder)
     for file in FILES:
-        write_csv(folder / f"{file}.csv", [row for study in studies for row in study.files[file]])
-    path = folder / "report.md"
-    path.write_text(_markdown(studies, where), encoding="utf-8")
-    return path
+        write_csv(begun.folder / f"{file}.csv", begun.rows(lambda study, file=file: study.files[file]))
+    maps.write(begun.folder, [study.maps for study in begun.studies])
+    return begun.write("report.md", _markdown(begun))
 
 
-def _markdown(studies: Sequence[Study], where: Sequence[Row]) -> str:
-    parts = ["# Error against run time", shown("Where this was measured", "environment", ("what", "value"), where)]
-    parts.append(paragraph(METHOD))
-    for study in studies:
+def _markdown(begun: Begun[Study]) -> str:
+    where = shown("Where this was measured", "environment", ("what", "value"), begun.environment)
+    parts = ["# Error against run time", where, paragraph(METHOD)]
+    for study in begun.studies:
         parts += _chapter(study)
+    if any(study.chapters for study in begun.studies):
+        about = paper.settings(begun.studies[0].effort.paper)
+        write_csv(begun.folder / f"{about.name}.csv", about.rows)
+        parts += ["## The paper's study", about.markdown(), paper.LIMITS]
+    parts += ["## Maps of stability", *maps.explained()]
     return "\n\n".join([*parts, "## Where the comparison stops being fair", paragraph(LIMITS)]) + "\n"
 
 
@@ -497,10 +576,17 @@ def _chapter(study: Study) -> Iterator[str]:
             yield f"![{OWN}: errors against run time]({study.name}.png)"
             yield f"![formulations: errors against run time]({study.name}_formulations.png)"
             yield "All runs: `errors.csv`."
+    for chapter in study.chapters:
+        yield from chapter.markdown("###")
+    yield "### Stability"
+    yield from maps.chapter(study.maps)
 
 
 def _pictures(study: Study, folder: Path) -> None:
-    """The default formulation in every way, and every formulation in the fastest way."""
+    """The default formulation in every way, and every formulation in the fastest way; those of the paper, and maps."""
+    for chapter in study.chapters:
+        chapter.write(folder)
+    maps.draw(study.maps, folder)
     rows = study.files["errors"]
     fitted = {_line(r): r for r in study.files["settings"]}
     first = next((r["way"] for r in rows), "")

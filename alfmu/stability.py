@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import cases
 from . import reference as exact
-from . import tables
 from .cases import (
     ENERGY,
     PHI,
@@ -27,19 +27,16 @@ from .cases import (
     Judge,
     Progress,
     Run,
-    command,
-    measured,
+    begin,
     methods,
     restarting,
     run,
     scene,
 )
-from .charts import Map, maps, require
-from .derivation import derive
+from .charts import Map, maps
 from .errors import AlfmuError
 from .mechanism import Mechanism
 from .oracle import FORMULATIONS, Settings
-from .registry import load
 from .runtime import Instance
 from .simulation import prepared
 from .tables import Row, markdown, paragraph, shown, write_csv
@@ -175,14 +172,11 @@ class Cell:
     """Factors of parameters."""
 
 
-class Study:
+class Study(cases.Study):
     """All cells of one mechanism, as rows of a CSV file."""
 
     def __init__(self, name: str | Path | Mechanism, effort: Effort):
-        self.mechanism, self.effort = load(name), effort
-        self.name = self.mechanism.name
-        self.derived = derive(self.mechanism)
-        Instance(self.derived).initialize()
+        super().__init__(name, effort)
         self.rows: list[Row] = []
         self._judges: dict[tuple, tuple[Judge, float, float]] = {}
 
@@ -343,7 +337,7 @@ def classified(run: Run, errors: Row, scale: float, kinetic: float, judged: bool
 # Report ------------------------------------------------------------------------------------------------------------
 
 METHOD = """
-Each cell is a run of its own, in the fastest kernel that there is, classified by the criteria of the table above: of
+Each cell is a run of its own, in the fastest kernel that there is, classified by the criteria of the table: of
 those that apply, the last one counts. The position error is the largest difference to the reference of `alfmu report`
 with the same parameters, at the points of the run; the scale is the size of the mechanism in m, or unity where that is
 less. Steps are over the mechanism's own step, penalties over the largest entry of its mass matrix, factors over the
@@ -364,28 +358,51 @@ def stability(
 
     Raises AlfmuError where a name is unknown, a mechanism cannot start or matplotlib is missing, before any run.
     """
-    require()
     effort = effort or (QUICK if quick else USUAL)
-    studies = [Study(name, effort) for name in names]
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     bounds = {
         "simulated time, at most [s]": effort.horizon,
-        "wall time for all mechanisms [s]": effort.total,
         "wall time of a cell [s]": effort.limit,
         "runs of a cell": 1,
     }
-    where = tables.where(command("stability", names, quick), PACKAGES, bounds)
-    for study in measured(studies, effort.total, progress):
-        figure = maps(f"{study.name}: where it runs and how it fails", _maps(study), CLASSES)
-        figure.savefig(folder / f"{study.name}.png", dpi=100, metadata={"Software": None})
-    write_csv(folder / "environment.csv", where)
+    begun = begin("stability", Study, names, folder, effort, quick, bounds, PACKAGES)
+    for study in begun.measured(progress):
+        draw(study, begun.folder)
+    write(begun.folder, begun.studies)
+    parts = ["# Stability", shown("Where this was measured", "environment", ("what", "value"), begun.environment)]
+    parts += explained()
+    for study in begun.studies:
+        parts += [f"## {study.name}", f"{study.mechanism.description}.", *chapter(study), *map(_table, _maps(study))]
+    return begun.write("stability.md", "\n\n".join(parts) + "\n")
+
+
+def draw(study: Study, folder: Path) -> None:
+    """The picture of the maps of a mechanism."""
+    figure = maps(f"{study.name}: where it runs and how it fails", _maps(study), CLASSES)
+    figure.savefig(folder / _picture(study), dpi=100, metadata={"Software": None})
+
+
+def write(folder: Path, studies: Sequence[Study]) -> None:
+    """The CSV files."""
     write_csv(folder / "criteria.csv", CRITERIA)
     write_csv(folder / "cells.csv", [row for study in studies for row in study.rows])
     write_csv(folder / "counts.csv", [row for study in studies for row in _counts(study)])
-    path = folder / "stability.md"
-    path.write_text(_markdown(studies, where), encoding="utf-8")
-    return path
+
+
+def explained() -> list[str]:
+    """What the classes are and how a cell is run, in Markdown."""
+    return [shown("Criteria", "criteria", ("class", "measure", "at most", "above"), CRITERIA), paragraph(METHOD)]
+
+
+def chapter(study: Study) -> Iterator[str]:
+    """The picture of the maps of a mechanism, and how many cells are in each class."""
+    yield f"![maps of {study.name}]({_picture(study)})"
+    yield shown("Cells of each class", "counts", ("map", "class", "cells"), _counts(study))
+    if not study.springs:
+        yield "There is no map of springs: no parameter is a stiffness."
+
+
+def _picture(study: Study) -> str:
+    return f"{study.name}_stability.png"
 
 
 def _of(study: Study) -> dict[str, list[Row]]:
@@ -417,19 +434,6 @@ def _counts(study: Study) -> list[Row]:
         count = Counter(c["class"] for c in cells)
         rows += [{"mechanism": study.name, "map": title, "class": x, "cells": count[x]} for x in CLASSES if count[x]]
     return rows
-
-
-def _markdown(studies: Sequence[Study], where: Sequence[Row]) -> str:
-    parts = ["# Stability", shown("Where this was measured", "environment", ("what", "value"), where)]
-    parts.append(shown("Criteria", "criteria", ("class", "measure", "at most", "above"), CRITERIA))
-    parts.append(paragraph(METHOD))
-    for study in studies:
-        parts += [f"## {study.name}", f"{study.mechanism.description}.", f"![maps of {study.name}]({study.name}.png)"]
-        parts.append(shown("Cells of each class", "counts", ("map", "class", "cells"), _counts(study)))
-        parts += [_table(one) for one in _maps(study)]
-        if not study.springs:
-            parts.append("There is no map of springs: no parameter is a stiffness.")
-    return "\n\n".join(parts) + "\n"
 
 
 def _table(one: Map) -> str:

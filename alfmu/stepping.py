@@ -386,7 +386,7 @@ def explicit_rule(method: str, run: float, carried: str | None = None) -> Explic
     return next((rule for rule in (EXPLICIT5, EXPLICIT8) if rule.name == carried), wanted)
 
 
-SHARE = 0.02
+SHARE = 0.002
 """Tolerance of a step over that of a run, as errors of steps add up and grow with the motion."""
 
 
@@ -419,7 +419,7 @@ PROPORTIONAL = 0.4
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 """Of a step over the one before."""
 
-LEAST_ERROR, LEAST_BEFORE = 1e-10, 1e-4
+LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-4
 """Errors over the tolerance below which one counts no more, as this error and as the one before."""
 
 Where = Callable[[Any, Any, Any], Any]

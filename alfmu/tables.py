@@ -56,9 +56,11 @@ def paragraph(text: str) -> str:
     return textwrap.fill(" ".join(text.split()), 118, break_on_hyphens=False)
 
 
-def shown(title: str, name: str, columns: Sequence[str], rows: Sequence[Mapping[str, Cell]]) -> str:
+def shown(title: str, name: str, columns: Sequence[str], rows: Sequence[Mapping[str, Cell]], digits: int = 3) -> str:
     """Some columns of rows of a CSV file as a Markdown table under its title; `name` is without the ending."""
-    return f"**{title}** (`{name}.csv`)\n\n" + markdown(columns, [[row.get(x) for x in columns] for row in rows])
+    return f"**{title}** (`{name}.csv`)\n\n" + markdown(
+        columns, [[row.get(x) for x in columns] for row in rows], digits
+    )
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Cell]], more: Sequence[str] = ()) -> None:

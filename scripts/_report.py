@@ -1,14 +1,18 @@
-"""What scripts that measure share: timing in turns, targets. Tables and files are those of `alfmu.tables`."""
+"""What scripts share: command line, timing in turns, targets. Tables and files are those of `alfmu.tables`."""
 
 from __future__ import annotations
 
+import argparse
 import math
 import statistics
-from collections.abc import Mapping, Sequence
+import sys
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from timeit import Timer
 from typing import NamedTuple
 
+from alfmu.errors import AlfmuError
 from alfmu.tables import Cell, Row
 
 Laps = dict[str, list[float]]
@@ -71,3 +75,48 @@ def judged(target: Target, results: Mapping[str, Sequence[Row]]) -> Row:
         "measured": value,
         "verdict": verdict,
     }
+
+
+def parser(
+    name: str, studies: Collection[str], description: str, takes: str, quick: str | None = None
+) -> argparse.ArgumentParser:
+    """The command line of a script that writes into `results/NAME`; `takes` says how long."""
+    made = argparse.ArgumentParser(
+        description=description,
+        epilog=f"needs the extra alfmu[test]; takes {takes}; overwrites an earlier run in the same folder",
+    )
+    folder = Path("results") / name
+    made.add_argument("-o", "--output", type=Path, default=folder, help="folder (default: %(default)s)")
+    if studies:
+        some = f"some of: {', '.join(studies)}"
+        made.add_argument("--only", nargs="+", choices=studies, default=[*studies], metavar="STUDY", help=some)
+    if quick:
+        made.add_argument("--quick", action="store_true", help=quick)
+    return made
+
+
+def written(
+    chosen: argparse.Namespace,
+    script: str,
+    studies: Collection[str],
+    report: str,
+    write: Callable[[list[str], str], None],
+) -> int:
+    """Call `write` with the studies that were chosen and the command that makes them again; returns the exit code."""
+    only = [name for name in studies if name in getattr(chosen, "only", ())]
+    command = ["python", f"scripts/{script}", *(f"--{x}" for x in ("quick", "full") if getattr(chosen, x, False))]
+    command += ["--only", *only] * (len(only) < len(studies))
+    path = chosen.output / report
+    try:
+        chosen.output.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    except OSError as error:
+        print(f"{path} cannot be written ({error.strerror}); give another folder with -o", file=sys.stderr)
+        return 1
+    try:
+        write(only, " ".join(command))
+    except AlfmuError as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(path)
+    return 0

@@ -7,11 +7,9 @@ NumPy oracle, an FMU that does nothing; costs of many loops beside those of ten.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import statistics
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -28,7 +26,7 @@ from timeit import Timer
 
 import casadi as ca
 import numpy as np
-from _report import Call, Laps, Target, in_turns, judged, times
+from _report import Call, Laps, Target, in_turns, judged, parser, times, written
 from matplotlib.figure import Figure
 from pythonfmu import FmuBuilder
 from tqdm import tqdm
@@ -490,44 +488,20 @@ def no_compiler() -> str | None:
     return None
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        description="Measure an internal step by part, a doStep through FMI, and how cost grows with a mechanism.",
-        epilog="needs the extra alfmu[test]; takes some minutes, on a machine that should do nothing else; overwrites "
-        "an earlier run in the same folder",
-    )
-    folder, names = Path("results/benchmark"), ", ".join(STUDIES)
-    parser.add_argument("-o", "--output", type=Path, default=folder, help="folder (default: %(default)s)")
-    parser.add_argument(
-        "--only", nargs="+", choices=STUDIES, default=[*STUDIES], metavar="STUDY", help=f"some of: {names}"
-    )
-    size = parser.add_mutually_exclusive_group()
-    size.add_argument("--quick", action="store_true", help="few repeats, up to 10 loops: less than a minute")
-    size.add_argument("--full", action="store_true", help="up to 1000 loops: many minutes")
-    return parser.parse_args(arguments)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line asks for."""
-    chosen = parse(arguments)
-    studies = [name for name in STUDIES if name in chosen.only]
-    some = f" --only {' '.join(studies)}" if len(studies) < len(STUDIES) else ""
-    command = "python scripts/benchmark.py" + " --quick" * chosen.quick + " --full" * chosen.full + some
-    report = chosen.output / "benchmark.md"
-    try:
-        chosen.output.mkdir(parents=True, exist_ok=True)
-        report.touch()
-    except OSError as error:
-        print(f"{report} cannot be written ({error.strerror}); give another folder with -o", file=sys.stderr)
-        return 1
-    try:
-        measure(chosen.output, QUICK if chosen.quick else FULL if chosen.full else USUAL, studies, command)
-    except alfmu.AlfmuError as error:
-        print(error, file=sys.stderr)
-        return 1
-    print(report)
-    return 0
+    text = "Measure an internal step by part, a doStep through FMI, and how cost grows with a mechanism."
+    line = parser("benchmark", STUDIES, text, "some minutes, on a machine that should do nothing else")
+    size = line.add_mutually_exclusive_group()
+    size.add_argument("--quick", action="store_true", help="few repeats, up to 10 loops: less than a minute")
+    size.add_argument("--full", action="store_true", help="up to 1000 loops: many minutes")
+    chosen = line.parse_args(arguments)
+    effort = QUICK if chosen.quick else FULL if chosen.full else USUAL
+
+    def write(studies: list[str], command: str) -> None:
+        measure(chosen.output, effort, studies, command)
+
+    return written(chosen, "benchmark.py", STUDIES, "benchmark.md", write)
 
 
 if __name__ == "__main__":

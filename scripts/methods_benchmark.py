@@ -329,16 +329,21 @@ def measure(folder: Path, effort: Effort, command: str) -> None:
     packages = ("alfmu", "casadi", "numpy", "scipy")
     where = [{"what": what, "value": value} for what, value in environment(command, packages)]
     results: dict[str, Sequence[Row]] = {"environment": where, "targets": []}
-    results["work"] = work_study(effort, kernels)
-    results["equal"] = equal_study(results["work"])
-    results["least"] = least(results["equal"])
-    results["auto"] = auto_study(effort, kernels[-1])
+    studies: dict[str, Callable[[], Sequence[Row]]] = {
+        "work": lambda: work_study(effort, kernels),
+        "equal": lambda: equal_study(results["work"]),
+        "least": lambda: least(results["equal"]),
+        "auto": lambda: auto_study(effort, kernels[-1]),
+    }
+    for name, study in studies.items():
+        results[name] = study()
+        CHAPTERS[name].write(folder / f"{name}.csv", results[name])
     where.append({"what": "it took", "value": f"{rounded(time.perf_counter() - begin)} s"})
     if without:
         where.append({"what": "compiled kernel", "value": f"missing: {without}"})
     results["targets"] = [judged(target, results) for target in TARGETS]
-    for name, rows in results.items():
-        CHAPTERS[name].write(folder / f"{name}.csv", rows)
+    for name in ("environment", "targets"):
+        CHAPTERS[name].write(folder / f"{name}.csv", results[name])
     plot(results["work"]).savefig(folder / "methods.png", dpi=120)
     text = [CHAPTERS[name].markdown(name, rows) for name, rows in results.items()]
     report = "\n\n".join([*text, "![Error against run time](methods.png)", LIMITS])

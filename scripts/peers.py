@@ -19,25 +19,19 @@ import os
 # One thread for everyone; BLAS reads these when NumPy is loaded.
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1", NUMEXPR_NUM_THREADS="1")
 
-import argparse
-import contextlib
-import itertools
 import math
 import random
 import statistics
-import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple
 
 import casadi as ca
 import matplotlib
 import numpy as np
+from _report import parser, written
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -45,13 +39,26 @@ from scipy.linalg.lapack import dgelsy
 from tqdm import tqdm
 
 import alfmu
+from alfmu.peers import (
+    ANGLE,
+    CRANK,
+    GRAVITY,
+    MECHANISMS,
+    REACTIONS,
+    ROD,
+    TUNED,
+    Peer,
+    Simulation,
+    Start,
+    Trajectory,
+    solved,
+)
 from alfmu.simulation import prepared
 from alfmu.specialisation import specialised
 from alfmu.tables import Cell, environment, markdown, rounded, write_csv
 
 matplotlib.use("Agg")
 
-GRAVITY = 9.81
 RATE = 2.0
 """Start of both mechanisms: angle 0 with this rate [rad/s]."""
 
@@ -70,51 +77,10 @@ ROUNDS, LEAST, BUDGET = 12, 3, 2.0
 SEED = 1
 """Of the order within each round, so that load from outside does not always meet the same peer."""
 
-EVALUATIONS = 100_000
-"""Evaluations after which an adaptive integrator is stopped."""
-
-CRANK, ROD = 0.5, 1.0
-"""Lengths of the slider-crank [m]."""
-
-MECHANISMS = ("five_bar", "slider_crank")
-ANGLE = {"five_bar": "link1.angle", "slider_crank": "crank.angle"}
-REACTIONS = {
-    "five_bar": [f"{joint}.force.{axis}" for joint in "ABCDEF" for axis in "xy"],
-    "slider_crank": [*(f"{joint}.force.{axis}" for joint in "ABC" for axis in "xy"), "guide.force"],
-}
-
-
-class Trajectory(NamedTuple):
-    """What one run delivers at the samples."""
-
-    times: NDArray
-    """(k,) s"""
-    angle: NDArray
-    """(k,) of link 1 or crank, rad"""
-    reactions: NDArray
-    """(k, number of REACTIONS), N"""
-    note: str = ""
-
-
-Simulation = Callable[[], Trajectory]
-"""One run from the start; may be called again and again."""
-
 
 def samples(stop_time: float) -> NDArray:
     """0, 0.02, ... stop_time [s]."""
     return np.arange(round(stop_time / SAMPLE) + 1) * SAMPLE
-
-
-def solved(rate: Callable, start: NDArray, method: str, tolerance: float, times: NDArray) -> NDArray:
-    """States at the times by `solve_ivp`, (k, 2 n); fewer where it gives up, TimeoutError where it does not end."""
-    count = itertools.count()
-
-    def counted(t: float, y: NDArray) -> NDArray:
-        if next(count) > EVALUATIONS:
-            raise TimeoutError(f"{EVALUATIONS} evaluations at t = {t:.3g} s")
-        return rate(y)
-
-    return solve_ivp(counted, (0.0, times[-1]), start, method, times, rtol=tolerance, atol=tolerance).y.T
 
 
 # Exact references -------------------------------------------------------------------------------------------------
@@ -213,32 +179,6 @@ def unique(mechanism: str, reactions: NDArray) -> NDArray:
 
 
 @dataclass(frozen=True)
-class Peer:
-    """One way to simulate: `build` makes a simulation of a mechanism with a step [s] or tolerance, for those times."""
-
-    package: str
-    """Distribution whose version is reported."""
-    name: str
-    setting: str
-    steps: Mapping[str, Sequence[float]]
-    """Steps [s] that divide 0.02 s, or tolerances, by mechanism; the coarsest first."""
-    control: str = "step"
-    """What the step is: `step` [s] or `rtol`."""
-    quick: int = 2
-    """How many of the steps a quick study takes."""
-
-    def build(self, mechanism: str, step: float, times: NDArray) -> Simulation:
-        raise NotImplementedError
-
-    @property
-    def installed(self) -> bool:
-        try:
-            return bool(version(self.package))
-        except PackageNotFoundError:
-            return False
-
-
-@dataclass(frozen=True)
 class Alfmu(Peer):
     """The library's `Instance`; `step` is `solver.step_size` [s], all other settings are the defaults."""
 
@@ -246,14 +186,14 @@ class Alfmu(Peer):
     lean: bool = False
     """With the outputs that are wanted alone, constant parameters, in joint coordinates."""
 
-    def build(self, mechanism: str, step: float, times: NDArray) -> Simulation:
-        instance = started(_equations(mechanism, self.kernel, self.lean), step)
-        start, points = instance.save(), times.tolist()
+    def build(self, mechanism: str, start: Start, step: float, times: NDArray) -> Simulation:
+        instance = started(_equations(mechanism, self.kernel, self.lean), start, step)
+        begin, points = instance.save(), times.tolist()
         names = [v.name for v in instance.outputs]
         columns = [names.index(name) for name in (ANGLE[mechanism], *REACTIONS[mechanism])]
 
         def simulate() -> Trajectory:
-            instance.restore(start)
+            instance.restore(begin)
             rows = np.empty((len(points), len(names)))
             rows[0] = instance.read()
             for i, t in enumerate(points[:-1], 1):
@@ -264,11 +204,11 @@ class Alfmu(Peer):
         return simulate
 
 
-def started(equations: alfmu.Equations, step: float = SAMPLE) -> alfmu.Instance:
-    """An instance at angle 0 with RATE, with this internal step [s]."""
+def started(equations: alfmu.Equations, start: Start, step: float = SAMPLE) -> alfmu.Instance:
+    """An instance at its start, with this internal step [s]."""
     instance = alfmu.Instance(equations, alfmu.Settings(step_size=step))
-    instance.set("start.angle", 0.0)
-    instance.set("start.angular_velocity", RATE)
+    instance.set("start.angle", start.angle)
+    instance.set("start.angular_velocity", start.rate)
     instance.initialize()
     return instance
 
@@ -284,303 +224,17 @@ def _equations(mechanism: str, kernel: str, lean: bool) -> alfmu.Equations:
 
 
 @dataclass(frozen=True)
-class Pinocchio(Peer):
-    """`pin.constraintDynamics` (proximal) on a tree of joints, closed by CONTACT_3D; `pin.rnea` for joint forces."""
-
-    method: str = "RK4"
-    """RK4, or a method of `solve_ivp`."""
-    omega: Mapping[str, float] = field(default_factory=dict)
-    """Frequency of Baumgarte's stabilisation [1/s] by mechanism, critically damped."""
-
-    def build(self, mechanism: str, step: float, times: NDArray) -> Simulation:
-        import pinocchio as pin
-
-        model, closures, start = _pinocchio_model(pin, mechanism)
-        omega = self.omega.get(mechanism, 0.0)
-        models, datas = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData()
-        for closure in closures:
-            closure.m_baumgarte_parameters.Kp, closure.m_baumgarte_parameters.Kd = omega**2, 2 * omega
-            models.append(closure)
-            datas.append(closure.createData())
-        data, n = model.createData(), model.nv
-        pin.initConstraintDynamics(model, data, models, datas)
-        proximal, tau = pin.ProximalSettings(1e-12, 1e-12, 1e-8, 3), np.zeros(n)
-        dynamics, rnea = pin.constraintDynamics, pin.rnea
-        states, contacts = np.empty((len(times), 2 * n)), np.empty((len(times), 3 * len(closures)))
-        felt, inner = np.empty((len(times), n, 3)), [force.linear for force in data.f][1:]  # views
-
-        def record(k: int, y: NDArray, a: NDArray) -> None:
-            """Forces without those of the closures in the frames of the joints, where y gave a just now."""
-            states[k], contacts[k] = y, data.lambda_c
-            rnea(model, data, y[:n], y[n:], a)
-            felt[k] = inner
-
-        def runge_kutta() -> Trajectory:
-            y, s, K = start.copy(), np.empty(2 * n), np.empty((4, 2 * n))
-            q, v, weights, steps = s[:n], s[n:], np.array([1, 2, 2, 1]) * step / 6, range(round(SAMPLE / step))
-            stages = list(zip(K, K[:, :n], K[:, n:], (step / 2, step / 2, step, 0.0), strict=True))
-            for k in range(len(times)):
-                for i in steps:
-                    s[:] = y
-                    for stage, (rate, qdot, a, share) in enumerate(stages):
-                        qdot[:] = v
-                        a[:] = dynamics(model, data, q, v, tau, models, datas, proximal)
-                        if i + stage == 0:
-                            record(k, y, a)
-                        np.multiply(rate, share, out=s)
-                        s += y
-                    y += weights @ K
-            return Trajectory(times, states[:, 0].copy(), _pinocchio_reactions(mechanism, states, felt, contacts))
-
-        def rate(y: NDArray) -> NDArray:
-            out = np.empty(2 * n)
-            out[:n], out[n:] = y[n:], dynamics(model, data, y[:n], y[n:], tau, models, datas, proximal)
-            return out
-
-        def adaptive() -> Trajectory:
-            found = solved(rate, start, self.method, step, times)
-            for k, y in enumerate(found):
-                record(k, y, rate(y)[n:])
-            reactions = _pinocchio_reactions(mechanism, states, felt, contacts)[: len(found)]
-            return Trajectory(times[: len(found)], found[:, 0], reactions)
-
-        return runge_kutta if self.method == "RK4" else adaptive
-
-
-def _pinocchio_model(pin: ModuleType, mechanism: str) -> tuple:
-    """Model, loop closures, q and v at the start; joints turn about z or slide along x, and are added depth first."""
-
-    def at(x: float) -> object:
-        return pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
-
-    def link(parent: int, x: float, name: str, length: float) -> int:
-        joint = model.addJoint(parent, pin.JointModelRZ(), at(x), name)
-        moment = length**2 / 12
-        inertia = pin.Inertia(1.0, np.array([length / 2, 0, 0]), np.diag([0, moment, moment]))
-        model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-        return joint
-
-    def close(first: int, x_1: float, second: int, x_2: float) -> object:
-        frame, kind = pin.ReferenceFrame.LOCAL, pin.ContactType.CONTACT_3D
-        return pin.RigidConstraintModel(kind, model, first, at(x_1), second, at(x_2), frame)
-
-    model = pin.Model()
-    model.gravity.linear = np.array([0, -GRAVITY, 0])
-    A = link(0, 0.0, "A", 1.0 if mechanism == "five_bar" else CRANK)
-    if mechanism == "five_bar":
-        B, E = link(A, 1.0, "B", 1.0), link(A, 0.5, "E", 1.0)
-        D = link(0, 1.0, "D", 1.0)
-        closures = [close(B, 1.0, D, 1.0), close(E, 1.0, D, 0.5)]
-        return model, closures, np.array([0, 0, 0, 0, RATE, -RATE, -RATE, RATE])
-    B = link(A, CRANK, "B", ROD)
-    guide = model.addJoint(0, pin.JointModelPX(), at(0.0), "guide")
-    model.appendBodyToJoint(guide, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3))), pin.SE3.Identity())
-    start = np.array([0, 0, CRANK + ROD, RATE, -RATE * (1 + CRANK / ROD), 0])
-    return model, [close(B, ROD, guide, 0.0)], start
-
-
-def _pinocchio_reactions(mechanism: str, q: NDArray, felt: NDArray, contacts: NDArray) -> NDArray:
-    """REACTIONS (k, ...) from joint forces without closures and forces on the closures' first bodies, in own frames."""
-
-    def ground(angle: NDArray, force: NDArray) -> NDArray:
-        c, s, x, y = np.cos(angle), np.sin(angle), force[:, 0], force[:, 1]
-        return np.column_stack([c * x - s * y, s * x + c * y])
-
-    angles = [q[:, 0], q[:, 0] + q[:, 1]]
-    if mechanism == "slider_crank":
-        A, B = (ground(angle, felt[:, i]) for i, angle in enumerate(angles))
-        C = ground(angles[1], contacts)
-        return np.column_stack([A - C, B - C, -C, (felt[:, 2] + np.pad(C, ((0, 0), (0, 1))))[:, 1]])
-    angles += [q[:, 0] + q[:, 2], q[:, 3]]
-    A, B, E, D = (ground(angle, felt[:, i]) for i, angle in enumerate(angles))
-    C, F = ground(angles[1], contacts[:, :3]), ground(angles[2], contacts[:, 3:])
-    return np.hstack([A - C - F, B - C, -C, D + C + F, E - F, -F])
-
-
-@dataclass(frozen=True)
-class Exudyn(Peer):
-    """Exudyn's own solvers on 2D rigid bodies and joints in redundant coordinates, reactions by its sensors."""
-
-    solver: str = "GeneralizedAlpha"
-
-    def build(self, mechanism: str, step: float, times: NDArray) -> Simulation:
-        sys.exudynFast = True  # the build without range checks, where there is one
-        with contextlib.redirect_stdout(None):
-            import exudyn as exu
-        exu.config.printToConsole = False
-        mbs = exu.SystemContainer().AddSystem()
-        node, joints = _exudyn_model(mbs, mechanism)
-        kept = {"storeInternal": True, "writeToFile": False}
-        from exudyn.itemInterface import SensorNode, SensorObject
-
-        kinds = exu.OutputVariableType
-        seen = mbs.AddSensor(SensorNode(nodeNumber=node, outputVariableType=kinds.Coordinates, **kept))
-        felt = [mbs.AddSensor(SensorObject(objectNumber=j, outputVariableType=kinds.Force, **kept)) for j, _ in joints]
-        mbs.Assemble()
-        settings = exu.SimulationSettings()
-        settings.solution.sensors.writePeriod = SAMPLE
-        settings.solution.file.write = False
-        settings.show.computationTime = False
-        redundant = mechanism == "five_bar"
-        settings.linearSolver.solverType = (
-            exu.LinearSolverType.EigenDense if redundant else exu.LinearSolverType.EXUdense
-        )
-        settings.linearSolver.ignoreSingularJacobian = redundant
-        march = settings.timeIntegration
-        march.endTime, march.numberOfSteps, march.verboseMode = times[-1], round(times[-1] / step), 0
-        march.adaptiveStep = self.solver == "GeneralizedAlpha"
-        march.newton.useModifiedNewton = redundant
-        kind = getattr(exu.DynamicSolverType, self.solver)
-
-        def simulate() -> Trajectory:
-            note = ""
-            try:
-                mbs.SolveDynamic(settings, solverType=kind)
-            except Exception as error:
-                note = " ".join(str(error).split("[Python")[0].split()) or type(error).__name__
-            table = mbs.GetSensorStoredData(seen)
-            if table.size == 0:
-                return Trajectory(np.zeros(0), np.zeros(0), np.zeros((0, 0)), note)
-            forces = [
-                sign * mbs.GetSensorStoredData(sensor)[:, 1:3] for sensor, (_, sign) in zip(felt, joints, strict=True)
-            ]
-            if mechanism == "slider_crank":
-                forces[-1] = forces[-1][:, :1]
-            return Trajectory(table[:, 0], table[:, 3], np.hstack(forces), note)
-
-        return simulate
-
-
-def _exudyn_model(mbs: Any, mechanism: str) -> tuple[object, list[tuple[object, float]]]:
-    """Node of the first link, and the joints in the order of REACTIONS with the sign of their forces."""
-    from exudyn import itemInterface as item
-
-    def bar(length: float, x: float, vy: float, w: float) -> tuple:
-        node = mbs.AddNode(item.NodeRigidBody2D(referenceCoordinates=[x, 0, 0], initialVelocities=[0, vy, w]))
-        body = item.ObjectRigidBody2D(mass=1.0, inertia=length**2 / 12, nodeNumber=node)
-        return node, weigh(mbs.AddObject(body))
-
-    def weigh(body: object) -> object:
-        marker = mbs.AddMarker(item.MarkerBodyMass(bodyNumber=body))
-        mbs.AddLoad(item.LoadMassProportional(markerNumber=marker, loadVector=[0, -GRAVITY, 0]))
-        return body
-
-    def join(first: object, x_1: float, second: object, x_2: float) -> tuple[object, float]:
-        markers = [
-            mbs.AddMarker(item.MarkerBodyPosition(bodyNumber=body, localPosition=[x, 0, 0]))
-            for body, x in ((first, x_1), (second, x_2))
-        ]
-        return mbs.AddObject(item.ObjectJointRevolute2D(markerNumbers=markers)), -1.0
-
-    ground = mbs.AddObject(item.ObjectGround())
-    if mechanism == "five_bar":
-        node, link1 = bar(1.0, 0.5, RATE / 2, RATE)
-        (_, link2), (_, link3) = bar(1.0, 1.5, RATE, 0.0), bar(1.0, 1.5, RATE / 2, RATE)
-        _, link4 = bar(1.0, 1.0, RATE / 2, 0.0)
-        ends = [
-            (ground, 0.0, link1, -0.5),
-            (link1, 0.5, link2, -0.5),
-            (link2, 0.5, link3, 0.5),
-            (ground, 1.0, link3, -0.5),
-            (link1, 0.0, link4, -0.5),
-            (link4, 0.5, link3, 0.0),
-        ]
-        return node, [join(*end) for end in ends]
-    node, crank = bar(CRANK, CRANK / 2, RATE * CRANK / 2, RATE)
-    _, rod = bar(ROD, CRANK + ROD / 2, RATE * CRANK / 2, -RATE * CRANK / ROD)
-    point = mbs.AddNode(item.NodePoint2D(referenceCoordinates=[CRANK + ROD, 0]))
-    slider = weigh(mbs.AddObject(item.ObjectMassPoint2D(mass=1.0, nodeNumber=point)))
-    ends = [(ground, 0.0, crank, -CRANK / 2), (crank, CRANK / 2, rod, -ROD / 2), (rod, ROD / 2, slider, 0.0)]
-    joints = [join(*end) for end in ends]
-    zero = mbs.AddNode(item.NodePointGround(referenceCoordinates=[0, 0, 0]))
-    track = [
-        mbs.AddMarker(item.MarkerNodeCoordinate(nodeNumber=zero, coordinate=0)),
-        mbs.AddMarker(item.MarkerNodeCoordinate(nodeNumber=point, coordinate=1)),
-    ]
-    return node, [*joints, (mbs.AddObject(item.ObjectConnectorCoordinate(markerNumbers=track)), -1.0)]
-
-
-@dataclass(frozen=True)
-class MuJoCo(Peer):
-    """MuJoCo on the tree of joints that Pinocchio has, closed by `connect`; reactions by `mj_rnePostConstraint`."""
-
-    integrator: str = "RK4"
-    hardness: Mapping[str, float] = field(default_factory=dict)
-    """Stiffness times step^2 (mass-normalised), by mechanism."""
-
-    def build(self, mechanism: str, step: float, times: NDArray) -> Simulation:
-        import mujoco
-
-        warnings: list[str] = []
-        mujoco.set_mju_user_warning(warnings.append)  # otherwise it writes a file into the working folder
-        text, v_0 = _mujoco_model(mechanism, step, self.integrator, self.hardness[mechanism] / step**2)
-        model = mujoco.MjModel.from_xml_string(text)
-        data, steps, five = mujoco.MjData(model), round(SAMPLE / step), mechanism == "five_bar"
-
-        def simulate() -> Trajectory:
-            warnings.clear()
-            mujoco.mj_resetData(model, data)
-            data.qvel[:] = v_0
-            angle, forces = np.empty(len(times)), np.empty((len(times), len(REACTIONS[mechanism])))
-            for k in range(len(times)):
-                if k:
-                    mujoco.mj_step(model, data, steps)
-                mujoco.mj_forward(model, data)
-                mujoco.mj_rnePostConstraint(model, data)
-                angle[k], tree, loop = data.qpos[0], data.cfrc_int[1:, 3:5], -data.efc_force
-                if five:  # bodies: links 1, 2, 4, 3
-                    forces[k, 0:4], forces[k, 4:6], forces[k, 6:8] = tree[:2].ravel(), loop[:2], tree[3]
-                    forces[k, 8:10], forces[k, 10:12] = tree[2], loop[3:5]
-                else:
-                    forces[k, :4], forces[k, 4:6], forces[k, 6] = tree[:2].ravel(), loop[:2], tree[2, 1]
-            return Trajectory(times, angle, forces, warnings[0].split(".")[0] if warnings else "")
-
-        return simulate
-
-
-def _mujoco_model(mechanism: str, step: float, integrator: str, stiffness: float) -> tuple[str, list[float]]:
-    """MJCF text and joint rates at the start."""
-
-    def bar(name: str, x: float, length: float, children: str = "") -> str:
-        moment = length**2 / 12
-        return (
-            f'<body name="{name}" pos="{x} 0 0"><joint type="hinge" axis="0 0 1"/>'
-            f'<inertial pos="{length / 2} 0 0" mass="1" diaginertia="1e-9 {moment} {moment}"/>{children}</body>'
-        )
-
-    def connect(first: str, second: str, x: float) -> str:
-        return f'<connect body1="{first}" body2="{second}" anchor="{x} 0 0"/>'
-
-    if mechanism == "five_bar":
-        bodies = bar("1", 0, 1.0, bar("2", 1.0, 1.0) + bar("4", 0.5, 1.0)) + bar("3", 1.0, 1.0)
-        loops, rates = connect("2", "3", 1.0) + connect("4", "3", 1.0), [RATE, -RATE, -RATE, RATE]
-    else:
-        slider = (
-            f'<body name="3" pos="{CRANK + ROD} 0 0"><joint type="slide" axis="1 0 0"/>'
-            '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body>'
-        )
-        bodies, loops = bar("1", 0, CRANK, bar("2", CRANK, ROD)) + slider, connect("2", "3", ROD)
-        rates = [RATE, -RATE * (1 + CRANK / ROD), 0.0]
-    text = f"""<mujoco><compiler angle="radian" boundmass="0" boundinertia="0"/>
-<option timestep="{step!r}" gravity="0 {-GRAVITY} 0" integrator="{integrator}" solver="Newton" tolerance="1e-14"
- iterations="5" jacobian="dense"><flag contact="disable" refsafe="disable" autoreset="disable"/></option>
-<default><equality solref="{-stiffness!r} {-2 * math.sqrt(stiffness)!r}" solimp="0.9999 0.9999 1"/></default>
-<worldbody>{bodies}</worldbody><equality>{loops}</equality></mujoco>"""
-    return text, rates
-
-
-@dataclass(frozen=True)
 class SciPy(Peer):
     """`solve_ivp` on alfmu's M, C, f, xi, Phi in the index-1 form (9), by elimination of a and least squares."""
 
     method: str = "DOP853"
 
-    def build(self, mechanism: str, step: float, times: NDArray) -> Simulation:
+    def build(self, mechanism: str, start: Start, step: float, times: NDArray) -> Simulation:
         five = mechanism == "five_bar"
         omega, cut, options = (15.0, 1e-4, {}) if five else (6.0, 1e-12, {"coordinates": "joint"})
         e = alfmu.derive(alfmu.load(mechanism, **options))
-        instance, n, l = started(e), e.n, e.l
-        start, p, u = np.concatenate([instance.q, instance.v]), instance.values[: len(e.parameters)], instance.inputs
+        instance, n, l = started(e, start), e.n, e.l
+        begin, p, u = np.concatenate([instance.q, instance.v]), instance.values[: len(e.parameters)], instance.inputs
         q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
         C, inverse = e.C(q, p), ca.inv(e.M(q, p))
         free, pull = inverse @ (e.f(q, v, u, p, 0) - e.d(q, v, p)), inverse @ C.T
@@ -604,7 +258,7 @@ class SciPy(Peer):
         columns = [names.index(name) for name in (ANGLE[mechanism], *REACTIONS[mechanism])]
 
         def simulate() -> Trajectory:
-            states = solved(rate, start, self.method, step, times)
+            states = solved(rate, begin, self.method, step, times)
             a, lam = (np.array(x).T for x in zip(*map(solve, states), strict=True))
             Q, V, P, U = states[:, :n].T, states[:, n:].T, *(np.tile(x[:, None], len(states)) for x in (p, u))
             seen = np.array(e.readings(Q, V, a, lam, U, P, np.zeros((1, len(states)))))[columns].T
@@ -627,29 +281,16 @@ class Terms:
 
 def peers() -> list[Peer]:
     """All that is compared, each in the best of the settings that were tried (USAGE)."""
-    steps, rtols = [SAMPLE / k for k in (1, 2, 3, 4, 8, 16)], (1e-5, 1e-6, 1e-7, 1e-8)
-    fine, adaptive = dict.fromkeys(MECHANISMS, steps), dict.fromkeys(MECHANISMS, rtols)
+    rtols = (1e-5, 1e-6, 1e-7, 1e-8)
+    fine = dict.fromkeys(MECHANISMS, tuple(SAMPLE / k for k in (1, 2, 3, 4, 8, 16)))
+    adaptive = dict.fromkeys(MECHANISMS, rtols)
     tight = {"five_bar": (1e-7, 1e-8, 1e-9), "slider_crank": (1e-6, 1e-7, 1e-8, 1e-9)}
-    loop = {"five_bar": (1e-6, 1e-8, 1e-10), "slider_crank": (*rtols, 1e-9)}
-    stabilised = {"five_bar": 60.0, "slider_crank": 5.0}
-    alpha = {"five_bar": (5e-3, 1e-3, 2e-4, 1e-4, 4e-5), "slider_crank": (5e-3, 1e-3)}
-    trapezoidal = {"five_bar": (5e-3, 1e-3), "slider_crank": (5e-3, 1e-3, 2e-4, 5e-5)}
-    soft = {mechanism: [SAMPLE / k for k in (2, 4, 5, 8, 10, 20, 40)] for mechanism in MECHANISMS}
-    softer = {mechanism: [SAMPLE / k for k in (10, 40)] for mechanism in MECHANISMS}
-    first, second = {"five_bar": 2.0, "slider_crank": 0.2}, {"five_bar": 0.1, "slider_crank": 0.5}
     return [
         Alfmu("alfmu", "alfmu", "compiled", fine, quick=4),
         Alfmu("alfmu", "alfmu", "compiled, lean", fine, quick=4, lean=True),
         Alfmu("alfmu", "alfmu", "vm", fine, quick=4, kernel="vm"),
         Alfmu("alfmu", "alfmu", "vm, lean", fine, quick=4, kernel="vm", lean=True),
-        Pinocchio("pin", "Pinocchio", "RK4, Baumgarte", fine, quick=5, omega=stabilised),
-        Pinocchio("pin", "Pinocchio", "RK4, not stabilised", fine, quick=1),
-        Pinocchio("pin", "Pinocchio", "DOP853, Baumgarte", loop, "rtol", 3, method="DOP853", omega=stabilised),
-        Pinocchio("pin", "Pinocchio", "LSODA, Baumgarte", loop, "rtol", method="LSODA", omega=stabilised),
-        Exudyn("exudyn", "Exudyn", "generalized alpha", alpha),
-        Exudyn("exudyn", "Exudyn", "trapezoidal, index 2", trapezoidal, solver="TrapezoidalIndex2"),
-        MuJoCo("mujoco", "MuJoCo", "RK4", soft, quick=3, hardness=first),
-        MuJoCo("mujoco", "MuJoCo", "implicitfast", softer, quick=1, integrator="implicitfast", hardness=second),
+        *TUNED,
         SciPy("scipy", "SciPy", "DOP853", adaptive, "rtol", 3),
         SciPy("scipy", "SciPy", "RK45", tight, "rtol", 0, method="RK45"),
         SciPy("scipy", "SciPy", "LSODA", tight, "rtol", 0, method="LSODA"),
@@ -697,7 +338,7 @@ def judge(point: Point, exact: Reference, times: NDArray) -> None:
     """Errors of one run, which is not timed; what does not reach the end with the motion is not timed at all."""
     try:
         begin = time.perf_counter()
-        simulate = point.peer.build(point.mechanism, point.step, times)
+        simulate = point.peer.build(point.mechanism, Start(0.0, RATE), point.step, times)
         point.setup = time.perf_counter() - begin
         with np.errstate(all="ignore"):
             run = simulate()
@@ -928,43 +569,32 @@ def report(
     return "\n\n".join([*parts, "## Where the comparison stops being fair", LIMITS]) + "\n"
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        description="Measure error against run time of alfmu, Pinocchio, Exudyn, MuJoCo and SciPy on the five-bar and "
-        "the slider-crank. Writes peers.md, peers.csv, peers_reach.csv and peers.png.",
-        epilog="what of pin, exudyn, mujoco is not installed is left out; takes some minutes; overwrites an earlier "
-        "run in the same folder",
-    )
-    folder = Path("results/peers")
-    parser.add_argument("-o", "--output", type=Path, default=folder, help="folder (default: %(default)s)")
-    parser.add_argument("--quick", action="store_true", help="coarse steps and few repeats, less than a minute")
-    return parser.parse_args(arguments)
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
+def write(folder: Path, quick: bool, command: str) -> None:
     """Measure and write the results."""
-    chosen = parse(arguments)
-    try:
-        chosen.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        print(f"{chosen.output} cannot hold the results ({error.strerror}); give another with -o", file=sys.stderr)
-        return 1
     packages = dict.fromkeys([*(peer.package for peer in peers()), "casadi", "numpy"])
-    where = environment("python scripts/peers.py" + " --quick" * chosen.quick, list(packages))
+    where = environment(command, list(packages))
     times, references = samples(STOP), {mechanism: reference(mechanism, STOP) for mechanism in MECHANISMS}
-    points = chosen_points(chosen.quick)
+    points = chosen_points(quick)
     for point in tqdm(points, "errors", unit="run"):
         judge(point, references[point.mechanism], times)
-    rounds = LEAST if chosen.quick else ROUNDS
+    rounds = LEAST if quick else ROUNDS
     clock(points, rounds)
     reached = [row for mechanism in MECHANISMS for row in reach_rows(points, mechanism)]
     for name, rows in (("peers.csv", [point_row(p) for p in points]), ("peers_reach.csv", reached)):
-        write_csv(chosen.output / name, rows)
-    picture(points).savefig(chosen.output / "peers.png", dpi=120, metadata={"Software": None})
-    (chosen.output / "peers.md").write_text(report(points, references, rounds, where), encoding="utf-8")
-    print(chosen.output / "peers.md")
-    return 0
+        write_csv(folder / name, rows)
+    picture(points).savefig(folder / "peers.png", dpi=120, metadata={"Software": None})
+    (folder / "peers.md").write_text(report(points, references, rounds, where), encoding="utf-8")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run what the command line asks for."""
+    text = (
+        "Measure error against run time of alfmu, Pinocchio, Exudyn, MuJoCo and SciPy on the five-bar and the "
+        "slider-crank, as far as they are installed. Writes peers.md, peers.csv, peers_reach.csv and peers.png."
+    )
+    line = parser("peers", (), text, "some minutes", "coarse steps and few repeats, less than a minute")
+    chosen = line.parse_args(arguments)
+    return written(chosen, "peers.py", (), "peers.md", lambda _, command: write(chosen.output, chosen.quick, command))
 
 
 if __name__ == "__main__":

@@ -7,9 +7,7 @@ good as RK4 can be.
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -21,7 +19,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from _report import Target, judged
+from _report import Target, judged, parser, written
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -787,42 +785,20 @@ def measure(folder: Path, effort: Effort, studies: Sequence[str], command: str) 
     (folder / "singular.md").write_text(report(results), encoding="utf-8")
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(
-        description="Measure how mechanisms pass their singular positions under drive: the four-bar from many phases "
-        "and with many steps, rows of loops, a slider-crank of equal links. Writes singular.md, CSV files, pictures.",
-        epilog="needs the extra alfmu[test]; takes some minutes; overwrites an earlier run in the same folder",
-    )
-    folder, names = Path("results/singular"), ", ".join(STUDIES)
-    parser.add_argument("-o", "--output", type=Path, default=folder, help="folder (default: %(default)s)")
-    parser.add_argument(
-        "--only", nargs="+", choices=STUDIES, default=[*STUDIES], metavar="STUDY", help=f"some of: {names}"
-    )
-    parser.add_argument("--quick", action="store_true", help="few phases and cases: less than a minute")
-    return parser.parse_args(arguments)
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line asks for."""
-    chosen = parse(arguments)
-    studies = [name for name in STUDIES if name in chosen.only]
-    some = f" --only {' '.join(studies)}" if len(studies) < len(STUDIES) else ""
-    command = "python scripts/singular_study.py" + " --quick" * chosen.quick + some
-    path = chosen.output / "singular.md"
-    try:
-        chosen.output.mkdir(parents=True, exist_ok=True)
-        path.touch()
-    except OSError as error:
-        print(f"{path} cannot be written ({error.strerror}); give another folder with -o", file=sys.stderr)
-        return 1
-    try:
+    text = (
+        "Measure how mechanisms pass their singular positions under drive: the four-bar from many phases and with many "
+        "steps, rows of loops, a slider-crank of equal links. Writes singular.md, CSV files, pictures."
+    )
+    chosen = parser("singular", STUDIES, text, "some minutes", "few phases and cases: less than a minute").parse_args(
+        arguments
+    )
+
+    def write(studies: list[str], command: str) -> None:
         measure(chosen.output, QUICK if chosen.quick else USUAL, studies, command)
-    except alfmu.AlfmuError as error:
-        print(error, file=sys.stderr)
-        return 1
-    print(path)
-    return 0
+
+    return written(chosen, "singular_study.py", STUDIES, "singular.md", write)
 
 
 if __name__ == "__main__":

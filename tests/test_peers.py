@@ -34,7 +34,7 @@ def folder(peers, tmp_path_factory):
 
     made = tmp_path_factory.mktemp("peers")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(peers, "version", found)
+        patch.setattr("alfmu.peers.version", found)
         assert peers.main(["--quick", "-o", str(made)]) == 0
     return made
 
@@ -119,7 +119,7 @@ def test_nothing_is_extrapolated(peers):
 
 def test_a_lost_motion_and_an_exception_are_results(peers):
     class Strays(peers.Peer):
-        def build(self, mechanism, step, times):
+        def build(self, mechanism, start, step, times):
             if step == 1.0:
                 raise RuntimeError("no\n such model")
             angle = peers.reference(mechanism, peers.STOP).angle + np.where(times > 0.5, 1.0, 0.0)

@@ -2,7 +2,9 @@
 
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,23 +14,41 @@ from scenes import derived
 from studies import prose, rows, tables, untraced
 
 import alfmu
-from alfmu import cases
+from alfmu import cases, paper, stability
 from alfmu import reference as exact
 from alfmu.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
 from alfmu.cli import main
 from alfmu.oracle import FORMULATIONS, METHODS
+from alfmu.registry import mechanisms
 from alfmu.report import LEVELS, Effort, Setting, Study, report
+from alfmu.rivals import RIVALS
 from alfmu.simulation import prepared
 
+MAPS = stability.Effort(
+    total=0.0,
+    horizon=0.1,
+    limit=0.005,
+    steps=(0.1, 1.0),
+    penalties=(1e2, 1e10),
+    scales=(1.0,),
+    masses=1,
+    reference=exact.Effort(fine=1e-9, coarse=None, parts=20, seconds=0.5),
+)
 SMALL = Effort(
-    total=40.0,
+    total=120.0,
     horizon=0.32,
+    steps=1000,
     factors=(2.0, 1.0, 0.5),
     tolerances=(1e-5,),
     limit=0.3,
     repeats=2,
     reference=exact.Effort(parts=40),
+    paper=replace(paper.QUICK, stop=0.1, counted=0.1, driven=0.1, phases=2, states=1),
+    stability=MAPS,
 )
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+FEW = {name: METHODS[name] for name in ("rk4", "explicit")}
+"""Methods that the reports of these tests run, of all that there are."""
 TIMES = np.linspace(0.0, 0.4, 21)
 SHORT = exact.Effort(parts=16)
 """Enough for the TIMES."""
@@ -154,7 +174,7 @@ def test_methods_are_those_that_the_solver_offers():
     assert cases.scene(derived("four_bar"), "stiff", "oracle").solver["method"] == "stiff"
     study = Study("particle_on_circle", SMALL)
     study.equations, study._ways = study.derived, {"vm": None, "oracle": None}
-    found = list(study._settings())
+    found = [setting for group in study._settings() for setting in group]
     assert {(s.formulation, s.method) for s in found if s.code == "alfmu"} == set(product(FORMULATIONS, METHODS))
     assert {s.control for s in found if s.method == "stiff"} == {"tolerance"}
     assert [s.formulation for s in found[:2]] == ["residual", "residual"]
@@ -165,12 +185,18 @@ def test_methods_are_those_that_the_solver_offers():
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    return report(["particle_on_circle"], tmp_path_factory.mktemp("report"), effort=SMALL)
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("report", "stability"):
+            patch.setattr(f"alfmu.{module}.methods", lambda: FEW)
+        return report(["particle_on_circle"], tmp_path_factory.mktemp("report"), effort=SMALL)
 
 
 def test_every_number_of_the_report_stands_in_a_csv_file(written):
     shown = tables(written)
-    assert {name for _, name, _, _ in shown} >= {"environment", "reference", "settings", "comparisons", "scenes"}
+    assert {name for _, name, _, _ in shown} >= {
+        *("environment", "reference", "settings", "tolerances", "comparisons", "scenes"),
+        *("table_1", "table_1_given", "paper_settings", "counts", "criteria"),
+    }
     for _, name, names, lines in shown:
         assert untraced(written, name, names, lines) == [], name
     assert not any(c.isdigit() for c in prose(written))
@@ -197,7 +223,7 @@ def test_orders_errors_and_pictures(written):
     )
     error = max(float(r[POSITION]) for r in rows(written.parent, "reference"))
     assert error < min(float(r[POSITION]) for r in settings.values())
-    for name in ("particle_on_circle", "particle_on_circle_formulations"):
+    for name in ("particle_on_circle", "particle_on_circle_formulations", "particle_on_circle_stability"):
         assert (written.parent / f"{name}.png").stat().st_size > 20_000
     machine = {r["what"]: r["value"] for r in rows(written.parent, "environment")}
     assert machine["command"] == "`alfmu report particle_on_circle`"
@@ -267,3 +293,107 @@ def test_mistakes_are_said_before_anything_runs(command, tmp_path, capsys, monke
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main([command, "particle_on_circle", "-o", str(tmp_path / "out")]) == 1
     assert "pip install 'alfmu[plot]'" in capsys.readouterr().err
+
+
+# Other codes -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["five_bar", "slider_crank"])
+def test_other_codes_run_the_same_mechanism_from_the_same_start(name):
+    """With the parameters and start values that it comes with; none but SciPy knows another mechanism."""
+    equations, times = prepared(derived(name), "oracle"), np.linspace(0.0, 0.4, 11)
+    judge = Judge(equations, exact.reference(started(name), 0.4, SHORT))
+    codes = set()
+    for rival in RIVALS:
+        if rival.missing or rival.method in ("Radau", "BDF"):
+            continue
+        values = rival.values(name)
+        assert list(values) == sorted(values, reverse=True)
+        found = rival.run(equations, values[-1], Case({}, times, 20.0))
+        errors = judge.errors(found)
+        assert found.complete, (rival.name, rival.method, found.failure)
+        assert errors[POSITION] < 2e-3, (rival.name, rival.method)
+        assert errors[REACTION] < 0.5, (rival.name, rival.method)  # N, of some 60; soft constraints are among them
+        assert rival.values("four_bar") or rival.name != "SciPy on (9)"
+        codes.add(rival.name)
+    assert "SciPy on (9)" in codes
+
+
+def test_a_code_that_is_not_there_is_listed(monkeypatch):
+    monkeypatch.setattr("alfmu.report.RIVALS", [replace(r, missing="not installed") for r in RIVALS])
+    study = Study("five_bar", SMALL)
+    study.equations, study.times, study.judge = study.derived, TIMES, Judge(study.derived, None)
+    study._ways = {}
+    for setting in study._settings()[0]:
+        study._run(setting, setting.values[0], np.inf)
+    assert study.files["errors"] == []
+    missing = {(r["code"], r["reason"]) for r in study.files["skipped"]}
+    assert missing == {(name, "not installed") for name in ("SciPy on (9)", "Pinocchio", "Exudyn", "MuJoCo")}
+
+
+# The paper ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("study", ["figure-7", "iterations", "accuracy", "four-bar"])
+def test_the_chapters_of_the_paper(study, tmp_path):
+    """At their smallest: every table has rows, and what the paper claims stands beside what is measured."""
+    effort = replace(paper.QUICK, stop=0.2, counted=0.1, driven=0.4, phases=2)
+    mechanism, make = paper.STUDIES[study]
+    chapter = make(effort)
+    chapter.write(tmp_path)
+    assert all(rows(tmp_path, table.name) for table in chapter.tables)
+    assert all((tmp_path / name).stat().st_size > 10_000 for name in chapter.pictures)
+    (tmp_path / "chapter.md").write_text("\n\n".join(chapter.markdown("##")))
+    assert not any(c.isdigit() for c in prose(tmp_path / "chapter.md"))
+    if study == "figure-7":
+        for row in rows(tmp_path, "figure_7"):
+            assert float(row["angle error [rad]"]) < 1e-5
+            assert float(row["Phi [m]"]) < 1e-12
+    if study == "iterations":
+        assert {r["paper"] for r in rows(tmp_path, "claims")} == {"1 to 3", "at most 2 of each"}
+    if study == "accuracy":
+        found = {(r["formulation"], float(r["alpha / mass"])): r for r in rows(tmp_path, "accuracy")}
+        assert float(found["residual", 1e8]["error of a"]) < 1e-12 < float(found["classic", 1e8]["error of a"])
+    if study == "four-bar":
+        steps = {
+            (r["procedure"], float(r["dt [s]"])): float(r["angle error [rad]"])
+            for r in rows(tmp_path, study.replace("-", "_"))
+        }
+        assert all(steps["residual", dt] < 0.1 * steps["classic", dt] for dt in paper.DRIVEN_STEPS)
+    assert mechanism in mechanisms()
+
+
+def test_a_picture_and_a_table_of_a_report_go_into_the_readme(written, tmp_path):
+    """Between the markers, and nothing else changes; numbers are those of the report."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPTS))
+        import readme
+    page, drawn = tmp_path / "README.md", tmp_path / "x.png"
+    page.write_text(f"before\n\n{readme.BEGIN}\nold\n{readme.END}\n\nafter\n")
+    arguments = [str(written.parent), "--readme", str(page), "--picture", str(drawn)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(readme, "ROOT", tmp_path)
+        patch.setattr(readme, "PICTURE", drawn)
+        patch.setattr(readme, "MECHANISM", "particle_on_circle")
+        assert readme.main(arguments) == 0
+    text = page.read_text()
+    assert text.startswith("before\n\n" + readme.BEGIN)
+    assert text.endswith(readme.END + "\n\nafter\n")
+    assert "old" not in text
+    row = next(r for r in rows(written.parent, "comparisons") if r["level or step"] == f"{readme.LEVEL:.17g}")
+    shown = next(line for line in text.splitlines() if line.startswith("| particle_on_circle")).strip("| ").split(" | ")
+    assert float(shown[2]) == pytest.approx(1e3 * float(row["its value"]), rel=0.05)
+    assert drawn.stat().st_size > 10_000
+    page.write_text("no markers")
+    assert readme.main(arguments) == 1
+    assert page.read_text() == "no markers"
+
+
+def test_a_chapter_that_needs_what_is_not_installed_is_listed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mpmath", None)
+    monkeypatch.setattr(paper, "STUDIES", {"accuracy": paper.STUDIES["accuracy"]})
+    study = Study("five_bar", SMALL)
+    study._paper(np.inf)
+    assert study.chapters == []
+    assert [r["method"] for r in study.files["skipped"]] == ["accuracy"]
+    assert "pip install 'alfmu[bench]'" in study.files["skipped"][0]["reason"]

@@ -14,7 +14,7 @@ from dataclasses import asdict, replace
 import casadi as ca
 
 from .. import implicit, method
-from ..adaptive import MEAN, SPACING
+from ..adaptive import MEAN, NOISE, SPACING
 from ..oracle import Settings
 from ..stepping import (
     SHORTEST,
@@ -78,6 +78,7 @@ class _Step:
         self.scene = Scene(self.e, plan.weighted, self.p, self.k)
         self.calls = Calls(tracer)
         self.pace = ca.SX.sym("pace", len(PACE))
+        self.name = "beside" if plan.branch else "method"
 
     def begin(self) -> None:
         """The length of the step and the time at its end, from what step control remembers."""
@@ -104,14 +105,13 @@ class _Step:
         known |= {name: ca.SX.sym("watch", len(Watch.FIELDS)) for name in watches}
         if e.l:
             known |= {"pivot": ca.SX.sym("pivot"), "left": ca.SX.sym("left", 2)}
-        name = "beside" if self.plan.branch else "method"
         if self.plan.branch:
             known |= {watch.replace("watch", "zone"): ca.SX.sym("zone") for watch in watches}
-        calls(f"{name}_close", known, lambda: {"after": scene.closed(self.plan, known)}, ["after"])
+        calls(f"{self.name}_close", known, lambda: {"after": scene.closed(self.plan, known)}, ["after"])
         after, step = ca.SX.sym("after", self.z.numel()), self.dt
         known = {"after": after, "pace": self.pace, "step": step, **kept}
         results = ["after", "pace", *list(kept)[:1]]
-        calls(f"{name}_judge", known, lambda: self._judged(order, after, *kept.values()), results)
+        calls(f"{self.name}_judge", known, lambda: self._judged(order, after, *kept.values()), results)
 
     def _judged(self, order: int, after: ca.SX, *kept: ca.SX) -> dict[str, ca.SX]:
         layout, pace, step = self.layout, self.pace, self.dt
@@ -157,7 +157,8 @@ class _Explicit(_Step):
         start = ca.vertcat(z[: 2 * e.n], z[layout.work])
         _, [error], _ = explicit(rule, rate, z[layout.time], start, dt, None, settle)
         known = {"z": z, "step": dt, **rates, "q": q, "v": v, "p": self.p, "k": self.k}
-        calls("method_error", known, lambda: {"error": scene.error_size(z, q, v, error)}, ["error"])
+        least = NOISE * self.plan.branch
+        calls(f"{self.name}_error", known, lambda: {"error": scene.error_size(z, q, v, error, least)}, ["error"])
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return {**asdict(self.plan), "rule": rule.name, "evaluations": len(rates), "calls": calls.made}
 

@@ -222,8 +222,8 @@ def _made(calls: Iterable[list]) -> list[str]:
     for name, *rest in calls:
         if name == CHOICE:
             _, one, other = rest
-            given = set(_made(other))
-            names |= {each: None for each in _made(one) if each in given}
+            both = set(_made(other))
+            names |= {each: None for each in _made(one) if each in both}
         else:
             names |= dict.fromkeys(rest[1])
     return list(names)

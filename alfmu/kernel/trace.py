@@ -338,7 +338,7 @@ class Tracer:
 
         `u` and `length` are the names of the inputs and of the step.
         """
-        own = "" if plan.side == Plan.side else f"_{plan.side}"
+        own = "" if plan.side == Plan.side else "_for_method"
         n = self.e.n
         _, _, p, k, dt = self.known.values()
         q, v, spacing = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("spacing")
@@ -752,16 +752,15 @@ class Scene:
             v = v + method.project(C, self.weights, solve, C @ v)
         return v, ca.mmin(D), self._residues(q, C @ v)
 
-    def error_size(self, z: ca.SX, q: ca.SX, v: ca.SX, error: ca.SX) -> ca.SX:
-        """Largest error of the constrained state over the tolerance."""
+    def error_size(self, z: ca.SX, q: ca.SX, v: ca.SX, error: ca.SX, least: float = 0.0) -> ca.SX:
+        """Largest error of the constrained state over the tolerance, or over `least` where that is more."""
         n = self.e.n
         parts = error[:n], error[n : 2 * n]
         if self.e.l:
             C, _, solve = self._augmented(q)
             parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
-        return ca.mmax(
-            ca.fabs(ca.vertcat(*parts) / self.allowed(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v)))))
-        )
+        allowed = self.allowed(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v))))
+        return ca.mmax(ca.fabs(ca.vertcat(*parts) / (ca.fmax(allowed, least) if least else allowed)))
 
     def allowed(self, sizes: ca.SX) -> ca.SX:
         """Tolerance of each entry of q and v of given sizes; whole turns make an angle no less exact."""

@@ -1,0 +1,137 @@
+"""Put a picture and a table of a report into README.md: run `alfmu report all -o DIR`, then this with the same DIR.
+
+The picture is `scripts/readme.png`; the table stands between two markers in README.md. Numbers are those of the CSV
+files of that report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from alfmu.cases import POSITION
+from alfmu.report import TIME
+from alfmu.tables import markdown
+
+ROOT = Path(__file__).parents[1]
+PICTURE = ROOT / "scripts" / "readme.png"
+BEGIN, END = "<!-- report: begin -->", "<!-- report: end -->"
+
+MECHANISM = "five_bar"
+"""That of the picture."""
+
+LEVEL = 1e-6
+"""Position error [m, rad] at which run times are compared in the table."""
+
+LINES = {
+    "rk4, compiled": ("alfmu", "rk4", "compiled", "#c0523a", "o-"),
+    "order8, compiled": ("alfmu", "order8", "compiled", "#c0523a", "s--"),
+    "rk4, vm": ("alfmu", "rk4", "vm", "#d98c1f", "o-"),
+    "rk4, through an FMU": ("alfmu", "rk4", "FMU (compiled)", "#7a66b0", "o-"),
+    "Pinocchio, RK4 in Python": ("Pinocchio", "RK4, Baumgarte", "Python", "#3b75af", "^-"),
+    "Exudyn, generalized alpha": ("Exudyn", "generalized alpha", "Python", "#3f9268", "v-"),
+    "MuJoCo, RK4": ("MuJoCo", "RK4", "Python", "#1f8f96", "D-"),
+    "SciPy's DOP853 on (9)": ("SciPy on (9)", "DOP853", "Python", "#6b7680", "P-"),
+}
+"""Code, method, way, colour and style of each line of the picture."""
+
+Rows = list[dict[str, str]]
+
+
+def rows(folder: Path, name: str) -> Rows:
+    """A CSV file of the report."""
+    with (folder / f"{name}.csv").open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def picture(errors: Rows) -> Figure:
+    """Error against run time of one mechanism."""
+    figure = Figure(figsize=(8.0, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for label, (code, method, way, colour, style) in LINES.items():
+        own = [
+            r
+            for r in errors
+            if r["mechanism"] == MECHANISM and (r["code"], r["method"], r["way"]) == (code, method, way)
+        ]
+        own = [r for r in own if r["formulation"] in ("residual", "dae") and r[TIME] and r[POSITION]]
+        own = [r for r in own if code != "alfmu" or r["formulation"] == "residual"]
+        if own:
+            x, y = ([float(r[name]) for r in own] for name in (TIME, POSITION))
+            axes.loglog(x, y, style, color=colour, label=label, markersize=5, linewidth=1.3)
+    axes.set(xlabel="run time, median [s]", ylabel="largest error of places and angles [m, rad]")
+    axes.grid(color="#e3e8ee")
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside right upper", fontsize=8, frameon=False)
+    return figure
+
+
+def table(comparisons: Rows) -> str:
+    """Run times at equal error, mechanism by mechanism."""
+    told = [r for r in comparisons if r["what"].startswith("run time to") and float(r["level or step"]) == LEVEL]
+    codes = list(dict.fromkeys(r["other"].split(",")[0] for r in told))
+    lines = []
+    for name in dict.fromkeys(r["mechanism"] for r in told):
+        own = {r["other"].split(",")[0]: r for r in told if r["mechanism"] == name}
+        first = next(iter(own.values()))
+        if not first["its value"]:
+            continue
+        cells = [_ratio(own.get(code)) for code in codes]
+        lines.append([name, first["alfmu"].removeprefix("alfmu, residual, "), 1e3 * float(first["its value"]), *cells])
+    return markdown(["mechanism", "alfmu's fastest", "its run time [ms]", *codes], lines, 2)
+
+
+def _ratio(row: dict[str, str] | None) -> str | float | None:
+    """Another code's run time over alfmu's."""
+    if row is None:
+        return None
+    return float(row["ratio"]) if row["ratio"] else "not reached"
+
+
+def section(folder: Path) -> str:
+    """What stands between the markers."""
+    where = {r["what"]: r["value"] for r in rows(folder, "environment")}
+    horizon, load = float(where["longest simulated time [s]"]), where["load average at the start"]
+    return "\n\n".join(
+        [
+            BEGIN,
+            f"![error against run time of the {MECHANISM}]({PICTURE.relative_to(ROOT).as_posix()})",
+            f"Error against run time of `{MECHANISM}`, {horizon:g} s of motion: {where['command']} on "
+            f"{where['processor']}, load average {load}. Below, the run time to an error of {LEVEL:g} m and rad, and "
+            "how many times as long others take:",
+            table(rows(folder, "comparisons")),
+            END,
+        ]
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write README.md and the picture."""
+    line = argparse.ArgumentParser(description="Put a picture and a table of a report into README.md.")
+    line.add_argument("report", type=Path, metavar="DIR", help="folder that `alfmu report all -o DIR` wrote")
+    line.add_argument("--readme", type=Path, default=ROOT / "README.md", help="file to write into (default: README.md)")
+    line.add_argument("--picture", type=Path, default=PICTURE, help="picture to write (default: scripts/readme.png)")
+    chosen = line.parse_args(arguments)
+    try:
+        before, _, rest = chosen.readme.read_text(encoding="utf-8").partition(BEGIN)
+        _, marked, after = rest.partition(END)
+        if not marked:
+            print(f"{chosen.readme} has no lines {BEGIN} and {END}; add them where the report belongs", file=sys.stderr)
+            return 1
+        text = before + section(chosen.report) + after
+        picture(rows(chosen.report, "errors")).savefig(chosen.picture, dpi=100, metadata={"Software": None})
+        chosen.readme.write_text(text, encoding="utf-8")
+    except OSError as error:
+        print(f"{error.filename}: {error.strerror}; give the folder of `alfmu report all -o DIR`", file=sys.stderr)
+        return 1
+    print(chosen.readme)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
