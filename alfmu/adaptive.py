@@ -181,9 +181,10 @@ class Adaptive:
         """The place on the branch (0), or those that a limit is taken from."""
         o = self.oracle
         here, rate, spacing = o.approach(q, v, spacing)
-        if not (rate > 0 and here < branch.ZONE * max(rate, o.least_distance)):
+        wanted = max(min(rate, branch.MOST), o.least_distance)
+        if not (rate > 0 and here < branch.ZONE * wanted):
             return {0: o.reached(q, v, t)}
-        spacing *= max(1.0, o.least_distance / rate)
+        spacing *= wanted / rate
         return {k: o.reached(q + k * spacing * v, v, t) for k in MEAN}
 
     def _linearised(self, t: float, y: NDArray, beside: bool, dt: float) -> tuple[NDArray, tuple[NDArray, NDArray]]:

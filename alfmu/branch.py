@@ -16,9 +16,12 @@ from numpy.typing import NDArray
 __all__ = [
     "BRANCHES",
     "CONVERGING",
+    "FAR",
     "GUARD",
+    "HEAVY",
     "LEAST",
     "MEAN",
+    "MOST",
     "NOTHING",
     "READ_DISTANCE",
     "READ_MEAN",
@@ -27,6 +30,7 @@ __all__ = [
     "SPACING",
     "ZERO",
     "ZONE",
+    "along",
     "curvature",
     "mean",
     "tangential",
@@ -54,26 +58,41 @@ vanish together the geometric mean; 1 where no more are small than there are deg
 SMALL = 0.03
 """Pivots below it may vanish."""
 
-NOTHING = 100.0
+FAR = 0.1
+"""Product of all pivots, over what it usually is, from which on a small one only says that its coordinate hardly tells
+the motion: where Euler parameters do so by turns, of few coordinates, between which it hardly changes."""
+
+NOTHING = 25.0
 """Margins up to so many pivots of masses are those of a singular position."""
 
 SPACING = 0.25
-"""Of the places from which a limit is taken, over the internal step."""
+"""Of the places from which a limit is taken, over the internal step, where neither LEAST nor MOST tells otherwise."""
 
 LEAST = 0.003
 """Least distance of the first of these places, as the square root of a margin."""
 
+MOST = 0.015
+"""Most such distance of the first places: the error of a limit grows with its fourth power."""
+
 CONVERGING = 7.0
-"""The same, over the square root of a pivot that masses make."""
+"""Least such distance over the square root of a pivot that masses make."""
 
 ZONE = 0.5
-"""Distance to the singular position, over that spacing, below which the limit is taken."""
+"""Distance to the singular position, over that of the first places, below which the limit is taken."""
+
+HEAVY = 1e3
+"""Mass that coordinates which tell the motion are given where a place is brought to the branch, over that of the
+motion: others are moved instead, and the accelerations are nearly those of a method in the telling ones alone."""
 
 READ_DISTANCE = 0.03
 """Distance of the first place where reactions are read: farther, as they lose digits with its fourth power."""
 
 READ_ZONE = 0.2
 """Distance to the singular position, over that one, below which the limit is read."""
+
+
+NEVER = 1e-300
+"""Added to what may be zero."""
 
 
 def weights(m: int) -> dict[int, float]:
@@ -128,3 +147,10 @@ def with_pole(values: dict[int, NDArray]) -> tuple[NDArray, bool]:
 def tangential(C: Array, alpha: Array, solve: Callable[[Array], Array], d: Array) -> Array:
     """The part of a displacement d (n,) that keeps the constraints; the rest is orthogonal to it in the metric of M."""
     return d - solve(C.T @ (alpha @ (C @ d)))
+
+
+def along(M: Array, heavy: Array, way: Array, d: Array) -> Array:
+    """How far to go along a way (n,), over it, where a displacement d (n,) is orthogonal to it in the metric of M and
+    not in that of M with the masses `heavy` (n,)."""
+    given = way * heavy
+    return (given.T @ d) / (way.T @ (M @ way) + given.T @ way + NEVER)

@@ -118,12 +118,16 @@ class Equations:
     """Monitors that are left out."""
     order: list[int] = field(default_factory=list)
     """Order of the coordinates in which the augmented mass fills in least when it is factorised."""
+    telling: list[int] = field(default_factory=list)
+    """Coordinates that a start gives by themselves, and that tell the motion."""
     freedom: int | None = None
     """Degrees of freedom at regular positions; None where they are not known before a run."""
     shared: list[str] | None = None
     """Outputs that are not unique, as redundant constraints share a load; None where that is not known yet."""
     brakes: bool = False
     """Whether redundant constraints become independent beside the motion, and so would stop it (`Oracle.hold`)."""
+    uneven: bool = False
+    """Whether constraints are in different units (`alfmu.scaling`), so that each has a penalty of its own."""
     compliances: list[Variable] = field(default_factory=list)
     """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
     switches: list[Switch] = field(default_factory=list)
@@ -150,6 +154,11 @@ class Equations:
     def l(self) -> int:  # noqa: E743 - the paper's letter
         """Number of constraints."""
         return len(self.rows)
+
+    @property
+    def turns(self) -> bool:
+        """Whether there are Euler parameters, of which each by turns hardly tells the motion."""
+        return any(c.unit == "1" for c in self.coordinates)
 
     def __getattr__(self, name: str) -> ca.Function:
         functions = self.__dict__.get("functions", {})

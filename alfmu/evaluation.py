@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import accumulate, pairwise
 
@@ -102,20 +103,26 @@ def evaluable(equations: Equations) -> Equations:
         dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
         functions[name] = shared(name, arguments, dense)
     pattern = ca.SX(M.sparsity(), 1) + ca.SX(C.T.sparsity(), 1) @ ca.SX(C.sparsity(), 1)  # of H
-    return with_functions(replace(e, order=elimination(pattern.sparsity())), functions)
+    ties = e.ties_matrix.sparsity_out(0).T
+    given = [column for begin, end in pairwise(ties.colind()) if end - begin == 1 for column in ties.row()[begin:end]]
+    return with_functions(replace(e, order=elimination(pattern.sparsity(), given), telling=given), functions)
 
 
-def elimination(pattern: ca.Sparsity) -> list[int]:
+def elimination(pattern: ca.Sparsity, telling: Sequence[int] = ()) -> list[int]:
     """The order in which coordinates are eliminated from H: one that fills L little.
 
-    Of many coordinates the order is that of their declaration where it takes hardly more work: what repeats in a
-    mechanism is then eliminated alike, and compiled as a loop.
+    Coordinates that tell the motion come last where that takes no more work: their pivots are those of masses then,
+    and no other is small but at a singular position. Of many coordinates the order is that of their declaration where
+    it takes hardly more work: what repeats in a mechanism is then eliminated alike, and compiled as a loop.
     """
     factor, order = pattern.ldl(True)
     if pattern.size1() >= MANY:
         declared, plain = pattern.ldl(False)
         if _work(declared) <= MORE * _work(factor):
             return list(plain)
+    told = sorted(order, key=lambda i: i in telling)
+    if _work(ca.DM(pattern, 1)[told, told].sparsity().ldl(False)[0]) <= _work(factor):
+        return told
     return list(order)
 
 

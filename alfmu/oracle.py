@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +63,9 @@ _REGULAR = 1e-3
 
 _LONGER = 20
 """Most doublings of a spacing that is too short."""
+
+_PATIENT = 4
+"""Factor to the most multiplier iterations where the motion may end at a singular position."""
 
 
 @dataclass(frozen=True)
@@ -177,8 +181,8 @@ class Oracle:
         self.counters = Counters()
         self.units = np.ones(equations.l)
         self.compliances = np.zeros(equations.l)
-        self.freedom, self.masses, self.scales = equations.n, 0.0, np.ones(equations.n)
-        self.rank, self.brakes = 0, False
+        self.freedom, self.masses, self.scales = equations.n, -math.inf, np.ones(equations.n)
+        self.regular, self.rank, self.brakes = 0.0, 0, False
 
     def prepare(self, settings: Settings, p: NDArray, q: NDArray) -> None:
         """Begin a run: settings and parameters fixed, the penalty scaled with the masses at q (n,) if left open."""
@@ -193,15 +197,22 @@ class Oracle:
 
     def _scaled(self, q: NDArray) -> tuple[NDArray, NDArray]:
         """Default penalties and units of the rows, as they are at q (n,) and where angles are turned."""
-        metres = np.array([c.unit == "m" for c in self.equations.coordinates])
+        units = [c.unit for c in self.equations.coordinates]
+        metres, angles = (np.array([unit == one for unit in units]) for one in ("m", "rad"))
         turn = np.random.default_rng(0).standard_normal(len(q)) * np.where(metres, _LITTLE, 1.0)
         M, C, _, _ = self._constraints(q, np.zeros_like(q), self.p)
         masses, (row, column) = M.diagonal().copy(), _places(C)
-        entries = []
-        for k in (0.0, *ASIDE):
-            C = self._constraints(q + k * turn, np.zeros_like(q), self.p)[1]
-            entries.append(_entries(C).ravel().copy())
-        return scaled(masses, np.array(entries), row, column, self.equations.l, metres)
+
+        def entries(place: NDArray) -> NDArray:
+            return _entries(self._constraints(place, np.zeros_like(q), self.p)[1]).ravel().copy()
+
+        places = [q + k * turn for k in (0.0, *ASIDE)]
+        found = np.array([entries(place) for place in places])
+        turned = np.zeros_like(found)
+        for i in () if self.sparse else np.flatnonzero(angles):
+            quarter, own = np.pi / 2 * (np.arange(len(q)) == i), column == i
+            turned[:, own] = [entries(place + quarter)[own] for place in places]
+        return scaled(masses, found, turned, row, column, self.equations.l, metres, angles)
 
     @property
     def penalty(self) -> NDArray:
@@ -226,8 +237,13 @@ class Oracle:
         """Rq, Rv, Xq, Xv, Rt (`alfmu.evaluation.with_tangents`); overwritten by the next call."""
         return self._tangents(q, v, a, lam, u, self.p, t)
 
-    def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> tuple[NDArray, NDArray, int, NDArray]:
-        """a (n,), lam (l,), the multiplier iterations used, and Phi-ddot (l,) that is left."""
+    def accelerations(
+        self, q: NDArray, v: NDArray, u: NDArray, t: float, patience: int = 1
+    ) -> tuple[NDArray, NDArray, int, NDArray]:
+        """a (n,), lam (l,), the multiplier iterations used, and Phi-ddot (l,) that is left.
+
+        `patience` times as many iterations as usual may be made.
+        """
         M, C, F, xi = self._dynamics(q, v, u, self.p, t)
         self.counters.evaluations += 1
         kind, alpha = self.settings.formulation, self.alpha
@@ -235,7 +251,7 @@ class Oracle:
             raise StepError(self._say(t, "the equations of motion are not finite", "reduce solver.step_size"))
         if kind in ("residual", "classic"):
             iterate = method.residual if kind == "residual" else method.classic
-            a, lam, used, converged = self._iterated(iterate, M, F, C, xi, t)
+            a, lam, used, converged = self._iterated(iterate, M, F, C, xi, t, patience)
             self.counters.multiplier_iterations += used
             self.counters.unconverged += not converged
         else:
@@ -261,6 +277,7 @@ class Oracle:
         A pivot of H is judged by the largest diagonal entry that its coordinate has at q and beside it. Coordinates
         that no constraint holds are left out: their pivots are masses beside masses, and not small.
         """
+        self.masses = -math.inf  # not known yet
         M, C, _, _ = self._constraints(q, v, self.p)
         way = v.copy()
         if not way.any():
@@ -280,20 +297,23 @@ class Oracle:
         self.freedom = freedom - int((held == 0).sum())
         self.rank = len(q) - freedom
         self.brakes = any(self._brakes(place, way) for place in places)
-        pivots = [np.sort(self._pivots(place))[: max(self.freedom, 0)] for place in places]
+        everything = [np.sort(self._pivots(place)) for place in places]
+        pivots = [r[: max(self.freedom, 0)] for r in everything]
         # Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller.
         found = np.sort([np.log(np.maximum(r, 1e-300)).sum() for r in pivots])
         self.masses = float(np.median(found[found <= found[min(1, len(found) - 1)] + _FAR]))
+        together = [np.log(np.maximum(r, 1e-300)).sum() for r in everything]
+        self.regular = float(np.median(together)) + math.log(branch.FAR)
 
     @property
     def known(self) -> NDArray:
         """What `know` found, as numbers to be saved and restored."""
-        return np.array([self.freedom, self.masses, self.rank, self.brakes, *self.scales], float)
+        return np.array([self.freedom, self.masses, self.regular, self.rank, self.brakes, *self.scales], float)
 
     @known.setter
     def known(self, numbers: NDArray) -> None:
-        freedom, self.masses, rank, brakes = map(float, numbers[:4])
-        self.freedom, self.rank, self.brakes, self.scales = int(freedom), int(rank), bool(brakes), numbers[4:].copy()
+        freedom, self.masses, self.regular, rank, brakes = map(float, numbers[:5])
+        self.freedom, self.rank, self.brakes, self.scales = int(freedom), int(rank), bool(brakes), numbers[5:].copy()
 
     def _brakes(self, q: NDArray, way: NDArray) -> bool:
         """Whether constraints that are redundant at q become independent beside the motion, and so would stop it.
@@ -332,6 +352,14 @@ class Oracle:
         return math.exp(self.masses / self.freedom) if self.freedom > 0 else 0.0
 
     @property
+    def heavy(self) -> NDArray:
+        """Masses (n,) that telling coordinates are given: see `alfmu.branch.HEAVY`."""
+        masses = np.zeros_like(self.scales)
+        telling = self.equations.telling
+        masses[telling] = branch.HEAVY * self.pivot_of_mass * self.scales[telling]
+        return masses
+
+    @property
     def least_distance(self) -> float:
         """Least distance of places from a singular position, where the multiplier iteration converges fast enough."""
         return max(branch.LEAST, branch.CONVERGING * self.pivot_of_mass**0.5)
@@ -345,17 +373,27 @@ class Oracle:
         """How far q (n,) is from a singular position: see `alfmu.branch.GUARD`."""
         pivots = self._pivots(q)
         small = pivots[pivots < branch.SMALL]
+        if self._regular(pivots):
+            return 1.0
         more = len(small) - self.freedom
         if more <= 0:
             return 1.0
-        return math.exp((np.log(np.maximum(small, 1e-300)).sum() - self.masses) / more)
+        return math.exp(min((np.log(np.maximum(small, 1e-300)).sum() - self.masses) / more, 0.0))
 
     def near(self, q: NDArray) -> bool:
         """Whether the margin at q may be below the guard: more pivots are than there are degrees of freedom."""
-        return int((self._pivots(q) < branch.GUARD).sum()) > self.freedom
+        pivots = self._pivots(q)
+        several = int((pivots < branch.GUARD).sum()) > self.freedom
+        return several and not self._regular(pivots)
+
+    def _regular(self, pivots: NDArray) -> bool:
+        """Whether a position is known to be regular by all pivots together: see `alfmu.branch.FAR`."""
+        return (
+            self.equations.turns and not self.sparse and float(np.log(np.maximum(pivots, 1e-300)).sum()) >= self.regular
+        )
 
     def on_branch(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
-        """q and v nearby that keep the constraints: q displaced across the motion alone, v by (10).
+        """q and v nearby that keep the constraints: displaced across the motion alone, v then by (10).
 
         The motion through the places so found is smooth up to the singular position itself.
         """
@@ -364,7 +402,10 @@ class Oracle:
             near = self._closer(near, v)
         M, C, _, _ = self._constraints(near, v, self.p)
         solve = self.factor(method.augmented_mass(M, C, self.alpha), 0.0)
-        near = self._closer(near + branch.tangential(C, self.alpha, solve, q - near), v)
+        way, d = (branch.tangential(C, self.alpha, solve, x) for x in (v, q - near))
+        near = near + d + way * branch.along(M, self.heavy, way, q - near - d)
+        v = way + way * branch.along(M, self.heavy, way, v - way)
+        near = self._closer(near, v)
         M, C, _, _ = self._constraints(near, v, self.p)
         solve = self.factor(method.augmented_mass(M, C, self.alpha), 0.0)
         for _ in range(2):
@@ -381,12 +422,18 @@ class Oracle:
     ) -> tuple[NDArray, NDArray, int, NDArray]:
         """What `accelerations` returns, at the place of the branch nearest to q; its limit near a singular position.
 
-        `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow.
+        `spacing` [s] of the places from which a limit is taken, along v; longer where the motion is slow, and shorter
+        where it is fast. Where the motion does not reach them, accelerations are taken as they are, as long as the
+        iteration converges.
         """
         here, rate, spacing = self.approach(q, v, spacing)
-        if not (rate > 0 and here < branch.ZONE * max(rate, self.least_distance)):
+        wanted = max(min(rate, branch.MOST), self.least_distance)
+        if not (rate > 0 and here < branch.ZONE * wanted):
             return self.accelerations(*self.reached(q, v, t), u, t)
-        _, found = self._beside(q, v, u, t, spacing * max(1.0, self.least_distance / rate), branch.MEAN)
+        try:
+            _, found = self._beside(q, v, u, t, spacing * wanted / rate, branch.MEAN)
+        except OpenError:
+            return self._at_last(q, v, u, t)
         a, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 3))
         return a, branch.mean({k: x[1] for k, x in found.items()}), max(x[2] for x in found.values()), left
 
@@ -402,14 +449,23 @@ class Oracle:
             _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
             if rate > 0:
                 spacing *= branch.READ_DISTANCE / rate
-                places, found = self._beside(q, v, u, t, spacing, branch.READ_MEAN)
-                a = branch.mean({k: x[0] for k, x in found.items()})
-                # At the position itself more multipliers act alike than on the branch.
-                lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1], t) for k, x in found.items()})
-                _, C, _, xi = self._dynamics(q, v, u, self.p, t)
-                return a, lam, max(x[2] for x in found.values()), C @ a - xi, 1 + pole
+                with suppress(OpenError):  # The motion may end before the places: then as it is here.
+                    places, found = self._beside(q, v, u, t, spacing, branch.READ_MEAN)
+                    a = branch.mean({k: x[0] for k, x in found.items()})
+                    # At the position itself more multipliers act alike than on the branch.
+                    lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1], t) for k, x in found.items()})
+                    _, C, _, xi = self._dynamics(q, v, u, self.p, t)
+                    return a, lam, max(x[2] for x in found.values()), C @ a - xi, 1 + pole
         a, lam, used, left = self.accelerations(q, v, u, t)
         return a, self.minimum_norm(q, v, lam, t) if self.settings.projects else lam, used, left, 0
+
+    def _at_last(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> tuple[NDArray, NDArray, int, NDArray]:
+        """What `accelerations` returns where the motion may end ahead; OpenError where it does not converge."""
+        unconverged = self.counters.unconverged
+        found = self.accelerations(*self.reached(q, v, t), u, t, _PATIENT)
+        if self.counters.unconverged > unconverged:
+            raise OpenError(self._say(t, "the multiplier iteration does not converge", "reduce solver.step_size"))
+        return found
 
     def approach(self, q: NDArray, v: NDArray, spacing: float) -> tuple[float, float, float]:
         """Distance to a singular position, how much of it one spacing [s] makes, and a spacing that can tell."""
@@ -473,7 +529,7 @@ class Oracle:
         return v + dv, -self.minimum_norm(q, v, impulses, t), float(dv @ (M @ dv)) / 2
 
     def _iterated(
-        self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, t: float
+        self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, t: float, patience: int = 1
     ) -> tuple[NDArray, NDArray, int, bool]:
         """(8), classic or residual, until the change is within the tolerance of the accelerations it changes."""
         solve = self.factor(method.augmented_mass(M, C, self.alpha), t)
@@ -484,7 +540,7 @@ class Oracle:
             return np.abs(da).max() <= limit * max(np.abs(a).max(), scale)
 
         zeros = np.zeros_like(F), np.zeros_like(xi)
-        return iterate(M, F, C, xi, self.alpha, solve, *zeros, self.settings.max_iterations, done)
+        return iterate(M, F, C, xi, self.alpha, solve, *zeros, patience * self.settings.max_iterations, done)
 
     def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray, t: float) -> NDArray:
         """Multipliers that act like lam (l,): of least norm, or as constraints of the given compliances share them."""
@@ -508,17 +564,20 @@ class Oracle:
             return self.active * self.compliances.min() / self.compliances
         return self._penalty / self._penalty.max(initial=1e-300)
 
-    def project(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray, float, float]:
+    def project(self, q: NDArray, v: NDArray, t: float, near: bool = False) -> tuple[NDArray, NDArray, float, float]:
         """q and v brought back to the constraints with (10), and the largest |Phi| and |Phi-dot| left.
 
-        Near a singular position the corrections gain little in the direction that the constraints hardly hold; what is
-        left above the tolerance is counted. Raises StepError where more than `GROSS` is left.
+        Near a singular position the corrections gain little in the direction that the constraints hardly hold, which
+        magnifies what is left open, so that one more is made; what is left above the tolerance is counted. Raises
+        StepError where more than `GROSS` is left.
         """
         q, v, c = q.copy(), v.copy(), self.counters
         M, C, Phi, Cv = self._constraints(q, v, self.p)
         for _ in range(CORRECTIONS):
             if self._closed(Phi, C, q):
-                break
+                if not near:
+                    break
+                near = False
             q += method.project(C, self.alpha, self.factor(method.augmented_mass(M, C, self.alpha), t), Phi)  # (10)
             M, C, Phi, Cv = self._constraints(q, v, self.p)
             c.projection_iterations += 1

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .assembly import Assembly, Mobility
-from .branch import BRANCHES, GUARD, MEAN, SPACING
+from .branch import BRANCHES, MEAN, SPACING
 from .equations import Equations, Variable
 from .errors import AlfmuError, InputError, OpenError, StepError
 from .inputs import Past
@@ -177,7 +177,7 @@ class Instance:
         instant = e.kernel.get("instant", {"calls": []})
         evaluated = any(name.endswith("_evaluate") for name in called(instant["calls"]))
         self._iterations_read = instant["iterations"] if evaluated else 0
-        self._fast = self._direct = self._covers = self._whole = self._scaled = self._pending = False
+        self._fast = self._direct = self._covers = self._whole = self._scaled = self._pending = self._near = False
         self.initialized = self._known = False
 
     # State -------------------------------------------------------------------------------------------------------
@@ -336,12 +336,14 @@ class Instance:
             and (self.equations.brakes or not oracle.brakes)
             and settings.max_iterations >= programs["careful"]["iterations"]
             and (not len(alpha) or alpha.max() > 0)
+            and ("branch" in programs or not self._continues)
         )
         if self._fast:
             largest = alpha.max(initial=1e-300)
             memory["p"][:] = oracle.p
             memory["dt"][:] = settings.step_size
-            watched = oracle.freedom, oracle.masses, oracle.nothing, oracle.least_distance, self._continues
+            freedoms = oracle.freedom, oracle.masses, math.exp(oracle.regular)
+            watched = *freedoms, oracle.nothing, oracle.least_distance, self._continues
             control = (self._adaptive.relative, self._adaptive.absolute) if self._adaptive else (0.0, 0.0)
             first = largest if len(alpha) else 1.0, settings.tolerance, *watched, *control
             shares = oracle.stiffnesses if self.equations.compliances else ()
@@ -530,7 +532,7 @@ class Instance:
         try:
             self._follow(start, dt)
         except OpenError as error:
-            if not (self._continues and self.oracle.margin(self.q) < GUARD):
+            if not self._near:
                 raise
             self._subdivided(start, dt, error)
 
@@ -559,13 +561,12 @@ class Instance:
         e, oracle, u, c = self.equations, self.oracle, self.inputs, self.oracle.counters
         size = e.n
         known = self._accelerations if self._known and start == self.time else None
-        near = False
+        self._near = False
 
         def rate(t: float, y: NDArray) -> NDArray:
-            nonlocal near
             q, v = y[:size], y[size : 2 * size]
             if self._continues:
-                near = near or oracle.near(q)
+                self._near = self._near or oracle.near(q)
             a = known
             if a is None or t != start:
                 a, _, _, _ = oracle.accelerations(q, v, self._extrapolated(t), t)
@@ -585,7 +586,7 @@ class Instance:
         begin = np.concatenate([self.q, self.v, [self.work]])
         unconverged = c.unconverged
         y = rk4(rate, start, begin, dt)
-        if near:
+        if self._near:
             c.unconverged = unconverged
             y = rk4(rate_on_branch, start, begin, dt)
         q, v = y[:size], y[size : 2 * size]
@@ -593,7 +594,7 @@ class Instance:
             raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
         if oracle.settings.projects:
             self._check_length(q - begin[:size], q, t)
-            q, v, position, velocity = oracle.project(q, v, t)
+            q, v, position, velocity = oracle.project(q, v, t, self._near)
         else:
             position, velocity = oracle.residues(q, v)
         c.steps += 1

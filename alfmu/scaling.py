@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,31 +13,59 @@ PENALTY_RATIO = 1e8
 """Default penalty over the largest mass that constraints hold: far from round-off at either end in residual form."""
 
 _ALIKE = 10.0
-"""Units within this factor of 1, or of each other, serve as well as one, which costs less."""
+"""Units that are not known, within this factor of 1, or of each other, serve as well as one, which costs less."""
+
+_SAME = 1e-11
+"""Relative difference of numbers that differ by round-off alone."""
 
 _SMALL = 1e-3
 """Size of a column, over that of the largest, below which its coordinate is hardly held at the places seen."""
 
 
 def scaled(
-    masses: NDArray, entries: NDArray, row: NDArray, column: NDArray, rows: int, metres: NDArray
+    masses: NDArray,
+    entries: NDArray,
+    turned: NDArray,
+    row: NDArray,
+    column: NDArray,
+    rows: int,
+    metres: NDArray,
+    angles: NDArray,
 ) -> tuple[NDArray, NDArray]:
     """Penalties and units (rows,) of constraints, so that a row in other units leaves the motion as it is.
 
-    `masses` (n,) is the diagonal of M, `entries` (places, m) are those of C at several places, in `row` and `column`
-    (m,); `metres` (n,) tells which coordinates are lengths. The unit of a row is what it comes to for a unit of
-    displacement, 1 where rows are in metres and radians, 1000 where one is in millimetres: its constant coefficient of
-    lengths, or its largest coefficient where it has none. The penalty is PENALTY_RATIO times the largest mass that the
-    rows hold, over the square of the unit.
+    `masses` (n,) is the diagonal of M, `entries` (places, m) are those of C at several places, the start first, in
+    `row` and `column` (m,); `turned` (places, m) are the same with the angle of each column turned by a quarter;
+    `metres` and `angles` (n,) tell which coordinates are lengths or angles, others being Euler parameters. The unit of
+    a row is what it comes to for a unit of displacement, 1 where rows are in metres and radians, 1000 where one is in
+    millimetres. That is its constant coefficient, of lengths if it has them; otherwise what its lengths come to
+    together, or the constant amplitude of an angle; if each row has such an amplitude, and some have no constant, the
+    former is taken for all. Of others it is not known but by the size of their coefficients. The penalty is
+    PENALTY_RATIO times the largest mass that the rows hold, over the square of the unit.
     """
-    sizes = np.abs(entries)
+    sizes, amplitudes, length, angle = np.abs(entries), np.hypot(entries, turned), metres[column], angles[column]
     largest = sizes.max(axis=0)
-    constant = metres[column] & (largest - sizes.min(axis=0) <= 1e-12 * largest)
-    given = _largest(np.where(constant, largest, 0.0), row, rows)
-    exact = given > 0
-    units = np.where(exact, given, _largest(largest, row, rows))
+    there = largest > 0
+
+    def together(some: NDArray) -> NDArray:
+        squares = np.bincount(row, np.where(some, entries[0], 0.0) ** 2, rows)
+        return np.sqrt(squares / np.maximum(np.bincount(row, some & there, rows), 1))
+
+    with_lengths = np.bincount(row, length & there, rows)[row] > 0
+    constant = np.where(_alike(sizes) & (length | ~with_lengths), largest, 0.0)
+    exact = _largest(constant, row, rows)
+    angular = _largest(np.where(angle & _alike(amplitudes), amplitudes[0], 0.0), row, rows)
+    units, known = _largest(largest, row, rows), np.zeros(rows, bool)
+    euler, lengths = together(~length & ~angle), math.sqrt(2) * together(length)
+    for better in (angular, euler, lengths, exact):
+        units = np.where(better > 0, better, units)
+        known |= (better > 0) & (better is not euler)
+    if angular.all() and not exact.all():
+        units = angular
     units[units == 0] = 1.0
-    if not exact.all() and units.max(initial=1.0) <= _ALIKE * units.min(initial=1.0):
+    if rows and _alike(units[:, None]).all():
+        units[:] = units.max()
+    if not known.all() and units.max() <= _ALIKE * units.min():
         units[:] = np.exp(np.log(units).mean())
         if 1 / _ALIKE < units[0] < _ALIKE:
             units[:] = 1.0
@@ -43,6 +73,11 @@ def scaled(
     known = held > _SMALL * held.max(initial=0.0)
     heaviest = (masses[known] / np.where(metres, 1.0, held)[known] ** 2).max(initial=0.0)
     return PENALTY_RATIO * max(heaviest, 1e-300) / units**2, units
+
+
+def _alike(values: NDArray) -> NDArray:
+    """Which columns of values (k, m), none below zero, hold one number."""
+    return np.ptp(values, axis=0) <= _SAME * values.max(axis=0)
 
 
 def _largest(values: NDArray, place: NDArray, size: int) -> NDArray:

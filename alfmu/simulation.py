@@ -271,7 +271,9 @@ def _surveyed(equations: Equations, probe: Instance | None) -> Equations:
     shared = probe.shared()
     note = "; not unique: of all that redundant constraints allow, that of least norm"
     outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
-    return replace(equations, outputs=outputs, shared=shared, brakes=probe.oracle.brakes)
+    oracle = probe.oracle
+    uneven = len(set(oracle.units)) > 1
+    return replace(equations, outputs=outputs, shared=shared, brakes=oracle.brakes, uneven=uneven)
 
 
 def _traced(equations: Equations, probe: Instance | None) -> Equations:

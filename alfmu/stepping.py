@@ -419,7 +419,7 @@ PROPORTIONAL = 0.4
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 """Of a step over the one before."""
 
-LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-4
+LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-2
 """Errors over the tolerance below which one counts no more, as this error and as the one before."""
 
 Where = Callable[[Any, Any, Any], Any]

@@ -46,6 +46,7 @@ ALLOWED: dict[str, set[str]] = {
         "integrators",
         "kernel.program",
         "method",
+        "oracle",
     },
     "kernel.controlled": {"adaptive", "implicit", "kernel.program", "kernel.trace", "method", "oracle", "stepping"},
     "kernel.stream": {"errors"},

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from fmpy import read_model_description
-from scenes import derived
+from scenes import derived, started
 
 import alfmu
 from alfmu.evaluation import ARGUMENTS, evaluable, shared, symbols
@@ -59,13 +59,17 @@ CASES = {
 
 @pytest.mark.parametrize("kernel", ["oracle", "vm"])
 @pytest.mark.parametrize(
-    ("name", "start"),
-    [("slider_crank", {}), ("four_bar", {"start.angle": 0.4}), ("five_bar", {"start.angle": 0.4})],
+    ("name", "coordinates"),
+    [
+        *(("slider_crank", coordinates) for coordinates in ("absolute", "joint", "mixed", "natural")),
+        *((name, coordinates) for name in ("four_bar", "five_bar") for coordinates in ("mixed", "joint")),
+    ],
 )
-def test_rows_repeated_permuted_and_in_other_units_leave_the_motion_alone(name, start, kernel):
-    """Coordinates within 1e-12 over 1 s at 0.005 s (oracle: 0.25 s)."""
-    e = derived(name)
-    start = {**start, "solver.step_size": 0.005}
+def test_rows_repeated_permuted_and_in_other_units_leave_the_motion_alone(name, coordinates, kernel):
+    """Coordinates within 1e-12 over 1 s at 0.005 s, through a singular position of four-bar and five-bar."""
+    e = derived(name, coordinates=coordinates)
+    start = {} if name == "slider_crank" else {"start.angle": 0.4}
+    start["solver.step_size"] = 0.005
     expected = motion(e, kernel, start)
     for case, rewrite in CASES.items():
         got = motion(rewritten(e, *rewrite(e.l)), kernel, start)
@@ -74,6 +78,26 @@ def test_rows_repeated_permuted_and_in_other_units_leave_the_motion_alone(name, 
         # Reactions of least norm are of the same constraints, in any units; written twice they share alike.
         reactions = np.abs(np.subtract(got[::50], expected[::50])).max() / np.abs(expected[::50]).max()
         assert reactions <= 1e-9, (case, reactions)
+
+
+@pytest.mark.parametrize(
+    ("name", "coordinates", "unit"),
+    [
+        *(("slider_crank", coordinates, 1.0) for coordinates in ("absolute", "mixed")),
+        ("slider_crank", "joint", 0.8),  # the length of the rod, which turns alone
+        *((name, coordinates, 1.0) for name in ("four_bar", "five_bar") for coordinates in ("mixed", "joint")),
+        ("n_four_bar", "natural", 1.0),
+    ],
+)
+def test_the_unit_of_a_row_is_known(name, coordinates, unit):
+    """One for all rows, which so cost nothing; that of a row written in another unit follows it to 1e-11."""
+    e = derived(name, coordinates=coordinates)
+    given = {"l2": 0.8} if name == "slider_crank" else {}
+    units = started(prepared(e), given).oracle.units
+    assert units == pytest.approx(unit, rel=1e-11)
+    assert len(set(units)) == 1
+    other = started(prepared(rewritten(e, MILLI[: e.l], list(range(e.l)))), given).oracle.units
+    assert other == pytest.approx(MILLI[: e.l] * units, rel=1e-11)
 
 
 def test_descriptions_say_which_reactions_are_unique(exported):

@@ -17,7 +17,7 @@ from scenes import derived, readings, started
 import alfmu
 from alfmu.fmi.drive import Fmu
 from alfmu.integrators import rk4
-from alfmu.simulation import prepared, run
+from alfmu.simulation import prepared, run, with_defaults
 
 STEPS = (0.02, 0.01, 0.005)
 TORQUE = 4.0
@@ -140,13 +140,91 @@ def test_through_an_fmu(tmp_path):
         assert result["monitor.distance"].min() <= 1e-3
 
 
+@pytest.mark.parametrize("kernel", ["vm", "compiled"])
+def test_a_scene_that_follows_the_paper_carries_no_branch(kernel):
+    """Asked for the branch nevertheless, it is run by the oracle, to the same numbers nearly."""
+    lean = prepared(with_defaults(derived("four_bar"), {"solver.branch": "paper"}), kernel)
+    assert set(lean.kernel) == {"quick", "careful", "instant"}
+    for way, bound in (("paper", 0.0), ("continue", 1e-12)):
+        angles = []
+        for equations in (lean, scene("four_bar", kernel)):
+            i = started(equations, {"solver.branch": way, "A.torque": TORQUE})
+            i.step(1.0)
+            angles.append(i.q[0])
+        assert abs(angles[0] - angles[1]) <= bound
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_masses_penalties_inputs_and_redundancy_change_nothing_in_an_fmu(exported, case):
+    """What `errors` measures in the library, through fmpy, at two steps; the same last angle."""
+    name, linkage, parameters, torques = CASES[case]
+    for h in (STEPS[0], STEPS[-1]):
+        n = round(5.0 / h)
+        both = exact_and_rk4(linkage, 0.0, 2.0, lambda t: sum(x(t) for x in torques.values()), h, n)
+        angles = [0.0]
+        with Fmu(exported(name)) as fmu:
+            for variable, value in {**parameters, "solver.step_size": h}.items():
+                fmu.set(variable, value)
+            for variable, torque in torques.items():
+                fmu.set(variable, torque(0.0))
+            fmu.initialize()
+            for k in range(n):
+                for variable, torque in torques.items():
+                    fmu.set(variable, torque(k * h))
+                fmu.step(h, k * h)
+                angles.append(value_of(fmu, "link1.angle"))
+        own, best = (np.abs(x - both[:, 0]).max() for x in (np.array(angles), both[:, 1]))
+        assert own <= 2.0 * best
+    i = alfmu.Instance(scene(name, "vm"))
+    for variable, value in {**parameters, "solver.step_size": h}.items():
+        i.set(variable, value)
+    i.initialize()
+    for k in range(n):
+        for variable, torque in torques.items():
+            i.set(variable, torque(k * h))
+        i.step(h, k * h)
+    assert angles[-1] == i.get("link1.angle")
+
+
+def value_of(fmu: Fmu, name: str) -> float:
+    return fmu.read()[[v.name for v in fmu.outputs].index(name)]
+
+
+HARD = {
+    "N-four-bar": ("n_four_bar", {"loops": 2, "coordinates": "natural"}, {}, 0.00125),
+    **{
+        f"equal links, {coordinates}": (
+            "slider_crank",
+            {"coordinates": coordinates},
+            {"l1": 0.5, "l2": 0.5, "start.angle": np.pi / 4},
+            0.00125,
+        )
+        for coordinates in ("absolute", "joint", "mixed", "natural")
+    },
+    **{
+        f"phase {th}": ("four_bar", {"coordinates": "joint"}, {"start.angle": th, "A.torque": torque}, 0.02)
+        for th, torque in ((-0.214, 4.0), (0.947, 8.0), (2.873, -3.0))
+    },
+}
+
+
+@pytest.mark.parametrize("case", HARD)
+def test_hard_scenes_are_the_same_through_an_fmu(exported, case):
+    """All outputs to the last bit over 1 s, in which each passes a singular position."""
+    name, options, given, h = HARD[case]
+    own = alfmu.simulate(derived(name, **options), 1.0, 0.02, parameters={"solver.step_size": h, **given})
+    with Fmu(exported(name, **{key: str(value) for key, value in options.items()})) as fmu:
+        result = run(fmu, 1.0, 0.02, parameters={"solver.step_size": h, **given})
+    assert own["monitor.distance"].min() <= 0.2
+    assert np.array_equal(result.values, own.values)
+
+
 @pytest.mark.parametrize("coordinates", ["mixed", "joint"])
 def test_random_starting_phases(coordinates):
     """30 phases, several torques, 2.5 s at 0.02 s: no switch of branch; singular positions cost no more than others.
 
     In joint coordinates the parallelogram is a straight line, and the error is that of RK4 on the exact equation. In
-    mixed coordinates RK4 errs more in every step of the motion; what energy a step near a singular position loses is
-    compared with what regular steps lose: ten times as much at most.
+    mixed coordinates RK4 errs more in every step, as it does without any singular position: `plain_mixed`.
     """
     random, equations, ratios = np.random.default_rng(4), scene("four_bar", "compiled", coordinates), []
     for k in range(30):
@@ -156,26 +234,57 @@ def test_random_starting_phases(coordinates):
             i.set(name, value)
         i.initialize()
         both = exact_and_rk4(FOUR_BAR, th, w, lambda t, held=torque: held, 0.02, 125)
-        angles, lost, near = [th], [], []
+        angles = [th]
         for _ in range(125):
-            tally, before = i.memory["tally"].copy(), energy(i, torque)
             i.step(0.02)
             angles.append(i.q[0])
-            lost.append(abs(energy(i, torque) - before))
-            near.append(i.memory["tally"][0] == tally[0])
-        own, best = (float(np.abs(x - both[:, 0]).max()) for x in (np.array(angles), both[:, 1]))
+        by_rk4 = both[:, 1] if coordinates == "joint" else plain_mixed(th, w, torque, 0.02, 125)
+        own, best = (float(np.abs(x - both[:, 0]).max()) for x in (np.array(angles), by_rk4))
         ratios.append(own / best)
-        near = np.array(near)
-        if near.any():
-            assert max(np.array(lost)[near]) <= 10 * max(np.array(lost)[~near])
-    assert max(ratios) <= {"mixed": 30.0, "joint": 1.1}[coordinates]
-    assert np.median(ratios) <= {"mixed": 2.0, "joint": 1.01}[coordinates]
+    assert max(ratios) <= {"mixed": 1.25, "joint": 1.1}[coordinates]
+    assert np.median(ratios) <= 1.01
 
 
-def energy(i: alfmu.Instance, torque: float) -> float:
-    """Of the four-bar and its drive, from angle and speed alone."""
-    th, w = i.q[0], i.v[0]
-    return float(FOUR_BAR.inertia) * w**2 / 2 + float(FOUR_BAR.weight) * np.sin(th) - torque * th
+def plain_mixed(th: float, w: float, torque: float, step: float, steps: int) -> np.ndarray:
+    """Angles (steps + 1,) of the four-bar by RK4 in mixed coordinates, written out on the branch of the parallelogram.
+
+    There th1 = th3 = th and the coupler keeps its angle, so that accelerations follow from th and its rate alone; its
+    centre (x, y) is integrated beside them, and all are brought back to the circle in the metric of the masses.
+    """
+    inertia, weight = float(FOUR_BAR.inertia), float(FOUR_BAR.weight)
+
+    def rate(_, z):
+        th, _, _, w, vx, vy = z
+        turn, (s, c) = (torque - weight * np.cos(th)) / inertia, (np.sin(th), np.cos(th))
+        return np.array([w, vx, vy, turn, -s * turn - c * w**2, c * turn - s * w**2])
+
+    z, angles = np.array([th, np.cos(th), np.sin(th), w, -np.sin(th) * w, np.cos(th) * w]), [th]
+    for _ in range(steps):
+        th, x, y, w, vx, vy = rk4(rate, 0.0, z, step)
+        for _ in range(3):
+            s, c = np.sin(th), np.cos(th)
+            turn = (c * (y - s) - s * (x - c)) / inertia
+            th, x, y = th + turn, c - s * turn, s + c * turn
+        s, c = np.sin(th), np.cos(th)
+        w = ((inertia - 1) * w - s * vx + c * vy) / inertia
+        z = np.array([th, c, s, w, -s * w, c * w])
+        angles.append(th)
+    return np.array(angles)
+
+
+def test_a_step_too_long_for_a_singular_position_is_subdivided():
+    """A stage of 0.06 s at 30 rad/s finds no place on the branch; shorter steps go on, and nothing is lost by them."""
+    i = started(
+        scene("four_bar", "vm"), {"solver.step_size": 0.06, "start.angle": 1.1657946707540434, "A.torque": 20.0}
+    )
+    angles = [i.q[0]]
+    for k in range(41):
+        i.step(0.06, 0.06 * k)
+        angles.append(i.q[0])
+    assert i.counters.steps > 41
+    exact = exact_and_rk4(FOUR_BAR, angles[0], 2.0, lambda t: 20.0, 0.06, 41)[:, 0]
+    by_rk4 = plain_mixed(angles[0], 2.0, 20.0, 0.06, 41)
+    assert np.abs(np.array(angles) - exact).max() <= np.abs(by_rk4 - exact).max()
 
 
 @each_kernel

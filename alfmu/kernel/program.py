@@ -84,10 +84,11 @@ GROSS = 1e-6
 TURN = np.pi
 """Most that a coordinate in radians may turn in an internal step [rad]; beyond it no method sees what lies between."""
 
-SETTINGS = 9
+SETTINGS = 10
 """Numbers before the weights of the constraints in k: alpha, tolerance; degrees of freedom, logarithm of the product of
-the pivots that masses make, margin that is nothing, least distance of places beside a singular position, whether to
-continue on the branch there (`alfmu.branch`), relative and absolute tolerance of a step with error control."""
+the pivots that masses make, product of all pivots below which a position may be singular, margin that is nothing, least
+distance of places beside a singular position, whether to continue on the branch there (`alfmu.branch`), relative and
+absolute tolerance of a step with error control."""
 
 
 PACE = ("dt", "before", "refused", "fixed", "end", "last", "accepted")

@@ -29,6 +29,7 @@ from ..evaluation import DENSE, EVALUATED, shared, symbols, with_functions
 from ..implicit import Newmark
 from ..inputs import KEPT, extrapolated, memory_size, reached
 from ..integrators import rk4
+from ..oracle import Settings
 from .program import CHOICE, GROSS, SETTINGS, TIERS, TURN, Layout, Program, called
 
 __all__ = ["Calls", "Plan", "Scene", "Tracer", "Watch", "parts", "traced", "untraced"]
@@ -102,17 +103,19 @@ def traced(
     quick = careful
     if mobility and e.l and iterations < CAREFUL:
         # A large scene shares the functions of the careful step, which are long to trace and to compile.
-        quick = Plan(iterations, 1, quick=True, weighted=e.n > DENSE or bool(e.switches) or e.brakes)
+        weighted = e.n > DENSE or bool(e.switches) or e.brakes or e.uneven
+        quick = Plan(iterations, 1, quick=True, weighted=weighted)
     tracer = Tracer(e)
     kernel = {"quick": tracer.step(quick), "careful": tracer.step(careful)}
-    if e.l:
+    continues = e.l and e.solver.get("branch", Settings.branch) == Settings.branch
+    if continues:
         kernel["branch"] = tracer.step(replace(careful, branch=True))
     # Where redundant constraints would brake, what stands for their penalties is not the one that two iterations suit.
     kernel |= controlled(tracer, replace(careful if e.brakes else quick, corrections=2 * bool(e.l)))
     kernel["instant"] = tracer.instant(careful, redundant)
     if tracer.order:
         kernel["reach"] = tracer.reach()
-    if e.l and len(kernel["instant"]["calls"]) > 1:
+    if continues and len(kernel["instant"]["calls"]) > 1:
         kernel["limit"] = tracer.limit(careful, redundant)
     return replace(with_functions(e, tracer.functions), kernel=kernel, freedom=mobility.freedom if mobility else None)
 
@@ -384,10 +387,10 @@ class Tracer:
         _, _, p, k, _ = self.known.values()
         q, v, wanted = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("wanted", n)
         self.place(calls, scene, placed, "q0")
-        known = {"q0": q, place: wanted, "p": p, "k": k}
-        calls(f"{scene.kind}_return", known, lambda: {"q": scene.returned(q, wanted)}, ["q0"])
+        known = {"q0": q, place: wanted, velocity: v, "p": p, "k": k}
+        calls(f"{scene.kind}_return", known, lambda: scene.returned(q, wanted, v), ["q0", "v0"])
         self.place(calls, scene, "q0", "q0")
-        self.settle(calls, scene, plan, {"q0": q, velocity: v, "p": p, "k": k}, ["v0", "pivot", "left"])
+        self.settle(calls, scene, plan, {"q0": q, "v0": v, "p": p, "k": k}, ["v0", "pivot", "left"])
 
     def place(self, calls: Calls, scene: Scene, at: str, to: str) -> None:
         _, _, p, k, _ = self.known.values()
@@ -473,7 +476,8 @@ class Scene:
     def __init__(self, equations: Equations, weighted: bool, p: ca.SX, k: ca.SX):
         self.e, self.p, self.k, self.kind = equations, p, k, "weighted" if weighted else "plain"
         alpha, self.tolerance, *singular = ca.vertsplit(k[:SETTINGS])
-        self.freedom, self.masses, self.nothing, self.least_distance, self.continues, *control = singular
+        self.freedom, self.masses, self.regular, self.nothing, self.least_distance, *singular = singular
+        self.continues, *control = singular
         self.relative, self.absolute = control
         # Equation (4) divided by alpha, so that no product with it is left: M / alpha, F / alpha, lam / alpha.
         self.scale = 1 / alpha
@@ -533,18 +537,18 @@ class Scene:
         """Whether the margin may be below `alfmu.branch.GUARD`, and the margin."""
         ratios = pivots * self.inverse_scales[order]
         near = self.freedom < ca.sum1(ratios < branch.GUARD)
-        if self.kind == "plain":  # The quick step asks no more than whether it may go on.
+        if self.kind == "plain" and not self.e.turns:  # The quick step asks no more than whether it may go on.
             return near, ca.SX(1)
-        small = ratios < branch.SMALL
+        small, few = ratios < branch.SMALL, self.e.n <= DENSE
+        if self.e.turns and few:
+            irregular = _product(ratios) < self.regular
+            near, small = near * irregular, small * irregular
         more = ca.sum1(small) - self.freedom
-        if self.e.n <= DENSE:  # else the product could leave the range of numbers
-            product = ca.SX(1)
-            for each in ca.vertsplit(ca.if_else(small, ratios, 1)):
-                product *= each
-            logarithm = ca.log(product)
-        else:
-            logarithm = ca.sum1(ca.if_else(small, ca.log(ratios), 0))
-        return near, ca.if_else(more > 0, ca.exp((logarithm - self.masses) / more), 1)
+        # Of many, the product could leave the range of numbers.
+        logarithm = (
+            ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))
+        )
+        return near, ca.fmin(ca.if_else(more > 0, ca.exp((logarithm - self.masses) / more), 1), 1)
 
     def spacing(self, plan: Plan, v: ca.SX, dt: ca.SX) -> ca.SX:
         """Of places along v that tell a singular position [s]; steps of error control may be too short for it."""
@@ -557,10 +561,11 @@ class Scene:
         """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from; also q after
         a correction (10), most of which is known then."""
         here, rate = self._approach(q, v, spacing)
-        zone = ca.sqrt(here) < branch.ZONE * ca.fmax(rate, self.least_distance)
+        wanted = ca.fmax(ca.fmin(rate, branch.MOST), self.least_distance)
+        zone = ca.sqrt(here) < branch.ZONE * wanted
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         zone = ca.if_else(rate > 0, zone, here <= self.nothing)
-        spacing = spacing * ca.fmax(1, self.least_distance / rate)
+        spacing = spacing * wanted / rate
         return {"zone": zone, "spacing": spacing, "placed": self.placed(q)}
 
     def _approach(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -587,10 +592,15 @@ class Scene:
         watch = ca.vertcat(sum(x.change for x in seen), sum(x.size for x in seen), pivot, seen[0].near, seen[0].margin)
         return {"a": a, "watch": watch}
 
-    def returned(self, q: ca.SX, wanted: ca.SX) -> ca.SX:
-        """q displaced along the motion to the place that is nearest to the wanted one."""
+    def returned(self, q: ca.SX, wanted: ca.SX, v: ca.SX) -> dict[str, ca.SX]:
+        """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion."""
+        heavy, telling = ca.SX(self.e.n, 1), self.e.telling
+        heavy[telling] = branch.HEAVY / branch.NOTHING * self.nothing / self.inverse_scales[telling]
         C, _, solve = self._augmented(q)
-        return q + branch.tangential(C, self.weights, solve, wanted - q)
+        M = self.scale * self.e.M(q, self.p)
+        way, d = (branch.tangential(C, self.weights, solve, x) for x in (v, wanted - q))
+        q = q + d + way * branch.along(M, heavy, way, wanted - q - d)
+        return {"q": q, "v": way + way * branch.along(M, heavy, way, v - way)}
 
     def iterated(self, terms: tuple, factors: tuple, a: ca.SX, lam: ca.SX, most: int) -> tuple[ca.SX, ca.SX, ca.SX]:
         """a and lam after so many iterations, and the last change of a."""
@@ -860,9 +870,16 @@ class Scene:
         return {(row[i], column[i]): still[int(i)] for i in np.flatnonzero(same)}
 
 
+def _product(values: ca.SX) -> ca.SX:
+    product = ca.SX(1)
+    for each in ca.vertsplit(values):
+        product *= each
+    return product
+
+
 def _factors(e: Equations, H: ca.SX) -> tuple[ca.SX, ca.SX, list[int]]:
-    """D and L of the LDL' factorisation of H, and the order of the coordinates in it, which is that of `e`."""
-    return ca.ldl(H, e.order != list(range(e.n)))
+    """D and L of the LDL' factorisation of H, and the order of the coordinates in it."""
+    return *ca.ldl(H[e.order, e.order], False)[:2], e.order
 
 
 def _solver(D: ca.SX, L: ca.SX, order: list[int]) -> method.Solve:
