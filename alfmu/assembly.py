@@ -20,6 +20,8 @@ _ROUGH = 1e-9
 _MOST = 200
 _TURN = 0.3
 """Longest turn of a coordinate in one step [rad]."""
+_RANKED = 8
+"""Places around a position from which the rank of the constraints is told; two where there are many coordinates."""
 _TRIES = 32
 """Places around the guess from which a nearer assembly is looked for."""
 
@@ -160,7 +162,8 @@ class Assembly:
         random = np.random.default_rng(0)
         C = self._at(q, p, held)[0]
         sparse = not isinstance(C, np.ndarray)
-        places = 0.3 * random.standard_normal((2 if sparse else 8, e.n)) * max(1.0, np.abs(q).max()) / np.sqrt(e.n)
+        places = 0.3 * random.standard_normal((2 if sparse else _RANKED, e.n))
+        places *= max(1.0, np.abs(q).max()) / np.sqrt(e.n)
         units = np.ones(e.l)
         if not sparse:  # Rows in other units are as independent as before.
             largest = [np.abs(self._at(place, p, held)[0]).max(axis=1, initial=0.0) for place in (q, *(q + places))]

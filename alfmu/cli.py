@@ -71,9 +71,24 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
     _add_scene(sub)
 
-    sub = command("export", _export, "write the FMU (FMI 2.0, co-simulation) of a mechanism")
+    sub = command("export", _export, "write the FMU (co-simulation) of a mechanism")
     sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
+    sub.add_argument(
+        "--kind",
+        choices=("python", "native"),
+        default="python",
+        help="python, the default, runs in hosts that have Python; native is C and nothing else, for every host",
+    )
+    sub.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version of FMI; 3 for native FMUs alone")
+    sub.add_argument(
+        "--platform",
+        metavar="all|NAMES",
+        type=_names,
+        default=[],
+        help="what a native FMU is compiled for, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as "
+        "linux64,win64 (default: this platform); others than this one take ziglang (pip install ziglang)",
+    )
     _add_kernel(sub)
     sub.add_argument(
         "--no-portable",
@@ -298,10 +313,10 @@ def _range(texts: Sequence[str]) -> str:
 def _export(chosen: argparse.Namespace) -> None:
     from .fmi.export import export
 
-    kernel = chosen.kernel or DEFAULT
     given = {"parameters": dict(chosen.set), "outputs": chosen.outputs, "freeze": chosen.freeze}
     mechanism = _declared(chosen, chosen.mechanism)
-    path = export(mechanism, chosen.output, **given, kernel=kernel, portable=not chosen.no_portable)
+    form = {"fmi": chosen.fmi, "kernel": chosen.kernel, "portable": not chosen.no_portable}
+    path = export(mechanism, chosen.output, **given, **form, kind=chosen.kind, platforms=chosen.platform)
     print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 

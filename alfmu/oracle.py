@@ -58,6 +58,9 @@ _LITTLE = 1e-4
 _FAR = 2.0
 """Logarithm of a ratio of pivots that masses make, above which one is not typical."""
 
+COARSE = 1024.0
+"""Parts of 1 to which the logarithm of the product of pivots is kept."""
+
 _REGULAR = 1e-3
 """Smallest size of an independent combination of constraints, over the largest."""
 
@@ -301,7 +304,10 @@ class Oracle:
         pivots = [r[: max(self.freedom, 0)] for r in everything]
         # Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller.
         found = np.sort([np.log(np.maximum(r, 1e-300)).sum() for r in pivots])
-        self.masses = float(np.median(found[found <= found[min(1, len(found) - 1)] + _FAR]))
+        typical = float(np.median(found[found <= found[min(1, len(found) - 1)] + _FAR]))
+        # Coarse, as these are scales: the same bits however they are computed, and so the same limits.
+        self.masses = math.floor(typical * COARSE + 0.5) / COARSE
+        self.scales = self.scales.astype(np.float32).astype(float)
         together = [np.log(np.maximum(r, 1e-300)).sum() for r in everything]
         self.regular = float(np.median(together)) + math.log(branch.FAR)
 

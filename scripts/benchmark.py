@@ -10,8 +10,10 @@ from __future__ import annotations
 import math
 import os
 import statistics
+import subprocess
 import tempfile
 import time
+import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -25,6 +27,7 @@ from pathlib import Path
 from timeit import Timer
 
 import casadi as ca
+import fmpy
 import numpy as np
 from _report import Call, Laps, Target, in_turns, judged, parser, times, written
 from matplotlib.figure import Figure
@@ -33,6 +36,7 @@ from tqdm import tqdm
 
 import alfmu
 from alfmu.cost import cost, operations
+from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu
 from alfmu.kernel.fusion import program_function
 from alfmu.kernel.trace import parts
@@ -42,6 +46,8 @@ from alfmu.specialisation import specialised
 from alfmu.tables import Chapter, Row, environment, rounded
 
 KERNELS = ("vm", "compiled")
+
+SCRIPTS = Path(__file__).parent
 
 START = {"start.angle": 1.2, "start.angular_velocity": 2.0}
 """A regular position of all mechanisms, where steps are timed [rad, rad/s]."""
@@ -245,6 +251,71 @@ def tiers(kernel: str, points: Sequence[float]) -> Row:
     return {tier: made[tier] for tier in TIERS}
 
 
+# A native FMU -----------------------------------------------------------------------------------------------------
+
+
+def native_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+    """Rows of native.csv: the five-bar as a native FMU, from C and through fmpy."""
+    if "compiled" not in kernels:
+        return []
+    points = [i * DT for i in range(round(STOP / DT))]
+    with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+        top = Path(folder)
+        path = alfmu.export("five_bar", top / "five_bar.fmu", kind="native")
+        with zipfile.ZipFile(path) as archive:
+            archive.extractall(top / "native")
+        guid = fmpy.read_model_description(str(path)).guid
+        ready, stepped, kernel = from_c(top, guid, len(points), 3 * effort.runs)
+        empty = top / "empty" / "binaries" / "linux64"
+        empty.mkdir(parents=True)
+        library = empty / f"five_bar{native.PLATFORMS[native.OWN].suffix}"
+        flags = ["-w", "-O2", "-shared", "-fPIC"]
+        subprocess.run([*native.compiler(), *flags, str(SCRIPTS / "empty_fmu.c"), "-o", str(library)], check=True)
+        calls = {name: slave_of(top / name, guid, points) for name in ("empty", "native")}
+        measured = times(in_turns(calls, effort.runs, 0.0), "empty")
+        size = path.stat().st_size / 1000
+    through = measured["native [us]"] / (measured["empty [us]"] + 1e6 * kernel)
+    return [
+        {
+            "scene": "five_bar",
+            "initialise [us]": 1e6 * ready,
+            "doStep in C [us]": 1e6 * stepped,
+            "kernel step [us]": 1e6 * kernel,
+            "doStep in C / kernel": stepped / kernel,
+            "doStep through fmpy [us]": measured["native [us]"],
+            "empty through fmpy [us]": measured["empty [us]"],
+            "doStep through fmpy / (empty + kernel)": through,
+            "file [kB]": size,
+            "runs": effort.runs,
+        }
+    ]
+
+
+def from_c(top: Path, guid: str, steps: int, rounds: int) -> list[float]:
+    """Medians [s] of an initialisation, a doStep, a step of the kernel, in turns."""
+    sources = sorted(map(str, (top / "native" / "sources").glob("*.c")))
+    flags = ["-O2", "-fno-math-errno", "-ffp-contract=off", f'-DGUID="{guid}"', f"-I{native.headers()}"]
+    flags += [f"-I{top / 'native' / 'sources'}", str(SCRIPTS / "native_bench.c")]
+    subprocess.run([*native.compiler(), *flags, *sources, "-o", str(top / "host"), "-lm"], check=True)
+    said = subprocess.run([str(top / "host"), str(steps), str(DT), str(rounds)], check=True, capture_output=True)
+    return np.median(np.array(said.stdout.split(), float).reshape(-1, 3), axis=0).tolist()
+
+
+def slave_of(folder: Path, guid: str, points: Sequence[float]) -> Call:
+    """The whole motion of an unpacked FMU through fmpy, by step."""
+    slave = fmpy.fmi2.FMU2Slave(guid=guid, unzipDirectory=str(folder), modelIdentifier="five_bar", instanceName="one")
+    slave.instantiate()
+
+    def begin() -> None:
+        slave.reset()
+        slave.setupExperiment(startTime=0.0)
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+
+    begin()
+    return Call(Timer(lambda: [slave.doStep(t, DT) for t in points], begin), len(points), once=True)
+
+
 # Growth with the mechanism ----------------------------------------------------------------------------------------
 
 STRETCH = 16
@@ -364,6 +435,15 @@ TARGETS = (
     Target("dostep", {"slave": "compiled"}, "doStep / empty", 4),
     Target("dostep", {"slave": "vm"}, "doStep / empty", 14),
     *(
+        Target("native", {"scene": "five_bar"}, column, limit)
+        for column, limit in {
+            "doStep in C / kernel": 1.3,
+            "doStep through fmpy / (empty + kernel)": 2.5,
+            "initialise [us]": 1000,
+            "file [kB]": 300,
+        }.items()
+    ),
+    *(
         Target("scale", {"coordinates": coordinates, "N": FULL.loops[-1]}, column, limit)
         for coordinates in FULL.coordinates
         for column, limit in SCALE_LIMITS.items()
@@ -416,6 +496,19 @@ CHAPTERS = {
         library.""",
         {"doStep": ("slave", "doStep [us]", "doStep, minimum [us]", "doStep / empty", *TIERS)},
     ),
+    "native": Chapter(
+        "## The five-bar as a native FMU",
+        f"""The same motion, {STOP:g} s in steps of {DT:g} s. From C the FMU is linked with a host, where its doStep and
+        the bare step of its kernel take turns, in processor time; through fmpy it takes turns with a C library whose
+        functions do nothing. Initialise is an instantiation with all that follows up to the first step; the file is for
+        one platform.""",
+        {
+            "A native FMU": (
+                *("scene", "doStep in C / kernel", "doStep through fmpy / (empty + kernel)"),
+                *("initialise [us]", "kernel step [us]", "empty through fmpy [us]", "file [kB]"),
+            )
+        },
+    ),
     "scale": Chapter(
         "## Growth with the mechanism",
         f"""The N-four-bar, built in processes of its own; {STRETCH} steps in a call of `Instance.step`. Times to derive
@@ -456,7 +549,7 @@ def report(results: Mapping[str, Sequence[Row]], without: str | None) -> str:
     return "\n\n".join([*text, *["![Cost against the number of loops](scale.png)"] * ("scale" in results), LIMITS])
 
 
-STUDIES = {"step": step_study, "dostep": dostep_study, "scale": scale_study}
+STUDIES = {"step": step_study, "dostep": dostep_study, "native": native_study, "scale": scale_study}
 
 
 def measure(folder: Path, effort: Effort, studies: Sequence[str], command: str) -> None:

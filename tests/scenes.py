@@ -95,6 +95,21 @@ def quick_return() -> alfmu.Mechanism:
     return m
 
 
+def double_pendulum() -> alfmu.Mechanism:
+    """Two bars of 1 m and 1 kg; the second torn off, so that constraints close the elbow."""
+    m = alfmu.Mechanism("double_pendulum")
+    th = m.coordinate("th", "rad", start=0.3, rate=1.0, independent=True)
+    phi = m.start("elbow", 0.8, "rad", rate=-3.0, rate_name="elbow_rate")
+    x, y = (m.coordinate(k, "m", start=place) for k, place in (("x", 1.3), ("y", 0.7)))
+    angle = m.coordinate("angle", "rad", start=phi)
+    upper = m.bar("upper", mass=1.0, length=1.0)
+    lower = m.bar("lower", mass=1.0, length=1.0, pose=(x, y, angle))
+    m.revolute("shoulder", m.ground.at(0.0, 0.0), upper.start, coordinate=th)
+    m.lock(m.revolute("elbow", upper.end, lower.start))
+    m.gravity(0.0, -9.81)
+    return m
+
+
 @cache
 def derived(name: str, **options: str) -> alfmu.Equations:
     """Equations of a registered mechanism, derived once."""

@@ -15,7 +15,7 @@ from ..runtime import Instance
 from ..units import unit
 from .slave import interface
 
-__all__ = ["dependencies", "documentation", "model_description"]
+__all__ = ["build_description", "dependencies", "documentation", "model_description", "model_description3"]
 
 LICENSE = "MIT"
 
@@ -28,10 +28,21 @@ _LOG_CATEGORIES = {
 }
 
 
-def model_description(equations: Equations, version: str, generator: str, guid: str) -> bytes:
-    """modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments."""
-    e = equations
-    variables = interface(Instance(e))
+def model_description(
+    equations: Equations,
+    version: str,
+    generator: str,
+    guid: str,
+    variables: Sequence[tuple[str, Variable]] | None = None,
+    sources: Sequence[str] = (),
+) -> bytes:
+    """modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments.
+
+    `variables` are those of a native FMU, and `sources` its C files.
+    """
+    e, native = equations, variables is not None
+    variables = interface(Instance(e)) if variables is None else variables
+    derivatives = str(native and bool(e.inputs)).lower()
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -43,33 +54,116 @@ def model_description(equations: Equations, version: str, generator: str, guid: 
         generationTool=generator,
         variableNamingConvention="structured",
     )
-    ET.SubElement(
+    simulation = ET.SubElement(
         root,
         "CoSimulation",
         modelIdentifier=e.name,
         needsExecutionTool="false",
         canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs="false",
+        canInterpolateInputs=derivatives,
         canRunAsynchronuously="false",
         canBeInstantiatedOnlyOncePerProcess="false",
         canNotUseMemoryManagementFunctions="true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
-        providesDirectionalDerivative="false",
+        providesDirectionalDerivative=derivatives,
     )
+    if sources:
+        files = ET.SubElement(simulation, "SourceFiles")
+        for name in sources:
+            ET.SubElement(files, "File", name=name)
     _units(root, sorted({v.unit for _, v in variables if v.type == "Real"}))
-    categories = ET.SubElement(root, "LogCategories")
-    for name, text in _LOG_CATEGORIES.items():
-        ET.SubElement(categories, "Category", name=name, description=text)
-    ET.SubElement(
-        root, "DefaultExperiment", startTime="0", stopTime=_number(e.stop_time), stepSize=_number(e.step_size)
-    )
+    _categories(root)
+    _experiment(root, e)
     model_variables = ET.SubElement(root, "ModelVariables")
     for reference, (causality, v) in enumerate(variables):
-        _variable(model_variables, reference, causality, v)
+        head, kind = _facts(reference, causality, v)
+        ET.SubElement(ET.SubElement(model_variables, "ScalarVariable", head), v.type, kind)
     _structure(root, [causality for causality, _ in variables], [v for _, v in variables])
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def model_description3(
+    equations: Equations, version: str, generator: str, token: str, variables: Sequence[tuple[str, Variable]]
+) -> bytes:
+    """modelDescription.xml (FMI 3.0, co-simulation) of a native FMU."""
+    e = equations
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="3.0",
+        modelName=e.name,
+        instantiationToken=token,
+        description=e.description,
+        version=version,
+        license=LICENSE,
+        generationTool=generator,
+        variableNamingConvention="structured",
+    )
+    ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=e.name,
+        canGetAndSetFMUState="true",
+        canSerializeFMUState="true",
+        providesDirectionalDerivatives=str(bool(e.inputs)).lower(),
+        canHandleVariableCommunicationStepSize="true",
+        canReturnEarlyAfterIntermediateUpdate="true",
+        providesIntermediateUpdate="true",
+        mightReturnEarlyFromDoStep="true",
+    )
+    _units(root, sorted({"s"} | {v.unit for _, v in variables if v.type == "Real"}))
+    _categories(root)
+    _experiment(root, e)
+    model_variables = ET.SubElement(root, "ModelVariables")
+    for reference, (causality, v) in enumerate(variables):
+        head, kind = _facts(reference, causality, v)
+        if causality == "input":
+            head.pop("initial", None)
+        start = kind.pop("start", None) if v.type == "String" else None
+        element = ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
+        if start is not None:
+            ET.SubElement(element, "Start", value=start)
+    time = {"causality": "independent", "variability": "continuous", "unit": "s", "description": "time"}
+    ET.SubElement(model_variables, "Float64", {"name": "time", "valueReference": str(len(variables)), **time})
+    structure = ET.SubElement(root, "ModelStructure")
+    inputs = [str(i) for i, (causality, v) in enumerate(variables) if causality == "input" and v.type == "Real"]
+    outputs = [(str(i), v) for i, (causality, v) in enumerate(variables) if causality == "output"]
+    for reference, v in outputs:
+        on = inputs if v.instant else []
+        kinds = " ".join("dependent" for _ in on)
+        ET.SubElement(structure, "Output", valueReference=reference, dependencies=" ".join(on), dependenciesKind=kinds)
+    for reference, _ in outputs:
+        ET.SubElement(structure, "InitialUnknown", valueReference=reference)
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+_TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String"}
+"""Types of FMI 2 and of FMI 3."""
+
+
+def build_description(identifier: str, sources: Sequence[str]) -> bytes:
+    """buildDescription.xml (FMI 3.0) of C files."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=identifier)
+    files = ET.SubElement(configuration, "SourceFileSet", language="C99")
+    for name in sources:
+        ET.SubElement(files, "SourceFile", name=name)
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def _categories(root: ET.Element) -> None:
+    categories = ET.SubElement(root, "LogCategories")
+    for name, text in _LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=text)
+
+
+def _experiment(root: ET.Element, e: Equations) -> None:
+    ET.SubElement(
+        root, "DefaultExperiment", startTime="0", stopTime=_number(e.stop_time), stepSize=_number(e.step_size)
+    )
 
 
 def _units(root: ET.Element, names: Sequence[str]) -> None:
@@ -81,7 +175,8 @@ def _units(root: ET.Element, names: Sequence[str]) -> None:
             ET.SubElement(element, "DisplayUnit", name=display, factor=_number(factor))
 
 
-def _variable(parent: ET.Element, reference: int, causality: str, v: Variable) -> None:
+def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str], dict[str, str]]:
+    """What is said of a variable, and of the values it can have."""
     variability = "fixed" if causality == "parameter" else "continuous" if v.type == "Real" else "discrete"
     head = {"name": v.name, "valueReference": str(reference), "causality": causality, "variability": variability}
     if v.description:
@@ -97,7 +192,7 @@ def _variable(parent: ET.Element, reference: int, causality: str, v: Variable) -
             kind["displayUnit"] = display
     if v.type != "String":
         kind |= {key: _number(x, v.type) for key, x in (("min", v.minimum), ("max", v.maximum)) if x is not None}
-    ET.SubElement(ET.SubElement(parent, "ScalarVariable", head), v.type, kind)
+    return head, kind
 
 
 def _structure(root: ET.Element, causalities: Sequence[str], variables: Sequence[Variable]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import importlib.util
+import json
 import os
 import re
 import sys
@@ -13,16 +14,19 @@ import uuid
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pythonfmu.builder import FmuBuilder
 
 from ..derivation import derive
+from ..equations import Equations
 from ..errors import ExportError
 from ..evaluation import EVALUATED
 from ..kernel import DEFAULT
 from ..kernel.program import LIBRARY
+from ..kernel.trace import untraced
 from ..kernel.vm import serialized
 from ..mechanism import Mechanism
 from ..picture import model_png
@@ -30,10 +34,19 @@ from ..registry import load
 from ..runtime import Instance
 from ..simulation import prepared, with_defaults
 from ..specialisation import specialised
-from .description import dependencies, documentation, model_description
+from . import native
+from .description import build_description, dependencies, documentation, model_description, model_description3
 from .slave import FUNCTIONS, SCENE
+from .table import interface
+from .terminals import document, terminals
 
-__all__ = ["RUN_SIDE", "export"]
+__all__ = ["KINDS", "RUN_SIDE", "export"]
+
+KINDS = {
+    "python": "runs in Python, in hosts that have it: nothing to compile, for every platform of pythonfmu",
+    "native": "C and nothing else: for every host, on the platforms it is compiled for",
+}
+"""Kinds of FMUs."""
 
 GROUP = "alfmu.fmus"
 """Entry-point group of modules with a pythonfmu class for the mechanism of the same name."""
@@ -87,23 +100,40 @@ def export(
     parameters: Mapping[str, float | str] | None = None,
     outputs: Sequence[str] | None = None,
     freeze: Sequence[str] | None = None,
-    kernel: str = DEFAULT,
+    kernel: str | None = None,
     portable: bool = True,
+    kind: str = "python",
+    platforms: Sequence[str] = (),
+    fmi: int = 2,
 ) -> Path:
-    """Write the FMU (FMI 2.0, co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
+    """Write the FMU (co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
 
     `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
     variables. Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are there, None for all; the
-    parameters in `freeze` become constants, `["all"]` for every one. `kernel` is what runs inside
-    (`alfmu.kernel.KERNELS`); beside a compiled one travels the portable form, for other platforms, unless `portable` is
-    False. The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
-    and ExportError where the file cannot be written or compiled.
+    parameters in `freeze` become constants, `["all"]` for every one. `kind` is one of `KINDS`. `kernel` is what runs in
+    one that runs in Python (`alfmu.kernel.KERNELS`); beside a compiled one travels the portable form, for other
+    platforms, unless `portable` is False. A native one is compiled for `platforms` (`alfmu.fmi.native.PLATFORMS`, or
+    `all`), this one by default, and may be of FMI 3 (`fmi`). The same arguments give the same bytes. Raises AlfmuError
+    where the mechanism cannot start from the defaults, and ExportError where the file cannot be written or compiled.
     """
+    if kind not in KINDS:
+        raise ExportError(f"there is no kind {kind!r} of FMU; use one of {', '.join(KINDS)}")
+    if kind == "native" and kernel is not None:
+        raise ExportError("a native FMU has a kernel of its own; leave --kernel out")
+    if kind == "python" and platforms:
+        raise ExportError("an FMU that runs in Python is for no platform of its own; leave --platform out")
+    if fmi not in (2, 3) or (fmi == 3 and kind != "native"):
+        raise ExportError(f"there is no {kind} FMU of FMI {fmi}; use FMI 2, or a native one of FMI 3")
     declared = load(mechanism, **(options or {}))
     derived = derive(declared)
     equations = specialised(with_defaults(derived, parameters or {}), outputs, freeze)
-    equations = prepared(equations, kernel)
-    Instance(equations).initialize()  # an FMU that cannot start is not worth writing
+    if kind == "native":
+        native.checked(equations)
+    equations = prepared(equations, kernel or DEFAULT)
+    instance = Instance(equations)
+    instance.initialize()  # an FMU that cannot start is not worth writing
+    if kind == "native" and native.may_brake(instance):
+        equations = prepared(replace(untraced(equations), brakes=True))
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
         path = path / f"{equations.name}.fmu"
@@ -111,6 +141,11 @@ def export(
         raise ExportError(f"{equations.name}: {path} does not end in .fmu")
 
     version = importlib.metadata.version("alfmu")
+    posed = {name: value for name, value in (parameters or {}).items() if not name.startswith("solver.")}
+    picture = model_png(declared, posed, equations=derived)
+    if kind == "native":
+        _archive(path, _native(equations, declared, version, picture, platforms, fmi))
+        return path
     generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
     library = equations.library
     unneeded = ("kernel/compiled.py",) if library is None else () if portable else PORTABLE
@@ -125,9 +160,7 @@ def export(
     content = [entry.encode(), *(text.encode() for text in sources.values()), *resources.values()]
     digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]
     package = f"alfmu_{equations.name}_{digest}"
-    guid = "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, f"alfmu:{generator}:{digest}")) + "}"
-    posed = {name: value for name, value in (parameters or {}).items() if not name.startswith("solver.")}
-    picture = model_png(declared, posed, equations=derived)
+    guid = _guid(generator, digest)
 
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)
@@ -153,14 +186,60 @@ def export(
             "modelDescription.xml": model_description(equations, version, generator, guid),
             "model.png": picture,
         }
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            partial = path.with_name(f".{path.name}.{os.getpid()}")
-            _repack(packed, partial, described)
-            partial.replace(path)
-        except OSError as error:
-            raise ExportError(f"{equations.name}: cannot write {path} ({error.strerror})") from error
+        with zipfile.ZipFile(packed) as archive:
+            files = {info.filename: archive.read(info) for info in archive.infolist() if not info.is_dir()}
+        _archive(path, {**files, **described})
     return path
+
+
+def _native(
+    equations: Equations, declared: Mechanism, version: str, picture: bytes, platforms: Sequence[str], fmi: int
+) -> dict[str, bytes]:
+    """The files of a native FMU."""
+    e = equations
+    chosen = native.platforms(e.name, platforms)
+    files, digest = native.written(e, fmi)
+    generator = f"alfmu {version}"
+    guid = _guid(generator, digest)
+    files = {name: text.replace(native.GUID, guid) for name, text in files.items()}
+    compiled = [name for name in files if name.endswith(".c")]
+    needs = "This FMU needs nothing but the C library."
+    page = documentation(e, declared.sketch, declared.documentation, generator, needs)
+    variables = interface(e)
+    found = terminals(declared, [v.name for _, v in variables])
+    if fmi == 2:
+        described = model_description(e, version, generator, guid, variables, compiled)
+        form = {}
+    else:
+        described = model_description3(e, version, generator, guid, variables)
+        form = {
+            "sources/buildDescription.xml": build_description(e.name, compiled),
+            "terminalsAndIcons/terminalsAndIcons.xml": document(found),
+        }
+    libraries = {}
+    for each in chosen:
+        platform = native.PLATFORMS[each]
+        folder = each if fmi == 2 else platform.fmi3
+        libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = native.library(e.name, files, each)
+    return {
+        "modelDescription.xml": described,
+        **form,
+        _PICTURE[fmi]: picture,
+        "documentation/index.html": page.encode(),
+        "documentation/model.png": picture,
+        "documentation/licenses/alfmu.txt": _license("alfmu").encode(),
+        f"resources/{SCENE}": json.dumps({"options": e.options}, indent=1).encode(),
+        **{f"sources/{name}": text.encode() for name, text in files.items()},
+        **libraries,
+    }
+
+
+_PICTURE = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
+"""Where tools look for a picture."""
+
+
+def _guid(generator: str, digest: str) -> str:
+    return "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, f"alfmu:{generator}:{digest}")) + "}"
 
 
 def _entry(name: str) -> str:
@@ -203,13 +282,17 @@ def _imports_undone(*names: str) -> Iterator[None]:
             del sys.modules[module]
 
 
-def _repack(source: Path, target: Path, replaced: Mapping[str, bytes]) -> None:
-    """The archive again with some files replaced, sorted, compressed, and free of time stamps and owners."""
-    with zipfile.ZipFile(source) as old:
-        files = {info.filename: old.read(info) for info in old.infolist() if not info.is_dir()}
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as new:
-        for name in sorted({**files, **replaced}):
-            info = zipfile.ZipInfo(name, _PINNED)
-            info.external_attr = 0o644 << 16
-            info.compress_type = zipfile.ZIP_DEFLATED
-            new.writestr(info, replaced.get(name, files.get(name)))
+def _archive(path: Path, files: Mapping[str, bytes]) -> None:
+    """An FMU of these files, sorted, compressed, and free of time stamps and owners."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(f".{path.name}.{os.getpid()}")
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
+            for name in sorted(files):
+                info = zipfile.ZipInfo(name, _PINNED)
+                info.external_attr = 0o644 << 16
+                info.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(info, files[name])
+        partial.replace(path)
+    except OSError as error:
+        raise ExportError(f"{path.stem}: cannot write {path} ({error.strerror})") from error

@@ -11,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 import uuid
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from .compiled import Library
 from .emit import sources
 from .program import SUFFIX
 
-__all__ = ["cache", "compiled", "compiler"]
+__all__ = ["FLAGS", "build", "cache", "compiled", "compiler", "version"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off`: the same operations as in the virtual machine, so the same numbers."""
@@ -61,43 +62,46 @@ def compiled(equations: Equations) -> Equations:
     files, workspace = sources(e)
     # On long straight-line code the higher level takes twice the time and gains nothing.
     flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS]
-    identity = "\0".join([*files, *command, _version(command), *flags])
+    identity = "\0".join([*files, *command, version(command), *flags])
     name = f"kernel_{hashlib.sha256(identity.encode()).hexdigest()[:32]}"
     path = cache() / (name + SUFFIX)
     if not path.is_file():
-        _build(e.name, [*command, *flags], files, path)
+        named = {f"kernel{i}.c": text for i, text in enumerate(files)}
+        build(e.name, [*command, *flags], named, path, "use --kernel vm")
     e = replace(e, workspace=workspace)
     return replace(e, library=Library(path, e))
 
 
-def _build(scene: str, command: list[str], files: list[str], path: Path) -> None:
+def build(scene: str, command: list[str], files: Mapping[str, str], path: Path, otherwise: str) -> None:
+    """Compile files (headers among them) into the shared library at `path`; `otherwise` says what else can be done."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+            for name, text in files.items():
+                (Path(folder) / name).write_text(text, encoding="ascii")
 
-            def compile_one(i: int) -> str:
-                (Path(folder) / f"kernel{i}.c").write_text(files[i], encoding="ascii")
-                _run(scene, [*command, "-c", f"kernel{i}.c", "-o", f"kernel{i}.o"], folder)
-                return f"kernel{i}.o"
+            def compile_one(name: str) -> str:
+                _run(scene, [*command, "-c", name, "-o", f"{name}.o"], folder, otherwise)
+                return f"{name}.o"
 
             with ThreadPoolExecutor(os.cpu_count()) as pool:
-                objects = list(pool.map(compile_one, range(len(files))))
-            _run(scene, [*command, "-shared", "-s", *objects, "-o", "kernel", "-lm"], folder)
+                objects = list(pool.map(compile_one, (name for name in files if name.endswith(".c"))))
+            _run(scene, [*command, "-shared", "-s", *objects, "-o", "kernel", "-lm"], folder, otherwise)
             partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
             shutil.copyfile(Path(folder) / "kernel", partial)
             partial.replace(path)
     except OSError as error:
-        raise ExportError(f"{scene}: cannot build the kernel at {path} ({error.strerror}); use --kernel vm") from error
+        raise ExportError(f"{scene}: cannot build the kernel at {path} ({error.strerror}); {otherwise}") from error
 
 
-def _run(scene: str, command: list[str], folder: str) -> None:
+def _run(scene: str, command: list[str], folder: str, otherwise: str) -> None:
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:
         why = (done.stderr.strip().splitlines() or ["no message"])[0]
-        raise ExportError(f"{scene}: the C compiler {command[0]} failed ({why}); use --kernel vm")
+        raise ExportError(f"{scene}: the C compiler {command[0]} failed ({why}); {otherwise}")
 
 
-def _version(command: list[str]) -> str:
+def version(command: list[str]) -> str:
     try:
         return subprocess.run([*command, "--version"], capture_output=True, text=True, check=False).stdout
     except OSError as error:

@@ -6,7 +6,8 @@ values that pass from one block to the next. The code has no global state and al
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import accumulate
 
 import casadi as ca
 import numpy as np
@@ -16,7 +17,7 @@ from .loops import blocks, c_function
 from .program import CHOICE, FACTOR, LOOP, PACE, SOLVE, TIERS, Layout, Program
 from .stream import BINARY, UNARY, Instructions, Operations, number
 
-__all__ = ["HEAD", "ROUTINES", "sources"]
+__all__ = ["HEAD", "ROUTINES", "sources", "written"]
 
 BLOCK = 400
 """Operations in one C function of a long one; compilers take more than linear time for longer blocks."""
@@ -31,7 +32,8 @@ HEAD = """\
 #include <math.h>
 #include <string.h>
 
-#if defined(_WIN32)
+#if defined(EXPORT) /* by whoever keeps these functions to itself */
+#elif defined(_WIN32)
 #define EXPORT __declspec(dllexport)
 #else
 #define EXPORT __attribute__((visibility("default")))
@@ -234,6 +236,15 @@ static void solve(int n, int s, const double *a, const double *order, const doub
 
 def sources(equations: Equations) -> tuple[list[str], int]:
     """C files with all functions that run with numbers, and the length of the workspace behind an instance's memory."""
+    files, needed, _ = written(equations, {})
+    return files, needed
+
+
+def written(equations: Equations, passed: Mapping[str, int]) -> tuple[list[str], int, dict[str, int]]:
+    """What `sources` returns, and where in the workspace each value stands that programs hand on.
+
+    `passed` are the lengths of values that somebody else puts there.
+    """
     e, layout = equations, Layout(equations)
     files, needed = [""], 0
     overwritten = _overwritten(e)
@@ -246,10 +257,10 @@ def sources(equations: Equations) -> tuple[list[str], int]:
     calls = "".join(f"extern Function {name};\n" for name in e.signatures)
     names = ",\n    ".join(e.signatures)
     calls += f"static Function *const functions[] = {{\n    {names}}};\n{_CALL}"
+    places = dict(passed)
     if e.kernel:
         if FACTOR in _marks(e.kernel.get("method", {}).get("calls", [])):
             calls += ROUTINES
-        places: dict[str, int] = {}
         for name, program in e.kernel.items():
             calls += _program(f"run_{name}", program, e, layout, needed, places)
         tiers = [tier for tier in TIERS if tier in e.kernel]
@@ -277,9 +288,9 @@ def sources(equations: Equations) -> tuple[list[str], int]:
         at["reached"] = f"run_reach(m, m + {layout.size});\n    " if "reach" in e.kernel else ""
         at |= {"cover": _COVER.format(**at) * by_method, "covered": _COVERED.format(**at) * by_method}
         calls += _DRIVER.format(**at)
-        needed += sum(places.values())
     files[-1] += calls
-    return [HEAD + text for text in files], needed
+    ends = [needed, *(needed + end for end in accumulate(places.values()))]
+    return [HEAD + text for text in files], ends[-1], dict(zip(places, ends, strict=False))
 
 
 def _program(name: str, program: Program, e: Equations, layout: Layout, workspace: int, places: dict[str, int]) -> str:
@@ -306,7 +317,8 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
                 continue
             if called == LOOP:
                 number, times, again = rest
-                lines.append(f"for (int i = 0; i < {times} && *({pointer(number)}) != 0.0; i++) {{")
+                limit = times if isinstance(times, int) else f"(long)*({pointer(times)})"
+                lines.append(f"for (long i = {limit}; i > 0 && *({pointer(number)}) != 0.0; i--) {{")
                 lines += ["    " + line for line in made(again)]
                 lines.append("}")
                 continue

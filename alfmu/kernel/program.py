@@ -47,10 +47,10 @@ Program = dict[str, Any]
 The plan it was traced by (`alfmu.kernel.trace.Plan`), and its `calls`: a list that begins with `given` and ends with
 `after` or `seen`; in the programs of a method with pace in place of dt, and beside `after`. A call is [function,
 names of its arguments, names of its results]; or [CHOICE, name of a number, calls to make where it is not zero, calls
-to make where it is]. Programs of a method (STAGED) may also have [LOOP, name of a number, times, calls to make while
-it is not zero, at most so many times]; [FACTOR, [weights, parts], [factors, order], n, m], which factorises the
-matrix of m times m blocks (n, n) that are sums of the parts of their row, by weights of row and column; and [SOLVE,
-[factors, order, m vectors], [solution], n, m].
+to make where it is]. Programs of a method (STAGED), and of native FMUs, may also have [LOOP, name of a number, times,
+calls to make while it is not zero], at most so many times or as often as a number of that name says; [FACTOR, [weights,
+parts], [factors, order], n, m], which factorises the matrix of m times m blocks (n, n) that are sums of the parts of
+their row, by weights of row and column; and [SOLVE, [factors, order, m vectors], [solution], n, m].
 """
 
 CHOICE = "?"

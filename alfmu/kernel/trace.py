@@ -54,7 +54,7 @@ _TOLD = 4.0
 _TINY = 1e-300
 """Lets a mechanism at rest pass the check of convergence."""
 
-_ROUND_OFF = 8 * 2.0**-52
+ROUND_OFF = 8 * 2.0**-52
 """Of a constraint, over its coordinates."""
 
 _PROBES = 5
@@ -84,6 +84,11 @@ class Plan:
     """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
     margins: bool = False
     """Whether the margin itself tells what is near a singular position, not only that it may be; where weighted."""
+
+    @property
+    def own(self) -> str:
+        """What the names of functions end in that depend on how many places there are."""
+        return "" if self.side == Plan.side else "_for_method"
 
 
 def traced(
@@ -289,7 +294,7 @@ class Tracer:
     def limit(self, plan: Plan, redundant: bool) -> Program:
         """What `instant` gives, with the limits of accelerations and reactions along the motion."""
         e, layout = self.e, self.layout
-        z, _, p, k, dt = self.known.values()
+        z, _, p, k, _ = self.known.values()
         scene, calls, n = Scene(e, plan.weighted, p, k), Calls(self), e.n
         q, v, t = z[:n], z[n : 2 * n], z[layout.time]
         count = range(len(branch.READ_MEAN))
@@ -298,7 +303,7 @@ class Tracer:
         found |= {f"watch{j}": ca.SX.sym("watch", len(Watch.FIELDS)) for j in count}
         unpacked = {"tz": t, "qz": q, "vz": v}
         calls("unpack_limit", {"z": z}, lambda: unpacked, list(unpacked))
-        calls("read_places", {"z": z, "dt": dt, "p": p, "k": k}, lambda: scene.read_places(q, v, dt), places)
+        self._read_places(calls, scene, places)
         for j in count:
             self.place(calls, scene, places[j], "placed")
             self._brought(calls, scene, plan, places[j], "placed", "vz")
@@ -313,6 +318,13 @@ class Tracer:
         calls("limits", known, lambda: scene.limits(list(found.values()), watch), ["al", "laml", "watchl", "singular"])
         self._seen(calls, scene, plan, "al", "laml", "watchl")
         return {**asdict(plan), "calls": calls.made}
+
+    def _read_places(self, calls: Calls, scene: Scene, places: list[str], dt: str = "dt") -> None:
+        """The places from which a limit is read; `dt` is what their spacing is measured by."""
+        n = self.e.n
+        z, _, p, k, step = self.known.values()
+        known = {"z": z, dt: step, "p": p, "k": k}
+        calls("read_places", known, lambda: scene.read_places(z[:n], z[n : 2 * n], step), places)
 
     def _least(self, calls: Calls, scene: Scene, name: str) -> None:
         """Multipliers of least norm in place of those found last."""
@@ -341,14 +353,10 @@ class Tracer:
 
         `u` and `length` are the names of the inputs and of the step.
         """
-        own = "" if plan.side == Plan.side else "_for_method"
-        n = self.e.n
-        _, _, p, k, dt = self.known.values()
+        n, own = self.e.n, plan.own
         q, v, spacing = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("spacing")
         here = {f"q{i}": q, f"v{i}": v}
-        known = {**here, length: dt, "p": p, "k": k}
-        results = [f"zone{i}", "spacing", "placed"]
-        calls(f"probe{own}", known, lambda: scene.probed(q, v, scene.spacing(plan, v, dt)), results)
+        self._probe(calls, scene, plan, i, length)
         places = [f"place{j}" for j in range(2 * plan.side)]
         accelerations = {f"acceleration{j}": ca.SX.sym("a", n) for j in range(len(places))}
         watches = {f"watched{j}": ca.SX.sym("watch", len(Watch.FIELDS)) for j in range(len(places))}
@@ -372,6 +380,14 @@ class Tracer:
         self._reached(direct, f"watch{i}")
         calls.made.append([CHOICE, f"zone{i}", limit.made, direct.made])
         calls.made.append(["power", [f"q{i}", f"v{i}", u, "p", f"t{i}"], [f"power{i}"]])
+
+    def _probe(self, calls: Calls, scene: Scene, plan: Plan, i: str, length: str) -> None:
+        """Whether a limit has to be taken, from places how far apart; `length` is what their spacing is measured by."""
+        q, v = ca.SX.sym("q", self.e.n), ca.SX.sym("v", self.e.n)
+        _, _, p, k, dt = self.known.values()
+        known = {f"q{i}": q, f"v{i}": v, length: dt, "p": p, "k": k}
+        results = [f"zone{i}", "spacing", "placed"]
+        calls(f"probe{plan.own}", known, lambda: scene.probed(q, v, scene.spacing(plan, v, dt)), results)
 
     def _reached(self, calls: Calls, watch: str) -> None:
         """Trouble in a watch where the branch does not lead to the place that was found last."""
@@ -514,15 +530,20 @@ class Scene:
 
     def evaluated(self, q: ca.SX, v: ca.SX, u: ca.SX, t: ca.SX) -> dict[str, ca.SX]:
         """What an evaluation hands on, with a and lam (times `scale`) after the first iteration."""
-        e = self.e
-        terms = M, C, F, xi = self.terms(q, v, u, t)
+        found = self.begun(self.terms(q, v, u, t))
+        watch = found.pop("watch")
+        return {**found, "power": self.power(q, v, u, t), "watch": watch}
+
+    def begun(self, terms: tuple[ca.SX, ca.SX, ca.SX, ca.SX]) -> dict[str, ca.SX]:
+        """The same for given M, C, F, xi, and without power."""
+        e, (M, C, F, xi) = self.e, terms
         D, L, order = _factors(self.e, self.augmented_mass(M, C))
         a, lam, _ = self.iterated(terms, (D, L, order), ca.SX(e.n, 1), ca.SX(e.l, 1), 1)
         watch = ca.vertcat(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), *self.margin(D, order))
         values = {"M": M, "C": C, "F": ca.densify(F), "xi": ca.densify(xi), "D": ca.densify(D), "L": L}
         return {
             **{name: ca.vec(value.nz[:]) for name, value in values.items()},
-            **{"a": a, "lam": lam, "power": self.power(q, v, u, t), "watch": watch},
+            **{"a": a, "lam": lam, "watch": watch},
         }
 
     def iterated_again(self, nonzeros: dict[str, ca.SX], a: ca.SX, lam: ca.SX, watch: ca.SX) -> dict[str, ca.SX]:
@@ -657,7 +678,7 @@ class Scene:
         C, D, L = (self.matrix(name, nonzeros) for name in ("C", "D", "L"))
         return method.minimum_norm(C, self.weights, _solver(D, L, self._order), lam, 2, lambda change, value: False)
 
-    def distributed(self, nonzeros: dict[str, ca.SX], lam: ca.SX) -> ca.SX:
+    def distributed(self, nonzeros: dict[str, ca.SX], lam: ca.SX, passes: int = SHARES) -> ca.SX:
         """lam as constraints of the given compliances share it; not finite where the passes were too few."""
         M, C = (self.matrix(name, nonzeros) for name in ("M", "C"))
         stiffness, last = ca.diag(self.stiffnesses), []
@@ -667,7 +688,7 @@ class Scene:
             return False
 
         solve = _solver(*_factors(self.e, method.augmented_mass(M, C, stiffness)))
-        lam = method.minimum_norm(C, stiffness, solve, lam, SHARES, done)
+        lam = method.minimum_norm(C, stiffness, solve, lam, passes, done)
         return ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
 
     def seen(
@@ -699,7 +720,7 @@ class Scene:
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
         seen, near = Watch(watch), ca.SX(0)
-        trouble = self._unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
+        trouble = self.unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
         if e.l:
             near = self.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
@@ -786,7 +807,7 @@ class Scene:
         z, q, v, work = (known[name] for name in ("z", "q", "v", "work"))
         evaluations = [Watch(x) for name, x in known.items() if name.startswith("watch")]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), known.get("pivot", ca.SX(0, 1))))
-        trouble, near = 1 - (pivot > 0) + self._unconverged(plan, evaluations), ca.SX(0)
+        trouble, near = 1 - (pivot > 0) + self.unconverged(plan, evaluations), ca.SX(0)
         if plan.branch:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
             trouble += 1 - self.continues
@@ -796,7 +817,7 @@ class Scene:
             near *= self.continues
         if e.l:
             for residue, x in zip(ca.vertsplit(known["left"]), (q, v), strict=True):
-                trouble += 1 - (residue <= ca.fmax(self.tolerance**2, _ROUND_OFF**2 * ca.sumsqr(x)))
+                trouble += 1 - self.within(residue, x)
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
         turned = (q - z[: e.n])[[i for i, c in enumerate(e.coordinates) if c.unit == "rad"]]
@@ -805,6 +826,10 @@ class Scene:
         angles = self.unwrapped(q, z[2 * e.n : layout.work])
         arrival = known["arrival"] if "arrival" in known else z[layout.time] + known["dt"]
         return ca.vertcat(q, v, angles, work, arrival, z[layout.trouble] + trouble, change, pivot, near)
+
+    def within(self, residue: ca.SX, x: ca.SX) -> ca.SX:
+        """Whether a residue (squared) of x is within the tolerance, or within round-off."""
+        return residue <= ca.fmax(self.tolerance**2, ROUND_OFF**2 * ca.sumsqr(x))
 
     def unwrapped(self, q: ca.SX, near: ca.SX) -> ca.SX:
         """Computed angles moved by whole turns to the values nearest to `near`."""
@@ -816,7 +841,7 @@ class Scene:
         raw = readings[[names[name] for name in e.wrapped]]
         return raw + 2 * ca.pi * ca.floor((near - raw) / (2 * ca.pi) + 0.5)
 
-    def _unconverged(self, plan: Plan, evaluations: list[Watch]) -> ca.SX:
+    def unconverged(self, plan: Plan, evaluations: list[Watch]) -> ca.SX:
         """Number of checks of the multiplier iteration that fail."""
         if not self.e.l:
             return ca.SX(0)

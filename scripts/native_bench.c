@@ -1,0 +1,53 @@
+/* Times a native FMU from C, linked with its sources: GUID is given when it is compiled, argv are steps, step [s] and
+   rounds. Prints for each round the time [s] of an instantiation with initialisation, of a doStep, and of a step of the
+   kernel. */
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <time.h>
+
+#include "component.h"
+#include "fmi2Functions.h"
+
+/* Of this process alone, whatever else the machine does. */
+static double now(void)
+{
+    return (double)clock() / CLOCKS_PER_SEC;
+}
+
+static fmi2Component begun(void)
+{
+    const fmi2CallbackFunctions functions = {NULL, NULL, NULL, NULL, NULL};
+    fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, GUID, "", &functions, fmi2False, fmi2False);
+    if (!c || fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0) != fmi2OK
+        || fmi2EnterInitializationMode(c) != fmi2OK || fmi2ExitInitializationMode(c) != fmi2OK)
+        exit(1);
+    return c;
+}
+
+int main(int count, char **argv)
+{
+    const int steps = count == 4 ? atoi(argv[1]) : 0, rounds = count == 4 ? atoi(argv[3]) : 0;
+    const double h = count == 4 ? atof(argv[2]) : 0.0;
+    for (int round = 0; round < rounds; round++) {
+        double start = now(), ready, stepped;
+        fmi2Component c = begun();
+        Instance *i;
+        ready = now() - start;
+        start = now();
+        for (int k = 0; k < steps; k++)
+            if (fmi2DoStep(c, h * k, h, fmi2True) != fmi2OK)
+                return 2;
+        stepped = (now() - start) / steps;
+        fmi2FreeInstance(c);
+        c = begun();
+        i = ((Component *)c)->instance;
+        hand_over(i);
+        start = now();
+        if (i->scene->advance(i->m, steps, h) != steps)
+            return 3;
+        printf("%.9g %.9g %.9g\n", ready, stepped, (now() - start) / steps);
+        fmi2FreeInstance(c);
+    }
+    return 0;
+}

@@ -1,0 +1,609 @@
+"""Native FMUs: the numbers of the library, everything a scene asks for, and a host that does all wrong."""
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.validation import validate_fmu
+from scenes import derived, double_pendulum
+
+import alfmu
+from alfmu.cli import main
+from alfmu.fmi import native
+from alfmu.fmi.drive import Fmu, validate
+from alfmu.kernel.program import Layout
+from alfmu.simulation import prepared, run
+
+HOST = Path(__file__).with_name("native_host.c")
+
+CASES = [
+    *(("five_bar", {}), ("four_bar", {}), ("particle_on_circle", {}), ("n_four_bar", {}), ("end_stop", {})),
+    *(("slider_crank", {"coordinates": c}) for c in ("absolute", "joint", "mixed", "natural")),
+    *(("flexible_four_bar", {}), ("bennett", {}), ("flyball_governor", {})),
+]
+LOADS = {"particle_on_circle": {"force.y": 0.7}, "flexible_four_bar": {"O.torque": 0.3}, "end_stop": {"O.torque": 0.3}}
+each_case = pytest.mark.parametrize(("name", "options"), CASES, ids=["_".join([n, *o.values()]) for n, o in CASES])
+
+pytestmark = pytest.mark.skipif(not native.compiler(), reason="there is no C compiler")
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory) -> Callable[..., Path]:
+    """`built("five_bar", ...)`: the path of that native FMU, made on first use, its C not optimised to save time."""
+    folder, made = tmp_path_factory.mktemp("native"), {}
+
+    def get(mechanism, key="", options=None, **given):
+        name = "_".join([getattr(mechanism, "name", mechanism), key, *(options or {}).values()])
+        if name not in made:
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(native, "LEVELS", ("-O0", "-O0"))
+                path = folder / f"{name}.fmu"
+                made[name] = alfmu.export(mechanism, path, options=options, kind="native", **given)
+        return made[name]
+
+    return get
+
+
+def state_of(fmu: Fmu, layout: Layout) -> np.ndarray:
+    """The memory of an FMU that was saved: the last numbers of its state."""
+    return np.frombuffer(fmu.save()[-8 * layout.size :]).copy()
+
+
+def like(fmu: Fmu, instance: alfmu.Instance) -> None:
+    """Give an initialised FMU the memory of an instance."""
+    size = 8 * instance.layout.size
+    fmu.restore(fmu.save()[:-size] + instance.memory.block[: instance.layout.size].tobytes())
+
+
+def unlike(a, b) -> float:
+    """Largest difference of two results, relative to 1 and to the value; iterations that were needed left out."""
+    columns = [i for i, name in enumerate(a.names) if name != "monitor.iterations"]
+    a, b = a.values[:, columns], b.values[:, columns]
+    return (np.abs(a - b) / (1 + np.abs(b))).max()
+
+
+# Numbers --------------------------------------------------------------------------------------------------------------
+
+
+@each_case
+def test_the_numbers_of_the_library(built, name, options):
+    equations = prepared(derived(name, **options))
+    stop, step = (0.5 if name == "flyball_governor" else 10.0), max(equations.step_size, 0.02)
+    instance = alfmu.Instance(equations)
+    instance.initialize()
+    layout, start = instance.layout, instance.memory.block.copy()
+    library = go_on(instance, stop, step)
+    with Fmu(built(name, options=options)) as fmu:
+        fmu.initialize()
+        got = state_of(fmu, layout)
+        # The same start to a few bits, by another decomposition of the same matrices.
+        assert np.abs(got - start)[: layout.work].max() < 1e-14 * (1 + np.abs(start[: layout.work]).max())
+        k = slice(layout.fields["k"][0], sum(layout.fields["k"]))
+        assert got[k] == pytest.approx(start[k], rel=1e-12, abs=1e-14)
+        instance.memory.block[:] = start
+        like(fmu, instance)
+        difference = unlike(go_on(fmu, stop, step), library)
+    if name != "bennett":
+        assert difference <= 1e-12
+        return
+    # What is redundant is told by a decomposition in each step: no closer than two starts a bit apart.
+    other = alfmu.Instance(equations)
+    other.initialize()
+    other.state[: 2 * equations.n] *= 1 + 2.0**-52
+    assert difference < 10 * unlike(go_on(other, stop, step), library) < 1e-6
+
+
+def go_on(unit, stop: float, step: float):
+    """`run` for a unit that is initialised."""
+    initialize, unit.initialize = unit.initialize, lambda: None
+    try:
+        return run(unit, stop, step)
+    finally:
+        unit.initialize = initialize
+
+
+some_cases = pytest.mark.parametrize("name", ["five_bar", "particle_on_circle", "flexible_four_bar", "bennett"])
+
+
+@some_cases
+def test_validation_finds_nothing(built, name):
+    path = built(name)
+    assert validate_fmu(str(path)) == []
+    assert validate(path, 20) == []
+
+
+@pytest.mark.parametrize("name", ["five_bar", "slider_crank", "particle_on_circle", "flexible_four_bar", "end_stop"])
+def test_variables_are_those_of_the_python_fmu(built, exported, name):
+    described = [fmpy.read_model_description(str(path)) for path in (built(name), exported(name))]
+    kept = [
+        [
+            (v.name, v.valueReference, v.causality, v.type, v.unit, v.start, v.min, v.description)
+            for v in d.modelVariables
+        ]
+        for d in described
+    ]
+    assert kept[0] == kept[1]
+    follow = [{u.variable.name: [v.name for v in u.dependencies] for u in d.outputs} for d in described]
+    assert follow[0] == follow[1]
+
+
+SCENES = {
+    "locks": (
+        {"B.locked": lambda t: 0.1 < t < 0.3, "E.released": lambda t: t >= 0.5, "F.released": lambda t: t > 0.6},
+        {},
+        1e-11,
+    ),
+    "compliances": ({}, {"B.compliance.x": 2e-6}, 1e-12),
+    "parameters": ({"A.torque": 0.3}, {"m2": 0.0, "l": 2.0, "g": 1.6, "solver.step_size": 0.005}, 1e-12),
+    "impatient": ({"A.torque": 0.3}, {"solver.max_iterations": 4}, 1e-11),
+    "paper": ({"A.torque": 0.5}, {"solver.branch": "paper"}, 1e-12),
+}
+"""Of a five-bar that is more than its defaults: inputs, values, and how far it may be from the library.
+
+Where the library's oracle makes steps, or redundant rows are told by a decomposition, each step differs by some bits.
+"""
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_everything_that_a_scene_asks_for(built, scene):
+    inputs, values, limit = SCENES[scene]
+    m = alfmu.load("five_bar")
+    values = {"start.angle": 0.7, **values}
+    if scene == "locks":
+        m.lock("B")
+        m.release("E")
+        m.release("F")
+    if scene == "compliances":
+        m.compliances()
+        values = {v.name: 1e-6 for v in alfmu.derive(m).compliances} | values
+    with Fmu(built(m, scene if scene in ("locks", "compliances") else "")) as fmu:
+        got = run(fmu, 2.0, 0.04, inputs, values)
+    library = alfmu.simulate(alfmu.derive(m), 2.0, 0.04, inputs=inputs, parameters=values)
+    assert got.names == library.names
+    assert np.abs(moved(got) - moved(library)).max() < limit
+    # Limits of reactions are known to some 1e-9, and read from other places where the library's oracle takes over.
+    assert unlike(got, library) < 1e-7
+
+
+def moved(result) -> np.ndarray:
+    """Positions and angles."""
+    return np.column_stack([result[f"link{k}.{what}"] for k in (1, 2, 3, 4) for what in ("x", "y", "angle")])
+
+
+def test_what_is_left_out_and_frozen(built):
+    given = {"outputs": ["link*.angle", "monitor.energy"], "freeze": ["all"], "parameters": {"m2": 0.5}}
+    with Fmu(built("five_bar", "frozen", **given)) as fmu:
+        got = run(fmu, 1.0, 0.02)
+    assert got.names == [*(f"link{k}.angle" for k in (1, 2, 3, 4)), "monitor.energy", "A.torque", "D.torque"]
+    library = alfmu.simulate("five_bar", 1.0, 0.02, **given)
+    assert unlike(got, library) <= 1e-12
+
+
+# Steps that cannot be made --------------------------------------------------------------------------------------------
+
+
+def test_a_step_is_refused_in_the_words_of_the_library_and_nothing_is_lost(built):
+    instance = alfmu.Instance(prepared(derived("four_bar")))
+    with Fmu(built("four_bar")) as fmu:
+        for unit in (instance, fmu):
+            unit.set("start.angle", 0.5)
+            unit.initialize()
+            unit.step(0.02, 0.0)
+            unit.set("A.torque", 1e6)
+        said, before = [], fmu.read()
+        for unit in (instance, fmu):
+            with pytest.raises(alfmu.StepError) as caught:
+                unit.step(0.02, 0.02)
+            said.append(str(caught.value))
+        assert said[0] == said[1]
+        assert "more than half a turn" in said[0]
+        assert np.array_equal(fmu.read(), before)
+        for unit in (instance, fmu):
+            unit.set("A.torque", 0.0)
+            unit.step(0.02, 0.02)
+        assert fmu.read() == pytest.approx(instance.read(), rel=1e-12, abs=1e-12)
+
+
+def test_a_motion_that_ends_is_locked_up(built):
+    """A point on y^2 = x^3 comes to the cusp at 0.7986 s."""
+    m = alfmu.Mechanism("cusp")
+    x = m.coordinate("x", "m", start=1.0, rate=-1.0, independent=True)
+    y = m.coordinate("y", "m", start=1.0)
+    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
+    m.constraint("curve", y**2 - x**3, "m")
+    m.output("place", x, "m")
+    given = {"solver.step_size": 0.005}
+    instance = alfmu.Instance(prepared(alfmu.derive(m)))
+    instance.set("solver.step_size", 0.005)
+    with Fmu(built(m, parameters=given)) as fmu:
+        said = []
+        for unit in (instance, fmu):
+            unit.initialize()
+            unit.step(0.77, 0.0)
+            with pytest.raises(alfmu.StepError, match="locked up at x = ") as caught:
+                unit.step(0.05, 0.77)
+            said.append(float(str(caught.value).split("t = ")[1].split(" s")[0]))
+        assert said[0] == pytest.approx(said[1], rel=1e-3)
+        fmu.step(0.005, 0.77)
+
+
+@pytest.mark.parametrize("rate", [1e-4, 1e-2])
+def test_a_slow_start_in_a_singular_position(built, rate):
+    """Places from which a limit is taken have to be far apart there."""
+    values = {"start.angular_velocity": rate}
+    with Fmu(built("four_bar")) as fmu:
+        got = run(fmu, 1.0, 0.02, {"A.torque": 4.0}, values)
+    library = alfmu.simulate(prepared(derived("four_bar")), 1.0, 0.02, inputs={"A.torque": 4.0}, parameters=values)
+    places = [i for i, name in enumerate(got.names) if name.endswith((".angle", ".x", ".y")) and "force" not in name]
+    assert np.abs(got.values - library.values)[:, places].max() < 1e-9
+
+
+# Derivatives ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("steps", [0, 20])
+@pytest.mark.parametrize("name", ["five_bar", "slider_crank", "particle_on_circle"])
+def test_directional_derivatives_are_differences_as_outputs_are_affine_in_the_inputs(built, name, steps):
+    """Of the five-bar at the start too, which is a singular position: of the limits that are read there."""
+    with Fmu(built(name)) as fmu:
+        fmu.initialize()
+        for k in range(steps):
+            fmu.step(0.02, 0.02 * k)
+        outputs = [v for v in fmu.description.modelVariables if v.causality == "output" and v.type == "Real"]
+        inputs = [v for v in fmu.description.modelVariables if v.causality == "input" and v.type == "Real"]
+        references = [v.valueReference for v in outputs]
+        before = np.array(fmu.slave.getReal(references))
+        for v in inputs:
+            found = fmu.slave.getDirectionalDerivative(references, [v.valueReference], [2.0])
+            fmu.set(v.name, 2.0)
+            after = np.array(fmu.slave.getReal(references))
+            fmu.set(v.name, 0.0)
+            assert found == pytest.approx(after - before, rel=1e-9, abs=1e-9 * np.abs(after).max())
+            assert np.abs(found).max() > 0.1
+
+
+def test_inputs_go_on_by_their_derivatives_inside_a_step(tmp_path, built):
+    """A torque that grows with time: as an input with a derivative, and in the equations."""
+
+    def pendulum(name: str, driven: bool) -> alfmu.Mechanism:
+        m = alfmu.Mechanism(name)
+        x, y = (m.coordinate(k, "m", start=s) for k, s in (("x", 0.4), ("y", -0.3)))
+        th = m.coordinate("th", "rad", start=-0.6435)
+        rod = m.bar("rod", mass=1.0, length=1.0, pose=(x, y, th))
+        hinge = m.revolute("hinge", m.ground.at(0.0, 0.0), rod.start)
+        m.drive(hinge, m.input("torque", "N.m")) if driven else m.torque(rod, 0.5 + 3.0 * m.time)
+        m.gravity(0.0, -9.81)
+        return m
+
+    library = alfmu.simulate(pendulum("told", driven=False), 1.0, 0.1)
+    with Fmu(built(pendulum("asked", driven=True))) as fmu:
+        fmu.set("torque", 0.5)
+        fmu.initialize()
+        reference = [v.valueReference for v in fmu.description.modelVariables if v.name == "torque"]
+        rows = [fmu.read()]
+        for k in range(10):
+            fmu.slave.setRealInputDerivatives(reference, [1], [3.0])
+            fmu.step(0.1, 0.1 * k)
+            rows.append(fmu.read())
+        assert fmu.read_inputs() == pytest.approx([3.5], rel=1e-13)
+    names = [v.name for v in fmu.outputs]
+    wanted = np.column_stack([library[name] for name in names])
+    kept = [i for i, name in enumerate(names) if name != "monitor.iterations"]
+    assert np.array(rows)[:, kept] == pytest.approx(wanted[:, kept], rel=1e-10, abs=1e-11)
+
+
+# Life -----------------------------------------------------------------------------------------------------------------
+
+
+@some_cases
+def test_states_are_restored_to_the_last_bit(built, name):
+    path = built(name)
+    with Fmu(path) as fmu, Fmu(path) as other:
+        fmu.initialize()
+        for k in range(3):
+            fmu.step(0.05, 0.05 * k)
+        state = fmu.save()
+        expected = []
+        for k in range(3, 6):
+            fmu.step(0.05, 0.05 * k)
+            expected.append(fmu.read())
+        for unit in (fmu, other):
+            unit.restore(state)
+            assert unit.save() == state
+            for k, row in zip(range(3, 6), expected, strict=True):
+                unit.step(0.05, 0.05 * k)
+                assert np.array_equal(unit.read(), row)
+
+
+def test_a_bad_start_is_refused_in_the_words_of_the_library(built):
+    for name, values in (
+        ("five_bar", {"l": 0.3, "start.angle": 0.2}),
+        ("four_bar", {"m1": 0.0, "m2": 0.0, "m3": 0.0}),
+        ("slider_crank", {"l1": 1.0, "l2": 0.1}),
+    ):
+        instance = alfmu.Instance(derived(name))
+        known = {v.name for v in instance.parameters}
+        values = {key: value for key, value in values.items() if key in known}
+        for key, value in values.items():
+            instance.set(key, value)
+        try:
+            instance.initialize()
+            said = None
+        except alfmu.AlfmuError as error:
+            said = str(error)
+        with Fmu(built(name)) as fmu:
+            for key, value in values.items():
+                fmu.set(key, value)
+            if said is None:
+                fmu.initialize()
+                continue
+            with pytest.raises(alfmu.StepError) as caught:
+                fmu.initialize()
+            assert str(caught.value)[:60] == said[:60]
+
+
+def test_a_host_that_does_all_wrong(built, tmp_path):
+    """Under AddressSanitizer and UndefinedBehaviorSanitizer; leaks of 1e5 instances would be told."""
+    path = built(double_pendulum_with_a_torque())
+    description = fmpy.read_model_description(str(path))
+    references = {v.name: v.valueReference for v in description.modelVariables}
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(tmp_path)
+    named = {
+        "REAL_INPUT": references["elbow.torque"],
+        "REAL_OUTPUT": references["lower.angular_acceleration"],
+        "PARAMETER": references["solver.step_size"],
+        "TEXT": references["solver.branch"],
+        "SWITCH": references["elbow.locked"],
+        "GUID": f'"{description.guid}"',
+        "SCENE": '"double_pendulum"',
+    }
+    program = tmp_path / "host"
+    sources = [str(p) for p in sorted((tmp_path / "sources").glob("*.c"))]
+    checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"]
+    command = [*native.compiler(), "-O0", "-g", "-Wall", "-Wextra", "-Werror", *checks]
+    command += [f"-DHOST_{name}={value}" for name, value in named.items()]
+    command += [f"-I{native.headers()}", f"-I{tmp_path / 'sources'}", str(HOST), *sources, "-o", str(program)]
+    done = subprocess.run([*command, "-lm", "-pthread"], capture_output=True, text=True, check=False)
+    if "sanitize" in done.stderr or "cannot find" in done.stderr:
+        pytest.skip("this compiler has no sanitizers")
+    assert done.returncode == 0, done.stderr[-2000:]
+    done = subprocess.run([str(program)], capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+
+
+def double_pendulum_with_a_torque() -> alfmu.Mechanism:
+    m = double_pendulum()
+    m.drive(next(j for j in m.joints if j.name == "elbow"), m.input("elbow.torque", "N.m"))
+    return m
+
+
+# Export ---------------------------------------------------------------------------------------------------------------
+
+
+def test_the_c_is_free_of_warnings(built, tmp_path):
+    with zipfile.ZipFile(built("five_bar")) as archive:
+        archive.extractall(tmp_path)
+    for source in sorted((tmp_path / "sources").glob("*.c")):
+        command = [*native.compiler(), "-Wall", "-Wextra", "-pedantic", "-std=c99", "-fsyntax-only"]
+        done = subprocess.run(
+            [*command, f"-I{native.headers()}", str(source)], capture_output=True, text=True, check=False
+        )
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_importer_can_build_it_from_its_sources(built, tmp_path):
+    path = built("particle_on_circle")
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(tmp_path)
+    root = ET.parse(tmp_path / "modelDescription.xml").getroot()
+    sources = [file.get("name") for file in root.iter("File")]
+    assert sources
+    library = tmp_path / "again.so"
+    command = [*native.compiler(), "-shared", "-fPIC", f"-I{native.headers()}", *sources, "-o", str(library), "-lm"]
+    subprocess.run(command, cwd=tmp_path / "sources", check=True)
+    version = ctypes.CDLL(str(library)).fmi2GetVersion
+    version.restype = ctypes.c_char_p
+    assert version() == b"2.0"
+
+
+def test_the_same_mechanism_gives_the_same_bytes(built, tmp_path, monkeypatch):
+    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
+    again = alfmu.export("particle_on_circle", tmp_path, kind="native")
+    assert again.read_bytes() == built("particle_on_circle").read_bytes()
+
+
+def test_what_a_native_fmu_has_not_is_refused(tmp_path):
+    for values, said in (
+        ({"solver.formulation": "classic"}, "a native FMU has no solver.formulation classic"),
+        ({"solver.method": "stiff"}, "a native FMU has no solver.method stiff"),
+        ({"solver.input_order": 1}, "a native FMU has no solver.input_order"),
+    ):
+        with pytest.raises(alfmu.ExportError, match=said):
+            alfmu.export("five_bar", tmp_path, kind="native", parameters=values)
+    with pytest.raises(alfmu.ExportError, match="no kind 'other'"):
+        alfmu.export("five_bar", tmp_path, kind="other")
+    with pytest.raises(alfmu.ExportError, match="leave --kernel out"):
+        alfmu.export("five_bar", tmp_path, kind="native", kernel="vm")
+    with pytest.raises(alfmu.ExportError, match="leave --platform out"):
+        alfmu.export("five_bar", tmp_path, platforms=["win64"])
+    with pytest.raises(alfmu.ExportError, match="no platform 'amiga'"):
+        alfmu.export("particle_on_circle", tmp_path, kind="native", platforms=["amiga"])
+
+
+def test_without_a_compiler(monkeypatch, tmp_path):
+    monkeypatch.setattr(native, "compiler", lambda: None)
+    monkeypatch.setattr(native.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(alfmu.ExportError, match="no C compiler found for"):
+        alfmu.export("particle_on_circle", tmp_path, kind="native")
+
+
+def test_from_the_command_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
+    path = tmp_path / "particle.fmu"
+    assert main(["export", "particle_on_circle", "--kind", "native", "-o", str(path)]) == 0
+    assert main(["validate", str(path)]) == 0
+    assert main(["simulate", str(path), "-o", str(tmp_path / "p.csv"), "--stop-time", "0.2"]) == 0
+    assert "0 problems" in capsys.readouterr().out
+
+
+# FMI 3 ----------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def slave(built) -> Callable[..., fmpy.fmi3.FMU3Slave]:
+    """Instances of the five-bar of FMI 3, by the arguments of their instantiation; freed at the end."""
+    path = built("five_bar", "fmi3", fmi=3)
+    description, folder, made = fmpy.read_model_description(str(path)), fmpy.extract(str(path)), []
+
+    def make(**given) -> fmpy.fmi3.FMU3Slave:
+        unit = fmpy.fmi3.FMU3Slave(
+            instanceName="one",
+            guid=description.guid,
+            unzipDirectory=folder,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+        )
+        unit.instantiate(**{"logMessage": lambda *said: None, **given})
+        unit.references = {v.name: v.valueReference for v in description.modelVariables}
+        made.append(unit)
+        return unit
+
+    yield make
+    for unit in made:
+        unit.freeInstance()
+
+
+def test_fmi_3_validates_and_gives_the_numbers_of_the_library(built):
+    path = built("five_bar", "fmi3", fmi=3)
+    assert validate(path) == []
+    result = fmpy.simulate_fmu(str(path), stop_time=2.0, output_interval=0.02)
+    library = alfmu.simulate(prepared(derived("five_bar")), 2.0, 0.02)
+    names = [name for name in result.dtype.names if name in library.names]
+    assert len(names) > 50
+    assert max(np.abs(result[name] - library[name]).max() for name in names) == 0.0
+    with zipfile.ZipFile(path) as archive:
+        terminals = ET.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
+        built_from = ET.fromstring(archive.read("sources/buildDescription.xml"))
+        names = archive.namelist()
+    members = {t.get("name"): [v.get("variableName") for v in t] for t in terminals.iter("Terminal")}
+    assert members["A"] == ["A.torque", "link1.angle", "link1.angular_velocity"]
+    assert members["D"] == ["D.torque", "link3.angle", "link3.angular_velocity"]
+    assert {f"sources/{f.get('name')}" for f in built_from.iter("SourceFile")} <= set(names)
+
+
+def test_fmi_3_saves_derives_and_refuses(slave):
+    unit, other = slave(), slave()
+    unit.enterInitializationMode()
+    unit.exitInitializationMode()
+    angle, torque = unit.references["link1.angular_acceleration"], unit.references["A.torque"]
+    for k in range(20):
+        unit.doStep(0.02 * k, 0.02)
+    assert unit.getFloat64([unit.references["time"], angle])[0] == pytest.approx(0.4)
+    state = unit.getFMUState()
+    data = unit.serializeFMUState(state)
+    found = unit.getDirectionalDerivative([angle], [torque], [1.0])
+    before = unit.getFloat64([angle])[0]
+    unit.setFloat64([torque], [1.0])
+    assert found == pytest.approx([unit.getFloat64([angle])[0] - before], rel=1e-9)
+    unit.setFloat64([torque], [0.0])
+    unit.doStep(0.4, 0.02)
+    after = unit.getFloat64([angle])
+    other.setFMUState(other.deserializeFMUState(data))
+    other.doStep(0.4, 0.02)
+    assert other.getFloat64([angle]) == after
+    for call in (
+        lambda: unit.setFloat64([torque], [float("nan")]),
+        lambda: unit.doStep(0.42, 0.02),
+        lambda: unit.doStep(0.42, -1.0),
+        lambda: unit.setFloat64([angle], [1.0]),
+        lambda: unit.getInt32([angle]),
+        lambda: unit.getFloat64([10**6]),
+        lambda: unit.enterInitializationMode(),
+        lambda: unit.enterEventMode(),
+    ):
+        with pytest.raises(fmpy.fmi1.FMICallException):
+            call()
+    unit.doStep(0.42, 0.02)
+    unit.freeFMUState(state)
+
+
+def test_fmi_3_returns_early_where_the_host_asks_and_where_a_motion_ends(slave):
+    seen = []
+
+    def look(environment, time, set_requested, get_allowed, finished, can_return, wanted, until):
+        seen.append(time)
+        wanted[0] = time > 0.05
+
+    unit, plain = slave(earlyReturnAllowed=True, intermediateUpdate=look), slave()
+    for each in (unit, plain):
+        each.enterInitializationMode()
+        each.exitInitializationMode()
+    _, _, early, reached = unit.doStep(0.0, 0.2)
+    assert early
+    assert reached == pytest.approx(0.06)
+    assert seen == pytest.approx([0.02, 0.04, 0.06])
+    plain.doStep(0.0, 0.06)
+    angle = unit.references["link1.angle"]
+    assert unit.getFloat64([angle]) == plain.getFloat64([angle])
+
+
+# Other hosts ----------------------------------------------------------------------------------------------------------
+
+
+def test_for_other_platforms(tmp_path, monkeypatch):
+    """Built by zig; where there is wine, the Windows library runs and gives the numbers of this platform."""
+    pytest.importorskip("ziglang")
+    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
+    path = alfmu.export("particle_on_circle", tmp_path, kind="native", platforms=["linux64", "win64"])
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(tmp_path)
+    library = tmp_path / "binaries" / "win64" / "particle_on_circle.dll"
+    assert library.read_bytes()[:2] == b"MZ"
+    if not shutil.which("wine"):
+        pytest.skip("there is no wine")
+    host = tmp_path / "host.exe"
+    command = [sys.executable, "-m", "ziglang", "cc", "-target", native.PLATFORMS["win64"].target]
+    command += [f"-I{native.headers()}", str(Path(__file__).with_name("native_windows.c")), "-o", str(host)]
+    subprocess.run(command, check=True, capture_output=True)
+    description = fmpy.read_model_description(str(path))
+    reference = next(v.valueReference for v in description.modelVariables if v.name == "particle.x")
+    done = subprocess.run(
+        ["wine", str(host), str(library), description.guid, str(reference)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=300,
+        env={**os.environ, "WINEPREFIX": str(tmp_path / "wine"), "WINEDEBUG": "-all"},
+    )
+    assert done.returncode == 0, done.stderr
+    got = np.array(done.stdout.split(), float)
+    library = alfmu.simulate("particle_on_circle", 2.0, 0.02)
+    assert np.abs(got - library["particle.x"][1:]).max() < 1e-12
+
+
+def test_libcosim_runs_it(built):
+    cosim = pytest.importorskip("libcosimpy.CosimEnums")
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    assert cosim
+    path = built("five_bar")
+    references = {v.name: v.valueReference for v in fmpy.read_model_description(str(path)).modelVariables}
+    execution = CosimExecution.from_step_size(step_size=20_000_000)
+    index = execution.add_local_slave(CosimLocalSlave(fmu_path=str(path), instance_name="five_bar"))
+    observer = CosimObserver.create_last_value()
+    execution.add_observer(observer)
+    execution.simulate_until(target_time=1_000_000_000)
+    got = observer.last_real_values(slave_index=index, variable_references=[references["link1.angle"]])
+    library = alfmu.simulate(prepared(derived("five_bar")), 1.0, 0.02)
+    assert got[0] == pytest.approx(library["link1.angle"][-1], abs=1e-12)
