@@ -390,15 +390,19 @@ SHARE = 0.002
 """Tolerance of a step over that of a run, as errors of steps add up and grow with the motion."""
 
 
-def tolerance(method: Explicit | Collocation, run: float) -> float:
-    """The tolerance of a step that keeps a run within a tolerance.
+def share(method: Explicit | Collocation) -> tuple[float, float]:
+    """Factor and exponent that make the tolerance of a run that of a step.
 
     The estimate of a collocation method is of an order far below its own: with the exponent of Hairer and Wanner's
     RADAU code, the error follows the tolerance all the same.
     """
-    if isinstance(method, Collocation):
-        return SHARE * run ** ((method.estimate + 1) / (method.order + 1))
-    return SHARE * run
+    return SHARE, (method.estimate + 1) / (method.order + 1) if isinstance(method, Collocation) else 1.0
+
+
+def tolerance(method: Explicit | Collocation, run: float) -> float:
+    """The tolerance of a step that keeps a run within a tolerance."""
+    factor, exponent = share(method)
+    return factor * run**exponent
 
 
 SPLIT = 2.0

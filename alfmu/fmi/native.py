@@ -69,17 +69,14 @@ _RUNTIME = ("alfmu.h", "component.h", "linear.h", "linear.c", "start.c", "instan
 MOST = 200
 """Coordinates of a native FMU: the matrices of its start are dense."""
 
-FIXED_STEPS = ("rk4",)
-"""Methods of integration that native FMUs can carry."""
-
 
 def checked(equations: Equations) -> None:
     """ExportError where a scene asks for what native FMUs do not have."""
     e, solver = equations, {"formulation": "residual", "method": "rk4", "input_order": 0, **equations.solver}
     if solver["formulation"] != "residual":
         what = f"solver.formulation {solver['formulation']}"
-    elif solver["method"] not in FIXED_STEPS:
-        what = f"solver.method {solver['method']}"
+    elif solver["method"] != "rk4" and e.brakes:
+        what = f"solver.method {solver['method']} where redundant constraints would brake the motion"
     elif solver["input_order"]:
         what = "solver.input_order (the host gives derivatives of inputs instead)"
     elif e.n > MOST:

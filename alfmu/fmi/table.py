@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import assembly, branch, oracle, runtime, scaling
+from .. import adaptive, assembly, branch, implicit, oracle, runtime, scaling, stepping
 from ..equations import Equations, Variable
 from ..evaluation import DENSE
 from ..kernel import program
@@ -16,7 +16,9 @@ from ..kernel.emit import written
 from ..kernel.program import Layout
 from ..kernel.standalone import passed, standalone
 from ..kernel.trace import CAREFUL, ROUND_OFF, Watch
+from ..oracle import FIXED, Settings
 from ..runtime import CHOICES, SOLVER_VARIABLES, Instance, choices
+from ..stepping import Collocation, Explicit, explicit_rule, share
 from ..topology import events
 
 __all__ = ["constants", "interface", "sources"]
@@ -74,6 +76,9 @@ def constants() -> str:
         "TRIES": assembly._TRIES,
         "RANKED": assembly._RANKED,
         "DENSE": DENSE,
+        "PACE": len(program.PACE),
+        "FIRST_STEP": adaptive.FIRST,
+        "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "ROUND_OFF": ROUND_OFF,
     }
     lines = [f"#define {name} {value!r}" for name, value in found.items()]
@@ -140,8 +145,9 @@ class _Table:
             "starts": len(e.starts),
             "compliances": len(e.compliances),
             "solver": len(SOLVER_VARIABLES),
-            **{name: at[f"solver.{name}"] for name in ("step_size", "penalty", "tolerance", "max_iterations")},
+            **{name: at[f"solver.{name}"] for name in _NUMBERS},
             "branch": names.index("solver.branch"),
+            "method_choice": names.index("solver.method"),
             "continues": known["solver.branch"].index("continue"),
         }
 
@@ -196,11 +202,20 @@ class _Table:
             "same_tiers": int(quick == careful),
             "careful_iterations": CAREFUL if e.l else 1,
             "normal": "normal",
+            **self._method(),
         }
+
+    def _method(self) -> dict[str, object]:
+        """What makes the steps, and how the tolerance of a step follows from that of a run."""
+        method = self.scene.solver.get("method", Settings.method)
+        rule = explicit_rule(method, 1.0, self.e.kernel.get("method", {}).get("rule")) or implicit.RULES.get(method)
+        factor, exponent = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
+        kind = 0 if method == Settings.method else 1 + (method in FIXED)
+        return {"method": kind, "share": repr(factor), "exponent": repr(exponent)}
 
     def _memory(self) -> dict[str, object]:
         layout = Layout(self.e)
-        names = "z", "after", "begin", "u", "p", "k", "dt", "control", "seen"
+        names = "z", "after", "begin", "u", "p", "k", "dt", "control", "pace", "seen"
         found = {name: layout.fields[name][0] for name in names}
         found |= {
             "seen_size": layout.fields["seen"][1],
@@ -248,6 +263,8 @@ class _Table:
         one_a_line = ",\n    ".join(entries) or ("{0}" if head.split()[1] in _STRUCTURES else "0")
         self.lines.append(f"static {head}[] = {{\n    {one_a_line}}};\n\n")
 
+
+_NUMBERS = ("step_size", "penalty", "tolerance", "max_iterations", "relative_tolerance", "absolute_tolerance")
 
 _STRUCTURES = ("Variable", "Choice", "Row", "Coordinate", "Switch")
 

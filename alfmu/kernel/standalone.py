@@ -226,12 +226,12 @@ class _Patient(Tracer):
             if not isinstance(rest[0], list):
                 yield [name, *(list(self._moved(x)) if isinstance(x, list) else x for x in rest)]
                 continue
-            arguments, results = rest
+            arguments, results, *sizes = rest
             if "u" in arguments:
                 time = next(x for x in arguments if x[0] == "t")
                 yield ["inputs_at", ["u", "slopes", time], ["inputs"]]
                 arguments = ["inputs" if x == "u" else x for x in arguments]
-            yield [name, arguments, results]
+            yield [name, arguments, results, *sizes]
 
     def evaluation(
         self, calls: Calls, scene: Scene, plan: Plan, i: str, names: MappingProxyType = MappingProxyType({})

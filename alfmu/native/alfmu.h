@@ -64,8 +64,9 @@ typedef struct {
     const Choice *choice;
     /* The first parameters are those of the mechanism, then start values, start rates, compliances, the solver's. */
     int own, starts, compliances, solver;
-    int step_size, penalty, tolerance, max_iterations; /* places among the parameters */
-    int branch, continues;                             /* of that choice, and of its value */
+    /* Places among the parameters. */
+    int step_size, penalty, tolerance, max_iterations, relative_tolerance, absolute_tolerance;
+    int branch, continues, method_choice; /* places of choices, and of a value of the first */
     const Switch *switched;
     int held;                  /* displacements that locks keep */
     int impulses, event_count; /* of all impacts; outputs that say something of them */
@@ -78,9 +79,11 @@ typedef struct {
     const int *tied; /* start values that are kept */
     int freedom;     /* of the usual constraints, -1 where it is not known */
     int brakes, weighted, same_tiers, careful_iterations;
+    int method;             /* 0 RK4, 1 one with error control, 2 another in steps of one length */
+    double share, exponent; /* that make the tolerance of a run that of a step */
     const double *normal; /* standard normal numbers, TRIES x n */
     /* Memory: offsets of fields, entries of the state, lengths. */
-    int z, after, begin, u, p, k, dt, control, seen, seen_size, time, work, trouble, size, workspace;
+    int z, after, begin, u, p, k, dt, control, pace, seen, seen_size, time, work, trouble, size, workspace;
     /* Workspace: what programs hand on. */
     int most, du, slopes, q, v, watch[4], near, dy, struck, impulse, lost;
     Pattern mass, constraint, gaps, tie_rows;
@@ -136,6 +139,7 @@ double instance_get(const Instance *i, int reference);
 const char *instance_chosen(const Instance *i, int reference);
 Outcome instance_set_slope(Instance *i, int reference, double value);
 
+Outcome instance_tolerate(Instance *i, double tolerance);
 Outcome instance_initialize(Instance *i);
 Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_read(Instance *i);

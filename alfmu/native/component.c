@@ -142,7 +142,7 @@ static Status refused(Component *c, Status status)
     return status;
 }
 
-Status component_begin(Component *c, double start, const char *call)
+Status component_begin(Component *c, double start, double tolerance, const char *call)
 {
     if (!component_in(c, INSTANTIATED, call))
         return WRONG;
@@ -151,6 +151,8 @@ Status component_begin(Component *c, double start, const char *call)
         return WRONG;
     }
     *instance_time(c->instance) = start;
+    if (tolerance != 0.0)
+        return component_set(c, FINE, instance_tolerate(c->instance, tolerance));
     return FINE;
 }
 

@@ -48,7 +48,8 @@ int component_in(Component *c, int phases, const char *call);
 void component_say(Component *c, Category category, const char *text);
 void component_refuse(Component *c, Category category, const char *call, const char *why);
 int component_logging(Component *c, int on, size_t count, const char *const categories[]);
-Status component_begin(Component *c, double start, const char *call);
+/* `tolerance` is 0 where the host asks for none. */
+Status component_begin(Component *c, double start, double tolerance, const char *call);
 Status component_initialized(Component *c, const char *call);
 Status component_terminated(Component *c, const char *call);
 Status component_reset(Component *c, const char *call);

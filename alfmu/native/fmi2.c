@@ -82,11 +82,9 @@ fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean has_toleranc
     fmi2Real start, fmi2Boolean has_stop, fmi2Real stop)
 {
     Component *c = component;
-    (void)has_tolerance;
-    (void)tolerance;
     (void)has_stop;
     (void)stop;
-    return (fmi2Status)component_begin(c, start, "fmi2SetupExperiment");
+    return (fmi2Status)component_begin(c, start, has_tolerance ? tolerance : 0.0, "fmi2SetupExperiment");
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component component)

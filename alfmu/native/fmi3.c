@@ -121,9 +121,7 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance instance, fmi3Boolean has_to
     fmi3Float64 start, fmi3Boolean has_stop, fmi3Float64 stop)
 {
     Component *c = instance;
-    const Status status = component_begin(c, start, "fmi3EnterInitializationMode");
-    (void)has_tolerance;
-    (void)tolerance;
+    const Status status = component_begin(c, start, has_tolerance ? tolerance : 0.0, "fmi3EnterInitializationMode");
     (void)has_stop;
     (void)stop;
     if (status == FINE)

@@ -379,6 +379,7 @@ static void settle_kernel(Instance *i)
 {
     const Scene *s = i->scene;
     double *k = field(i, s->k), *rows = k + SETTINGS, least = INFINITY;
+    const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
     const double pivot_of_mass = *i->freedom > 0.0 ? exp(*i->masses / *i->freedom) : 0.0;
     weigh(i);
     k[2] = *i->freedom;
@@ -387,6 +388,8 @@ static void settle_kernel(Instance *i)
     k[5] = NOTHING * pivot_of_mass;
     k[6] = fmax(LEAST, CONVERGING * sqrt(pivot_of_mass));
     k[7] = s->l && i->flags.choice[s->branch] == s->continues;
+    k[8] = s->share * pow(relative, s->exponent);
+    k[9] = s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent);
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
     for (int r = 0; r < s->compliances; r++)
@@ -395,6 +398,7 @@ static void settle_kernel(Instance *i)
         rows[2 * s->l + s->n + r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
     field(i, s->dt)[0] = field(i, s->control)[0] = i->values[s->step_size];
     field(i, s->control)[1] = !(i->flags.scaled || s->same_tiers);
+    field(i, s->control)[2] = s->method;
     i->flags.fast = !s->l || i->values[s->max_iterations] >= s->careful_iterations;
     i->flags.whole = i->flags.fast && !i->flags.brakes;
     if (i->flags.brakes)
@@ -650,11 +654,20 @@ static Outcome started(Instance *i)
     z[s->time] = time;
     memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
     *i->lost = 0.0;
+    memset(field(i, s->pace), 0, PACE * sizeof(double));
+    field(i, s->pace)[0] = FIRST_STEP;
+    field(i, s->pace)[1] = LEAST_BEFORE;
     settle_kernel(i);
     for (int k = 0; k < s->switches; k++)
         if (i->wanted[k] != i->on[k])
             return take_effect(i);
     return DONE;
+}
+
+/* The tolerance of a run that the host wants, where the method controls its error. */
+Outcome instance_tolerate(Instance *i, double tolerance)
+{
+    return i->scene->method == 1 ? instance_set(i, i->scene->relative_tolerance, tolerance) : DONE;
 }
 
 Outcome instance_initialize(Instance *i)
@@ -839,6 +852,13 @@ static Outcome checked_step(Instance *i, double start, double h)
     if (!(fabs(start - time) <= 1e-6 * h + 1e-12 * fabs(time)))
         return say(i, REFUSED, "%s: a step from t = %g s is asked for, but the state is at t = %g s", s->name, start,
             time);
+    if (s->method)
+        return s->communicate(i->m, start, h)
+            ? DONE
+            : say(i, FAILED,
+                  "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
+                  "where constraints stay open, use --kind python or rk4",
+                  s->name, time, s->choice[s->method_choice].values[0]);
     return slow_step(i, start, h);
 }
 
