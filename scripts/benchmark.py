@@ -39,6 +39,7 @@ from alfmu.cost import cost, operations
 from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu
 from alfmu.kernel.fusion import program_function
+from alfmu.kernel.program import TIERS as KINDS
 from alfmu.kernel.trace import parts
 from alfmu.kernel.vm import Vm
 from alfmu.simulation import prepared
@@ -104,7 +105,7 @@ def stepping(instance: alfmu.Instance, dt: float = SHORT, steps: int = 1, once: 
 
 def quick_share(instance: alfmu.Instance) -> float:
     """Steps of the last lap that were quick ones [%]."""
-    steps = instance.memory["tally"][:-1]
+    steps = instance.memory["tally"][: len(KINDS)]
     return float(100.0 * steps[0] / steps.sum())
 
 
@@ -246,7 +247,7 @@ def tiers(kernel: str, points: Sequence[float]) -> Row:
     for t in points:
         instance.memory["tally"][:] = 0.0
         instance.step(DT, t)
-        steps = instance.memory["tally"][:-1]
+        steps = instance.memory["tally"][: len(KINDS)]
         made[TIERS[int(np.argmax(steps)) if steps.any() else -1]] += 1
     return {tier: made[tier] for tier in TIERS}
 

@@ -162,6 +162,9 @@ ALLOWED: dict[str, set[str]] = {
     "fmi": set(),
     "fmi.slave": {"equations", "errors", "kernel.compiled", "kernel.program", "kernel.vm", "runtime"},
     "fmi.table": {
+        "adaptive",
+        "implicit",
+        "stepping",
         "assembly",
         "branch",
         "equations",
