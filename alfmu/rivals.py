@@ -22,7 +22,7 @@ from .oracle import Settings
 from .peers import Peer, Start
 from .runtime import Instance
 
-__all__ = ["RIVALS", "Rival"]
+__all__ = ["RIVALS", "SCIPY", "Rival"]
 
 MONITORS = ("monitor.position_error", "monitor.velocity_error", "monitor.energy")
 
@@ -128,11 +128,11 @@ def _model(peer: Peer) -> Rival:
 
 TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 
-RIVALS = (
-    *(
-        Rival("SciPy on (9)", method, TOLERANCE, lambda name: TOLERANCES, partial(_scipy, method))
-        for method in ("DOP853", "Radau", "BDF")
-    ),
-    *map(_model, peers.TUNED),
+SCIPY = tuple(
+    Rival("SciPy on (9)", method, TOLERANCE, lambda name: TOLERANCES, partial(_scipy, method))
+    for method in ("DOP853", "Radau", "BDF")
 )
+"""SciPy's integrators."""
+
+RIVALS = (*SCIPY, *map(_model, peers.TUNED))
 """What every report runs beside alfmu."""

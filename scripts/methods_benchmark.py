@@ -28,7 +28,7 @@ from tqdm import tqdm
 import alfmu
 from alfmu.cases import Case, exactness
 from alfmu.registry import mechanisms
-from alfmu.rivals import RIVALS
+from alfmu.rivals import SCIPY
 from alfmu.simulation import prepared, with_defaults
 from alfmu.tables import Chapter, Row, environment, rounded
 
@@ -141,9 +141,9 @@ def work_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
             row |= {"error": error, "time [s]": seconds, "steps": counters.steps, "refused": counters.refused}
             rows.append(row)
         started, case = with_defaults(derived, scene.start), Case({}, scene.times, effort.limit)
-        for rival in RIVALS:
+        for rival in SCIPY:
             for tolerance in scene.rivals:
-                run = rival.once(started, tolerance, case)
+                run = rival.build(started, tolerance, case)()
                 row = {"mechanism": name, "code": rival.name, "method": rival.method, "value": tolerance}
                 if len(run.values) == len(exact):
                     found = run.values[:, run.names.index(scene.output)]
@@ -238,7 +238,7 @@ TARGETS = (
     *(
         Target("least", {"mechanism": name, "method": rival.method}, RATIOS[-1], 20, at_least=True)
         for name in SCENES
-        for rival in RIVALS
+        for rival in SCIPY
     ),
     Target("auto", {"mechanism": WORST}, AUTO, 2),
 )

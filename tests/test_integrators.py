@@ -332,7 +332,8 @@ def test_tangents_are_the_derivatives_of_the_accelerations(name):
     by_q, by_v = implicit.on_branch(aq, av, T, S)
     h = 1e-5
     for direction in np.random.default_rng(1).standard_normal((4, 2, n)):
-        ends = [o.on_branch(q + k * h * direction[0], v + k * h * direction[1]) for k in (-1, 1)]
+        dq, dv = T @ direction[0], S @ direction[0] + T @ direction[1]
+        ends = [o.on_branch(q + k * h * dq, v + k * h * dv) for k in (-1, 1)]
         low, high = (o.accelerations(*place, a.inputs(0.2), 0.2)[0] for place in ends)
         expected = (high - low) / (2 * h)
         found = by_q @ direction[0] + by_v @ direction[1]
