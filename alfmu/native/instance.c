@@ -388,8 +388,8 @@ static void settle_kernel(Instance *i)
     k[5] = NOTHING * pivot_of_mass;
     k[6] = fmax(LEAST, CONVERGING * sqrt(pivot_of_mass));
     k[7] = s->l && i->flags.choice[s->branch] == s->continues;
-    k[8] = s->share * pow(relative, s->exponent);
-    k[9] = s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent);
+    k[8] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
+    k[9] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
     for (int r = 0; r < s->compliances; r++)
