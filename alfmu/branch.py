@@ -46,7 +46,7 @@ BRANCHES: dict[str, str] = {
 }
 """Ways to pass singular positions."""
 
-GUARD = 1e-3
+GUARD = 2.5e-4
 """Margin below which a step is made on the branch.
 
 The margin is the pivot of H that vanishes at a singular position, over the largest diagonal entry that its coordinate

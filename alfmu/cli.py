@@ -331,7 +331,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
     unit, about = _unit(chosen)
     try:
         stop_time = about["stop_time"] if chosen.stop_time is None else chosen.stop_time
-        step = about["step_size"] if chosen.step is None else chosen.step
+        step = about["interval"] if chosen.step is None else chosen.step
         result = run(unit, stop_time, step, inputs, about["set"], _progress("simulating"))
     finally:
         if hasattr(unit, "close"):
@@ -380,7 +380,7 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
             )
         fmu = Fmu(chosen.unit)
         about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters, "set": dict(chosen.set)}
-        return fmu, {**about, "stop_time": fmu.stop_time, "step_size": fmu.step_size}
+        return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
     from .derivation import derive
     from .runtime import Instance
     from .simulation import prepared, with_defaults
@@ -390,7 +390,7 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     equations = specialised(with_defaults(derive(mechanism), dict(chosen.set)), chosen.outputs, chosen.freeze)
     equations = prepared(equations, chosen.kernel or DEFAULT)
     about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}, "set": {}}
-    return Instance(equations), {**about, "stop_time": equations.stop_time, "step_size": equations.step_size}
+    return Instance(equations), {**about, "stop_time": equations.stop_time, "interval": equations.interval}
 
 
 def _validate(chosen: argparse.Namespace) -> int:

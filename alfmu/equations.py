@@ -106,6 +106,8 @@ class Equations:
     """Whether inputs, dampers or loads do work; otherwise energy is conserved."""
     stop_time: float
     step_size: float
+    interval: float
+    """Communication step when nobody says otherwise [s]."""
     options: dict[str, Any] = field(default_factory=dict)
     """Options that the mechanism was declared with."""
     kernel: dict[str, dict[str, Any]] = field(default_factory=dict)

@@ -232,7 +232,11 @@ class Experiment:
     """What a run of the mechanism looks like when nobody says otherwise."""
 
     stop_time: float = 10.0
+    """[s]"""
     step_size: float = 0.02
+    """Default of `solver.step_size` [s]."""
+    interval: float | None = None
+    """Communication step [s]; None for that of the solver."""
 
 
 @dataclass

@@ -787,7 +787,7 @@ def model_png(
     if shapes.dots:
         stop_time = min(equations.stop_time, 500 * equations.step_size)
         with suppress(AlfmuError):
-            result = simulate(equations, stop_time, outputs=shapes.columns)
+            result = simulate(equations, stop_time, equations.step_size, outputs=shapes.columns)
             covered = {name: np.append(result[name], columns[name]) for name in shapes.columns}
             trails = {dot: _path(result, dot) for dot in shapes.dots}
     buffer = io.BytesIO()

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from . import cases, paper
 from . import reference as exact
 from . import stability as maps
-from .adaptive import TANGENTS
 from .cases import (
     ENERGY,
     PHI,
@@ -55,7 +54,7 @@ from .mechanism import Mechanism
 from .oracle import FORMULATIONS, Settings
 from .rivals import RIVALS, Rival
 from .runtime import Instance
-from .simulation import KERNELS, Unit, communication_points, prepared
+from .simulation import Unit, communication_points, prepared
 from .specialisation import specialised
 from .tables import Row, paragraph, shown, write_csv
 
@@ -121,7 +120,7 @@ class Effort:
 USUAL = Effort(
     780.0,
     3.0,
-    5000,
+    20000,
     (4, 2, 1, 1 / 2, 1 / 4, 1 / 8),
     (1e-3, 1e-6, 1e-9, 1e-11),
     2.0,
@@ -291,15 +290,11 @@ class Study(cases.Study):
         """All settings in groups, those first whose rows are needed most."""
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
         groups = [(OWN, first)], [(OWN, m) for m in more], [(f, first) for f in others]
-        found = [[self._setting(*pair, way) for pair in pairs for way in self._run_by(pair[1])] for pairs in groups]
+        found = [[self._setting(*pair, way) for pair in pairs for way in self._ways] for pairs in groups]
         found[0] += filter(None, map(self._rival, RIVALS))
         # Other formulations are run by the oracle whatever the kernel: once is enough for what is left of them.
         rest = [self._setting(f, m, "oracle") for f in others for m in more]
         return [*found, rest]
-
-    def _run_by(self, method: str) -> list[str]:
-        """Ways to run a method; kernels that leave it to the oracle are left out."""
-        return [way for way in self._ways if method not in TANGENTS or way not in KERNELS or way == "oracle"]
 
     def _setting(self, formulation: str, method: str, way: str) -> Setting:
         e, stepped = self.equations, control(method) == STEP

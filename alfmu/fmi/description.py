@@ -161,9 +161,7 @@ def _categories(root: ET.Element) -> None:
 
 
 def _experiment(root: ET.Element, e: Equations) -> None:
-    ET.SubElement(
-        root, "DefaultExperiment", startTime="0", stopTime=_number(e.stop_time), stepSize=_number(e.step_size)
-    )
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=_number(e.stop_time), stepSize=_number(e.interval))
 
 
 def _units(root: ET.Element, names: Sequence[str]) -> None:

@@ -47,7 +47,7 @@ class Fmu:
         self.input_variables = [_variable(v) for v in self._of("input") if v.type in ("Real", "Boolean")]
         experiment = self.description.defaultExperiment
         self.stop_time = float(experiment.stopTime) if experiment and experiment.stopTime else 10.0
-        self.step_size = float(experiment.stepSize) if experiment and experiment.stepSize else 0.02
+        self.interval = float(experiment.stepSize) if experiment and experiment.stepSize else 0.02
         self._inputs = self._readings(self.input_variables)
         self._outputs = self._readings(self.outputs)
         self.parameters = {v.name: float(v.start) for v in self._of("parameter") if v.type == "Real" and v.start}
@@ -172,7 +172,7 @@ def validate(path: str | Path, steps: int = 50) -> list[str]:
     if read_model_description(str(path)).fmiVersion != "2.0":
         return _problems_of_a_run(path)
     with Fmu(path) as fmu, Fmu(path) as other:
-        step = min(fmu.step_size, fmu.stop_time / steps)
+        step = min(fmu.interval, fmu.stop_time / steps)
         try:
             first = _run(fmu, step, steps)
             state = fmu.save()

@@ -125,7 +125,9 @@ class _Fusion:
     def _choice(self, part: list[list], known: Mapping[str, ca.MX], wanted: Iterable[str]) -> dict[str, ca.MX]:
         """The results of a choice that are wanted."""
         [[_, number, *ways]] = part
-        outputs = [name for name in wanted if all(name in _made(way) for way in ways)]
+        made = [set(_made(way)) for way in ways]
+        # What one way makes may be known before it.
+        outputs = [name for name in wanted if any(name in way for way in made)]
         inputs = list(dict.fromkeys(chain(*(_taken(way, outputs) for way in ways))))
         functions = []
         for way in ways:
@@ -221,9 +223,7 @@ def _made(calls: Iterable[list]) -> list[str]:
     names: dict[str, None] = {}
     for name, *rest in calls:
         if name == CHOICE:
-            _, one, other = rest
-            both = set(_made(other))
-            names |= {each: None for each in _made(one) if each in both}
+            names |= dict.fromkeys(chain(*map(_made, rest[1:])))
         else:
             names |= dict.fromkeys(rest[1])
     return list(names)

@@ -40,6 +40,9 @@ CAREFUL = 5
 SHARES = 6
 """Passes that share a load among constraints of different compliances; each gains alpha over masses and their ratio."""
 
+_OFTEN = 3
+"""Multiplier iterations that most evaluations of a step on the branch need."""
+
 _SHARED = 1e-12
 """Last change of these shares, over what they are."""
 
@@ -184,8 +187,14 @@ class Tracer:
         if e.l:
             state = {"q": q, "v": v, "p": p, "k": k}
             if plan.corrections > 1:
-                for _ in range(plan.corrections):
-                    self.place(calls, scene, "q", "q")
+                self.place(calls, scene, "q", "q")
+                more = Calls(self) if plan.branch else calls
+                for _ in range(plan.corrections - 1):
+                    self.place(more, scene, "q", "q")
+                if plan.branch:
+                    known = {"q": q, "p": p, "k": k}
+                    calls("open", known, lambda: {"open": 1 - scene.within(scene.residue(e.Phi(q, p)), q)}, ["open"])
+                    calls.made.append([CHOICE, "open", more.made, []])
                 self.settle(calls, scene, plan, state, ["v", "pivot", "left"])
             else:
                 calls(
@@ -254,7 +263,7 @@ class Tracer:
             calls(f"{name}{i}", {"z": z, length: dt, **rates, **settled}, lambda: stage, list(stage))
             u = self.inputs(calls, str(i))
             if plan.branch:
-                self._on_branch(calls, scene, plan, str(i), u, length)
+                self._on_branch(calls, scene, plan, str(i), u, length, i == 1)
             else:
                 self.evaluation(calls, scene, plan, str(i), {"u": u})
             v, a, power = ca.SX.sym("v", e.n), ca.SX.sym("a", e.n), ca.SX.sym("power")
@@ -348,10 +357,10 @@ class Tracer:
         results = {"C": scene.matrix("C", matrices), "xi": matrices["xi"], "watch": symbols[2], "singular": symbols[3]}
         calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *symbols[:2], **results)}, ["seen"])
 
-    def _on_branch(self, calls: Calls, scene: Scene, plan: Plan, i: str, u: str, length: str) -> None:
+    def _on_branch(self, calls: Calls, scene: Scene, plan: Plan, i: str, u: str, length: str, kept: bool) -> None:
         """a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
 
-        `u` and `length` are the names of the inputs and of the step.
+        `u` and `length` are the names of the inputs and of the step; `kept` says that q and v keep the constraints.
         """
         n, own = self.e.n, plan.own
         q, v, spacing = ca.SX.sym("q", n), ca.SX.sym("v", n), ca.SX.sym("spacing")
@@ -362,10 +371,9 @@ class Tracer:
         watches = {f"watched{j}": ca.SX.sym("watch", len(Watch.FIELDS)) for j in range(len(places))}
         limit = Calls(self)
         limit(f"places{own}", {**here, "spacing": spacing}, lambda: scene.places(q, v, spacing, plan.side), places)
-        for j in range(len(places)):
-            self.place(limit, scene, f"place{j}", f"placed{j}")
         for j, (a, watch) in enumerate(zip(accelerations, watches, strict=True)):
-            self._brought(limit, scene, plan, f"place{j}", f"placed{j}", f"v{i}")
+            self.place(limit, scene, f"place{j}", "placed")
+            self._brought(limit, scene, plan, f"place{j}", "placed", f"v{i}")
             self.evaluation(limit, scene, plan, "0", {"u": u, "t0": f"t{i}", "a0": a, "watch0": watch})
             self._reached(limit, watch)
         limit(
@@ -375,9 +383,14 @@ class Tracer:
             [f"a{i}", f"watch{i}"],
         )
         direct = Calls(self)
-        self._brought(direct, scene, plan, f"q{i}", "placed", f"v{i}")
-        self.evaluation(direct, scene, plan, "0", {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"})
-        self._reached(direct, f"watch{i}")
+        names = {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"}
+        if kept:
+            names |= {"q0": f"q{i}", "v0": f"v{i}"}
+        else:
+            self._brought(direct, scene, plan, f"q{i}", "placed", f"v{i}")
+        self.evaluation(direct, scene, plan, "0", names)
+        if not kept:
+            self._reached(direct, f"watch{i}")
         calls.made.append([CHOICE, f"zone{i}", limit.made, direct.made])
         calls.made.append(["power", [f"q{i}", f"v{i}", u, "p", f"t{i}"], [f"power{i}"]])
 
@@ -385,9 +398,14 @@ class Tracer:
         """Whether a limit has to be taken, from places how far apart; `length` is what their spacing is measured by."""
         q, v = ca.SX.sym("q", self.e.n), ca.SX.sym("v", self.e.n)
         _, _, p, k, dt = self.known.values()
-        known = {f"q{i}": q, f"v{i}": v, length: dt, "p": p, "k": k}
-        results = [f"zone{i}", "spacing", "placed"]
-        calls(f"probe{plan.own}", known, lambda: scene.probed(q, v, scene.spacing(plan, v, dt)), results)
+        known = {f"q{i}": q, "p": p, "k": k}
+        calls("probe", known, lambda: scene.probed(q), ["here", f"zone{i}", "spacing", "placed"])
+        ways = Calls(self)
+        known = {"here": ca.SX.sym("here"), f"q{i}": q, f"v{i}": v, length: dt, "p": p, "k": k}
+        here = known["here"]
+        results = [f"zone{i}", "spacing"]
+        ways(f"approach{plan.own}", known, lambda: scene.approached(here, q, v, scene.spacing(plan, v, dt)), results)
+        calls.made.append([CHOICE, f"zone{i}", ways.made, []])
 
     def _reached(self, calls: Calls, watch: str) -> None:
         """Trouble in a watch where the branch does not lead to the place that was found last."""
@@ -443,13 +461,17 @@ class Tracer:
         )
         a, lam, watch = ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l), ca.SX.sym("watch", len(Watch.FIELDS))
         again = {"k": k, **matrices, acceleration: a, lami: lam, watchi: watch}
-        for _ in range(plan.iterations - 1):
-            calls(
+        more = Calls(self)
+        for i in range(plan.iterations - 1):
+            (more if plan.branch and i >= _OFTEN - 1 else calls)(
                 f"{kind}_iterate",
                 again,
                 lambda: scene.iterated_again(matrices, a, lam, watch),
                 [acceleration, lami, watchi],
             )
+        if more.made:
+            calls("judge", {"k": k, watchi: watch}, lambda: scene.judged(plan, Watch(watch)), ["more", watchi])
+            calls.made.append([CHOICE, "more", more.made, []])
 
     def matrices(self, scene: Scene) -> dict[str, ca.SX]:
         """Symbols for the nonzeros of what an evaluation hands on."""
@@ -578,28 +600,36 @@ class Scene:
             return spacing
         return ca.fmax(spacing, ca.sqrt(_TOLD * self.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
 
-    def probed(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
-        """Whether the limit has to be taken at q, and the spacing [s] of the places that it is taken from; also q after
-        a correction (10), most of which is known then."""
-        here, rate = self._approach(q, v, spacing)
+    def probed(self, q: ca.SX) -> dict[str, ca.SX]:
+        """The margin at q, and whether a limit may have to be taken there; also q after a correction (10), most of
+        which is known then."""
+        here = self._margin(q)
+        farthest = branch.ZONE * ca.fmax(branch.MOST, self.least_distance)
+        near = 1 - (ca.sqrt(here) >= farthest)
+        return {"here": here, "zone": near, "spacing": ca.SX(0), "placed": self.placed(q)}
+
+    def approached(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
+        """Whether the limit has to be taken at q of a known margin, and the spacing [s] of the places that it is taken
+        from."""
+        rate = self._rate(here, q, v, spacing)
         wanted = ca.fmax(ca.fmin(rate, branch.MOST), self.least_distance)
         zone = ca.sqrt(here) < branch.ZONE * wanted
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         zone = ca.if_else(rate > 0, zone, here <= self.nothing)
-        spacing = spacing * wanted / rate
-        return {"zone": zone, "spacing": spacing, "placed": self.placed(q)}
+        return {"zone": zone, "spacing": spacing * wanted / rate}
 
-    def _approach(self, q: ca.SX, v: ca.SX, spacing: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Margin at q, and how much distance one spacing along v makes; 0 where that cannot be told."""
-        margins = []
-        for k in (-1, 0, 1):
-            place = q + k * spacing * v
-            C = self.e.C(place, self.p)
-            D, _, order = _factors(self.e, self.augmented_mass(self.scale * self.e.M(place, self.p), C))
-            margins.append(self.margin(D, order)[1])
-        squared, here = branch.curvature(*margins), margins[1]
+    def _rate(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> ca.SX:
+        """How much distance one spacing along v makes from q of a known margin; 0 where that cannot be told."""
+        before, after = (self._margin(q + k * spacing * v) for k in (-1, 1))
+        squared = branch.curvature(before, here, after)
         told = ca.logic_or(here > self.nothing, squared > self.nothing)
-        return here, ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
+        return ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
+
+    def _margin(self, q: ca.SX) -> ca.SX:
+        """The margin at q."""
+        M, C = self.scale * self.e.M(q, self.p), self.e.C(q, self.p)
+        D, _, order = _factors(self.e, self.augmented_mass(M, C))
+        return self.margin(D, order)[1]
 
     def places(self, q: ca.SX, v: ca.SX, spacing: ca.SX, side: int) -> dict[str, ca.SX]:
         """The places from which a limit is taken."""
@@ -728,8 +758,7 @@ class Scene:
     def read_places(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
         """The places from which a limit is read; not finite where they cannot be told from the singular position."""
         spacing = branch.SPACING * dt
-        _, rate = self._approach(q, v, spacing)
-        spacing *= branch.READ_DISTANCE / rate
+        spacing *= branch.READ_DISTANCE / self._rate(self._margin(q), q, v, spacing)
         return {str(k): q + k * spacing * v for k in branch.READ_MEAN}
 
     def limits(self, found: list[ca.SX], watch: ca.SX) -> dict[str, ca.SX]:
@@ -852,15 +881,28 @@ class Scene:
         m = plan.iterations
         return 1 - (change <= self.tolerance ** (2 * (m - 1) / m) * size + _TINY)
 
+    def judged(self, plan: Plan, seen: Watch) -> dict[str, ca.SX]:
+        """Whether more iterations are needed, and the watch with what one more would change at most where not.
+
+        An iteration gains the margin over that of a singular position at least, which masses make.
+        """
+        next_change = seen.change * (self.nothing / branch.NOTHING / seen.margin) ** 2
+        expected = ca.fmin(seen.change, next_change)
+        watch = ca.vertcat(expected, seen.size, seen.pivot, seen.near, seen.margin)
+        return {"more": self.unconverged(plan, [Watch(watch)]), "watch": watch}
+
     def _largest(self, residue: ca.SX) -> ca.SX:
         return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else ca.SX(0)
 
     def _residues(self, q: ca.SX, Cv: ca.SX) -> ca.SX:
         """Sums of squares of Phi and Phi-dot, in units of the rows."""
-        both = self.e.Phi(q, self.p), Cv
+        return ca.vertcat(self.residue(self.e.Phi(q, self.p)), self.residue(Cv))
+
+    def residue(self, rows: ca.SX) -> ca.SX:
+        """Sum of squares of Phi or Phi-dot, in units of the rows."""
         if self.kind == "plain":
-            return ca.vertcat(*map(ca.sumsqr, both)) * self.inverse_units**2
-        return ca.vertcat(*(ca.sumsqr(x * self.held * self.inverse_units) for x in both))
+            return ca.sumsqr(rows) * self.inverse_units**2
+        return ca.sumsqr(rows * self.held * self.inverse_units)
 
     def _augmented(self, q: ca.SX) -> tuple[ca.SX, ca.SX, method.Solve]:
         """C, the pivots of H (times `scale`), and what solves with it."""

@@ -113,19 +113,18 @@ class _Machine:
 
     def communicate(self, start: float, h: float) -> bool:
         m, time = self._block, self._time
-        if not (0.0 < h < math.inf and abs(start - m[time]) <= 1e-6 * h + 1e-12 * abs(start)):
+        before, longest = m[time], m[self._step_size]
+        if not (0.0 < h < math.inf and (start == before or abs(start - before) <= 1e-6 * h + 1e-12 * abs(start))):
             return False
-        ratio = h / m[self._step_size] * (1 - 1e-12)
-        before = m[time]
         m[time] = start
         plain = m[self._chosen] == 0.0 and self._reach is None
-        if plain and ratio <= 1.0:
+        if plain and h * (1 - 1e-12) <= longest:
             m[self._dt] = h
             if not self._single():
                 m[time] = before
                 return False
         else:
-            n = math.ceil(ratio)
+            n = math.ceil(h / longest * (1 - 1e-12))
             self._begin[:] = self._z
             kept = self._kept.copy()
             if not (self.advance(n, h / n) == n if plain else self._covered(start + h, n, h / n)):
@@ -202,7 +201,10 @@ class _Machine:
     def _single(self) -> bool:
         """An internal step by the first tier that can make it."""
         m, tier = self._block, int(self._block[self._first])
-        while not self._ran(self._runs[tier][0]):
+        while True:
+            self._runs[tier][0]()
+            if m[self._trouble] == 0.0:
+                break
             # Near a singular position no step but that on the branch can be good.
             near = m[self._near] != 0.0
             if tier == 2 or (tier == 1 and not near):
@@ -210,6 +212,7 @@ class _Machine:
             tier = 2 if near else 1
             if tier not in self._runs:
                 self._build(tier)
+        self._z[:] = self._after
         m[self._tallied + tier] += 1.0
         if tier == 2:
             m[self._tallied + len(TIERS)] += m[self._near]
