@@ -86,9 +86,9 @@ def test_order_8_at_fixed_steps():
     assert errors[2] < 2e-12
 
 
-@pytest.mark.parametrize(("step", "bound"), [(0.1, 1e-7), (0.02, 2e-12)])
+@pytest.mark.parametrize(("step", "bound"), [(0.1, 1e-7), (0.02, 1e-12)])
 def test_order_8_over_the_run_of_the_paper(step, bound):
-    """Five-bar, 20 s from its singular start: 1e-8 rad at 0.1 s, 1e-12 at 0.02 s, where round-off is what is left."""
+    """Five-bar, 20 s from its singular start: 1e-7 rad at 0.1 s, 1e-12 at 0.02 s, where round-off is what is left."""
     times = np.linspace(0.0, 20.0, 21)
     exact = Parallelogram().swing(0.0, 2.0, times)[:, 0]
     i = chosen("five_bar", "order8", "vm", solver__step_size=step)
