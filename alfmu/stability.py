@@ -132,7 +132,7 @@ class Effort:
 
 
 USUAL = Effort(
-    total=660.0,
+    total=3600.0,
     horizon=2.0,
     limit=0.2,
     steps=(1e-4, 1e-3, 1e-2, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0),
