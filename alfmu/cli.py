@@ -128,7 +128,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_study(sub, "report.md, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
     sub.epilog = _REPORT
     sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")
-    _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within a quarter of an hour for all")
+    _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within an hour for all")
     return parser
 
 
