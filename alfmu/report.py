@@ -46,6 +46,7 @@ from .cases import (
 )
 from .charts import scatter, slope
 from .cost import cost, left_out
+from .equations import Equations
 from .errors import AlfmuError, InputError
 from .fmi.drive import Fmu
 from .fmi.export import export
@@ -180,6 +181,7 @@ class Study(cases.Study):
         """Of the paper."""
         self.maps = maps.Study(self.mechanism, effort.stability)
         self._before: dict[Setting, tuple[float, float]] = {}
+        self._traced: dict[str, Equations] = {}
 
     def measure(self, deadline: float, progress: Progress) -> None:
         """Run all cases, as far as time allows until `deadline`."""
@@ -274,11 +276,13 @@ class Study(cases.Study):
         return {**makers, f"FMU ({kernels[0]})": partial(self._fmu, folder, kernels[0])}
 
     def _instance(self, kernel: str, method: str) -> Instance:
-        return Instance(scene(self.derived, method, kernel))
+        if method not in self._traced:
+            self._traced[method] = scene(self.derived, method, "vm")
+        return Instance(prepared(self._traced[method], kernel))
 
     def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
-        path = folder / f"{self.name}_{method}.fmu"
-        return Fmu(export(self.mechanism, path, kernel=kernel, parameters={"solver.method": method}))
+        path, given = folder / f"{self.name}_{method}.fmu", {"solver.method": method}
+        return Fmu(export(self.mechanism, path, kernel=kernel, parameters=given, portable=kernel != "compiled"))
 
     def _unit(self, way: str, method: str) -> _Open:
         """A unit of a way to run that carries a method, made when it is first wanted."""
@@ -289,12 +293,14 @@ class Study(cases.Study):
     def _settings(self) -> list[list[Setting]]:
         """All settings in groups, those first whose rows are needed most."""
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
-        groups = [(OWN, first)], [(OWN, m) for m in more], [(f, first) for f in others]
-        found = [[self._setting(*pair, way) for pair in pairs for way in self._ways] for pairs in groups]
-        found[0] += filter(None, map(self._rival, RIVALS))
-        # Other formulations are run by the oracle whatever the kernel: once is enough for what is left of them.
-        rest = [self._setting(f, m, "oracle") for f in others for m in more]
-        return [*found, rest]
+        fastest, *_, fmu = self._ways
+        own = [self._setting(OWN, first, way) for way in self._ways]
+        # What `auto` chooses is there under its own name.
+        by = [self._setting(OWN, m, way) for m in more for way in ([fastest] if m == "auto" else self._ways)]
+        # Other formulations are run by the oracle whatever the kernel.
+        given = [self._setting(f, first, way) for f in others for way in ("oracle", fmu)]
+        rest = [self._setting(f, m, "oracle") for f in others for m in more if m != "auto"]
+        return [[*own, *filter(None, map(self._rival, RIVALS))], by, given, rest]
 
     def _setting(self, formulation: str, method: str, way: str) -> Setting:
         e, stepped = self.equations, control(method) == STEP
@@ -504,14 +510,14 @@ Run time is that of all steps and of reading all outputs at each point, without 
 """
 
 LIMITS = """
-SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the
-oracle, and is not told of singular positions. Formulations other than the default run by the oracle whatever the
-kernel. All runs share one machine and one process, in the order of `errors.csv`; small ratios of times are not to be
-trusted. Where the reference ends before the run, positions and reactions are judged up to there. Pinocchio, Exudyn and
-MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned to them with exact motions at
-hand; the angle of the first link and the reactions are what is judged. Pinocchio is stepped in Python. Longer runs, in
-rounds of random order, are those of `scripts/peers.py`; the study of the paper in full is that of
-`scripts/paper_study.py`, maps with all their cells are those of `alfmu stability`.
+SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the oracle,
+and is not told of singular positions. Formulations other than the default run by the oracle whatever the kernel, and
+are timed there and through the FMU. All runs share one machine and one process, in the order of `errors.csv`; small
+ratios of times are not to be trusted. Where the reference ends before the run, positions and reactions are judged up to
+there. Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned
+to them with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is
+stepped in Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in
+full is that of `scripts/paper_study.py`, maps with all their cells are those of `alfmu stability`.
 """
 
 
