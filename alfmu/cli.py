@@ -69,6 +69,9 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
     sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
+    sub.add_argument(
+        "--sizes", action="store_true", help="export it as well, to show what its FMUs carry, in kB by part"
+    )
     _add_scene(sub)
 
     sub = command("export", _export, "write the FMU (co-simulation) of a mechanism")
@@ -95,6 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="leave out the portable form beside a compiled kernel: smaller, and for this platform alone",
     )
+    sub.add_argument("--no-reference", action="store_true", help="leave out the reference results: smaller")
     _add_scene(sub)
 
     sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
@@ -110,7 +114,8 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_scene(sub)
 
-    sub = command("validate", _validate, "check an FMU: fmpy's validation, a run, reset, rewind, reproducibility")
+    what = "check an FMU: fmpy's validation, a run, reset, rewind, reproducibility, its reference results"
+    sub = command("validate", _validate, what)
     sub.add_argument("fmu", metavar="FMU", help="an .fmu file")
 
     sub = command("animate", _animate, "turn a result into a film that a person can watch (GIF or HTML)")
@@ -288,6 +293,10 @@ def _info(chosen: argparse.Namespace) -> None:
     chosen_method = decided.solver.get("method", "rk4")
     print(f"\nmethod of integration: {decided.reason or chosen_method}")
     print("\n" + "\n".join(described(everything, equations, size)))
+    if chosen.sizes:
+        from .fmi.sizes import sizes
+
+        print("\n" + "\n".join(sizes(mechanism, dict(chosen.set), chosen.outputs, chosen.freeze)))
 
 
 def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -316,6 +325,7 @@ def _export(chosen: argparse.Namespace) -> None:
     given = {"parameters": dict(chosen.set), "outputs": chosen.outputs, "freeze": chosen.freeze}
     mechanism = _declared(chosen, chosen.mechanism)
     form = {"fmi": chosen.fmi, "kernel": chosen.kernel, "portable": not chosen.no_portable}
+    form["reference"] = not chosen.no_reference
     path = export(mechanism, chosen.output, **given, **form, kind=chosen.kind, platforms=chosen.platform)
     print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
 

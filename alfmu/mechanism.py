@@ -254,12 +254,14 @@ class Mechanism:
         m.gravity(0, -g)
 
     `sketch` is shown wherever the mechanism is explained; the README beside a mechanism's file is its documentation.
+    Its `author` is named in the FMU.
     """
 
     name: str
     description: str = ""
     sketch: str = ""
     experiment: Experiment = field(default_factory=Experiment)
+    author: str = ""
     parameters: list[Parameter] = field(default_factory=list, init=False)
     starts: list[Start] = field(default_factory=list, init=False)
     ties: list[tuple[ca.SX, ca.SX]] = field(default_factory=list, init=False)

@@ -2,6 +2,7 @@
 
 import contextlib
 import csv
+import importlib.util
 import json
 import os
 import pty
@@ -9,6 +10,7 @@ import re
 import subprocess
 import sys
 import termios
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ import pytest
 
 import alfmu
 from alfmu.cli import main
+from alfmu.fmi import native
 
 PENDULUM = """
 from alfmu import Mechanism
@@ -223,6 +226,33 @@ def test_a_long_run_shows_its_progress_on_a_terminal(tmp_path):
     assert run.returncode == 0
     assert "simulating" in shown
     assert "%" in shown
+
+
+def test_info_shows_what_fmus_carry(capsys, tmp_path, monkeypatch):
+    if native.compiler():
+        monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
+        assert main(["info", "particle_on_circle", "--sizes"]) == 0
+        said = capsys.readouterr().out.split("FMU of kind ")
+        for text in said[1:]:
+            sizes = [float(line.split()[-1]) for line in text.split("\n\n")[0].splitlines()[1:]]
+            assert sizes[-1] == pytest.approx(sum(sizes[:-1]), abs=0.5)
+            assert min(sizes) >= 0.0
+        path = alfmu.export("particle_on_circle", tmp_path, kind="native")
+        with zipfile.ZipFile(path) as archive:
+            library = next(i for i in archive.infolist() if i.filename.startswith("binaries"))
+            c = sum(i.file_size for i in archive.infolist() if i.filename.startswith("sources"))
+        assert f"compiled libraries {library.compress_size / 1000:.1f} {library.file_size / 1000:.1f}" in " ".join(
+            said[2].split()
+        )
+        parts = [float(line.split()[-1]) for line in said[2].split("\n\n")[1].splitlines()[1:]]
+        assert sum(parts) == pytest.approx(c / 1000, abs=0.5)
+    monkeypatch.setattr(native, "compiler", lambda: None)
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "ziglang" else found(name))
+    assert main(["info", "particle_on_circle", "--sizes"]) == 0
+    said = capsys.readouterr().out
+    assert "no FMU of kind native: particle_on_circle: no C compiler found" in said
+    assert "directional derivatives" in said
 
 
 def test_info_says_which_reactions_are_unique(capsys):

@@ -1,5 +1,6 @@
 """FMUs through fmpy: the same numbers as the library, the life cycle of FMI 2.0, and every refusal."""
 
+import csv
 import hashlib
 import subprocess
 import sys
@@ -411,6 +412,76 @@ def test_the_archive_is_clean_and_complete(exported):
         assert ET.fromstring(archive.read("modelDescription.xml")).get("guid")
         assert b"libraries" not in archive.read("documentation/externalDependencies.txt")
         assert b"numpy and casadi" in archive.read("documentation/externalDependencies.txt")
+
+
+def test_the_model_says_whose_and_of_when_it_is_and_how_exact_a_run(tmp_path, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    m = alfmu.Mechanism("credited", author="A. Turner")
+    m.kinetic_energy(m.rate(m.coordinate("x", "m", start=1.0, independent=True)) ** 2)
+    given = {"solver.method": "explicit", "solver.relative_tolerance": 1e-5}
+    root = ET.fromstring(zipfile.ZipFile(alfmu.export(m, tmp_path, parameters=given)).read("modelDescription.xml"))
+    wanted = {"author": "A. Turner", "license": "MIT", "generationDateAndTime": "2023-11-14T22:13:20Z"}
+    assert {name: root.get(name) for name in wanted} == wanted
+    assert root.get("copyright").startswith("Copyright")
+    assert float(root.find("DefaultExperiment").get("tolerance")) == 1e-5
+    assert validate(tmp_path / "credited.fmu") == []
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "today")
+    with pytest.raises(alfmu.ExportError, match="SOURCE_DATE_EPOCH is 'today'"):
+        alfmu.export(m, tmp_path)
+
+
+FOLDER = "extra/org.fmi-standard.fmi-ls-ref"
+
+
+def test_reference_results_are_those_of_the_scene(exported):
+    """In the form of the FMI cross-check, and listed in the manifest of FMI-LS-REF."""
+    with zipfile.ZipFile(exported("slider_crank")) as archive:
+        read = {name: archive.read(f"{FOLDER}/{name}").decode() for name in REFERENCE_FILES}
+    settings = dict(line.split(",") for line in read["slider_crank_ref.opt"].splitlines())
+    stop, step, interval = (float(settings[key]) for key in ("StopTime", "StepSize", "OutputIntervalLength"))
+    names, *rows = csv.reader(read["slider_crank_ref.csv"].splitlines())
+    table = np.array(rows, float)
+    assert 10 < len(table) <= 1001
+    assert table[:, 0] == pytest.approx(np.arange(len(table)) * interval, rel=1e-8)
+    assert table[-1, 0] == pytest.approx(stop, rel=1e-8)
+    library = alfmu.simulate("slider_crank", stop, step)
+    assert {n for n in library.names if n.endswith((".angle", ".force.x"))} < set(names)
+    every = round(interval / step)
+    wanted = np.column_stack([library[name][::every] for name in names[1:]])
+    assert table[:, 1:] == pytest.approx(wanted, rel=1e-8, abs=1e-12)
+    listed = {each.get("source"): each.get("role") for each in ET.fromstring(read["fmi-ls-manifest.xml"])}
+    assert listed == {"slider_crank_ref.csv": "result", "slider_crank_ref.opt": "experiment/smoke-test"}
+
+
+REFERENCE_FILES = ("fmi-ls-manifest.xml", "slider_crank_ref.csv", "slider_crank_ref.opt")
+
+
+def test_validation_compares_with_the_reference_results(exported, tmp_path):
+    other = tmp_path / "other.fmu"
+    with zipfile.ZipFile(exported("slider_crank")) as old, zipfile.ZipFile(other, "w") as new:
+        for info in old.infolist():
+            data = old.read(info)
+            if info.filename.endswith("_ref.csv"):
+                head, *rows = data.decode().splitlines()
+                at = head.split(",").index("crank.angle")
+                last = rows[-1].split(",")
+                last[at] = str(float(last[at]) + 1e-4)
+                data = "\n".join([head, *rows[:-1], ",".join(last)]).encode()
+            new.writestr(info, data)
+    [problem] = validate(other)
+    assert problem.startswith("reference results: crank.angle is ")
+
+
+def test_reference_results_may_be_left_out_and_are_where_a_run_ends_early(tmp_path):
+    m = alfmu.Mechanism("dead_end")
+    x, y = m.coordinate("x", "m", start=1.0, rate=-2.0, independent=True), m.coordinate("y", "m", start=1.0)
+    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
+    m.constraint("curve", y**2 - x**3, "m")
+    m.output("place", x, "m")
+    paths = alfmu.export("particle_on_circle", tmp_path / "p.fmu", reference=False), alfmu.export(m, tmp_path / "m.fmu")
+    for path in paths:
+        with zipfile.ZipFile(path) as archive:
+            assert not [name for name in archive.namelist() if name.startswith("extra")]
 
 
 def test_an_fmu_is_exported_without_leaving_modules_or_paths_behind(tmp_path):

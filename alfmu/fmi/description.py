@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import markdown
@@ -11,6 +12,7 @@ import markdown
 from ..equations import Equations, Variable
 from ..evaluation import DENSE
 from ..kernel.program import PLATFORM
+from ..oracle import FIXED, Settings
 from ..runtime import Instance
 from ..units import unit
 from .slave import interface
@@ -35,10 +37,11 @@ def model_description(
     guid: str,
     variables: Sequence[tuple[str, Variable]] | None = None,
     sources: Sequence[str] = (),
+    credits: Mapping[str, str] = MappingProxyType({}),
 ) -> bytes:
     """modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments.
 
-    `variables` are those of a native FMU, and `sources` its C files.
+    `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
     """
     e, native = equations, variables is not None
     variables = interface(Instance(e)) if variables is None else variables
@@ -53,6 +56,7 @@ def model_description(
         license=LICENSE,
         generationTool=generator,
         variableNamingConvention="structured",
+        **credits,
     )
     simulation = ET.SubElement(
         root,
@@ -85,7 +89,12 @@ def model_description(
 
 
 def model_description3(
-    equations: Equations, version: str, generator: str, token: str, variables: Sequence[tuple[str, Variable]]
+    equations: Equations,
+    version: str,
+    generator: str,
+    token: str,
+    variables: Sequence[tuple[str, Variable]],
+    credits: Mapping[str, str] = MappingProxyType({}),
 ) -> bytes:
     """modelDescription.xml (FMI 3.0, co-simulation) of a native FMU."""
     e = equations
@@ -99,6 +108,7 @@ def model_description3(
         license=LICENSE,
         generationTool=generator,
         variableNamingConvention="structured",
+        **credits,
     )
     ET.SubElement(
         root,
@@ -161,7 +171,10 @@ def _categories(root: ET.Element) -> None:
 
 
 def _experiment(root: ET.Element, e: Equations) -> None:
-    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=_number(e.stop_time), stepSize=_number(e.interval))
+    span = {"startTime": "0", "stopTime": _number(e.stop_time)}
+    if e.solver.get("method", Settings.method) not in FIXED:
+        span["tolerance"] = _number(Instance(e).get("solver.relative_tolerance"))
+    ET.SubElement(root, "DefaultExperiment", span, stepSize=_number(e.interval))
 
 
 def _units(root: ET.Element, names: Sequence[str]) -> None:

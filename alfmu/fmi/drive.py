@@ -11,7 +11,7 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-from fmpy import extract, instantiate_fmu, read_model_description, simulate_fmu
+from fmpy import extract, instantiate_fmu, read_model_description
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelVariable
 from fmpy.validation import validate_fmu
@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 
 from ..equations import Variable
 from ..errors import ExportError, InputError, StepError
+from ..simulation import Result, run
+from .experiment import Experiment, unlike
 from .slave import SCENE
 
 __all__ = ["Fmu", "validate"]
@@ -27,30 +29,51 @@ _LOG: list[str] = []
 """Messages of the call under way; one list for all, for fmpy hands every message to the newest instance's logger."""
 
 
-def _logged(environment, instance, status, category, message) -> None:
-    _LOG.append((message or b"").decode(errors="replace"))
+def _logged(*said) -> None:
+    """What an FMU logs; the message comes last, whatever the version of FMI."""
+    _LOG.append((said[-1] or b"").decode(errors="replace"))
+
+
+_KINDS = {
+    **{"Real": "Real", "Float64": "Real", "Float32": "Real", "Integer": "Integer"},
+    **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
+    **{"Boolean": "Boolean", "String": "String"},
+}
+"""Types of variables in FMI 2 and 3, and what they are here."""
+
+_STATE = {
+    "2": ("getFMUstate", "setFMUstate", "freeFMUstate", "serializeFMUstate", "deSerializeFMUstate"),
+    "3": ("getFMUState", "setFMUState", "freeFMUState", "serializeFMUState", "deserializeFMUState"),
+}
+"""Calls of fmpy that get, set, free, write and read a state."""
 
 
 class Fmu:
-    """An FMI 2.0 co-simulation FMU, unpacked and instantiated; close it, or use it in a `with` statement."""
+    """A co-simulation FMU of FMI 2 or 3, unpacked and instantiated; close it, or use it in a `with` statement.
+
+    Of FMI 3, its scalar variables.
+    """
 
     def __init__(self, path: str | Path):
         try:
             self.description = read_model_description(str(path))
         except Exception as error:  # fmpy raises whatever the archive or the XML parser raised
             raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
-        if self.description.fmiVersion != "2.0" or self.description.coSimulation is None:
-            raise ExportError(f"{path} is no FMI 2.0 co-simulation FMU; alfmu drives no other")
+        self._version = self.description.fmiVersion[:1]
+        if self._version not in _STATE or self.description.coSimulation is None:
+            raise ExportError(f"{path} is no co-simulation FMU of FMI 2.0 or 3.0; alfmu drives no other")
         self.name = self.description.modelName
-        self._by_name = {v.name: v for v in self.description.modelVariables}
-        self.outputs = [_variable(v) for v in self._of("output") if v.type in ("Real", "Integer")]
-        self.input_variables = [_variable(v) for v in self._of("input") if v.type in ("Real", "Boolean")]
+        self._by_name = {v.name: v for v in self.description.modelVariables if not v.dimensions}
+        self.outputs = [_variable(v) for v in self._of("output") if _KINDS.get(v.type) in ("Real", "Integer")]
+        self.input_variables = [_variable(v) for v in self._of("input") if _KINDS.get(v.type) in ("Real", "Boolean")]
         experiment = self.description.defaultExperiment
         self.stop_time = float(experiment.stopTime) if experiment and experiment.stopTime else 10.0
         self.interval = float(experiment.stepSize) if experiment and experiment.stepSize else 0.02
         self._inputs = self._readings(self.input_variables)
         self._outputs = self._readings(self.outputs)
-        self.parameters = {v.name: float(v.start) for v in self._of("parameter") if v.type == "Real" and v.start}
+        self.parameters = {
+            v.name: float(v.start) for v in self._of("parameter") if _KINDS.get(v.type) == "Real" and v.start
+        }
         """Defaults of the numbers that can be set before the run."""
         self._folder = extract(str(path))
         scene = Path(self._folder, "resources", SCENE)
@@ -82,22 +105,25 @@ class Fmu:
         """Set a variable by name; the FMU itself refuses a bad value at the next step or at initialisation."""
         variable = self._by_name.get(name)
         if variable is None or variable.causality not in ("parameter", "input"):
-            settable = [v.name for v in self.description.modelVariables if v.causality in ("parameter", "input")]
+            settable = [v.name for v in self._by_name.values() if v.causality in ("parameter", "input")]
             raise InputError(f"{self.name} has no input or parameter {name!r}; it has {', '.join(settable)}")
         try:
-            value = {"Real": float, "Integer": int, "Boolean": _truth, "String": str}[variable.type](value)
-        except (TypeError, ValueError):
+            value = {"Real": float, "Integer": int, "Boolean": _truth, "String": str}[_KINDS[variable.type]](value)
+        except (KeyError, TypeError, ValueError):
             raise InputError(f"{self.name}: {name} is {value!r}; it must be a {variable.type} value") from None
         self._call(f"set{variable.type}", [variable.valueReference], [value])
 
     def initialize(self) -> None:
-        self._call("setupExperiment", startTime=0.0)
+        if self._version == "2":
+            self._call("setupExperiment", startTime=0.0)
         self._call("enterInitializationMode")
         self._call("exitInitializationMode")
         self.begun = True
 
     def step(self, communication_step: float, time: float) -> None:
-        self._call("doStep", time, communication_step)
+        said = self._call("doStep", time, communication_step)
+        if self._version == "3" and (said[1] or said[2]):
+            raise StepError(self._why(f"{self.name}: doStep from {time:g} s ended at {said[3]:g} s"))
 
     def read(self) -> NDArray:
         return self._read(self._outputs, len(self.outputs))
@@ -115,7 +141,7 @@ class Fmu:
         """By type, the places of variables among them and their value references."""
         found: dict[str, list[tuple[int, int]]] = {}
         for i, v in enumerate(variables):
-            found.setdefault(v.type, []).append((i, self._by_name[v.name].valueReference))
+            found.setdefault(self._by_name[v.name].type, []).append((i, self._by_name[v.name].valueReference))
         return found
 
     def reset(self) -> None:
@@ -125,21 +151,27 @@ class Fmu:
 
     def save(self) -> bytes:
         """The complete state, serialised by the FMU."""
-        state = self._call("getFMUstate")
+        get, _, free, write, _ = _STATE[self._version]
+        state = self._call(get)
         try:
-            return self._call("serializeFMUstate", state)
+            return self._call(write, state)
         finally:
-            self._call("freeFMUstate", state)
+            self._call(free, state)
 
     def restore(self, data: bytes) -> None:
-        state = self._call("deSerializeFMUstate", data)
+        _, put, free, _, read = _STATE[self._version]
+        state = self._call(read, data)
         try:
-            self._call("setFMUstate", state)
+            self._call(put, state)
         finally:
-            self._call("freeFMUstate", state)
+            self._call(free, state)
+
+    def reference(self) -> tuple[Experiment, Result] | None:
+        """The experiment and the reference results inside, None where there are none."""
+        return Experiment.read(Path(self._folder), self.description.coSimulation.modelIdentifier)
 
     def _of(self, causality: str) -> Iterator[ModelVariable]:
-        return (v for v in self.description.modelVariables if v.causality == causality)
+        return (v for v in self._by_name.values() if v.causality == causality)
 
     def _call(self, function: str, *arguments, **named):
         _LOG.clear()
@@ -158,9 +190,8 @@ class Fmu:
 
 
 def validate(path: str | Path, steps: int = 50) -> list[str]:
-    """Problems of an FMU: fmpy's validation; if that finds none, a run, a reset, a rewind and a second instance.
-
-    Of an FMU of FMI 3 a run alone.
+    """Problems of an FMU: fmpy's validation; if that finds none, a run, a reset, a rewind and a second instance, and
+    the reference results inside it.
 
     An empty list means that none was found. Raises ExportError where the file is no FMU that can be opened.
     """
@@ -169,8 +200,6 @@ def validate(path: str | Path, steps: int = 50) -> list[str]:
     problems = [f"fmpy: {problem}" for problem in validate_fmu(str(path))]
     if problems:
         return problems
-    if read_model_description(str(path)).fmiVersion != "2.0":
-        return _problems_of_a_run(path)
     with Fmu(path) as fmu, Fmu(path) as other:
         step = min(fmu.interval, fmu.stop_time / steps)
         try:
@@ -187,19 +216,23 @@ def validate(path: str | Path, steps: int = 50) -> list[str]:
                 problems.append("reset: after a reset the run is not the same")
             if not _same(first, _run(other, step, steps)):
                 problems.append("reproducibility: a second instance does not give the same run")
+            problems += _unlike_reference(fmu)
         except StepError as error:
             problems.append(f"run: {error}")
     return problems
 
 
-def _problems_of_a_run(path: str | Path) -> list[str]:
-    """Of an FMU that `Fmu` does not drive: fmpy's simulation has to get to its end, with numbers that are finite."""
-    try:
-        result = simulate_fmu(str(path))
-    except Exception as error:  # fmpy raises whatever the FMU or its own driver raised
-        return [f"run: {error}"]
-    finite = all(np.isfinite(result[name]).all() for name in result.dtype.names)
-    return [] if finite else ["run: an output is not finite"]
+def _unlike_reference(fmu: Fmu) -> list[str]:
+    """How a run differs from the reference results inside an FMU."""
+    found = fmu.reference()
+    if found is None:
+        return []
+    experiment, expected = found
+    fmu.reset()
+    result = run(fmu, experiment.stop_time, experiment.step)
+    if missing := set(expected.names) - set(result.names):
+        return [f"reference results: {min(missing)} is no output of the FMU"]
+    return [f"reference results: {each}" for each in unlike(expected, experiment, result)]
 
 
 def _run(fmu: Fmu, step: float, steps: int, begin: int = 0) -> list[NDArray]:
@@ -224,4 +257,4 @@ def _truth(value: float | str) -> bool:
 
 
 def _variable(v: ModelVariable) -> Variable:
-    return Variable(v.name, v.unit or "1", description=v.description or "", type=v.type)
+    return Variable(v.name, v.unit or "1", description=v.description or "", type=_KINDS[v.type])

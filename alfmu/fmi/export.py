@@ -15,6 +15,7 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +37,12 @@ from ..simulation import prepared, with_defaults
 from ..specialisation import specialised
 from . import native
 from .description import build_description, dependencies, documentation, model_description, model_description3
+from .experiment import reference_results
 from .slave import FUNCTIONS, SCENE
 from .table import interface
 from .terminals import document, terminals
 
-__all__ = ["KINDS", "RUN_SIDE", "export"]
+__all__ = ["KINDS", "RUN_SIDE", "export", "packed_scene"]
 
 KINDS = {
     "python": "runs in Python, in hosts that have it: nothing to compile, for every platform of pythonfmu",
@@ -105,6 +107,7 @@ def export(
     kind: str = "python",
     platforms: Sequence[str] = (),
     fmi: int = 2,
+    reference: bool = True,
 ) -> Path:
     """Write the FMU (co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
 
@@ -113,8 +116,9 @@ def export(
     parameters in `freeze` become constants, `["all"]` for every one. `kind` is one of `KINDS`. `kernel` is what runs in
     one that runs in Python (`alfmu.kernel.KERNELS`); beside a compiled one travels the portable form, for other
     platforms, unless `portable` is False. A native one is compiled for `platforms` (`alfmu.fmi.native.PLATFORMS`, or
-    `all`), this one by default, and may be of FMI 3 (`fmi`). The same arguments give the same bytes. Raises AlfmuError
-    where the mechanism cannot start from the defaults, and ExportError where the file cannot be written or compiled.
+    `all`), this one by default, and may be of FMI 3 (`fmi`). Reference results (`alfmu.fmi.experiment`) are inside
+    unless `reference` is False. The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot
+    start from the defaults, and ExportError where the file cannot be written or compiled.
     """
     if kind not in KINDS:
         raise ExportError(f"there is no kind {kind!r} of FMU; use one of {', '.join(KINDS)}")
@@ -125,15 +129,7 @@ def export(
     if fmi not in (2, 3) or (fmi == 3 and kind != "native"):
         raise ExportError(f"there is no {kind} FMU of FMI {fmi}; use FMI 2, or a native one of FMI 3")
     declared = load(mechanism, **(options or {}))
-    derived = derive(declared)
-    equations = specialised(with_defaults(derived, parameters or {}), outputs, freeze)
-    if kind == "native":
-        native.checked(equations)
-    equations = prepared(equations, kernel or DEFAULT)
-    instance = Instance(equations)
-    instance.initialize()  # an FMU that cannot start is not worth writing
-    if kind == "native" and native.may_brake(instance):
-        equations = prepared(replace(untraced(equations), brakes=True))
+    derived, equations = packed_scene(declared, parameters, outputs, freeze, kernel, kind)
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
         path = path / f"{equations.name}.fmu"
@@ -143,8 +139,9 @@ def export(
     version = importlib.metadata.version("alfmu")
     posed = {name: value for name, value in (parameters or {}).items() if not name.startswith("solver.")}
     picture = model_png(declared, posed, equations=derived)
+    results = reference_results(equations) if reference else {}
     if kind == "native":
-        _archive(path, _native(equations, declared, version, picture, platforms, fmi))
+        _archive(path, {**results, **_native(equations, declared, version, picture, platforms, fmi)})
         return path
     generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
     library = equations.library
@@ -183,13 +180,34 @@ def export(
         with _imports_undone(package, script.stem):
             FmuBuilder.build_FMU(script, packed, [top / package, *(top / name for name in resources)], documents)
         described = {
-            "modelDescription.xml": model_description(equations, version, generator, guid),
+            "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
             "model.png": picture,
         }
         with zipfile.ZipFile(packed) as archive:
             files = {info.filename: archive.read(info) for info in archive.infolist() if not info.is_dir()}
-        _archive(path, {**files, **described})
+        _archive(path, {**files, **described, **results})
     return path
+
+
+def packed_scene(
+    declared: Mechanism,
+    parameters: Mapping[str, float | str] | None,
+    outputs: Sequence[str] | None,
+    freeze: Sequence[str] | None,
+    kernel: str | None,
+    kind: str,
+) -> tuple[Equations, Equations]:
+    """All equations of a mechanism, and what of them an FMU of a kind carries, prepared; the arguments of `export`."""
+    derived = derive(declared)
+    equations = specialised(with_defaults(derived, parameters or {}), outputs, freeze)
+    if kind == "native":
+        native.checked(equations)
+    equations = prepared(equations, kernel or DEFAULT)
+    instance = Instance(equations)
+    instance.initialize()  # an FMU that cannot start is not worth writing
+    if kind == "native" and native.may_brake(instance):
+        equations = prepared(replace(untraced(equations), brakes=True))
+    return derived, equations
 
 
 def _native(
@@ -208,10 +226,10 @@ def _native(
     variables = interface(e)
     found = terminals(declared, [v.name for _, v in variables])
     if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled)
+        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared))
         form = {}
     else:
-        described = model_description3(e, version, generator, guid, variables)
+        described = model_description3(e, version, generator, guid, variables, _credits(declared))
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
@@ -236,6 +254,18 @@ def _native(
 
 _PICTURE = {2: "model.png", 3: "terminalsAndIcons/icon.png"}
 """Where tools look for a picture."""
+
+
+def _credits(declared: Mechanism) -> dict[str, str]:
+    """Author and copyright; the date where SOURCE_DATE_EPOCH gives one, as the same arguments give the same bytes."""
+    rights = next((line for line in _license("alfmu").splitlines() if line.startswith("Copyright")), "")
+    date = ""
+    if epoch := os.environ.get("SOURCE_DATE_EPOCH"):
+        if not epoch.isdecimal():
+            raise ExportError(f"SOURCE_DATE_EPOCH is {epoch!r}; give seconds since 1970, or unset it")
+        date = datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    found = {"author": declared.author, "copyright": rights, "generationDateAndTime": date}
+    return {name: value for name, value in found.items() if value}
 
 
 def _guid(generator: str, digest: str) -> str:
@@ -287,12 +317,11 @@ def _archive(path: Path, files: Mapping[str, bytes]) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.{os.getpid()}")
-        with zipfile.ZipFile(partial, "w", zipfile.ZIP_DEFLATED) as archive:
+        with zipfile.ZipFile(partial, "w") as archive:
             for name in sorted(files):
                 info = zipfile.ZipInfo(name, _PINNED)
                 info.external_attr = 0o644 << 16
-                info.compress_type = zipfile.ZIP_DEFLATED
-                archive.writestr(info, files[name])
+                archive.writestr(info, files[name], zipfile.ZIP_DEFLATED, 9)
         partial.replace(path)
     except OSError as error:
         raise ExportError(f"{path.stem}: cannot write {path} ({error.strerror})") from error

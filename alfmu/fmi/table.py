@@ -58,8 +58,8 @@ def constants() -> str:
         "LITTLE": oracle._LITTLE,
         "FAR_RATIO": oracle._FAR,
         "COARSE": oracle.COARSE,
+        "PATIENT": oracle._PATIENT,
         "REGULAR": oracle._REGULAR,
-        "GUARD": branch.GUARD,
         "NOTHING": branch.NOTHING,
         "LEAST": branch.LEAST,
         "USUAL_PRODUCT": branch.FAR,
@@ -225,7 +225,7 @@ class _Table:
             "size": layout.size,
             "workspace": self.workspace,
         }
-        handed = {"most": "most", "du": "du", "slopes": "slopes", "q": "q", "v": "v", "dy": "dy"}
+        handed = {"most": "most", "patient": "patient", "du": "du", "slopes": "slopes", "q": "q", "v": "v", "dy": "dy"}
         handed |= {"struck": "struck", "impulse": "impulses", "lost": "lost"}
         found |= {field: self.places.get(name, 0) for field, name in handed.items()}
         watches = ", ".join(str(self.places.get(f"watch{k + 1}", 0)) for k in range(4))

@@ -17,7 +17,7 @@ from .loops import blocks, c_function
 from .program import CHOICE, FACTOR, LOOP, PACE, SOLVE, TIERS, Layout, Program
 from .stream import BINARY, UNARY, Instructions, Operations, number
 
-__all__ = ["HEAD", "ROUTINES", "sources", "written"]
+__all__ = ["HEAD", "ROUTINES", "lengths", "sources", "written"]
 
 BLOCK = 400
 """Operations in one C function of a long one; compilers take more than linear time for longer blocks."""
@@ -55,6 +55,33 @@ EXPORT void alfmu_call(int i, Arguments x, Results y, double *w)
 {
     functions[i](x, y, w);
 }
+
+"""
+
+_WITHIN = (ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG)
+"""Operations that may stand within others: what they give is a double."""
+
+_TWICE = (ca.OP_SQ, ca.OP_SIGN)
+"""Operations that write their operand twice."""
+
+_SHORT = 80
+"""Characters of a value that stands within another one."""
+
+_OFTEN = ("quick", "careful", "method", "instant", "reach")
+"""Programs whose calls cost time."""
+
+_BY_TABLE = """
+/* A function called on places in the memory, behind which the workspace stands. */
+static void call(Function *f, double *m, double *w, const int *at, int inputs, int results)
+{{
+    const double *x[{most}];
+    double *y[{most}];
+    for (int i = 0; i < inputs; i++)
+        x[i] = m + at[i];
+    for (int i = 0; i < results; i++)
+        y[i] = m + at[inputs + i];
+    f(x, y, w);
+}}
 
 """
 
@@ -247,13 +274,11 @@ def written(equations: Equations, passed: Mapping[str, int]) -> tuple[list[str],
     """
     e, layout = equations, Layout(equations)
     files, needed = [""], 0
-    overwritten = _overwritten(e)
-    for name in e.signatures:
-        for text, workspace in _function(name, e.functions[name], overwritten[name], e.name):
-            if len(files[-1]) > UNIT:
-                files.append("")
-            files[-1] += text
-            needed = max(needed, workspace)
+    for _, text, workspace in _functions(e):
+        if len(files[-1]) > UNIT:
+            files.append("")
+        files[-1] += text
+        needed = max(needed, workspace)
     calls = "".join(f"extern Function {name};\n" for name in e.signatures)
     names = ",\n    ".join(e.signatures)
     calls += f"static Function *const functions[] = {{\n    {names}}};\n{_CALL}"
@@ -261,6 +286,9 @@ def written(equations: Equations, passed: Mapping[str, int]) -> tuple[list[str],
     if e.kernel:
         if FACTOR in _marks(e.kernel.get("method", {}).get("calls", [])):
             calls += ROUTINES
+        if set(e.kernel) - set(_OFTEN):
+            most = max(len(x) for s in e.signatures.values() for x in (s["inputs"], s["outputs"]))
+            calls += _BY_TABLE.format(most=most)
         for name, program in e.kernel.items():
             calls += _program(f"run_{name}", program, e, layout, needed, places)
         tiers = [tier for tier in TIERS if tier in e.kernel]
@@ -293,10 +321,30 @@ def written(equations: Equations, passed: Mapping[str, int]) -> tuple[list[str],
     return [HEAD + text for text in files], ends[-1], dict(zip(places, ends, strict=False))
 
 
+def lengths(equations: Equations) -> dict[str, int]:
+    """Bytes of C of each function."""
+    found = dict.fromkeys(equations.signatures, 0)
+    for name, text, _ in _functions(equations):
+        found[name] += len(text)
+    return found
+
+
+def _functions(e: Equations) -> Iterator[tuple[str, str, int]]:
+    """The name of each function, and what `_function` gives of it."""
+    overwritten = _overwritten(e)
+    for name in e.signatures:
+        for text, workspace in _function(name, e.functions[name], overwritten[name], e.name):
+            yield name, text, workspace
+
+
 def _program(name: str, program: Program, e: Equations, layout: Layout, workspace: int, places: dict[str, int]) -> str:
-    """A step as calls on the memory m and the workspace w; `places` are the lengths of what passes between them."""
+    """A step as calls on the memory m and the workspace w; `places` are the lengths of what passes between them.
+
+    What is seldom run finds its arguments by a table, which is far shorter than code that says where each is.
+    """
     offsets: dict[str, int] = {}
-    top = workspace
+    table: dict[tuple[int, ...], int] = {}
+    top, short, size = workspace, name.removeprefix("run_") not in _OFTEN, 0
     for key, length in places.items():
         offsets[key] = top
         top += length
@@ -304,8 +352,11 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
     def pointer(key: str) -> str:
         return f"m + {layout.fields[key][0]}" if key in layout.fields else f"w + {offsets[key]}"
 
+    def place(key: str) -> int:
+        return layout.fields[key][0] if key in layout.fields else layout.size + offsets[key]
+
     def made(calls: list[list]) -> list[str]:
-        nonlocal top
+        nonlocal top, size
         lines = []
         for called, *rest in calls:
             if called == CHOICE:
@@ -327,6 +378,12 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
                 if key not in layout.fields and key not in offsets:
                     offsets[key], places[key] = top, length
                     top += length
+            if short and not sizes:
+                at = tuple(map(place, [*inputs, *outputs]))
+                if at not in table:
+                    table[at], size = size, size + len(at)
+                lines.append(f"call({called}, m, w, {name}_at + {table[at]}, {len(inputs)}, {len(outputs)});")
+                continue
             x, y = (", ".join(map(pointer, keys)) for keys in (inputs, outputs))
             if called == FACTOR:
                 n, s = sizes
@@ -344,7 +401,9 @@ def _program(name: str, program: Program, e: Equations, layout: Layout, workspac
         return lines
 
     body = "".join(f"    {line}\n" for line in made(program["calls"]))
-    return f"static void {name}(double *m, double *w)\n{{\n{body}}}\n"
+    rows = ",\n    ".join(", ".join(map(str, at)) for at in table)
+    entries = f"static const int {name}_at[] = {{\n    {rows}}};\n" if table else ""
+    return f"{entries}static void {name}(double *m, double *w)\n{{\n{body}}}\n"
 
 
 def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> Iterator[tuple[str, int]]:
@@ -358,18 +417,23 @@ def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> It
 
 
 def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str]:
-    """Each instruction as a line of C; arguments in `kept` are read first, since results may be written over them."""
+    """Lines of C, in which what is used once stands where it is used, as long as that is short.
+
+    Arguments in `kept` are read first, since results may be written over them.
+    """
     made = 0
     names: list[str] = []
     which, entry = instructions.place
     first = (instructions.code == ca.OP_INPUT) & np.isin(which, list(kept))
     for i, j in dict.fromkeys(zip(which[first].tolist(), entry[first].tolist(), strict=True)):
         yield f"const double x{i}_{j} = x[{i}][{j}];"
+    uses = np.concatenate([*instructions.operands, instructions.operands[0, np.isin(instructions.code, _TWICE)]])
+    single = np.bincount(uses[uses >= 0].astype(int), minlength=len(instructions)) == 1
     for k, operation in enumerate(instructions.code.tolist()):
         first, second = (names[i] if i >= 0 else "" for i in instructions.operands[:, k].tolist())
         which, entry = instructions.place[:, k].tolist()
-        names.append(f"v{made}")
         if operation == ca.OP_OUTPUT:
+            names.append("")
             yield f"y[{which}][{entry}] = {first};"
             continue
         if operation == ca.OP_CONST:
@@ -378,6 +442,13 @@ def _statements(instructions: Instructions, kept: Iterable[int]) -> Iterator[str
             text = f"x{which}_{entry}" if which in kept else f"x[{which}][{entry}]"
         else:
             text = (BINARY.get(operation) or UNARY[operation]).format(first, second)
+            if single[k] and operation in _WITHIN and len(text) <= _SHORT:
+                names.append(f"({text})")
+                continue
+        if operation == ca.OP_CONST or (operation == ca.OP_INPUT and (which in kept or single[k])):
+            names.append(text)
+            continue
+        names.append(f"v{made}")
         yield f"const double v{made} = {text};"
         made += 1
 

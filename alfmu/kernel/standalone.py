@@ -17,17 +17,18 @@ from .. import branch, method
 from ..equations import Equations
 from ..evaluation import with_functions
 from ..oracle import _LONGER, CORRECTIONS
-from .program import LOOP, Program, called
+from .program import CHOICE, LOOP, Program, called
 from .trace import CAREFUL, Calls, Plan, Scene, Tracer, Watch, _factors
 
 __all__ = ["passed", "standalone"]
 
 
 def passed(equations: Equations) -> dict[str, int]:
-    """What the C runtime hands to programs, and its length: how often the multiplier iteration is repeated at most; a
-    direction of the inputs; the communication point and the time derivatives of the inputs there."""
+    """What the C runtime hands to programs, and its length: how often the multiplier iteration is repeated at most, and
+    where the motion may end; a direction of the inputs; the communication point and the time derivatives of the inputs
+    there."""
     inputs = len(equations.inputs)
-    return {"most": 1, "du": inputs, "slopes": 1 + inputs}
+    return {"most": 1, "patient": 1, "du": inputs, "slopes": 1 + inputs}
 
 
 def standalone(equations: Equations) -> Equations:
@@ -233,13 +234,42 @@ class _Patient(Tracer):
                 arguments = ["inputs" if x == "u" else x for x in arguments]
             yield [name, arguments, results, *sizes]
 
+    def _on_branch(self, calls: Calls, scene: Scene, plan: Plan, i: str, u: str, length: str, kept: bool) -> None:
+        """Where the motion does not reach the places of a limit, accelerations are taken as they are."""
+        super()._on_branch(calls, scene, plan, i, u, length, kept)
+        watch, last = f"watch{i}", Calls(self)
+        seen = ca.SX.sym("watch", len(Watch.FIELDS))
+        [*_, [_, _, limit, _], _] = calls.made
+        end = Calls(self)
+        end("unreached", {watch: seen}, lambda: {"unreached": 1 - (seen[0] < ca.inf)}, ["unreached"])
+        self.place(last, scene, f"q{i}", "placed")
+        self._brought(last, scene, plan, f"q{i}", "placed", f"v{i}")
+        names = {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": watch}
+        self.evaluation(last, scene, plan, "0", names, "patient")
+
+        def given_up() -> dict[str, ca.SX]:
+            lost = scene.unconverged(plan, [Watch(seen)])
+            return {"watch": ca.vertcat(ca.if_else(lost, ca.inf, seen[0]), seen[1:])}
+
+        last("given_up", {"k": self.known["k"], watch: seen}, given_up, [watch])
+        self._reached(last, watch)
+        limit += [*end.made, [CHOICE, "unreached", last.made, []]]
+
     def evaluation(
-        self, calls: Calls, scene: Scene, plan: Plan, i: str, names: MappingProxyType = MappingProxyType({})
+        self,
+        calls: Calls,
+        scene: Scene,
+        plan: Plan,
+        i: str,
+        names: MappingProxyType = MappingProxyType({}),
+        times: str = "most",
     ) -> None:
         super().evaluation(calls, scene, replace(plan, iterations=1), i, names)
-        self._iterate(calls, scene, plan, tuple(names.get(x + i, x + i) for x in ("a", "lam", "watch")))
+        self._iterate(calls, scene, plan, tuple(names.get(x + i, x + i) for x in ("a", "lam", "watch")), times)
 
-    def _iterate(self, calls: Calls, scene: Scene, plan: Plan, names: tuple[str, str, str]) -> None:
+    def _iterate(
+        self, calls: Calls, scene: Scene, plan: Plan, names: tuple[str, str, str], times: str = "most"
+    ) -> None:
         """The multiplier iteration until it converges."""
         if not self.e.l:
             return
@@ -252,7 +282,7 @@ class _Patient(Tracer):
         again(f"{scene.kind}_iterate", known, lambda: scene.iterated_again(matrices, a, lam, watch), list(names))
         done = {"k": k, names[2]: watch}
         again("unconverged", done, lambda: {"more": scene.unconverged(plan, [Watch(watch)])}, ["more"])
-        self._repeat(calls, "more", "most", again.made)
+        self._repeat(calls, "more", times, again.made)
 
     def _repeat(self, calls: Calls, number: str, times: int | str, again: list[list]) -> None:
         """Calls that are made, and again until a number is zero that they give."""

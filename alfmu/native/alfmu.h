@@ -85,7 +85,7 @@ typedef struct {
     /* Memory: offsets of fields, entries of the state, lengths. */
     int z, after, begin, u, p, k, dt, control, pace, seen, seen_size, time, work, trouble, size, workspace;
     /* Workspace: what programs hand on. */
-    int most, du, slopes, q, v, watch[4], near, dy, struck, impulse, lost;
+    int most, patient, du, slopes, q, v, watch[4], near, dy, struck, impulse, lost;
     Pattern mass, constraint, gaps, tie_rows;
     Function *dynamics, *constraints, *energy, *closure, *guesses, *displacements;
     Function *pivots, *place, *bring, *settle;

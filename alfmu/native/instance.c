@@ -352,8 +352,9 @@ const char *row_label(const Instance *i, int row, char *label, size_t size)
 void hand_over(Instance *i)
 {
     const Scene *s = i->scene;
-    const double repeated = i->values[s->max_iterations] - 1;
-    i->workspace[s->most] = fmax(repeated, 1.0);
+    const double iterations = i->values[s->max_iterations];
+    i->workspace[s->most] = fmax(iterations - 1, 1.0);
+    i->workspace[s->patient] = PATIENT * iterations - 1;
     memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
 }
 
@@ -725,15 +726,16 @@ static Outcome check_length(Instance *i, double t)
     return DONE;
 }
 
-/* One internal step by loops that stop on convergence. */
-static Outcome follow(Instance *i, double start, double dt)
+/* One internal step by loops that stop on convergence, and whether it came near a singular position. */
+static Outcome follow(Instance *i, double start, double dt, int *near)
 {
     const Scene *s = i->scene;
     double *m = i->m, *w = i->workspace, *after = m + s->after;
     const double t = start + dt;
     char label[100];
-    int near = 0, row;
+    int row;
     Outcome outcome;
+    *near = 0;
     if (!s->l)
         return say(i, FAILED,
             "%s, t = %.6g s: the state is not finite, or turned by more than half a turn in one step; reduce "
@@ -745,8 +747,9 @@ static Outcome follow(Instance *i, double start, double dt)
         hold(i);
     s->move(m, w);
     for (int k = 0; k < 4; k++)
-        near |= w[s->watch[k] + s->near] != 0.0;
-    if (near && field(i, s->k)[7] != 0.0) {
+        *near |= w[s->watch[k] + s->near] != 0.0;
+    *near = *near && field(i, s->k)[7] != 0.0;
+    if (*near) {
         s->move_on_branch(m, w);
         for (int k = 0; k < 4; k++)
             if (w[s->watch[k]] == INFINITY) /* What `reached` says of it. */
@@ -778,8 +781,9 @@ static Outcome subdivided(Instance *i, double start, double dt)
     const double *q = field(i, s->z);
     double t = 0.0, h = dt / 2;
     char where[400] = "";
+    int near;
     while (t < dt && h > dt * SHORTEST) {
-        const Outcome outcome = follow(i, start + t, h);
+        const Outcome outcome = follow(i, start + t, h, &near);
         if (outcome == DONE) {
             const double rest = dt - t - h;
             t += h;
@@ -804,8 +808,9 @@ static Outcome subdivided(Instance *i, double start, double dt)
 
 static Outcome watched_step(Instance *i, double start, double dt)
 {
-    const Outcome outcome = follow(i, start, dt);
-    if (outcome == OPEN && field(i, i->scene->k)[6] != 0.0 && margin(i) < GUARD)
+    int near;
+    const Outcome outcome = follow(i, start, dt, &near);
+    if (outcome == OPEN && near)
         return subdivided(i, start, dt);
     return outcome;
 }

@@ -1,0 +1,107 @@
+"""What the FMUs of a scene carry, in bytes: by what is in the file, and the C of a native one by what it is for."""
+
+from __future__ import annotations
+
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ..equations import Equations
+from ..errors import ExportError
+from ..kernel.emit import lengths
+from ..kernel.program import called
+from ..kernel.standalone import standalone
+from ..mechanism import Mechanism
+from . import native
+from .export import KINDS, export, packed_scene
+
+__all__ = ["sizes"]
+
+_CONTENTS = {
+    "binaries/": "compiled libraries",
+    "sources/": "C that they are compiled from",
+    "resources/": "resources: the scene, and in Python what runs it",
+    "documentation/": "documentation, licences, picture",
+    "extra/": "reference results",
+    "": "description of the model, icon",
+}
+"""What is in an FMU, by where it stands."""
+
+_PARTS = {
+    "an internal step": ("quick", "careful"),
+    "the same on the branch of the motion, near singular positions": ("branch",),
+    "a step by solver.method": ("method", "beside", "reach"),
+    "outputs": ("instant",),
+    "limits of outputs at singular positions": ("limit",),
+    "steps and outputs that iterate until they converge": (
+        *("move", "move_on_branch", "close"),
+        *("instant_patient", "limit_patient"),
+    ),
+    "impacts of locks": ("impact",),
+    "directional derivatives": ("sensitivity", "limit_sensitivity"),
+}
+"""Programs of a native FMU by what they are for."""
+
+
+def sizes(
+    mechanism: Mechanism,
+    parameters: Mapping[str, float | str],
+    outputs: Sequence[str] | None,
+    freeze: Sequence[str] | None,
+) -> list[str]:
+    """Sizes of the FMUs of a scene, of each kind, in lines for a reader; exports them to find out."""
+    given = {"parameters": parameters, "outputs": outputs, "freeze": freeze}
+    text = []
+    for kind in KINDS:
+        try:
+            found = _contents(mechanism, given, kind)
+        except ExportError as error:
+            text += [f"no FMU of kind {kind}: {error}", ""]
+            continue
+        where = f" for {native.OWN}" if kind == "native" else ""
+        text += [f"{f'FMU of kind {kind}{where}, kB':66} {'packed':>8} {'unpacked':>8}"]
+        text += [f"  {what:64} {_kB(size)} {_kB(whole)}" for what, (size, whole) in found.items()]
+        size, whole = map(sum, zip(*found.values(), strict=True))
+        text += [f"  {'in all':64} {_kB(size)} {_kB(whole)}", ""]
+    try:
+        _, equations = packed_scene(mechanism, **given, kernel=None, kind="native")
+    except ExportError:
+        return text[:-1]
+    text += [f"{'C of a native FMU by what it is for, kB; what parts share, at the first':66} {'':8} {'unpacked':>8}"]
+    return text + [f"  {what:64} {'':8} {_kB(size)}" for what, size in _parts(equations).items() if size]
+
+
+def _contents(mechanism: Mechanism, given: Mapping, kind: str) -> dict[str, tuple[int, int]]:
+    """Bytes of what is in an FMU, packed and unpacked."""
+    found = dict.fromkeys(_CONTENTS, (0, 0))
+    with (
+        tempfile.TemporaryDirectory(prefix="alfmu_") as folder,
+        zipfile.ZipFile(export(mechanism, Path(folder), **given, kind=kind)) as archive,
+    ):
+        for info in archive.infolist():
+            place = next(place for place in _CONTENTS if info.filename.startswith(place))
+            packed, unpacked = found[place]
+            found[place] = packed + info.compress_size, unpacked + info.file_size
+    return {_CONTENTS[place]: size for place, size in found.items() if any(size)}
+
+
+def _parts(equations: Equations) -> dict[str, int]:
+    """Bytes of C by what it is for."""
+    alone = standalone(equations)
+    left, found = lengths(alone), {}
+    for what, programs in _PARTS.items():
+        names = {
+            name for program in programs if program in alone.kernel for name in called(alone.kernel[program]["calls"])
+        }
+        found[what] = sum(left.pop(name, 0) for name in names)
+    found["what the start takes"] = sum(left.values())
+    files, _ = native.written(equations, 2)
+    scene = sum(len(text) for name, text in files.items() if name.startswith("scene"))
+    found["calls of these in programs, variables"] = scene - sum(found.values())
+    found["runtime, the same for every scene"] = sum(map(len, files.values())) - scene
+    return found
+
+
+def _kB(size: int) -> str:
+    return f"{size / 1000:8.1f}"
