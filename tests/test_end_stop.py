@@ -141,7 +141,7 @@ def test_through_an_fmu(tmp_path):
     assert validate(path) == []
     inputs = {"O.torque": 5.0}
     with Fmu(path) as fmu:
-        assert (fmu.stop_time, fmu.interval, fmu.get("solver.step_size")) == (5.0, 1e-3, 5e-5)
+        assert (fmu.stop_time, fmu.interval, fmu.parameters["solver.step_size"]) == (5.0, 1e-3, 5e-5)
         result = run(fmu, 0.75, 0.01, inputs)
     library = alfmu.simulate("end_stop", 0.75, 0.01, inputs=inputs)
     assert result.names == library.names
