@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from alfmu.cases import POSITION
 from alfmu.report import TIME
-from alfmu.tables import markdown
+from alfmu.tables import markdown, paragraph
 
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "scripts" / "readme.png"
@@ -101,9 +101,11 @@ def section(folder: Path) -> str:
         [
             BEGIN,
             f"![error against run time of the {MECHANISM}]({PICTURE.relative_to(ROOT).as_posix()})",
-            f"Error against run time of `{MECHANISM}`, {horizon:g} s of motion: {where['command']} on "
-            f"{where['processor']}, load average {load}. Below, the run time to an error of {LEVEL:g} m and rad, and "
-            "how many times as long others take:",
+            paragraph(
+                f"Error against run time of `{MECHANISM}`, {horizon:g} s of motion: {where['command']} on "
+                f"{where['processor']}, load average {load}. Below, the run time to an error of {LEVEL:g} m and rad, "
+                "and how many times as long others take:"
+            ),
             table(rows(folder, "comparisons")),
             END,
         ]
