@@ -55,7 +55,7 @@ from .mechanism import Mechanism
 from .oracle import FORMULATIONS, Settings
 from .rivals import RIVALS, Rival
 from .runtime import Instance
-from .simulation import Unit, communication_points, prepared
+from .simulation import KERNELS, Unit, communication_points, prepared
 from .specialisation import specialised
 from .tables import Row, paragraph, shown, write_csv
 
@@ -293,14 +293,19 @@ class Study(cases.Study):
     def _settings(self) -> list[list[Setting]]:
         """All settings in groups, those first whose rows are needed most."""
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
-        fastest, *_, fmu = self._ways
-        own = [self._setting(OWN, first, way) for way in self._ways]
-        # What `auto` chooses is there under its own name.
-        by = [self._setting(OWN, m, way) for m in more for way in ([fastest] if m == "auto" else self._ways)]
-        # Other formulations are run by the oracle whatever the kernel.
-        given = [self._setting(f, first, way) for f in others for way in ("oracle", fmu)]
-        rest = [self._setting(f, m, "oracle") for f in others for m in more if m != "auto"]
-        return [[*own, *filter(None, map(self._rival, RIVALS))], by, given, rest]
+        # What `auto` chooses is there under its own name; other formulations are run by the oracle whatever the kernel.
+        again = [way for way in self._ways if way in KERNELS and way != "oracle"]
+        fresh = [way for way in self._ways if way not in again]
+        pairs = [
+            [(OWN, first, way) for way in self._ways],
+            [(OWN, m, way) for m in more if m != "auto" for way in self._ways],
+            [(f, first, way) for f in others for way in fresh],
+            [(f, m, "oracle") for f in others for m in more],
+            [*((OWN, "auto", way) for way in self._ways), *((f, first, way) for f in others for way in again)],
+        ]
+        found = [[self._setting(*each) for each in group] for group in pairs]
+        found[0] += filter(None, map(self._rival, RIVALS))
+        return found
 
     def _setting(self, formulation: str, method: str, way: str) -> Setting:
         e, stepped = self.equations, control(method) == STEP
@@ -512,10 +517,10 @@ Run time is that of all steps and of reading all outputs at each point, without 
 LIMITS = """
 SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the oracle,
 and is not told of singular positions. Formulations other than the default run by the oracle whatever the kernel, and
-are timed there and through the FMU. All runs share one machine and one process, in the order of `errors.csv`; small
-ratios of times are not to be trusted. Where the reference ends before the run, positions and reactions are judged up to
-there. Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned
-to them with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is
+are timed there and through the FMU first. All runs share one machine and one process, in the order of `errors.csv`;
+small ratios of times are not to be trusted. Where the reference ends before the run, positions and reactions are judged
+up to there. Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`),
+tuned to them with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is
 stepped in Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in
 full is that of `scripts/paper_study.py`, maps with all their cells are those of `alfmu stability`.
 """
