@@ -194,6 +194,14 @@ def part_shares(row: Row) -> Row:
 STOP, DT = 20.0, 0.02
 """End of the motion [s], communication step [s], which is the internal one too."""
 
+PASSING, REGULAR = "through singular positions", "between them"
+
+MOTIONS: dict[str, dict[str, float]] = {
+    PASSING: {},
+    REGULAR: {"start.angle": -math.pi / 2, "start.angular_velocity": 2.0},
+}
+"""Start values of the motions: the five-bar's own, and one about the lowest position."""
+
 TIERS = ("quick steps", "careful steps", "steps on the branch", "oracle steps")
 """What a step can be made by."""
 
@@ -222,27 +230,43 @@ def dostep_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
         paths = {"empty": FmuBuilder.build_FMU(script, dest=folder)}
         for kernel in tqdm(kernels, "dostep", unit="FMU"):
             paths[kernel] = alfmu.export("five_bar", Path(folder) / f"{kernel}.fmu", kernel=kernel)
-        calls = {slave: driven(stack.enter_context(Fmu(path)), points) for slave, path in paths.items()}
-        measured = times(in_turns(calls, effort.runs, 0.0), "empty")
+        motions = {(slave, name): start for slave in paths for name, start in MOTIONS.items()}
+        del motions["empty", REGULAR]
+        calls = {
+            f"{slave} {name}": driven(stack.enter_context(Fmu(paths[slave])), points, start if slave != "empty" else {})
+            for (slave, name), start in motions.items()
+        }
+        measured = times(in_turns(calls, effort.runs, 0.0), f"empty {PASSING}")
     rows = []
-    for slave in calls:
-        own = {name.replace(slave, "doStep", 1): measured[name] for name in measured if name.startswith(slave)}
-        made = {} if slave == "empty" else tiers(slave, points)
-        rows.append({"slave": slave, **own, **made, "runs": effort.runs, "steps in a run": len(points)})
+    for (slave, name), start in motions.items():
+        call = f"{slave} {name}"
+        own = {key.replace(call, "doStep", 1): measured[key] for key in measured if key.startswith(call)}
+        own = {key.replace(f" / empty {PASSING}", " / empty"): value for key, value in own.items()}
+        made = {} if slave == "empty" else tiers(slave, points, start)
+        about = {"slave": slave, "motion": name if slave != "empty" else "none"}
+        rows.append({**about, **own, **made, "runs": effort.runs, "steps in a run": len(points)})
     return rows
 
 
-def driven(fmu: Fmu, points: Sequence[float]) -> Call:
+def driven(fmu: Fmu, points: Sequence[float], start: Mapping[str, float]) -> Call:
     """The whole motion of an FMU, by step; every lap begins where the motion does."""
     do_step = fmu.slave.doStep
-    fmu.initialize()
-    timer = Timer(lambda: [do_step(t, DT) for t in points], lambda: (fmu.reset(), fmu.initialize()))
-    return Call(timer, len(points), once=True)
+
+    def begin() -> None:
+        fmu.reset()
+        for name, value in start.items():
+            fmu.set(name, value)
+        fmu.initialize()
+
+    begin()
+    return Call(Timer(lambda: [do_step(t, DT) for t in points], begin), len(points), once=True)
 
 
-def tiers(kernel: str, points: Sequence[float]) -> Row:
+def tiers(kernel: str, points: Sequence[float], start: Mapping[str, float]) -> Row:
     """Steps of the same motion by what made them, counted in the library."""
     instance, made = alfmu.Instance(prepared(alfmu.derive(alfmu.load("five_bar")), kernel)), Counter()
+    for name, value in start.items():
+        instance.set(name, value)
     instance.initialize()
     for t in points:
         instance.memory["tally"][:] = 0.0
@@ -433,8 +457,8 @@ TARGETS = (
         for column, limit in STEP_LIMITS.items()
         for step in STEPS
     ),
-    Target("dostep", {"slave": "compiled"}, "doStep / empty", 4),
-    Target("dostep", {"slave": "vm"}, "doStep / empty", 14),
+    *(Target("dostep", {"slave": "compiled", "motion": name}, "doStep / empty", 4) for name in MOTIONS),
+    *(Target("dostep", {"slave": "vm", "motion": name}, "doStep / empty", 14) for name in MOTIONS),
     *(
         Target("native", {"scene": "five_bar"}, column, limit)
         for column, limit in {
@@ -492,10 +516,10 @@ CHAPTERS = {
     ),
     "dostep": Chapter(
         "## doStep of the five-bar through FMI",
-        f"""Called through fmpy every {DT:g} s, from a start in a singular position to {STOP:g} s, in turns with an FMU
-        of pythonfmu that does nothing. Outputs are not read in between. Steps by what made them were counted in the
-        library.""",
-        {"doStep": ("slave", "doStep [us]", "doStep, minimum [us]", "doStep / empty", *TIERS)},
+        f"""Called through fmpy every {DT:g} s up to {STOP:g} s, in turns with an FMU of pythonfmu that does nothing:
+        from a start in a singular position, through many of them, and about the lowest position, between them. Outputs
+        are not read in between. Steps by what made them were counted in the library.""",
+        {"doStep": ("slave", "motion", "doStep [us]", "doStep, minimum [us]", "doStep / empty", *TIERS)},
     ),
     "native": Chapter(
         "## The five-bar as a native FMU",
