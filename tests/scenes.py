@@ -5,6 +5,8 @@ from functools import cache
 
 import casadi as ca
 import numpy as np
+from oracles import ode
+from oracles.parallelogram import Parallelogram
 
 import alfmu
 from alfmu.kernel.vm import Vm
@@ -142,3 +144,32 @@ def started(equations: alfmu.Equations, given: Mapping[str, float | str] | None 
 def readings(instance: alfmu.Instance) -> dict[str, float]:
     """All outputs by name."""
     return {v.name: x for v, x in zip(instance.outputs, instance.read(), strict=True)}
+
+
+def _torque(t: float) -> float:
+    """Flat at the start, where there is no past to extrapolate from."""
+    return 2 * (1 - np.cos(2 * t)) ** 2
+
+
+@cache
+def _under_torque() -> np.ndarray:
+    """The angle of the four-bar every 0.04 s."""
+    linkage = Parallelogram(m4=None)
+    inertia, weight = float(linkage.inertia), float(linkage.weight)
+    times = np.linspace(0.0, 2.0, 51)
+    return ode.motion(lambda t, x, v: (_torque(t) - weight * np.cos(x)) / inertia, -1.0, 0.0, times)[:, 0]
+
+
+def sampled(unit, step: float) -> float:
+    """Largest error of the angle of a four-bar under a smooth torque that is sampled at communication points.
+
+    The unit is initialised at rest at -1 rad; two seconds, compared every 0.04 s.
+    """
+    angle, worst = [v.name for v in unit.outputs].index("link1.angle"), 0.0
+    for k in range(round(2.0 / step)):
+        unit.set("A.torque", _torque(k * step))
+        unit.step(step, k * step)
+        here = (k + 1) * step / 0.04
+        if here == round(here):
+            worst = max(worst, abs(unit.read()[angle] - _under_torque()[round(here)]))
+    return worst

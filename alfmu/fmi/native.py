@@ -72,13 +72,9 @@ MOST = 200
 
 def checked(equations: Equations) -> None:
     """ExportError where a scene asks for what native FMUs do not have."""
-    e, solver = equations, {"formulation": "residual", "method": "rk4", "input_order": 0, **equations.solver}
+    e, solver = equations, {"formulation": "residual", **equations.solver}
     if solver["formulation"] != "residual":
         what = f"solver.formulation {solver['formulation']}"
-    elif solver["method"] != "rk4" and e.brakes:
-        what = f"solver.method {solver['method']} where redundant constraints would brake the motion"
-    elif solver["input_order"]:
-        what = "solver.input_order (the host gives derivatives of inputs instead)"
     elif e.n > MOST:
         what = f"more than {MOST} coordinates (here {e.n}; its start would take minutes)"
     else:

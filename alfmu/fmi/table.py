@@ -27,16 +27,20 @@ __all__ = ["constants", "interface", "sources"]
 def interface(equations: Equations) -> list[tuple[str, Variable]]:
     """Every variable of a native FMU with its causality, in the order of value references: those of the Python FMU.
 
-    Inputs inside a communication step follow the derivatives that the host gives, so that none is extrapolated.
+    A scene carries one order of inputs.
     """
     i = Instance(equations)
-    parameters = [replace(v, maximum=0) if v.name == "solver.input_order" else v for v in i.parameters]
     return [
-        *(("parameter", v) for v in parameters),
+        *(("parameter", _only(v) if v.name == "solver.input_order" else v) for v in i.parameters),
         *(("parameter", v) for v in choices(i.choices)),
         *(("input", v) for v in i.input_variables),
         *(("output", v) for v in i.outputs),
     ]
+
+
+def _only(v: Variable) -> Variable:
+    """A variable that can have no other value."""
+    return replace(v, minimum=v.start, maximum=v.start)
 
 
 def known_choices(equations: Equations) -> dict[str, list[str]]:
@@ -77,6 +81,8 @@ def constants() -> str:
         "RANKED": assembly._RANKED,
         "DENSE": DENSE,
         "PACE": len(program.PACE),
+        "PACE_FIXED": program.PACE.index("fixed"),
+        "PACE_LAST": program.PACE.index("last"),
         "FIRST_STEP": adaptive.FIRST,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "ROUND_OFF": ROUND_OFF,
@@ -149,6 +155,7 @@ class _Table:
             "branch": names.index("solver.branch"),
             "method_choice": names.index("solver.method"),
             "continues": known["solver.branch"].index("continue"),
+            "no_slope": _number(math.inf if "reach" in e.kernel else 0.0),
         }
 
     def _variable(self, v: Variable, kind: str) -> str:
@@ -215,9 +222,10 @@ class _Table:
 
     def _memory(self) -> dict[str, object]:
         layout = Layout(self.e)
-        names = "z", "after", "begin", "u", "p", "k", "dt", "control", "pace", "seen"
+        names = "z", "after", "begin", "u", "p", "k", "dt", "control", "pace", "past", "seen"
         found = {name: layout.fields[name][0] for name in names}
         found |= {
+            "past_size": layout.fields["past"][1],
             "seen_size": layout.fields["seen"][1],
             "time": layout.time,
             "work": layout.work,
@@ -226,7 +234,7 @@ class _Table:
             "workspace": self.workspace,
         }
         handed = {"most": "most", "patient": "patient", "du": "du", "slopes": "slopes", "q": "q", "v": "v", "dy": "dy"}
-        handed |= {"struck": "struck", "impulse": "impulses", "lost": "lost"}
+        handed |= {"within": "within", "struck": "struck", "impulse": "impulses", "lost": "lost"}
         found |= {field: self.places.get(name, 0) for field, name in handed.items()}
         watches = ", ".join(str(self.places.get(f"watch{k + 1}", 0)) for k in range(4))
         return {**found, "watch": f"{{{watches}}}", "near": Watch.FIELDS.index("near")}
@@ -239,7 +247,8 @@ class _Table:
         functions |= {"displacements": "displacements", "pivots": "pivots"}
         functions |= {"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"}
         programs = {
-            name: name for name in ("move", "move_on_branch", "close", "impact", "sensitivity", "limit_sensitivity")
+            name: name
+            for name in ("move", "move_on_branch", "close", "impact", "sensitivity", "limit_sensitivity", "reach")
         }
         programs |= {"instant": "instant_patient", "limit": "limit_patient"}
         return {
@@ -247,6 +256,7 @@ class _Table:
             **{field: name for field, name in functions.items() if name in e.signatures},
             **{field: f"run_{name}" for field, name in programs.items() if name in e.kernel},
             **{name: f"alfmu_{name}" for name in ("advance", "communicate", "read")},
+            **({"cover": "alfmu_cover"} if "method" in e.kernel else {}),
         }
 
     def _pattern(self, name: str, shape: list) -> str:

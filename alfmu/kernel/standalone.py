@@ -26,17 +26,20 @@ __all__ = ["passed", "standalone"]
 def passed(equations: Equations) -> dict[str, int]:
     """What the C runtime hands to programs, and its length: how often the multiplier iteration is repeated at most, and
     where the motion may end; a direction of the inputs; the communication point and the time derivatives of the inputs
-    there."""
+    there; where past inputs are kept, whether the communication step under way began before."""
     inputs = len(equations.inputs)
-    return {"most": 1, "patient": 1, "du": inputs, "slopes": 1 + inputs}
+    within = {"within": 1} if "reach" in equations.kernel else {}
+    return {"most": 1, "patient": 1, "du": inputs, "slopes": 1 + inputs, **within}
 
 
 def standalone(equations: Equations) -> Equations:
     """The same equations, traced, with the programs and functions that a native FMU has beside those of the kernel."""
     e = equations
     tracer = _Patient(e)
-    kernel = {name: _extrapolating(tracer, program) for name, program in e.kernel.items() if name not in _READING}
-    kernel |= {name: program for name, program in e.kernel.items() if name in _READING}
+    kernel = {name: _extrapolating(tracer, program) for name, program in e.kernel.items() if name not in _APART}
+    kernel |= {name: program for name, program in e.kernel.items() if name in _APART}
+    if "reach" in kernel:
+        kernel["reach"] = {"calls": [[CHOICE, "within", [], kernel["reach"]["calls"]]]}
     if e.l:
         careful = Plan(CAREFUL, 3, weighted=True)
         for name, plan in {"move": careful, "move_on_branch": replace(careful, branch=True)}.items():
@@ -57,7 +60,8 @@ def standalone(equations: Equations) -> Equations:
     return replace(with_functions(e, tracer.functions), kernel=kernel)
 
 
-_READING = ("instant", "limit")
+_APART = ("instant", "limit", "reach")
+"""Programs at a communication point."""
 
 
 def _extrapolating(tracer: _Patient, program: Program) -> Program:
@@ -214,12 +218,15 @@ class _Patient(Tracer):
         Calls(self)("pivots", {"q": q, "p": p, "k": k}, found, list(names))
 
     def extrapolated(self, calls: list[list]) -> list[list]:
-        """The same calls with inputs at the time of each."""
-        if not self.e.inputs:
+        """The same calls with inputs at the time of each; of past ones, those that have no derivative."""
+        count = len(self.e.inputs)
+        if not count:
             return calls
-        u, slopes, t = self.known["u"], ca.SX.sym("slopes", 1 + len(self.e.inputs)), ca.SX.sym("t")
-        there = {"inputs": u + (t - slopes[0]) * slopes[1:]}
-        Calls(self)("inputs_at", {"u": u, "slopes": slopes, "t": t}, lambda: there, ["inputs"])
+        u, slopes, t, past = self.known["u"], ca.SX.sym("slopes", 1 + count), ca.SX.sym("t"), ca.SX.sym("past", count)
+        known, there = {"u": u, "slopes": slopes, "t": t}, u + (t - slopes[0]) * slopes[1:]
+        if self.order:
+            known, there = {**known, "inputs": past}, ca.if_else(slopes[1:] < ca.inf, there, past)
+        Calls(self)("inputs_at", known, lambda: {"inputs": there}, ["inputs"])
         return list(self._moved(calls))
 
     def _moved(self, calls: list[list]):
@@ -228,6 +235,10 @@ class _Patient(Tracer):
                 yield [name, *(list(self._moved(x)) if isinstance(x, list) else x for x in rest)]
                 continue
             arguments, results, *sizes = rest
+            if name == "inputs":
+                yield [name, arguments, results]
+                yield ["inputs_at", ["u", "slopes", arguments[1], *results], results]
+                continue
             if "u" in arguments:
                 time = next(x for x in arguments if x[0] == "t")
                 yield ["inputs_at", ["u", "slopes", time], ["inputs"]]

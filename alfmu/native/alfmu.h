@@ -67,6 +67,7 @@ typedef struct {
     /* Places among the parameters. */
     int step_size, penalty, tolerance, max_iterations, relative_tolerance, absolute_tolerance;
     int branch, continues, method_choice; /* places of choices, and of a value of the first */
+    double no_slope; /* of an input whose derivative is not given: 0, held; infinite, extrapolated from the past */
     const Switch *switched;
     int held;                  /* displacements that locks keep */
     int impulses, event_count; /* of all impacts; outputs that say something of them */
@@ -83,15 +84,17 @@ typedef struct {
     double share, exponent; /* that make the tolerance of a run that of a step */
     const double *normal; /* standard normal numbers, TRIES x n */
     /* Memory: offsets of fields, entries of the state, lengths. */
-    int z, after, begin, u, p, k, dt, control, pace, seen, seen_size, time, work, trouble, size, workspace;
+    int z, after, begin, u, p, k, dt, control, pace, past, past_size, seen, seen_size;
+    int time, work, trouble, size, workspace;
     /* Workspace: what programs hand on. */
-    int most, patient, du, slopes, q, v, watch[4], near, dy, struck, impulse, lost;
+    int most, patient, du, slopes, within, q, v, watch[4], near, dy, struck, impulse, lost;
     Pattern mass, constraint, gaps, tie_rows;
     Function *dynamics, *constraints, *energy, *closure, *guesses, *displacements;
     Function *pivots, *place, *bring, *settle;
-    Program *move, *move_on_branch, *close, *instant, *limit, *impact, *sensitivity, *limit_sensitivity;
+    Program *move, *move_on_branch, *close, *instant, *limit, *impact, *sensitivity, *limit_sensitivity, *reach;
     long (*advance)(double *m, long steps, double dt);
     int (*communicate)(double *m, double start, double h);
+    int (*cover)(double *m, double end, long tries);
     int (*read)(double *m);
 } Scene;
 
@@ -122,6 +125,7 @@ typedef struct {
     /* Beside them. */
     double *workspace, *before, *scratch;
     Flags flags_before;
+    int within; /* whether the next step goes on in a communication step that began before */
     size_t used, room; /* of scratch */
     int refused_count;
     unsigned char *refused; /* variables whose last value was not taken */

@@ -342,7 +342,10 @@ static Status watched(Component *c, double point, double step, fmi3Boolean *earl
     for (double k = 0.0; k < count; k += 1.0) {
         fmi3Boolean wanted = fmi3False;
         fmi3Float64 until = 0.0;
-        const Status status = component_step(c, point + k * (step / count), step / count);
+        Status status;
+        i->within = k > 0.0;
+        status = component_step(c, k > 0.0 ? *instance_time(i) : point, step / count);
+        i->within = 0;
         if (status != FINE) {
             /* What was reached is good, and the next step says what is wrong. */
             *early = k > 0.0;

@@ -126,8 +126,10 @@ void instance_reset(Instance *i)
     for (int k = 0; k < s->choices; k++)
         i->flags.choice[k] = s->choice[k].start;
     v += s->choices;
-    for (int k = 0; k < s->inputs; k++)
+    for (int k = 0; k < s->inputs; k++) {
         i->m[s->u + k] = v[k].start;
+        i->slopes[1 + k] = s->no_slope;
+    }
     for (int k = 0; k < s->switches; k++)
         i->wanted[k] = s->switched[k].start;
 }
@@ -199,7 +201,7 @@ Outcome instance_set(Instance *i, int reference, double value)
         reference -= s->parameters + s->choices;
         if (v->kind == INPUT) {
             i->m[s->u + reference] = value;
-            i->slopes[1 + reference] = 0.0;
+            i->slopes[1 + reference] = s->no_slope;
             i->flags.known = 0;
         }
         if (v->kind == SWITCH) {
@@ -356,6 +358,8 @@ void hand_over(Instance *i)
     i->workspace[s->most] = fmax(iterations - 1, 1.0);
     i->workspace[s->patient] = PATIENT * iterations - 1;
     memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
+    if (s->reach)
+        i->workspace[s->within] = i->within;
 }
 
 /* Penalties and units handed on to the kernel; redundant constraints as they are. */
@@ -815,12 +819,31 @@ static Outcome watched_step(Instance *i, double start, double dt)
     return outcome;
 }
 
+/* Steps by the method of the scene up to the end of a communication step; those of one length take dt. */
+static Outcome cover(Instance *i, double end, double dt)
+{
+    const Scene *s = i->scene;
+    double *time = instance_time(i), *pace = field(i, s->pace);
+    pace[PACE_LAST] = 0.0;
+    pace[PACE_FIXED] = s->method == 2 ? dt : 0.0;
+    while (*time < end) {
+        if (i->flags.brakes)
+            hold(i);
+        if (!s->cover(i->m, end, i->flags.brakes ? 1 : -1))
+            return say(i, FAILED,
+                "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
+                "where constraints stay open, use --kind python or rk4",
+                s->name, *time, s->choice[s->method_choice].values[0]);
+    }
+    return DONE;
+}
+
 /* A communication step that the kernel cannot make in one go. */
 static Outcome slow_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    double *z = field(i, s->z), *begin = field(i, s->begin);
-    const size_t size = (size_t)(s->after - s->z) * sizeof *z;
+    const size_t size = (size_t)(s->after - s->z) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
+    double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
     const double steps = fmax(1.0, ceil(h / i->values[s->step_size] * (1 - 1e-12))), dt = h / steps;
     double done = 0.0;
     Outcome outcome = DONE;
@@ -828,6 +851,14 @@ static Outcome slow_step(Instance *i, double start, double h)
         return say(i, REFUSED, "%s: %g internal steps in one communication step; increase solver.step_size", s->name,
             steps);
     memcpy(begin, z, size);
+    memcpy(before, pace, count * sizeof *pace);
+    z[s->time] = start;
+    if (s->reach)
+        s->reach(i->m, i->workspace);
+    if (s->method) {
+        outcome = cover(i, start + h, dt);
+        done = steps;
+    }
     while (done < steps && outcome == DONE) {
         if (i->flags.fast) {
             z[s->time] = start + done * dt;
@@ -840,10 +871,12 @@ static Outcome slow_step(Instance *i, double start, double h)
             done += 1.0;
         }
     }
-    if (outcome != DONE)
-        memcpy(z, begin, size);
-    else
+    if (outcome == DONE) {
         z[s->time] = start + h;
+    } else {
+        memcpy(z, begin, size);
+        memcpy(pace, before, count * sizeof *pace);
+    }
     return outcome;
 }
 
@@ -857,13 +890,6 @@ static Outcome checked_step(Instance *i, double start, double h)
     if (!(fabs(start - time) <= 1e-6 * h + 1e-12 * fabs(time)))
         return say(i, REFUSED, "%s: a step from t = %g s is asked for, but the state is at t = %g s", s->name, start,
             time);
-    if (s->method)
-        return s->communicate(i->m, start, h)
-            ? DONE
-            : say(i, FAILED,
-                  "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
-                  "where constraints stay open, use --kind python or rk4",
-                  s->name, time, s->choice[s->method_choice].values[0]);
     return slow_step(i, start, h);
 }
 
@@ -892,8 +918,9 @@ Outcome instance_step(Instance *i, double start, double h)
         outcome = checked_step(i, start, h);
     if (outcome == DONE) {
         for (int k = 0; k < s->inputs; k++) {
-            i->m[s->u + k] += h * i->slopes[1 + k];
-            i->slopes[1 + k] = 0.0;
+            if (isfinite(i->slopes[1 + k]))
+                i->m[s->u + k] += h * i->slopes[1 + k];
+            i->slopes[1 + k] = s->no_slope;
         }
         i->flags.known = 0;
     }
