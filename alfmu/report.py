@@ -55,7 +55,7 @@ from .mechanism import Mechanism
 from .oracle import FORMULATIONS, Settings
 from .rivals import RIVALS, Rival
 from .runtime import Instance
-from .simulation import KERNELS, Unit, communication_points, prepared
+from .simulation import Unit, communication_points, prepared
 from .specialisation import specialised
 from .tables import Row, paragraph, shown, write_csv
 
@@ -293,13 +293,14 @@ class Study(cases.Study):
     def _settings(self) -> list[list[Setting]]:
         """All settings in groups, those first whose rows are needed most."""
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
+        fastest, slower = list(self._ways)[:1], list(self._ways)[1:]
         # What `auto` chooses is there under its own name; other formulations are run by the oracle whatever the kernel.
-        again = [way for way in self._ways if way in KERNELS and way != "oracle"]
-        fresh = [way for way in self._ways if way not in again]
+        told, again = [m for m in more if m != "auto"], [way for way in self._ways if way != "oracle"]
         pairs = [
-            [(OWN, first, way) for way in self._ways],
-            [(OWN, m, way) for m in more if m != "auto" for way in self._ways],
-            [(f, first, way) for f in others for way in fresh],
+            [(OWN, m, way) for m in (first, *told) for way in fastest],
+            [(OWN, first, way) for way in slower],
+            [(f, first, "oracle") for f in others],
+            [(OWN, m, way) for way in reversed(slower) for m in told],
             [(f, m, "oracle") for f in others for m in more],
             [*((OWN, "auto", way) for way in self._ways), *((f, first, way) for f in others for way in again)],
         ]
@@ -313,8 +314,11 @@ class Study(cases.Study):
 
         def once(value: float, case: Case) -> Run:
             opened = self._unit(way, method)
-            values = {"solver.formulation": formulation} | exactness(method, value)
-            return run(opened.unit, opened.restart, replace(case, values=values))
+            case = replace(case, values={"solver.formulation": formulation} | exactness(method, value))
+            if not opened.warm:  # What is made when it is first wanted has no part in the time.
+                run(opened.unit, opened.restart, replace(case, most=1))
+                opened.warm = True
+            return run(opened.unit, opened.restart, case)
 
         default = e.step_size if stepped else _middle(values)
         return Setting("alfmu", formulation, method, way, control(method), tuple(values), default, once)
@@ -416,6 +420,7 @@ class _Open:
     """A unit that can be run again and again."""
 
     unit: Unit
+    warm: bool = False
 
     def __post_init__(self) -> None:
         self.restart = restarting(self.unit)
@@ -517,12 +522,12 @@ Run time is that of all steps and of reading all outputs at each point, without 
 LIMITS = """
 SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the oracle,
 and is not told of singular positions. Formulations other than the default run by the oracle whatever the kernel, and
-are timed there and through the FMU first. All runs share one machine and one process, in the order of `errors.csv`;
-small ratios of times are not to be trusted. Where the reference ends before the run, positions and reactions are judged
-up to there. Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`),
-tuned to them with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is
-stepped in Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in
-full is that of `scripts/paper_study.py`, maps with all their cells are those of `alfmu stability`.
+are timed there first. All runs share one machine and one process, in the order of `errors.csv`; small ratios of times
+are not to be trusted. Where the reference ends before the run, positions and reactions are judged up to there.
+Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned to them
+with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is stepped in
+Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in full is that
+of `scripts/paper_study.py`, maps with all their cells are those of `alfmu stability`.
 """
 
 
