@@ -88,20 +88,13 @@ class _Patient(Tracer):
         """q and v after `move` brought back to the constraints, and the state that they make."""
         e, (_, _, p, k, _) = self.e, self.known.values()
         scene, calls = Scene(e, True, p, k), Calls(self)
-        q, v, left = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.sym("left", 2)
+        q, v = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
         self.place(calls, scene, "q", "q")
         self.settle(calls, scene, plan, {"q": q, "v": v, "p": p, "k": k}, ["v", "pivot", "left"])
-        more = Calls(self)
-        known = {"left": left, "q": q, "v": v, "k": k}
-        more(
-            "unsettled",
-            known,
-            lambda: {"more": 1 - scene.within(left[0], q) * scene.within(left[1], v)},
-            ["more"],
-        )
+        self.unsettled(calls, scene)
         end = self.e.kernel["careful"]["calls"][-1]
         repeated = Calls(self)
-        self._repeat(repeated, "more", CORRECTIONS, [*calls.made, *more.made])
+        self._repeat(repeated, "more", CORRECTIONS, calls.made)
         return {"calls": [*repeated.made, end]}
 
     def impact(self, plan: Plan) -> Program:

@@ -196,6 +196,11 @@ class Tracer:
                     calls("open", known, lambda: {"open": 1 - scene.within(scene.residue(e.Phi(q, p)), q)}, ["open"])
                     calls.made.append([CHOICE, "open", more.made, []])
                 self.settle(calls, scene, plan, state, ["v", "pivot", "left"])
+                if plan.branch:
+                    self.unsettled(calls, scene)
+                    again = Calls(self)
+                    self.settle(again, scene, plan, state, ["v", "pivot", "left"])
+                    calls.made.append([CHOICE, "more", again.made, []])
             else:
                 calls(
                     f"{scene.kind}_correct",
@@ -430,6 +435,12 @@ class Tracer:
         _, _, p, k, _ = self.known.values()
         q = ca.SX.sym("q", self.e.n)
         calls(f"{scene.kind}_place", {at: q, "p": p, "k": k}, lambda: {"q": scene.placed(q)}, [to])
+
+    def unsettled(self, calls: Calls, scene: Scene) -> None:
+        """Whether q and v do not keep the constraints well enough."""
+        q, v, left = ca.SX.sym("q", self.e.n), ca.SX.sym("v", self.e.n), ca.SX.sym("left", 2)
+        known = {"left": left, "q": q, "v": v, "k": self.known["k"]}
+        calls("unsettled", known, lambda: {"more": 1 - scene.within(left[0], q) * scene.within(left[1], v)}, ["more"])
 
     def settle(self, calls: Calls, scene: Scene, plan: Plan, known: dict[str, ca.SX], to: list[str]) -> None:
         q, v = list(known.values())[:2]
