@@ -60,6 +60,9 @@ QUANTITIES = (POSITION, REACTION, PHI, PHI_DOT, ENERGY)
 STEP, TOLERANCE = "step [s]", "tolerance"
 """What sets the error of a method."""
 
+SMALL = 10
+"""Coordinates that a study takes as long for as for all that does not depend on their number."""
+
 REPEATED = 0.1
 """Part of the limit of time that goes into repeating a run."""
 
@@ -308,11 +311,12 @@ class Begun(Generic[AnyStudy]):
     """Wall time for all [s]."""
 
     def measured(self, progress: Callable[[str], Progress]) -> Iterator[AnyStudy]:
-        """The studies, each measured with an equal share of the time that is left."""
+        """The studies, each measured with its share of the time that is left: larger mechanisms take longer."""
         end = time.perf_counter() + self.total
+        weights = [SMALL + study.derived.n for study in self.studies]
         for i, study in enumerate(self.studies):
             now = time.perf_counter()
-            study.measure(now + (end - now) / (len(self.studies) - i), progress(study.name))
+            study.measure(now + (end - now) * weights[i] / sum(weights[i:]), progress(study.name))
             yield study
 
     def rows(self, of: Callable[[AnyStudy], Iterable[Row]]) -> list[Row]:
