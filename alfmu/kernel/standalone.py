@@ -143,10 +143,7 @@ class _Patient(Tracer):
         calls("unpack_limit", {"z": z}, lambda: unpacked, list(unpacked))
         self._read_places(calls, scene, places)
         for j in count:
-            self.place(calls, scene, places[j], "placed")
-            self._brought(calls, scene, plan, places[j], "placed", "vz")
-            names = {f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"}
-            self.evaluation(calls, scene, plan, str(j), names)
+            self._beside(calls, scene, plan, places[j], str(j))
             self._forced(calls, scene, plan, "tz", str(j))
         self.evaluation(calls, scene, plan, "l", {"tl": "tz", "ql": "qz", "vl": "vz"})
         watch = ca.SX.sym("watch", len(Watch.FIELDS))

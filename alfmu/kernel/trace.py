@@ -319,10 +319,7 @@ class Tracer:
         calls("unpack_limit", {"z": z}, lambda: unpacked, list(unpacked))
         self._read_places(calls, scene, places)
         for j in count:
-            self.place(calls, scene, places[j], "placed")
-            self._brought(calls, scene, plan, places[j], "placed", "vz")
-            names = {f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"}
-            self.evaluation(calls, scene, plan, str(j), names)
+            self._beside(calls, scene, plan, places[j], str(j))
             if redundant:
                 self._least(calls, scene, f"lam{j}")
         here = {"tl": "tz", "ql": "qz", "vl": "vz"}
@@ -332,6 +329,12 @@ class Tracer:
         calls("limits", known, lambda: scene.limits(list(found.values()), watch), ["al", "laml", "watchl", "singular"])
         self._seen(calls, scene, plan, "al", "laml", "watchl")
         return {**asdict(plan), "calls": calls.made}
+
+    def _beside(self, calls: Calls, scene: Scene, plan: Plan, place: str, j: str) -> None:
+        """An evaluation at a place from which a limit is read; j is part of the names of its results."""
+        self.place(calls, scene, place, "placed")
+        self._brought(calls, scene, plan, place, "placed", "vz")
+        self.evaluation(calls, scene, plan, j, {f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"})
 
     def _read_places(self, calls: Calls, scene: Scene, places: list[str], dt: str = "dt") -> None:
         """The places from which a limit is read; `dt` is what their spacing is measured by."""
