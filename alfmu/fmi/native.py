@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ..equations import Equations
-from ..errors import ExportError
 from ..kernel.build import FLAGS, build, cache, compiler, version
+from ..model.errors import ExportError
 from ..runtime import Instance
 from .table import constants, sources
 
@@ -91,7 +91,7 @@ def may_brake(instance: Instance) -> bool:
 
 def written(equations: Equations, fmi: int) -> tuple[dict[str, str], str]:
     """The C files of a traced scene by name, with `GUID` in place of the identity, and a hash of their content."""
-    folder = Path(__file__).parents[1] / "native"
+    folder = Path(__file__).parents[1] / "runtime"
     files = {name: (folder / name).read_text(encoding="ascii") for name in (*_RUNTIME, f"fmi{fmi}.c")}
     files["constants.h"] = constants()
     files |= {f"scene{i}.c": text for i, text in enumerate(sources(equations, GUID))}

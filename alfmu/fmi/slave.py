@@ -18,8 +18,8 @@ from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
 from ..equations import Equations, Variable
-from ..errors import AlfmuError, ExportError, InputError
 from ..kernel.program import LIBRARY, PLATFORM
+from ..model.errors import AlfmuError, ExportError, InputError
 from ..runtime import CHOICES, Instance, choices
 
 __all__ = ["FUNCTIONS", "SCENE", "Slave", "interface", "loaded"]

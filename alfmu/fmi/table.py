@@ -1,4 +1,4 @@
-"""A scene as data for the C runtime of native FMUs (`alfmu/native`): variables, sizes, places, functions; constants."""
+"""A scene as data for the runtime in C (`alfmu/runtime`): variables, sizes, places, functions; constants."""
 
 from __future__ import annotations
 
@@ -8,18 +8,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import adaptive, assembly, branch, implicit, oracle, runtime, scaling, stepping
 from ..equations import Equations, Variable
-from ..evaluation import DENSE
+from ..equations.evaluation import DENSE
+from ..equations.monitors import events
 from ..kernel import program
 from ..kernel.emit import written
 from ..kernel.program import Layout
 from ..kernel.standalone import passed, standalone
 from ..kernel.trace import CAREFUL, ROUND_OFF, Watch
-from ..oracle import FIXED, Settings
-from ..runtime import CHOICES, SOLVER_VARIABLES, Instance, choices
-from ..stepping import Collocation, Explicit, explicit_rule, share
-from ..topology import events
+from ..method import formulations, implicit, stepping
+from ..method import singular as branch
+from ..method.stepping import Collocation, Explicit, explicit_rule, share
+from ..model.settings import FIXED, Settings
+from ..runtime import CHOICES, SOLVER_VARIABLES, Instance, adaptive, assembly, choices, oracle, scaling
+from ..runtime import instance as runtime
 
 __all__ = ["constants", "interface", "sources"]
 
@@ -58,7 +60,7 @@ def constants() -> str:
         "TORN": runtime.TORN,
         "SHORTEST": runtime.SHORTEST,
         "SAID": runtime.SAID,
-        "CORRECTIONS": oracle.CORRECTIONS,
+        "CORRECTIONS": formulations.CORRECTIONS,
         "LITTLE": oracle._LITTLE,
         "FAR_RATIO": oracle._FAR,
         "COARSE": oracle.COARSE,
