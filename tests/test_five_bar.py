@@ -9,7 +9,7 @@ from oracles.parallelogram import Parallelogram
 from scenes import derived, readings, started
 
 import alfmu
-from alfmu.branch import READ_DISTANCE
+from alfmu.method.singular import READ_DISTANCE
 
 EPS = np.finfo(float).eps
 
