@@ -27,6 +27,7 @@ from ..errors import ExportError
 from ..evaluation import EVALUATED
 from ..kernel import DEFAULT
 from ..kernel.program import LIBRARY
+from ..kernel.tables import identified, interface, packed
 from ..kernel.trace import untraced
 from ..kernel.vm import serialized
 from ..mechanism import Mechanism
@@ -39,7 +40,6 @@ from . import native
 from .description import build_description, dependencies, documentation, model_description, model_description3
 from .experiment import reference_results
 from .slave import FUNCTIONS, SCENE
-from .table import interface
 from .terminals import document, terminals
 
 __all__ = ["KINDS", "RUN_SIDE", "export", "packed_scene"]
@@ -216,10 +216,9 @@ def _native(
     """The files of a native FMU."""
     e = equations
     chosen = native.platforms(e.name, platforms)
-    files, digest = native.written(e, fmi)
+    files, scene = native.sources(), packed(e)
     generator = f"alfmu {version}"
-    guid = _guid(generator, digest)
-    files = {name: text.replace(native.GUID, guid) for name, text in files.items()}
+    guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     compiled = [name for name in files if name.endswith(".c")]
     needs = "This FMU needs nothing but the C library."
     page = documentation(e, declared.sketch, declared.documentation, generator, needs)
@@ -238,7 +237,7 @@ def _native(
     for each in chosen:
         platform = native.PLATFORMS[each]
         folder = each if fmi == 2 else platform.fmi3
-        libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = native.library(e.name, files, each)
+        libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = native.library(e.name, each)
     return {
         "modelDescription.xml": described,
         **form,
@@ -246,6 +245,7 @@ def _native(
         "documentation/index.html": page.encode(),
         "documentation/model.png": picture,
         "documentation/licenses/alfmu.txt": _license("alfmu").encode(),
+        "resources/scene.bin": identified(scene, guid),
         f"resources/{SCENE}": json.dumps({"options": e.options}, indent=1).encode(),
         **{f"sources/{name}": text.encode() for name, text in files.items()},
         **libraries,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,9 +15,8 @@ from ..equations import Equations
 from ..errors import ExportError
 from ..kernel.build import FLAGS, build, cache, compiler, version
 from ..runtime import Instance
-from .table import constants, sources
 
-__all__ = ["GUID", "OWN", "PLATFORMS", "checked", "headers", "library", "may_brake", "platforms", "written"]
+__all__ = ["OWN", "PLATFORMS", "checked", "headers", "library", "may_brake", "platforms", "sources"]
 
 
 @dataclass(frozen=True)
@@ -58,14 +57,6 @@ def _own() -> str:
 OWN = _own()
 """This platform; empty where it is none of them."""
 
-GUID = "GUID of the description"
-"""Stands for it in C files until it is known."""
-
-LEVELS = "-O2", "-O1"
-"""Of optimisation; on long straight-line code the higher one takes twice the time and gains nothing."""
-
-_RUNTIME = ("alfmu.h", "component.h", "linear.h", "linear.c", "start.c", "instance.c", "component.c")
-
 MOST = 200
 """Coordinates of a native FMU: the matrices of its start are dense."""
 
@@ -89,19 +80,16 @@ def may_brake(instance: Instance) -> bool:
     return bool(e.switches) and instance._assembly.mobility(instance.oracle.p, instance.q, everything).redundant > 0
 
 
-def written(equations: Equations, fmi: int) -> tuple[dict[str, str], str]:
-    """The C files of a traced scene by name, with `GUID` in place of the identity, and a hash of their content."""
+def sources() -> dict[str, str]:
+    """The C files of the runtime by name, the same in every FMU."""
     folder = Path(__file__).parents[1] / "native"
-    files = {name: (folder / name).read_text(encoding="ascii") for name in (*_RUNTIME, f"fmi{fmi}.c")}
-    files["constants.h"] = constants()
-    files |= {f"scene{i}.c": text for i, text in enumerate(sources(equations, GUID))}
-    return files, hashlib.sha256("\0".join(files.values()).encode()).hexdigest()
+    return {path.name: path.read_text(encoding="ascii") for path in sorted(folder.glob("*.[ch]"))}
 
 
-def library(scene: str, files: Mapping[str, str], platform: str) -> bytes:
+def library(scene: str, platform: str) -> bytes:
     """The compiled library for a platform, from the user's cache where it has been built before."""
-    command = _command(scene, platform)
-    flags = [LEVELS["scene1.c" in files], *FLAGS, "-std=c99", "-fvisibility=hidden", "-DNDEBUG"]
+    command, files = _command(scene, platform), sources()
+    flags = ["-O2", *FLAGS, "-std=c99", "-fvisibility=hidden", "-DNDEBUG"]
     identity = "\0".join([*files, *files.values(), *command, version(command), *flags])
     name = f"native_{hashlib.sha256(identity.encode()).hexdigest()[:32]}{PLATFORMS[platform].suffix}"
     path = cache() / name

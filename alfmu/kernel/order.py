@@ -13,7 +13,7 @@ import casadi as ca
 
 from .stream import Instructions
 
-__all__ = ["in_runs"]
+__all__ = ["in_runs", "runs"]
 
 
 def in_runs(f: ca.Function) -> ca.Function:
@@ -23,7 +23,7 @@ def in_runs(f: ca.Function) -> ca.Function:
     values in the order of the runs, and gives back those that are results.
     """
     instructions = Instructions.of(f)
-    taken = list(chain(*_runs(instructions)))
+    taken = list(chain(*runs(instructions)))
     place = {k: i for i, k in enumerate(taken)}
     known = ca.SX.sym("known", len(taken))
     results = [ca.SX.zeros(f.sparsity_out(i)) for i in range(f.n_out())]
@@ -39,7 +39,7 @@ def in_runs(f: ca.Function) -> ca.Function:
     return ca.Function(f.name(), arguments, together.call([values[taken]], False, True))
 
 
-def _runs(instructions: Instructions) -> list[list[int]]:
+def runs(instructions: Instructions) -> list[list[int]]:
     """What the instructions compute, in runs of equal operations."""
     code, operands = instructions.code.tolist(), instructions.operands.T.tolist()
     users: list[list[int]] = [[] for _ in code]

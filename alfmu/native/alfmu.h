@@ -1,22 +1,22 @@
 /* A mechanism in motion, as alfmu/runtime.py has it: values by reference, start, communication steps, outputs, state.
 
    Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. What a scene
-   is comes from generated code: its functions and programs work on the memory `m` laid out by `Layout` in
+   is comes from its file: its functions and programs work on the memory `m` laid out by `Layout` in
    alfmu/kernel/program.py, and on the workspace behind it. */
 
 #ifndef ALFMU_H
 #define ALFMU_H
 
 #include <stddef.h>
+#include <stdint.h>
 
-#include "constants.h"
+#include "layout.h"
 
-#if !defined(EXPORT) /* in generated code, which has these */
-typedef const double *const *Arguments;
-typedef double *const *Results;
-typedef void Function(Arguments, Results, double *);
-#endif
-typedef void Program(double *m, double *w);
+#define MOST_ARGUMENTS 160 /* of a function, results included */
+#define MOST_STEPS 1e9     /* internal steps in one communication step */
+
+/* A function of the scene as compiled code: arguments, results, and a workspace. */
+typedef void Compiled(const double *const *x, double *const *y, double *w);
 
 typedef enum { REAL, INTEGER, BOOLEAN, STRING } Type;
 typedef enum { PARAMETER, CHOICE, INPUT, SWITCH, OUTPUT } Kind;
@@ -52,53 +52,67 @@ typedef struct {
 
 /* Where the nonzeros of a matrix stand, by columns; without `offsets` it is dense. */
 typedef struct {
-    int rows, columns;
+    int rows, columns, entries;
     const int *offsets, *indices;
 } Pattern;
 
+/* A function: runs of operations over places among the constants, the arguments, and what came before; behind them the
+   places of its results. Places have 16 bits (narrow) or 32 (wide). */
 typedef struct {
-    const char *name, *guid;
-    /* Variables in the order of their references: parameters, choices, inputs, switches, outputs. */
+    int inputs, outputs, results;
+    const int32_t *lengths; /* of arguments, then of results */
+    const uint16_t *narrow;
+    const int32_t *wide;
+    size_t words;
+    Compiled *compiled; /* in its place, where there is one */
+} Function;
+
+/* Calls of functions on the memory of an instance, choices, loops. */
+typedef struct {
+    const int32_t *code;
+    size_t words;
+} Program;
+
+/* What alfmu/kernel/tables.py writes; numbers that are places stand for functions, programs, or where in the memory or the
+   workspace something is (-1 for none). */
+typedef struct {
+    const char *name;
+    char guid[40];
+#define NUMBER(name) int name;
+    SCENE_NUMBERS(NUMBER)
+#undef NUMBER
+#define NUMBER(name) double name;
+    SCENE_REALS(NUMBER)
+#undef NUMBER
+    /* Variables in the order of their references: parameters, choices, inputs, switches, outputs. The first parameters
+       are those of the mechanism, then start values, start rates, compliances, the solver's. */
     const Variable *variables;
-    int parameters, choices, inputs, switches, outputs;
     const Choice *choice;
-    /* The first parameters are those of the mechanism, then start values, start rates, compliances, the solver's. */
-    int own, starts, compliances, solver;
-    /* Places among the parameters. */
-    int step_size, penalty, tolerance, max_iterations, relative_tolerance, absolute_tolerance;
-    int branch, continues, method_choice; /* places of choices, and of a value of the first */
-    double no_slope; /* of an input whose derivative is not given: 0, held; infinite, extrapolated from the past */
     const Switch *switched;
-    int held;                  /* displacements that locks keep */
-    int impulses, event_count; /* of all impacts; outputs that say something of them */
     const int *impulse_rows, *event_places;
-    int n, l, angles, readings;
     const Coordinate *coordinates;
     const Row *rows;
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
-    int ties;
-    const int *tied; /* start values that are kept */
-    int freedom;     /* of the usual constraints, -1 where it is not known */
-    int brakes, weighted, same_tiers, careful_iterations;
-    int method;             /* 0 RK4, 1 one with error control, 2 another in steps of one length */
-    double share, exponent; /* that make the tolerance of a run that of a step */
-    const double *normal; /* standard normal numbers, TRIES x n */
-    /* Memory: offsets of fields, entries of the state, lengths. */
-    int z, after, begin, u, p, k, dt, control, pace, past, past_size, seen, seen_size;
-    int time, work, trouble, size, workspace;
-    /* Workspace: what programs hand on. */
-    int most, patient, du, slopes, within, q, v, watch[4], near, dy, struck, impulse, lost;
+    const int *tied;         /* start values that are kept */
+    const double *normal;    /* standard normal numbers, TRIES x n */
     Pattern mass, constraint, gaps, tie_rows;
-    Function *dynamics, *constraints, *energy, *closure, *guesses, *displacements;
-    Function *pivots, *place, *bring, *settle;
-    Program *move, *move_on_branch, *close, *instant, *limit, *impact, *sensitivity, *limit_sensitivity, *reach;
-    long (*advance)(double *m, long steps, double dt);
-    int (*communicate)(double *m, double start, double h);
-    int (*cover)(double *m, double end, long tries);
-    int (*read)(double *m);
+    const double *constants;
+    const Function *functions;
+    const Program *programs;
+    int constant_count, function_count, program_count;
+    int registers; /* numbers that the longest function works on, constants included */
+    int spare;     /* workspace of compiled functions */
+    struct Block *blocks;
 } Scene;
 
-extern const Scene alfmu_scene;
+/* A scene from the bytes of its file; NULL, and why, where it is damaged. */
+Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size);
+void scene_free(Scene *s);
+int settings_length(const Scene *s);
+size_t state_length(const Scene *s);
+
+/* The scene among the resources of an FMU, which the host names by a URI or a path. */
+Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
 
 typedef enum {
     DONE,
@@ -123,7 +137,7 @@ typedef struct {
     double *freedom, *masses, *regular, *rank, *largest_penalty;
     double *m;
     /* Beside them. */
-    double *workspace, *before, *scratch;
+    double *workspace, *before, *scratch, *registers, *spare, *past_before;
     Flags flags_before;
     int within; /* whether the next step goes on in a communication step that began before */
     size_t used, room; /* of scratch */
@@ -164,7 +178,6 @@ Outcome say(Instance *i, Outcome outcome, const char *format, ...)
     ;
 double *take(Instance *i, size_t count);
 void spread(const Pattern *pattern, const double *nonzeros, double *dense);
-int nonzeros(const Pattern *pattern);
 const char *row_label(const Instance *i, int row, char *label, size_t size);
 double *field(const Instance *i, int offset);
 void constraints_at(
@@ -178,5 +191,14 @@ void default_penalties(Instance *i, const double *q, double *penalties);
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
 void hold(Instance *i);
 void hand_over(Instance *i);
+
+/* A function of the scene on arrays; a program on the memory. */
+void call(Instance *i, int which, const double *const *x, double *const *y);
+void run(Instance *i, int program);
+
+long advance(Instance *i, long steps, double dt);
+int cover(Instance *i, double end, long tries);
+int communicate(Instance *i, double start, double h);
+int read_quickly(Instance *i);
 
 #endif

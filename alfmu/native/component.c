@@ -14,19 +14,29 @@
 const char *const category_names[CATEGORIES] = {
     "logAll", "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal"};
 
-Component *component_new(const char *name, const char *guid)
+Component *component_new(const char *name, const char *guid, const char *resources, char *why, size_t why_size)
 {
     Component *c;
-    if (!name || !*name || !guid || strcmp(guid, alfmu_scene.guid) != 0)
+    snprintf(why, why_size, "it needs a name");
+    if (!name || !*name)
         return NULL;
     c = calloc(1, sizeof *c);
+    snprintf(why, why_size, "there is no memory for it");
     if (!c)
         return NULL;
+    c->scene = scene_of_fmu(resources, why, why_size);
+    if (!c->scene || !guid || strcmp(guid, c->scene->guid) != 0) {
+        if (c->scene)
+            snprintf(why, why_size, "it is %.40s, and %.100s is asked for", c->scene->guid, guid ? guid : "nothing");
+        scene_free(c->scene);
+        free(c);
+        return NULL;
+    }
     c->magic = HANDLE;
     c->phase = INSTANTIATED;
     c->logged = ALWAYS;
     c->name = malloc(strlen(name) + 1);
-    c->instance = instance_new(&alfmu_scene);
+    c->instance = instance_new(c->scene);
     if (!c->name || !c->instance) {
         component_free(c);
         return NULL;
@@ -39,6 +49,7 @@ void component_free(Component *c)
 {
     c->magic = 0;
     instance_free(c->instance);
+    scene_free(c->scene);
     free(c->name);
     free(c);
 }

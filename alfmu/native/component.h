@@ -24,6 +24,7 @@ typedef enum { ALL, WARNING, DISCARD, ERROR_, FATAL, CATEGORIES } Category;
 typedef struct {
     unsigned magic;
     Phase phase;
+    Scene *scene;
     Instance *instance;
     char *name;
     void (*log)(void *host, const char *name, Category category, const char *text);
@@ -41,7 +42,8 @@ typedef struct {
 
 extern const char *const category_names[CATEGORIES];
 
-Component *component_new(const char *name, const char *guid);
+/* NULL, and why, where there can be none. */
+Component *component_new(const char *name, const char *guid, const char *resources, char *why, size_t why_size);
 void component_free(Component *c);
 int component_good(const Component *c);
 int component_in(Component *c, int phases, const char *call);

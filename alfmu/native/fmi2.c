@@ -1,5 +1,6 @@
 /* FMI 2.0 for co-simulation. */
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -36,14 +37,14 @@ const char *fmi2GetVersion(void)
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
 {
-    Component *c = type == fmi2CoSimulation ? component_new(name, guid) : NULL;
+    char why[400] = "it is for co-simulation", text[500];
+    Component *c = type == fmi2CoSimulation ? component_new(name, guid, resources, why, sizeof why) : NULL;
     Host *host;
-    (void)resources;
     (void)visible;
     if (!c) {
+        snprintf(text, sizeof text, "cannot be instantiated: %s", why);
         if (functions && functions->logger)
-            functions->logger(functions->componentEnvironment, name ? name : "", fmi2Error, "logStatusError",
-                "cannot be instantiated: it is for co-simulation, needs a name, and the GUID of its description");
+            functions->logger(functions->componentEnvironment, name ? name : "", fmi2Error, "logStatusError", text);
         return NULL;
     }
     host = calloc(1, sizeof *host);

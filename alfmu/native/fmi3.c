@@ -1,6 +1,7 @@
 /* FMI 3.0 for co-simulation: scalar variables, no event mode, no clocks. */
 
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -53,9 +54,9 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     size_t intermediate_count, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
     fmi3IntermediateUpdateCallback update)
 {
-    Component *c = component_new(name, token);
+    char why[400] = "there is no memory for it", text[500];
+    Component *c = component_new(name, token, resources, why, sizeof why);
     Host *host = c ? calloc(1, sizeof *host) : NULL;
-    (void)resources;
     (void)visible;
     (void)event_mode;
     (void)intermediate;
@@ -63,9 +64,9 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     if (!host) {
         if (c)
             component_free(c);
+        snprintf(text, sizeof text, "cannot be instantiated: %s", why);
         if (log)
-            log(environment, fmi3Error, "logStatusError",
-                "cannot be instantiated: it needs a name and the instantiation token of its description");
+            log(environment, fmi3Error, "logStatusError", text);
         return NULL;
     }
     host->log = log;

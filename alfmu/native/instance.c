@@ -86,7 +86,9 @@ Instance *instance_new(const Scene *s)
     i->count = divided(i, NULL);
     i->room = 12 * side * side + (size_t)64 * side + 4 * (size_t)(s->inputs + s->outputs);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
-    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room, sizeof *numbers);
+    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
+            + (size_t)s->past_size,
+        sizeof *numbers);
     i->refused = calloc((size_t)variable_count(s), 1);
     if (!numbers || !i->refused) {
         free(numbers);
@@ -99,6 +101,10 @@ Instance *instance_new(const Scene *s)
     i->workspace = numbers + i->count;
     i->before = i->workspace + s->workspace;
     i->scratch = i->before + i->count;
+    i->registers = i->scratch + i->room;
+    i->spare = i->registers + s->registers;
+    i->past_before = i->spare + s->spare;
+    memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *numbers);
     instance_reset(i);
     return i;
 }
@@ -289,11 +295,6 @@ Outcome instance_refusals(Instance *i)
 
 /* Equations -------------------------------------------------------------------------------------------------------- */
 
-int nonzeros(const Pattern *pattern)
-{
-    return pattern->offsets ? pattern->offsets[pattern->columns] : pattern->rows * pattern->columns;
-}
-
 void spread(const Pattern *pattern, const double *values, double *dense)
 {
     const size_t size = (size_t)pattern->rows * (size_t)pattern->columns;
@@ -314,9 +315,9 @@ void constraints_at(
     const Scene *s = i->scene;
     const size_t used = i->used, l = (size_t)s->l;
     const double *x[] = {q, v, field(i, s->p)};
-    double *M = take(i, (size_t)nonzeros(&s->mass)), *C = take(i, (size_t)nonzeros(&s->constraint));
+    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries);
     double *y[] = {M, C, phi ? phi : take(i, l), cv ? cv : take(i, l)};
-    s->constraints(x, y, i->workspace);
+    call(i, s->constraints, x, y);
     if (mass)
         spread(&s->mass, M, mass);
     if (matrix)
@@ -358,7 +359,7 @@ void hand_over(Instance *i)
     i->workspace[s->most] = fmax(iterations - 1, 1.0);
     i->workspace[s->patient] = PATIENT * iterations - 1;
     memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
-    if (s->reach)
+    if (s->reach >= 0)
         i->workspace[s->within] = i->within;
 }
 
@@ -492,7 +493,7 @@ static Outcome change(Instance *i, const double *on)
     else
         outcome = check_masses(i, q, held);
     if (outcome == DONE && any) {
-        s->impact(i->m, w);
+        run(i, s->impact);
         memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
         field(i, s->z)[s->work] -= w[s->lost];
         *i->lost += w[s->lost];
@@ -531,7 +532,7 @@ static Outcome take_effect(Instance *i)
         double *displacements = take(i, (size_t)s->held);
         const double *x[] = {field(i, s->z), field(i, s->p)};
         double *y[] = {displacements};
-        s->displacements(x, y, i->workspace);
+        call(i, s->displacements, x, y);
         for (int k = 0; k < s->switches; k++)
             if (s->switched[k].value >= 0 && i->wanted[k] != 0.0 && i->on[k] == 0.0)
                 i->kept[s->switched[k].value] = displacements[s->switched[k].value];
@@ -576,14 +577,14 @@ static Outcome projected(Instance *i, double *q, double *v)
         constraints_at(i, q, v, NULL, C, phi, cv);
         if (closed(i, phi, C, q))
             break;
-        s->place(x, y, i->workspace);
+        call(i, s->place, x, y);
         memcpy(q, next, n * sizeof *q);
     }
     for (int pass = 0; pass < CORRECTIONS; pass++) {
         constraints_at(i, q, v, NULL, C, phi, cv);
         if (closed(i, cv, C, v))
             break;
-        s->settle(at, settled, i->workspace);
+        call(i, s->settle, at, settled);
         memcpy(v, next, n * sizeof *v);
     }
     for (int of_velocity = 0; of_velocity < 2 && outcome == DONE; of_velocity++) {
@@ -651,7 +652,7 @@ static Outcome started(Instance *i)
         outcome = knowledge(i, q, v);
     if (outcome != DONE)
         return outcome;
-    memset(z, 0, (size_t)(s->after - s->z) * sizeof *z);
+    memset(z, 0, state_length(s) * sizeof *z);
     memcpy(z, q, n * sizeof *q);
     memcpy(z + n, v, n * sizeof *v);
     for (int k = 0; k < s->angles; k++)
@@ -696,7 +697,7 @@ static double margin(Instance *i)
     double found;
     const double *x[] = {field(i, s->z), field(i, s->p), field(i, s->k)};
     double *y[] = {take(i, n), take(i, n), take(i, n), &found};
-    s->pivots(x, y, i->workspace);
+    call(i, s->pivots, x, y);
     i->used = used;
     return found;
 }
@@ -734,6 +735,7 @@ static Outcome check_length(Instance *i, double t)
 static Outcome follow(Instance *i, double start, double dt, int *near)
 {
     const Scene *s = i->scene;
+    const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
     double *m = i->m, *w = i->workspace, *after = m + s->after;
     const double t = start + dt;
     char label[100];
@@ -749,14 +751,14 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     m[s->z + s->time] = start;
     if (i->flags.brakes)
         hold(i);
-    s->move(m, w);
+    run(i, s->move);
     for (int k = 0; k < 4; k++)
-        *near |= w[s->watch[k] + s->near] != 0.0;
+        *near |= w[watch[k] + s->watch_near] != 0.0;
     *near = *near && field(i, s->k)[7] != 0.0;
     if (*near) {
-        s->move_on_branch(m, w);
+        run(i, s->move_on_branch);
         for (int k = 0; k < 4; k++)
-            if (w[s->watch[k]] == INFINITY) /* What `reached` says of it. */
+            if (w[watch[k]] == INFINITY) /* What `reached` says of it. */
                 return say(i, OPEN,
                     "%s, t = %.6g s: the branch of the motion leaves a constraint open ahead; reduce solver.step_size",
                     s->name, start);
@@ -764,7 +766,7 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     outcome = check_length(i, t);
     if (outcome != DONE)
         return outcome;
-    s->close(m, w);
+    run(i, s->close);
     for (int of_velocity = 0; of_velocity < 2; of_velocity++) {
         const double worst = widest(i, after, after + s->n, of_velocity, &row);
         if (!(worst <= GROSS))
@@ -774,7 +776,7 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
                 CORRECTIONS);
     }
     after[s->trouble] = 0.0;
-    memcpy(m + s->z, after, (size_t)(s->after - s->z) * sizeof *m);
+    memcpy(m + s->z, after, state_length(s) * sizeof *m);
     return DONE;
 }
 
@@ -820,7 +822,7 @@ static Outcome watched_step(Instance *i, double start, double dt)
 }
 
 /* Steps by the method of the scene up to the end of a communication step; those of one length take dt. */
-static Outcome cover(Instance *i, double end, double dt)
+static Outcome covered(Instance *i, double end, double dt)
 {
     const Scene *s = i->scene;
     double *time = instance_time(i), *pace = field(i, s->pace);
@@ -829,7 +831,7 @@ static Outcome cover(Instance *i, double end, double dt)
     while (*time < end) {
         if (i->flags.brakes)
             hold(i);
-        if (!s->cover(i->m, end, i->flags.brakes ? 1 : -1))
+        if (!cover(i, end, i->flags.brakes ? 1 : -1))
             return say(i, FAILED,
                 "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
                 "where constraints stay open, use --kind python or rk4",
@@ -842,7 +844,7 @@ static Outcome cover(Instance *i, double end, double dt)
 static Outcome slow_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    const size_t size = (size_t)(s->after - s->z) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
+    const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
     double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
     const double steps = fmax(1.0, ceil(h / i->values[s->step_size] * (1 - 1e-12))), dt = h / steps;
     double done = 0.0;
@@ -853,10 +855,10 @@ static Outcome slow_step(Instance *i, double start, double h)
     memcpy(begin, z, size);
     memcpy(before, pace, count * sizeof *pace);
     z[s->time] = start;
-    if (s->reach)
-        s->reach(i->m, i->workspace);
+    if (s->reach >= 0)
+        run(i, s->reach);
     if (s->method) {
-        outcome = cover(i, start + h, dt);
+        outcome = covered(i, start + h, dt);
         done = steps;
     }
     while (done < steps && outcome == DONE) {
@@ -864,7 +866,7 @@ static Outcome slow_step(Instance *i, double start, double h)
             z[s->time] = start + done * dt;
             if (i->flags.brakes)
                 hold(i);
-            done += (double)s->advance(i->m, i->flags.whole ? (long)(steps - done) : 1L, dt);
+            done += (double)advance(i, i->flags.whole ? (long)(steps - done) : 1L, dt);
         }
         if (done < steps) {
             outcome = watched_step(i, start + done * dt, dt);
@@ -912,7 +914,7 @@ Outcome instance_step(Instance *i, double start, double h)
             if (outcome != DONE)
                 go_back(i);
         }
-    } else if (i->flags.whole && s->communicate(i->m, start, h))
+    } else if (i->flags.whole && communicate(i, start, h))
         outcome = DONE;
     else
         outcome = checked_step(i, start, h);
@@ -947,12 +949,12 @@ Outcome instance_read(Instance *i)
     hand_over(i);
     if (i->flags.brakes)
         hold(i);
-    if (!(i->flags.fast && s->read(i->m)) && s->instant) {
-        s->instant(i->m, i->workspace);
+    if (!(i->flags.fast && read_quickly(i)) && s->instant_patient >= 0) {
+        run(i, s->instant_patient);
         if (i->m[s->seen + s->seen_size - 2] != 0.0) {
-            s->limit(i->m, i->workspace);
+            run(i, s->limit_patient);
             if (!all_finite(i))
-                s->instant(i->m, i->workspace);
+                run(i, s->instant_patient);
         }
     }
     i->flags.known = 1;
@@ -971,7 +973,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     i->used = 0;
     hand_over(i);
     memset(changes, 0, unknown_count * sizeof *changes);
-    if (!s->sensitivity)
+    if (s->sensitivity < 0)
         return DONE;
     if (i->flags.brakes)
         hold(i);
@@ -979,7 +981,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     for (size_t k = 0; k < known_count; k++)
         w[s->du + (int)knowns[k] - first] += directions[k];
     /* Where a limit is read, its derivative is. */
-    (i->m[s->seen + s->seen_size - 2] != 0.0 ? s->limit_sensitivity : s->sensitivity)(i->m, w);
+    run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity : s->sensitivity);
     for (size_t k = 0; k < unknown_count; k++)
         if ((int)unknowns[k] - outputs < s->readings)
             changes[k] = w[s->dy + (int)unknowns[k] - outputs];

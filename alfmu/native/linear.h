@@ -20,4 +20,8 @@ double largest(const double *x, int count);
 /* The Euclidean norm. */
 double norm(const double *x, int count);
 
+/* Factors of the matrix of blocks * blocks parts (n, n), and a solution by them. */
+void factor(int n, int blocks, int terms, const double *weights, const double *const *parts, double *a, double *order);
+void solve(int n, int blocks, const double *a, const double *order, const double *const *right, double *x);
+
 #endif
