@@ -8,25 +8,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 _HOME = {
-    "AlfmuError": "errors",
-    "AssemblyError": "errors",
-    "Body": "mechanism",
-    "DeclarationError": "errors",
+    "AlfmuError": "model.errors",
+    "AssemblyError": "model.errors",
+    "Body": "model.mechanism",
+    "DeclarationError": "model.errors",
     "Equations": "equations",
-    "Experiment": "mechanism",
-    "ExportError": "errors",
-    "InputError": "errors",
+    "Experiment": "model.mechanism",
+    "ExportError": "model.errors",
+    "InputError": "model.errors",
     "Instance": "runtime",
-    "Joint": "mechanism",
-    "Marker": "mechanism",
-    "Mechanism": "mechanism",
+    "Joint": "model.mechanism",
+    "Marker": "model.mechanism",
+    "Mechanism": "model.mechanism",
     "Result": "simulation",
-    "Settings": "oracle",
-    "StepError": "errors",
-    "derive": "derivation",
+    "Settings": "model.settings",
+    "StepError": "model.errors",
+    "derive": "equations.derivation",
     "export": "fmi.export",
-    "load": "registry",
-    "mechanisms": "registry",
+    "load": "model.registry",
+    "mechanisms": "model.registry",
     "simulate": "simulation",
 }
 """Public name -> module; imported when first used."""
@@ -34,23 +34,23 @@ _HOME = {
 __all__ = list(_HOME)
 
 if TYPE_CHECKING:
-    from .derivation import derive as derive
     from .equations import Equations as Equations
-    from .errors import AlfmuError as AlfmuError
-    from .errors import AssemblyError as AssemblyError
-    from .errors import DeclarationError as DeclarationError
-    from .errors import ExportError as ExportError
-    from .errors import InputError as InputError
-    from .errors import StepError as StepError
+    from .equations.derivation import derive as derive
     from .fmi.export import export as export
-    from .mechanism import Body as Body
-    from .mechanism import Experiment as Experiment
-    from .mechanism import Joint as Joint
-    from .mechanism import Marker as Marker
-    from .mechanism import Mechanism as Mechanism
-    from .oracle import Settings as Settings
-    from .registry import load as load
-    from .registry import mechanisms as mechanisms
+    from .model.errors import AlfmuError as AlfmuError
+    from .model.errors import AssemblyError as AssemblyError
+    from .model.errors import DeclarationError as DeclarationError
+    from .model.errors import ExportError as ExportError
+    from .model.errors import InputError as InputError
+    from .model.errors import StepError as StepError
+    from .model.mechanism import Body as Body
+    from .model.mechanism import Experiment as Experiment
+    from .model.mechanism import Joint as Joint
+    from .model.mechanism import Marker as Marker
+    from .model.mechanism import Mechanism as Mechanism
+    from .model.registry import load as load
+    from .model.registry import mechanisms as mechanisms
+    from .model.settings import Settings as Settings
     from .runtime import Instance as Instance
     from .simulation import Result as Result
     from .simulation import simulate as simulate

@@ -12,8 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .errors import AlfmuError, InputError
 from .kernel import DEFAULT, KERNELS
+from .model.errors import AlfmuError, InputError
 
 __all__ = ["main"]
 
@@ -191,7 +191,7 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
 
 def _declared(chosen: argparse.Namespace, name: str) -> Any:
     """A mechanism with the options, locks and releases that were chosen."""
-    from .registry import load
+    from .model.registry import load
 
     mechanism = load(name, **dict(chosen.option))
     for joint in chosen.lock:
@@ -243,7 +243,7 @@ def _pair(text: str) -> tuple[str, float | str]:
 
 
 def _list(chosen: argparse.Namespace) -> None:
-    from .registry import choices, load, mechanisms
+    from .model.registry import choices, load, mechanisms
 
     for name in mechanisms():
         print(f"{name:20} {load(name).description}")
@@ -252,13 +252,13 @@ def _list(chosen: argparse.Namespace) -> None:
 
 
 def _info(chosen: argparse.Namespace) -> None:
-    from .cost import described
-    from .derivation import derive
+    from .equations.derivation import derive
+    from .equations.specialisation import specialised
     from .fmi.slave import interface
-    from .registry import choices
+    from .model.registry import choices
     from .runtime import Instance
     from .simulation import prepared, with_defaults
-    from .specialisation import specialised
+    from .studies.cost import described
 
     mechanism = _declared(chosen, chosen.mechanism)
     everything = with_defaults(derive(mechanism), dict(chosen.set))
@@ -337,7 +337,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
     if chosen.plot_names and not chosen.plot:
         raise InputError("--plot-names needs --plot FILE")
     if chosen.plot:
-        from .plot import plot
+        from .view.plot import plot
     unit, about = _unit(chosen)
     try:
         stop_time = about["stop_time"] if chosen.stop_time is None else chosen.stop_time
@@ -391,10 +391,10 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
         fmu = Fmu(chosen.unit)
         about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters, "set": dict(chosen.set)}
         return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
-    from .derivation import derive
+    from .equations.derivation import derive
+    from .equations.specialisation import specialised
     from .runtime import Instance
     from .simulation import prepared, with_defaults
-    from .specialisation import specialised
 
     mechanism = _declared(chosen, chosen.unit)
     equations = specialised(with_defaults(derive(mechanism), dict(chosen.set)), chosen.outputs, chosen.freeze)
@@ -414,9 +414,9 @@ def _validate(chosen: argparse.Namespace) -> int:
 
 
 def _animate(chosen: argparse.Namespace) -> None:
-    from .picture import animate
-    from .registry import load
+    from .model.registry import load
     from .simulation import Result
+    from .view.picture import animate
 
     result = Result.from_csv(chosen.result)
     facts: dict[str, Any] = {"mechanism": None, "options": {}, "parameters": {}}
@@ -443,20 +443,20 @@ def _animate(chosen: argparse.Namespace) -> None:
 
 
 def _report(chosen: argparse.Namespace) -> None:
-    from .report import report
+    from .studies.report import report
 
     _study(chosen, report)
 
 
 def _stability(chosen: argparse.Namespace) -> None:
-    from .stability import stability
+    from .studies.stability import stability
 
     _study(chosen, stability)
 
 
 def _study(chosen: argparse.Namespace, write: Callable[..., Path]) -> None:
     """Write a study of one mechanism or of all."""
-    from .registry import mechanisms
+    from .model.registry import mechanisms
 
     names = mechanisms() if chosen.mechanism == "all" else [chosen.mechanism]
     try:

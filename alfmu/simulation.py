@@ -12,20 +12,22 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from .adaptive import TANGENTS
-from .derivation import derive
 from .equations import Equations, Variable
-from .errors import AlfmuError, InputError
-from .evaluation import DENSE, with_tangents
+from .equations.derivation import derive
+from .equations.evaluation import DENSE, with_tangents
+from .equations.specialisation import specialised
 from .kernel import DEFAULT, KERNELS
 from .kernel.build import compiled, compiler
 from .kernel.controlled import controlled
 from .kernel.trace import traced, untraced
-from .mechanism import Mechanism
-from .oracle import Counters, Settings
-from .registry import load
-from .runtime import CHOICES, SOLVER_VARIABLES, Instance
-from .specialisation import specialised
+from .model.errors import AlfmuError, InputError
+from .model.mechanism import Mechanism
+from .model.registry import load
+from .model.settings import Settings
+from .equations.interface import CHOICES, SOLVER_VARIABLES
+from .runtime import Instance
+from .runtime.adaptive import TANGENTS
+from .runtime.oracle import Counters
 
 __all__ = [
     "KERNELS",

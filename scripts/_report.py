@@ -1,4 +1,4 @@
-"""What scripts share: command line, timing in turns, targets. Tables and files are those of `alfmu.tables`."""
+"""What scripts share: command line, timing in turns, targets. Tables and files are those of `alfmu.studies.tables`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from pathlib import Path
 from timeit import Timer
 from typing import NamedTuple
 
-from alfmu.errors import AlfmuError
-from alfmu.tables import Cell, Row
+from alfmu.model.errors import AlfmuError
+from alfmu.studies.tables import Cell, Row
 
 Laps = dict[str, list[float]]
 """Time of a unit [s] of what was timed, lap by lap."""

@@ -35,7 +35,7 @@ from pythonfmu import FmuBuilder
 from tqdm import tqdm
 
 import alfmu
-from alfmu.cost import cost, operations
+from alfmu.equations.specialisation import specialised
 from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu
 from alfmu.kernel.fusion import program_function
@@ -43,8 +43,8 @@ from alfmu.kernel.program import TIERS as KINDS
 from alfmu.kernel.trace import parts
 from alfmu.kernel.vm import Vm
 from alfmu.simulation import prepared
-from alfmu.specialisation import specialised
-from alfmu.tables import Chapter, Row, environment, rounded
+from alfmu.studies.cost import cost, operations
+from alfmu.studies.tables import Chapter, Row, environment, rounded
 
 KERNELS = ("vm", "compiled")
 

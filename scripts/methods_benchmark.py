@@ -26,11 +26,11 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import alfmu
-from alfmu.cases import Case, exactness
-from alfmu.registry import mechanisms
-from alfmu.rivals import SCIPY
+from alfmu.model.registry import mechanisms
 from alfmu.simulation import prepared, with_defaults
-from alfmu.tables import Chapter, Row, environment, rounded
+from alfmu.studies.cases import Case, exactness
+from alfmu.studies.rivals import SCIPY
+from alfmu.studies.tables import Chapter, Row, environment, rounded
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 

@@ -1,6 +1,6 @@
 """Remake the study of Blajer (2002) and put what is measured beside what the paper reports.
 
-Writes CSV files, pictures and `report.md` into one folder. The chapters are those of `alfmu.paper`, at full length.
+Writes CSV files, pictures and `report.md` into one folder. The chapters are those of `alfmu.studies.paper`, in full.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 from _report import parser, written
 from tqdm import tqdm
 
-from alfmu import paper, tables
+from alfmu.studies import paper, tables
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "mpmath", "matplotlib")
 

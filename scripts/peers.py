@@ -39,7 +39,9 @@ from scipy.linalg.lapack import dgelsy
 from tqdm import tqdm
 
 import alfmu
-from alfmu.peers import (
+from alfmu.equations.specialisation import specialised
+from alfmu.simulation import prepared
+from alfmu.studies.peers import (
     ANGLE,
     CRANK,
     GRAVITY,
@@ -53,9 +55,7 @@ from alfmu.peers import (
     Trajectory,
     solved,
 )
-from alfmu.simulation import prepared
-from alfmu.specialisation import specialised
-from alfmu.tables import Cell, environment, markdown, rounded, write_csv
+from alfmu.studies.tables import Cell, environment, markdown, rounded, write_csv
 
 matplotlib.use("Agg")
 

@@ -14,9 +14,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from alfmu.cases import POSITION
-from alfmu.report import TIME
-from alfmu.tables import markdown, paragraph
+from alfmu.studies.cases import POSITION
+from alfmu.studies.report import TIME
+from alfmu.studies.tables import markdown, paragraph
 
 ROOT = Path(__file__).parents[1]
 PICTURE = ROOT / "scripts" / "readme.png"

@@ -27,10 +27,10 @@ from scipy.integrate import solve_ivp
 from tqdm import tqdm
 
 import alfmu
-from alfmu.integrators import rk4
 from alfmu.kernel.build import compiler
+from alfmu.method.integrators import rk4
 from alfmu.simulation import prepared, simulate
-from alfmu.tables import Chapter, Row, environment, rounded, write_csv
+from alfmu.studies.tables import Chapter, Row, environment, rounded, write_csv
 
 GRAVITY = 9.81
 

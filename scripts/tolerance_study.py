@@ -16,12 +16,12 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import alfmu
-from alfmu import reference, tables
-from alfmu.cases import POSITION, Case, Judge, exactness, restarting, run, scene
-from alfmu.registry import mechanisms
-from alfmu.report import HELD
+from alfmu.model.registry import mechanisms
 from alfmu.simulation import prepared, with_defaults
-from alfmu.tables import Chapter, Row
+from alfmu.studies import reference, tables
+from alfmu.studies.cases import POSITION, Case, Judge, exactness, restarting, run, scene
+from alfmu.studies.report import HELD
+from alfmu.studies.tables import Chapter, Row
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
 
@@ -58,8 +58,8 @@ QUICK = Effort((1e-6, 1e-9), 1.0, 10.0, 20, 20.0)
 CHAPTERS = {
     "tolerances": Chapter(
         "## Errors over tolerances",
-        "The largest difference of places and angles to a motion from an unrelated method (`alfmu.reference`), from "
-        "the start with all defaults, at few points, so that error control decides on the steps. The change of the "
+        "The largest difference of places and angles to a motion from an unrelated method (`alfmu.studies.reference`), "
+        "from the start with all defaults, at few points, so that error control decides the steps. The change of the "
         "reference is its own error: the largest difference to other ways to compute it. A run that takes too long is "
         "judged up to where it came.",
         {

@@ -12,12 +12,12 @@ from scenes import derived
 
 import alfmu
 from alfmu.fmi.drive import Fmu, validate
-from alfmu.inputs import Past
 from alfmu.kernel import build, emit
 from alfmu.kernel.program import PACE, Layout
-from alfmu.oracle import FIXED
+from alfmu.method.inputs import Past
+from alfmu.method.stepping import Control, judged, landing, newton
+from alfmu.model.settings import FIXED
 from alfmu.simulation import prepared, run, with_defaults
-from alfmu.stepping import Control, judged, landing, newton
 
 KERNELS = ("vm", "compiled")
 

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from test_spatial import moving
 
 import alfmu
-from alfmu.branch import GUARD
 from alfmu.fmi.drive import Fmu, validate
+from alfmu.method.singular import GUARD
 from alfmu.simulation import prepared, run
 
 BENCHMARK = Governor()

@@ -7,10 +7,9 @@ from oracles.parallelogram import Parallelogram
 from scenes import derived
 
 import alfmu
-from alfmu import implicit
-from alfmu.adaptive import Adaptive
-from alfmu.evaluation import with_tangents
-from alfmu.stepping import (
+from alfmu.equations.evaluation import with_tangents
+from alfmu.method import implicit
+from alfmu.method.stepping import (
     EXPLICIT5,
     EXPLICIT8,
     RADAU9,
@@ -23,6 +22,7 @@ from alfmu.stepping import (
     landing,
     tolerance,
 )
+from alfmu.runtime.adaptive import Adaptive
 
 EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8}
 RADAUS = {"Radau 9": RADAU9}

@@ -5,10 +5,10 @@ import pytest
 from scenes import derived
 
 import alfmu
-from alfmu.assembly import Mobility
-from alfmu.cost import cost
+from alfmu.equations import Mobility
 from alfmu.kernel.trace import traced
 from alfmu.simulation import prepared
+from alfmu.studies.cost import cost
 
 SCENES = [
     ("five_bar", {}, {}),

@@ -11,9 +11,9 @@ from oracles.slider_crank import SliderCrank
 from scenes import derived, readings, started
 
 import alfmu
-from alfmu import method
 from alfmu.kernel.vm import Vm
-from alfmu.oracle import Oracle
+from alfmu.method import formulations as method
+from alfmu.runtime.oracle import Oracle
 
 EPS = np.finfo(float).eps
 

@@ -14,7 +14,7 @@ from scenes import derived, sampled
 
 import alfmu
 from alfmu.fmi.drive import Fmu
-from alfmu.oracle import METHODS
+from alfmu.model.settings import METHODS
 from alfmu.simulation import prepared, run, with_defaults
 
 FOUR_BAR = Parallelogram(m4=None)

@@ -9,8 +9,8 @@ from oracles import ode
 from scenes import derived, readings, started
 
 import alfmu
-from alfmu.picture import model_png
 from alfmu.simulation import prepared
+from alfmu.view.picture import model_png
 
 COORDINATES = ("natural", "absolute")
 

@@ -8,7 +8,7 @@ import pytest
 from oracles.particle import table
 from scenes import derived, readings, started
 
-from alfmu import method
+from alfmu.method import formulations as method
 
 M, RHO, V, FX, FY = Fraction(3), Fraction(1, 2), Fraction(7, 5), Fraction(11, 4), Fraction(-2)
 ALPHAS = [Fraction(10**2), Fraction(10**4), Fraction(10**6), Fraction(10**9)]

@@ -34,7 +34,7 @@ def folder(peers, tmp_path_factory):
 
     made = tmp_path_factory.mktemp("peers")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("alfmu.peers.version", found)
+        patch.setattr("alfmu.studies.peers.version", found)
         assert peers.main(["--quick", "-o", str(made)]) == 0
     return made
 

@@ -15,8 +15,8 @@ import pytest
 from PIL import Image
 
 from alfmu import DeclarationError, InputError, Instance, Mechanism, derive, load, simulate
-from alfmu.picture import COLORS, MAX_FRAMES, Anchor, animate, draw, geometry, model_png, view_of
-from alfmu.plot import figure, plot
+from alfmu.view.picture import COLORS, MAX_FRAMES, Anchor, animate, draw, geometry, model_png, view_of
+from alfmu.view.plot import figure, plot
 
 SLIDER_CRANKS = [
     {"coordinates": coordinates, "rod": rod}
@@ -549,9 +549,9 @@ def test_plots_that_cannot_be_written_say_why(tmp_path, monkeypatch):
 
 def test_pictures_need_no_matplotlib_and_plots_leave_its_state_alone():
     code = """
-import sys, alfmu, alfmu.picture, alfmu.plot
+import sys, alfmu, alfmu.view.picture, alfmu.view.plot
 assert "matplotlib" not in sys.modules
-alfmu.plot.figure(alfmu.simulate("five_bar", 0.1))
+alfmu.view.plot.figure(alfmu.simulate("five_bar", 0.1))
 assert "matplotlib.pyplot" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -9,7 +9,7 @@ import pytest
 from scenes import derived
 
 from alfmu.equations import Equations
-from alfmu.evaluation import elimination, with_functions
+from alfmu.equations.evaluation import elimination, with_functions
 from alfmu.kernel import build, emit, loops
 from alfmu.kernel.program import Call
 from alfmu.kernel.repeat import Repeat, repeats

@@ -14,15 +14,15 @@ from scenes import derived
 from studies import prose, rows, tables, untraced
 
 import alfmu
-from alfmu import cases, paper, stability
-from alfmu import reference as exact
-from alfmu.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
 from alfmu.cli import main
-from alfmu.oracle import FORMULATIONS, METHODS
-from alfmu.registry import mechanisms
-from alfmu.report import LEVELS, Effort, Setting, Study, report
-from alfmu.rivals import RIVALS
+from alfmu.model.registry import mechanisms
+from alfmu.model.settings import FORMULATIONS, METHODS
 from alfmu.simulation import prepared
+from alfmu.studies import cases, paper, stability
+from alfmu.studies import reference as exact
+from alfmu.studies.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
+from alfmu.studies.report import LEVELS, Effort, Setting, Study, report
+from alfmu.studies.rivals import RIVALS
 
 MAPS = stability.Effort(
     total=0.0,
@@ -320,7 +320,7 @@ def test_other_codes_run_the_same_mechanism_from_the_same_start(name):
 
 
 def test_a_code_that_is_not_there_is_listed(monkeypatch):
-    monkeypatch.setattr("alfmu.report.RIVALS", [replace(r, missing="not installed") for r in RIVALS])
+    monkeypatch.setattr("alfmu.studies.report.RIVALS", [replace(r, missing="not installed") for r in RIVALS])
     study = Study("five_bar", SMALL)
     study.equations, study.times, study.judge = study.derived, TIMES, Judge(study.derived, None)
     study._ways = {}

@@ -9,7 +9,7 @@ from fmpy import read_model_description
 from scenes import derived, started
 
 import alfmu
-from alfmu.evaluation import ARGUMENTS, evaluable, shared, symbols
+from alfmu.equations.evaluation import ARGUMENTS, evaluable, shared, symbols
 from alfmu.simulation import prepared
 
 

@@ -16,7 +16,7 @@ from scenes import derived, readings, started
 
 import alfmu
 from alfmu.fmi.drive import Fmu
-from alfmu.integrators import rk4
+from alfmu.method.integrators import rk4
 from alfmu.simulation import prepared, run, with_defaults
 
 STEPS = (0.02, 0.01, 0.005)

@@ -9,7 +9,7 @@ from scenes import evaluate, readings, started
 from scipy.spatial.transform import Rotation
 
 import alfmu
-from alfmu import spatial
+from alfmu.model import spatial
 
 INERTIA = (0.03, 0.05, 0.07)
 MASS = 1.3

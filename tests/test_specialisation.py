@@ -10,10 +10,10 @@ from scenes import derived
 
 import alfmu
 from alfmu.cli import main
-from alfmu.cost import cost, described, operations
+from alfmu.equations.specialisation import specialised
 from alfmu.fmi.drive import Fmu, validate
 from alfmu.simulation import prepared, run
-from alfmu.specialisation import specialised
+from alfmu.studies.cost import cost, described, operations
 
 WANTED = ["link*.angle", "A.force.x"]
 BOTH = pytest.mark.parametrize("kernel", ["vm", "compiled"])

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from studies import prose, rows, tables, untraced
 
-from alfmu import reference as exact
-from alfmu.cases import ENERGY, PHI, POSITION, Run
 from alfmu.cli import main
-from alfmu.oracle import FORMULATIONS, METHODS
-from alfmu.stability import CLASSES, OTHER, REFUSED, Cell, Effort, Study, classified, stability
+from alfmu.model.settings import FORMULATIONS, METHODS
+from alfmu.studies import reference as exact
+from alfmu.studies.cases import ENERGY, PHI, POSITION, Run
+from alfmu.studies.stability import CLASSES, OTHER, REFUSED, Cell, Effort, Study, classified, stability
 
 SMALL = Effort(
     total=30.0,
@@ -47,7 +47,7 @@ FEW = ("rk4", "explicit")
 @pytest.fixture(autouse=True, scope="module")
 def few_methods():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("alfmu.stability.methods", lambda: {name: METHODS[name] for name in FEW})
+        patch.setattr("alfmu.studies.stability.methods", lambda: {name: METHODS[name] for name in FEW})
         yield
 
 
@@ -161,8 +161,8 @@ def test_criteria_in_their_order():
 
 
 def test_what_time_does_not_allow_is_listed_and_all_is_written(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("alfmu.stability.QUICK", replace(SMALL, total=0.0))
-    monkeypatch.setattr("alfmu.registry.mechanisms", lambda: ["particle_on_circle", "four_bar"])
+    monkeypatch.setattr("alfmu.studies.stability.QUICK", replace(SMALL, total=0.0))
+    monkeypatch.setattr("alfmu.model.registry.mechanisms", lambda: ["particle_on_circle", "four_bar"])
     assert main(["stability", "all", "--quick", "-o", str(tmp_path)]) == 0
     assert "stability.md" in capsys.readouterr().out
     assert {r["class"] for r in rows(tmp_path, "cells")} == {"not run"}

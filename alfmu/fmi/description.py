@@ -10,11 +10,11 @@ from xml.etree import ElementTree as ET
 import markdown
 
 from ..equations import Equations, Variable
-from ..evaluation import DENSE
+from ..equations.evaluation import DENSE
 from ..kernel.program import PLATFORM
-from ..oracle import FIXED, Settings
+from ..model.settings import FIXED, Settings
+from ..model.units import unit
 from ..runtime import Instance
-from ..units import unit
 from .slave import interface
 
 __all__ = ["build_description", "dependencies", "documentation", "model_description", "model_description3"]

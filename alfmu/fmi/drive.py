@@ -18,7 +18,7 @@ from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
 from ..equations import Variable
-from ..errors import ExportError, InputError, StepError
+from ..model.errors import ExportError, InputError, StepError
 from ..simulation import Result, run
 from .experiment import Experiment, unlike
 from .slave import SCENE

@@ -16,9 +16,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ..equations import Equations
-from ..errors import StepError
-from ..evaluation import DENSE
-from ..runtime import MONITORS, Instance
+from ..equations.evaluation import DENSE
+from ..equations.interface import MONITORS
+from ..model.errors import StepError
+from ..runtime import Instance
 from ..simulation import Result, run
 
 __all__ = ["AGREES", "FOLDER", "Experiment", "reference_results", "unlike"]

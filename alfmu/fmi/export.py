@@ -21,21 +21,21 @@ from typing import Any
 
 from pythonfmu.builder import FmuBuilder
 
-from ..derivation import derive
 from ..equations import Equations
-from ..errors import ExportError
-from ..evaluation import EVALUATED
+from ..equations.derivation import derive
+from ..equations.evaluation import EVALUATED
+from ..equations.specialisation import specialised
 from ..kernel import DEFAULT
 from ..kernel.program import LIBRARY
 from ..kernel.tables import identified, interface, packed
 from ..kernel.trace import untraced
 from ..kernel.vm import serialized
-from ..mechanism import Mechanism
-from ..picture import model_png
-from ..registry import load
+from ..model.errors import ExportError
+from ..model.mechanism import Mechanism
+from ..model.registry import load
 from ..runtime import Instance
 from ..simulation import prepared, with_defaults
-from ..specialisation import specialised
+from ..view.picture import model_png
 from . import native
 from .description import build_description, dependencies, documentation, model_description, model_description3
 from .experiment import reference_results
@@ -54,28 +54,33 @@ GROUP = "alfmu.fmus"
 """Entry-point group of modules with a pythonfmu class for the mechanism of the same name."""
 
 RUN_SIDE = (
-    "errors.py",
-    "equations.py",
-    "method.py",
-    "integrators.py",
-    "oracle.py",
-    "assembly.py",
-    "branch.py",
-    "scaling.py",
-    "topology.py",
-    "inputs.py",
+    "model/errors.py",
+    "model/settings.py",
+    "equations/__init__.py",
+    "equations/types.py",
+    "equations/interface.py",
+    "method/formulations.py",
+    "method/integrators.py",
+    "method/singular.py",
+    "method/inputs.py",
     "kernel/program.py",
+    "kernel/thresholds.py",
     "kernel/stream.py",
     "kernel/order.py",
     "kernel/fusion.py",
     "kernel/vm.py",
     "kernel/compiled.py",
-    "runtime.py",
+    "runtime/__init__.py",
+    "runtime/oracle.py",
+    "runtime/assembly.py",
+    "runtime/scaling.py",
+    "runtime/topology.py",
+    "runtime/instance.py",
     "fmi/slave.py",
 )
 """Modules of alfmu that travel inside an FMU, those that its kernel does not need left out."""
 
-METHODS = ("adaptive.py", "implicit.py", "stepping.py", "threads.py")
+METHODS = ("runtime/adaptive.py", "method/implicit.py", "method/stepping.py", "runtime/threads.py")
 """Those that methods beside RK4 need."""
 
 PORTABLE = ("kernel/stream.py", "kernel/order.py", "kernel/fusion.py", "kernel/vm.py")
@@ -222,7 +227,7 @@ def _native(
     compiled = [name for name in files if name.endswith(".c")]
     needs = "This FMU needs nothing but the C library."
     page = documentation(e, declared.sketch, declared.documentation, generator, needs)
-    variables = interface(e)
+    variables = interface(e).causalities
     found = terminals(declared, [v.name for _, v in variables])
     if fmi == 2:
         described = model_description(e, version, generator, guid, variables, compiled, _credits(declared))

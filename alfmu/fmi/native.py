@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from ..equations import Equations
-from ..errors import ExportError
 from ..kernel.build import FLAGS, build, cache, compiler, version
+from ..model.errors import ExportError
 from ..runtime import Instance
 
 __all__ = ["OWN", "PLATFORMS", "checked", "headers", "library", "may_brake", "platforms", "sources"]
@@ -82,7 +82,7 @@ def may_brake(instance: Instance) -> bool:
 
 def sources() -> dict[str, str]:
     """The C files of the runtime by name, the same in every FMU."""
-    folder = Path(__file__).parents[1] / "native"
+    folder = Path(__file__).parents[1] / "runtime"
     return {path.name: path.read_text(encoding="ascii") for path in sorted(folder.glob("*.[ch]"))}
 
 

@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..equations import Equations
-from ..errors import ExportError
 from ..kernel.emit import lengths
 from ..kernel.program import called
 from ..kernel.standalone import standalone
-from ..mechanism import Mechanism
+from ..model.errors import ExportError
+from ..model.mechanism import Mechanism
 from . import native
 from .export import KINDS, export, packed_scene
 

@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 
 import casadi as ca
 
-from ..mechanism import Mechanism
+from ..model.mechanism import Mechanism
 
 __all__ = ["document", "terminals"]
 

@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..equations import Equations
-from ..errors import ExportError
+from ..model.errors import ExportError
 from .compiled import Library
 from .emit import sources
 from .program import SUFFIX

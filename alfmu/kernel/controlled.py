@@ -1,7 +1,7 @@
 """Trace the method of a scene beside RK4: a program that proposes a step, makes it, and judges its error.
 
 Implicit ones have loops of Newton's method: passes with the same tangents as long as they gain enough, then with new
-ones (`alfmu.stepping.newton`). Their tangents are those of the augmented equation (`alfmu.implicit.stiffness`). A step
+ones (`method.stepping.newton`). Tangents are those of the augmented equation (`method.implicit.stiffness`). A step
 that cannot be judged (a stage near a singular position, constraints that stay open) is troubled: the oracle makes it.
 """
 
@@ -13,10 +13,10 @@ from dataclasses import asdict, replace
 
 import casadi as ca
 
-from .. import implicit, method
-from ..adaptive import MEAN, NOISE, SPACING
-from ..oracle import Settings
-from ..stepping import (
+from ..method import formulations as method
+from ..method import implicit
+from ..method.singular import LONG_MEAN, LONG_NOISE, LONG_SPACING
+from ..method.stepping import (
     SHORTEST,
     Collocation,
     Explicit,
@@ -28,6 +28,7 @@ from ..stepping import (
     landing,
     newton,
 )
+from ..model.settings import Settings
 from .program import FACTOR, LOOP, PACE, SOLVE, Program
 from .trace import Calls, Plan, Scene, Tracer, Watch
 
@@ -60,7 +61,7 @@ def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
     if rule := explicit_rule(name, solver.get("relative_tolerance", Settings.relative_tolerance)):
         programs = {"method": _Explicit(tracer, plan).program(rule)}
         if tracer.e.l:
-            beside = Plan(BESIDE, 3, weighted=True, branch=True, spacing=SPACING, side=len(MEAN) // 2)
+            beside = Plan(BESIDE, 3, weighted=True, branch=True, spacing=LONG_SPACING, side=len(LONG_MEAN) // 2)
             programs["beside"] = _Explicit(tracer, beside).program(rule)
         return programs
     rule = implicit.RULES.get(name)
@@ -157,7 +158,7 @@ class _Explicit(_Step):
         start = ca.vertcat(z[: 2 * e.n], z[layout.work])
         _, [error], _ = explicit(rule, rate, z[layout.time], start, dt, None, settle)
         known = {"z": z, "step": dt, **rates, "q": q, "v": v, "p": self.p, "k": self.k}
-        least = NOISE * self.plan.branch
+        least = LONG_NOISE * self.plan.branch
         calls(f"{self.name}_error", known, lambda: {"error": scene.error_size(z, q, v, error, least)}, ["error"])
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return {**asdict(self.plan), "rule": rule.name, "evaluations": len(rates), "calls": calls.made}
@@ -339,7 +340,7 @@ class _Collocation(_Implicit):
         self.calls("method_sum", known, found, ["q", "v", "work"])
 
     def _estimate(self, q0: ca.SX, v0: ca.SX, a0: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """What the estimate of the error filters, as in `alfmu.stepping.collocation_error`."""
+        """What the estimate of the error filters, as in `alfmu.method.stepping.collocation_error`."""
         rule, n = self.rule, self.e.n
         rates = ca.vertsplit(self.rates, n)
         velocities = [implicit.at_node(rule, i, self.dt, q0, v0, rates)[1] for i in range(len(rates))]

@@ -9,7 +9,7 @@ from itertools import chain, groupby
 import casadi as ca
 
 from ..equations import Equations
-from ..evaluation import with_functions
+from ..equations.evaluation import with_functions
 from .program import CHOICE, FACTOR, LOOP, SOLVE, Layout
 
 __all__ = ["LONGEST", "joined"]

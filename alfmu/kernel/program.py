@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations
-from ..inputs import memory_size
+from ..method.inputs import memory_size
 
 __all__ = [
     "CHOICE",
@@ -87,12 +87,12 @@ TURN = np.pi
 SETTINGS = 10
 """Numbers before the weights of the constraints in k: alpha, tolerance; degrees of freedom, logarithm of the product of
 the pivots that masses make, product of all pivots below which a position may be singular, margin that is nothing, least
-distance of places beside a singular position, whether to continue on the branch there (`alfmu.branch`), relative and
+distance of places beside a singular position, whether to continue on the branch there (`method.singular`), relative and
 absolute tolerance of a step with error control."""
 
 
 PACE = ("dt", "before", "refused", "fixed", "end", "last", "accepted")
-"""What step control remembers (`alfmu.stepping.Control.numbers`); the length of all steps where they have one, else 0,
+"""What step control remembers (`method.stepping.Control.numbers`); the length of all steps where they have one, else 0,
 the end of the communication step, the length of the last step in it that was accepted, 0 before the first; whether the
 last one was accepted."""
 
@@ -135,7 +135,7 @@ class Layout:
     tally     internal steps made by each tier, limits taken; by the method of the scene: steps, refused ones, tries
               on the branch, limits taken
     pace      PACE
-    past      inputs at past communication points (`alfmu.inputs`), where the scene extrapolates them
+    past      inputs at past communication points (`alfmu.method.inputs`), where the scene extrapolates them
     passes    of Newton's method, where the method is implicit
     history   what the method keeps from step to step inside a communication step
     seen      what can be read at an instant, largest |Phi-ddot|, whether that is a limit, trouble

@@ -13,10 +13,12 @@ from types import MappingProxyType
 
 import casadi as ca
 
-from .. import branch, method
 from ..equations import Equations
-from ..evaluation import with_functions
-from ..oracle import _LONGER, CORRECTIONS
+from ..equations.evaluation import with_functions
+from ..method import formulations as method
+from ..method import singular as branch
+from ..method.formulations import CORRECTIONS
+from ..method.singular import LONGER
 from .program import CHOICE, LOOP, Program, called
 from .trace import CAREFUL, Calls, Plan, Scene, Tracer, Watch, _factors
 
@@ -304,7 +306,7 @@ class _Patient(Tracer):
 
         known = {"stretched": stretched, zone: near, "spacing": spacing}
         again("longer", known, longer, ["stretched", "slow"])
-        self._repeat(calls, "slow", _LONGER, again.made)
+        self._repeat(calls, "slow", LONGER, again.made)
         calls("told", {zone: near, "slow": slow}, lambda: {"zone": near * (1 - slow)}, [zone])
 
     def _read_places(self, calls: Calls, scene: Scene, places: list[str], dt: str = "dt") -> None:
@@ -319,7 +321,7 @@ class _Patient(Tracer):
             return {"stretched": stretched * (1 + more), "slow": more}
 
         again("longer_places", {"stretched": stretched, places[0]: first}, longer, ["stretched", "slow"])
-        self._repeat(calls, "slow", _LONGER, again.made)
+        self._repeat(calls, "slow", LONGER, again.made)
 
     def _least(self, calls: Calls, scene: Scene, name: str) -> None:
         if not self.e.compliances:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ExportError
+from ..model.errors import ExportError
 
 __all__ = ["BINARY", "CONSTANT", "INPUT", "NOTHING", "UNARY", "VALUE", "Instructions", "Operations", "number"]
 

@@ -11,14 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import adaptive, assembly, branch, implicit, oracle, runtime, scaling, stepping
 from ..equations import Equations, Variable
-from ..evaluation import DENSE
-from ..oracle import FIXED, Settings
-from ..runtime import CHOICES, SOLVER_VARIABLES, Instance, choices
-from ..stepping import Collocation, Explicit, explicit_rule, share
-from ..topology import events
+from ..equations.evaluation import DENSE
+from ..equations.interface import CHOICES, SOLVER_VARIABLES, Interface, events, every_event, variables_of
+from ..method import formulations, implicit, singular, stepping
+from ..method.stepping import Collocation, Explicit, explicit_rule, share
+from ..model.settings import FIXED, Settings
 from . import program as program_module
+from . import thresholds
 from .joined import joined
 from .program import CHOICE, FACTOR, LOOP, SOLVE, TIERS, Layout
 from .scene import CALLS, Code, Constants, Writer, code
@@ -69,28 +69,20 @@ HOT = ("quick", "instant", "method")
 """Programs whose calls are joined: they run in every step."""
 
 
-def interface(equations: Equations) -> list[tuple[str, Variable]]:
-    """Every variable of a native FMU with its causality, in the order of value references: those of the Python FMU.
-
-    A scene carries one order of inputs.
-    """
-    i = Instance(equations)
-    return [
-        *(("parameter", _only(v) if v.name == "solver.input_order" else v) for v in i.parameters),
-        *(("parameter", v) for v in choices(i.choices)),
-        *(("input", v) for v in i.input_variables),
-        *(("output", v) for v in i.outputs),
-    ]
+def interface(equations: Equations) -> Interface:
+    """The variables of a scene; it carries one order of inputs."""
+    found = variables_of(equations)
+    only = [replace(v, minimum=v.start, maximum=v.start) if v.name in _FIXED else v for v in found.parameters]
+    return replace(found, parameters=only)
 
 
-def _only(v: Variable) -> Variable:
-    """A variable that can have no other value."""
-    return replace(v, minimum=v.start, maximum=v.start)
+_FIXED = ("solver.input_order",)
+"""Numbers of the solver that a scene has traced."""
 
 
 def known_choices(equations: Equations) -> dict[str, list[str]]:
-    """What text variables can be in a native FMU: a scene carries one formulation and one method."""
-    chosen = Instance(equations).choices
+    """What text variables can be: a scene carries one formulation and one method."""
+    chosen = {v.name: v.start for v in variables_of(equations).choices}
     return {name: list(known) if name == "solver.branch" else [chosen[name]] for name, known in CHOICES.items()}
 
 
@@ -101,41 +93,23 @@ def layout_header() -> str:
         "SETTINGS": program_module.SETTINGS,
         "GROSS": program_module.GROSS,
         "TURN": program_module.TURN,
-        "TORN": runtime.TORN,
-        "SHORTEST": runtime.SHORTEST,
-        "SAID": runtime.SAID,
-        "CORRECTIONS": oracle.CORRECTIONS,
-        "LITTLE": oracle._LITTLE,
-        "FAR_RATIO": oracle._FAR,
-        "COARSE": oracle.COARSE,
-        "PATIENT": oracle._PATIENT,
-        "REGULAR": oracle._REGULAR,
-        "NOTHING": branch.NOTHING,
-        "LEAST": branch.LEAST,
-        "USUAL_PRODUCT": branch.FAR,
-        "CONVERGING": branch.CONVERGING,
-        "PENALTY_RATIO": scaling.PENALTY_RATIO,
-        "ALIKE": scaling._ALIKE,
-        "HARDLY": scaling._SMALL,
-        "SAME": scaling._SAME,
+        "CORRECTIONS": formulations.CORRECTIONS,
+        "NOTHING": singular.NOTHING,
+        "LEAST": singular.LEAST,
+        "USUAL_PRODUCT": singular.FAR,
+        "CONVERGING": singular.CONVERGING,
         "QUARTER": math.pi / 2,
-        "TOLERANCE": assembly._TOLERANCE,
-        "ROUGH": assembly._ROUGH,
-        "MOST": assembly._MOST,
-        "LONGEST_TURN": assembly._TURN,
-        "TRIES": assembly._TRIES,
-        "RANKED": assembly._RANKED,
         "DENSE": DENSE,
         "TIERS": len(TIERS),
         "WATCH": len(Watch.FIELDS),
         "PACE": len(program_module.PACE),
         **{f"PACE_{name.upper()}": i for i, name in enumerate(program_module.PACE)},
-        "FIRST_STEP": adaptive.FIRST,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "ROUND_OFF": ROUND_OFF,
     }
-    lines = [f"#define {name} {value!r}" for name, value in found.items()]
-    lines.append(f"#define ASIDE {', '.join(map(repr, oracle.ASIDE))}")
+    found |= {name: value for name, value in vars(thresholds).items() if name.isupper()}
+    found |= {name: ", ".join(map(repr, x)) for name, x in found.items() if isinstance(x, tuple)}
+    lines = [f"#define {name} {value}" for name, value in found.items()]
     tables = {"COUNTS": COUNTS, "REFERENCES": REFERENCES, "NUMBERS": NUMBERS, "REALS": REALS, "PROGRAMS": PROGRAMS}
     for name, names in tables.items():
         rows = "".join(f" \\\n    X({each})" for each in names)
@@ -237,8 +211,7 @@ class _Table:
         """The numbers of the scene by name."""
         e, layout = self.e, self.layout
         variables, known = interface(self.scene), known_choices(self.scene)
-        instance = Instance(self.scene)
-        at = {v.name: k for k, (_, v) in enumerate(variables)}
+        at = {v.name: k for k, (_, v) in enumerate(variables.causalities)}
         names = list(CHOICES)
         quick, careful = (e.kernel[name] for name in ("quick", "careful"))
         method = self.scene.solver.get("method", Settings.method)
@@ -246,11 +219,11 @@ class _Table:
         factor, exponent = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
         offsets = {name: self.places.get(key, (0, 0))[0] for name, key in HANDED.items()}
         return {
-            "parameters": len(instance.parameters),
+            "parameters": len(variables.parameters),
             "choices": len(CHOICES),
             "inputs": len(e.inputs),
             "switches": len(e.switches),
-            "outputs": len(instance.outputs),
+            "outputs": len(variables.outputs),
             "own": len(e.parameters),
             "starts": len(e.starts),
             "compliances": len(e.compliances),
@@ -297,12 +270,12 @@ class _Table:
 
     def write(self, w: Writer) -> None:
         """Everything behind the numbers."""
-        e, known, instance = self.e, known_choices(self.scene), Instance(self.scene)
-        for _, v in interface(self.scene):
+        e, known, variables = self.e, known_choices(self.scene), interface(self.scene)
+        for _, v in variables.causalities:
             self._variable(w, v)
-        for name, values in known.items():
-            w.integer(values.index(instance.choices[name]))
-            self._texts(w, values)
+        for v in variables.choices:
+            w.integer(known[v.name].index(v.start))
+            self._texts(w, known[v.name])
         for switch in e.switches:
             w.integer(switch.holds)
             w.integer(switch.value)
@@ -310,7 +283,7 @@ class _Table:
             w.integer(len(switch.rows))
             w.integers(switch.rows)
         w.integers(row for switch in e.switches for row in switch.rows)
-        every = [v.name for v in events(replace(e, monitors=[]))]
+        every = [v.name for v in every_event(e)]
         w.integers(every.index(v.name) for v in events(e))
         w.integers(e.wrapped.values())
         w.integers(e.tied)
@@ -321,7 +294,7 @@ class _Table:
             w.text(r.name)
             w.text(r.direction)
             w.text(r.unit)
-        w.reals(np.random.default_rng(0).standard_normal((max(assembly._TRIES, assembly._RANKED), e.n)).ravel())
+        w.reals(np.random.default_rng(0).standard_normal((max(thresholds.TRIES, thresholds.RANKED), e.n)).ravel())
         closure, constraints = (e.signatures[name]["outputs"] for name in ("closure", "constraints"))
         for shape in (*constraints[:2], *closure[:2]):
             self._pattern(w, shape)

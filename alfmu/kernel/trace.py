@@ -22,14 +22,15 @@ from types import MappingProxyType
 import casadi as ca
 import numpy as np
 
-from .. import branch, implicit, method
-from ..assembly import Mobility
-from ..equations import Equations
-from ..evaluation import DENSE, EVALUATED, shared, symbols, with_functions
-from ..implicit import Newmark
-from ..inputs import KEPT, extrapolated, memory_size, reached
-from ..integrators import rk4
-from ..oracle import Settings
+from ..equations import Equations, Mobility
+from ..equations.evaluation import DENSE, EVALUATED, shared, symbols, with_functions
+from ..method import formulations as method
+from ..method import implicit
+from ..method import singular as branch
+from ..method.implicit import Newmark
+from ..method.inputs import KEPT, extrapolated, memory_size, reached
+from ..method.integrators import rk4
+from ..model.settings import Settings
 from .program import CHOICE, GROSS, SETTINGS, TIERS, TURN, Layout, Program, called
 
 __all__ = ["Calls", "Plan", "Scene", "Tracer", "Watch", "parts", "traced", "untraced"]
@@ -516,7 +517,7 @@ class Watch:
 
     FIELDS = ("change", "size", "pivot", "near", "margin")
     """Last change of a, and a itself (both squared); smallest pivot of H; whether the margin to a singular position may
-    be below `alfmu.branch.GUARD`, and that margin, of which the quick step knows nothing (1)."""
+    be below `alfmu.method.singular.GUARD`, and that margin, of which the quick step knows nothing (1)."""
 
     def __init__(self, vector: ca.SX):
         self.change, self.size, self.pivot, self.near, self.margin = ca.vertsplit(vector)
@@ -591,7 +592,7 @@ class Scene:
         return {"a": a, "lam": lam, "watch": watch}
 
     def margin(self, pivots: ca.SX, order: list[int]) -> tuple[ca.SX, ca.SX]:
-        """Whether the margin may be below `alfmu.branch.GUARD`, and the margin."""
+        """Whether the margin may be below `alfmu.method.singular.GUARD`, and the margin."""
         ratios = pivots * self.inverse_scales[order]
         near = self.freedom < ca.sum1(ratios < branch.GUARD)
         if self.kind == "plain" and not self.e.turns:  # The quick step asks no more than whether it may go on.
@@ -682,7 +683,7 @@ class Scene:
     def stiffness(
         self, q: ca.SX, v: ca.SX, a: ca.SX, lam: ca.SX, u: ca.SX, t: ca.SX, nonzeros: dict[str, ca.SX]
     ) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """H, Q, V (times `scale`) of `alfmu.implicit.stiffness`, at a and lam (times `scale`)."""
+        """H, Q, V (times `scale`) of `alfmu.method.implicit.stiffness`, at a and lam (times `scale`)."""
         M, C = (self.matrix(name, nonzeros) for name in ("M", "C"))
         tangents = self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)
         Rq, Rv, Xq, Xv = map(ca.sparsify, tangents[:4])
@@ -691,7 +692,7 @@ class Scene:
     def positions(
         self, rule: Newmark, dt: ca.SX, q: ca.SX, v: ca.SX, a: ca.SX, lam: ca.SX, u: ca.SX, t: ca.SX
     ) -> tuple[ca.SX, ...]:
-        """H, Rq, Rv (times `scale`), C (by columns), Phi and the right-hand side of `alfmu.implicit.position_step`.
+        """H, Rq, Rv (times `scale`), C (by columns), Phi and the right-hand side of `method.implicit.position_step`.
 
         At a and lam (times `scale`).
         """

@@ -19,7 +19,7 @@ constraints. Each rod carries a ball, a point mass at its end.
 import casadi as ca
 
 from alfmu import Experiment, Mechanism
-from alfmu.spatial import about, product
+from alfmu.model.spatial import about, product
 
 SKETCH = __doc__
 

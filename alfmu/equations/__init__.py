@@ -1,0 +1,5 @@
+"""Declaration to equations: what derivation hands on, and what numbers need of it."""
+
+from .types import Equations, Mobility, Row, Switch, Variable
+
+__all__ = ["Equations", "Mobility", "Row", "Switch", "Variable"]

@@ -1,0 +1,897 @@
+"""Mechanism -> Equations: every matrix, energy, output and reaction by symbolic differentiation.
+
+The inertia of a mechanism is a set of displacements X(q) with weights w (place of a centre of mass with the mass, angle
+with the inertia), so that
+
+    T = v' M v / 2,  M = X_q' w X_q,  d = X_q' w (d(X_q)/dt) v.
+
+Reactions are found in one way, whether a joint is closed by a coordinate or by constraints: each suppressed direction
+of a joint gets a virtual displacement eps that moves the second body away from the first, and the reaction is the
+generalised force that holds eps at zero,
+
+    r = X_eps' w a_X + V_eps - s_eps' F + Phi_eps' lambda   at eps = 0,
+
+with a_X the accelerations of X, V the potential, s the displacements along which efforts F act.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+
+from ..model.errors import DeclarationError
+from ..model.mechanism import (
+    AnyJoint,
+    AnyMarker,
+    Body,
+    Constraint,
+    Joint,
+    Lock,
+    Marker,
+    Mechanism,
+    Point,
+    Rigidity,
+    Scalar,
+    key_of,
+    stack,
+    symbolic,
+)
+from ..model.spatial import SpatialJoint, SpatialMarker, angular_velocity
+from ..model.units import rate_of
+from .evaluation import ARGUMENTS, evaluable, shared
+from .types import Equations, Row, Switch, Variable
+
+__all__ = ["derive"]
+
+
+@dataclass
+class Frame:
+    """Place of a body: the point with local coordinates `local` is at (x, y), the x axis points along (ex, ey)."""
+
+    x: ca.SX
+    y: ca.SX
+    local: tuple[Scalar, Scalar]
+    ex: ca.SX
+    ey: ca.SX
+    angle: ca.SX
+    wrapped: bool = False
+    """Whether the angle is known up to whole turns only."""
+
+    def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
+        """A vector of the body's frame in ground axes."""
+        if _vanishes(y):
+            return (x, y) if _vanishes(x) else (self.ex * x, self.ey * x)
+        return self.ex * x - self.ey * y, self.ey * x + self.ex * y
+
+    def place(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
+        """A point of the body's frame in ground axes."""
+        dx, dy = self.turn(_sum(x, -self.local[0]), _sum(y, -self.local[1]))
+        return _sum(self.x, dx), _sum(self.y, dy)
+
+
+Closing = tuple[AnyJoint | Rigidity | Constraint | Lock, str]
+"""One relative displacement that is kept at zero: of what, and in which direction."""
+
+Displacement = dict[str, ca.SX]
+"""Virtual displacement of a joint: direction -> symbol."""
+
+
+class Kinematics:
+    """Places of all bodies and residuals of all closures as expressions in q, and in virtual displacements if given.
+
+    What has been worked out once is kept.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        held: Mapping[Joint, tuple[str, ...]] | None = None,
+        eps: Mapping[Joint, Displacement] | None = None,
+    ):
+        self.mechanism = mechanism
+        self.eps = {joint: e for joint, e in (eps or {}).items() if e}
+        self.held: dict[Body, list[Joint]] = {}
+        for joint in held or ():
+            if joint in self.eps:
+                self.held.setdefault(joint.second.body, []).append(joint)
+        self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
+        self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
+        self.order = {body: i for i, body in enumerate([mechanism.ground, *mechanism.bodies])}
+        self.links: dict[tuple[Body, int | None], list[tuple[Joint, int, tuple[Body, int | None]]]] = {}
+        self.spans: dict[Body, tuple[ca.SX, ca.SX, ca.SX, ca.SX]] = {}
+        self.squares: dict[Joint | Rigidity, ca.SX] = {}
+        self.residuals: dict[Closing, ca.SX] = {}
+        self.pending: list[Body] = []
+
+    def frame(self, body: Body) -> Frame:
+        if body in self.frames:
+            return self.frames[body]
+        name = self.mechanism.name
+        if body in self.pending:
+            loop = " -> ".join(b.name for b in [*self.pending, body])
+            raise DeclarationError(f"{name}: bodies place each other in a circle ({loop}); give one of them a pose")
+        self.pending.append(body)
+        if body.pose is not None:
+            frame = _absolute(*body.pose, body.center)
+        elif body.between is not None:
+            frame = self._between(body)
+        elif body.placed_by is not None:
+            frame = self._by_joint(body, body.placed_by)
+        else:
+            raise DeclarationError(
+                f"{name}: nothing places {body.name}; give it a pose, or give one of its joints a coordinate"
+            )
+        if body.between is None:
+            for joint in self.held.get(body, ()):
+                frame = self._displaced(frame, joint)
+        self.pending.pop()
+        self.frames[body] = frame
+        return frame
+
+    def place(self, at: Marker | Point) -> tuple[ca.SX, ca.SX]:
+        """A marker or point in ground axes."""
+        if isinstance(at, Point):
+            return symbolic(at.x), symbolic(at.y)
+        if at not in self.places:
+            self.places[at] = self.frame(at.body).place(at.x, at.y)
+        return self.places[at]
+
+    def center(self, body: Body) -> tuple[ca.SX, ca.SX]:
+        """The centre of mass of a body in ground axes."""
+        if body not in self.places:
+            self.places[body] = self.frame(body).place(*body.center)
+        return self.places[body]
+
+    def axes(self, joint: Joint) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Direction of a guide and its left normal."""
+        ux, uy = self.frame(joint.first.body).turn(*_cis(joint.axis))
+        return ux, uy, -uy, ux
+
+    def free(self, joint: AnyJoint) -> ca.SX:
+        """The free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
+        if isinstance(joint, SpatialJoint):
+            return joint.free
+        if joint.kind == "revolute":
+            return self.frame(joint.second.body).angle - self.frame(joint.first.body).angle
+        (x1, y1), (x2, y2) = self.place(joint.first), self.place(joint.second)
+        ux, uy, _, _ = self.axes(joint)
+        return ux * (x2 - x1) + uy * (y2 - y1)
+
+    def distance(self, between: tuple[AnyMarker, AnyMarker]) -> ca.SX:
+        if isinstance(between[0], SpatialMarker):
+            return ca.norm_2(between[1].place - between[0].place)
+        (x1, y1), (x2, y2) = (self.place(m) for m in between)
+        return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
+
+    def locked(self, lock: Lock) -> tuple[ca.SX, bool]:
+        """The displacement that a lock keeps, and whether it is an angle known up to whole turns only."""
+        if isinstance(lock.of, ca.SX):
+            return lock.of, False
+        if isinstance(lock.of, SpatialJoint):
+            return lock.of.free, lock.of.kind == "revolute"
+        if isinstance(lock.of, Joint):
+            turns = lock.of.kind == "revolute"
+            bodies, value = (lock.of.first.body, lock.of.second.body), self.free(lock.of)
+        else:
+            turns, bodies = True, lock.of
+            value = self.frame(bodies[1]).angle - self.frame(bodies[0]).angle
+        return value, turns and any(self.frame(body).wrapped for body in bodies)
+
+    def gap(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+        """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
+        if direction == "length":
+            square, length = self._apart(closure)
+            return ca.sqrt(square + 1e-300) - length
+        return self.residual(closure, direction)
+
+    def residual(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+        """What a closure keeps at zero along one direction.
+
+        For lengths it is zero at the given one, polynomial, and with a multiplier that is the force along the line.
+        """
+        if (closure, direction) not in self.residuals:
+            self.residuals[closure, direction] = self._residual(closure, direction)
+        return self.residuals[closure, direction]
+
+    def _residual(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+        if isinstance(closure, Constraint):
+            return closure.expression
+        if isinstance(closure, SpatialJoint):
+            return closure.residual(direction)
+        if isinstance(closure, Lock):
+            value, wrapped = self.locked(closure)
+            return ca.sin(value - closure.value) if wrapped else value - closure.value
+        if direction == "length":
+            square, length = self._apart(closure)
+            return (square - length**2) / (2 * length)
+        (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
+        if direction == "x":
+            return x2 - x1
+        if direction == "y":
+            return y2 - y1
+        if direction == "normal":
+            _, _, nx, ny = self.axes(closure)
+            return nx * (x2 - x1) + ny * (y2 - y1) - closure.offset
+        first, second = self.frame(closure.first.body), self.frame(closure.second.body)
+        if not (first.wrapped or second.wrapped):
+            return second.angle - first.angle - closure.angle
+        ex, ey = first.turn(*_cis(closure.angle))
+        return ex * second.ey - ey * second.ex
+
+    def _apart(self, closure: Joint | Rigidity) -> tuple[ca.SX, Scalar]:
+        """The square of the distance of two points, and the distance that a closure keeps between them."""
+        if closure not in self.squares:
+            if isinstance(closure, Rigidity):
+                _, _, dx, dy = self._span(closure.body)
+            else:
+                (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
+                dx, dy = x2 - x1, y2 - y1
+            self.squares[closure] = dx**2 + dy**2
+        return self.squares[closure], closure.body.length if isinstance(closure, Rigidity) else closure.length
+
+    def _span(self, body: Body) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """The first point of a body between points, and the way from there to the second."""
+        if body not in self.spans:
+            ends = []
+            for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
+                (x, y), (dx, dy) = self.place(anchor), self._shift(marker)
+                ends.append((x + dx, y + dy))
+            (x1, y1), (x2, y2) = ends
+            self.spans[body] = x1, y1, x2 - x1, y2 - y1
+        return self.spans[body]
+
+    def _shift(self, end: Marker) -> tuple[Scalar, Scalar]:
+        """Virtual displacement of an end of a body between points.
+
+        The joints at a point tie its bodies into a tree; what one of them displaces, all that hangs on it follows. The
+        root is a body that no points carry, or the one declared first.
+        """
+        if not self.links:
+            carried = [joints for body, joints in self.held.items() if body.between is not None]
+            for joint in (j for joints in carried for j in joints):
+                first, second = self._node(joint.first), self._node(joint.second)
+                self.links.setdefault(first, []).append((joint, -1, second))
+                self.links.setdefault(second, []).append((joint, 1, first))
+        start = self._node(end)
+        if start not in self.links:
+            return 0.0, 0.0
+        ways = {start: (0.0, 0.0)}
+        pending = [start]
+        while pending:
+            node = pending.pop()
+            if node[1] is None:  # other points of this body have trees of their own
+                continue
+            x, y = ways[node]
+            for joint, sign, other in self.links.get(node, ()):
+                if other not in ways:
+                    e = self.eps.get(joint, {})
+                    ways[other] = x + sign * e.get("x", 0), y + sign * e.get("y", 0)
+                    pending.append(other)
+        return ways[min(ways, key=lambda node: (node[1] is not None, self.order[node[0]], node[1] or 0))]
+
+    def _node(self, marker: Marker) -> tuple[Body, int | None]:
+        """A body with the number of its end where two points carry it, otherwise with None."""
+        body = marker.body
+        if body.between is not None:
+            for i, end in enumerate((body.start, body.end)):
+                if _same(marker.x, end.x) and _same(marker.y, end.y):
+                    return body, i
+        return body, None
+
+    def _between(self, body: Body) -> Frame:
+        x, y, dx, dy = self._span(body)
+        ex, ey = dx / body.length, dy / body.length
+        return Frame(x, y, (0.0, 0.0), ex, ey, ca.atan2(ey, ex), wrapped=True)
+
+    def _by_joint(self, body: Body, joint: Joint) -> Frame:
+        e = self.eps.get(joint, {})
+        ex, ey, er = e.get("x", 0), e.get("y", 0), e.get("rotation", 0)
+        angle = joint.coordinate if joint.kind == "revolute" else joint.angle + er
+        along = joint.coordinate if joint.kind == "prismatic" else 0.0
+        across = joint.offset + e.get("normal", 0)
+        forward = body is joint.second.body
+        if forward:
+            other, marker = joint.first, joint.second
+            base = self.frame(other.body)
+            frame = _turned(base, angle, (marker.x, marker.y))
+            guide = base
+        else:
+            other, marker = joint.second, joint.first
+            frame = _turned(self.frame(other.body), -angle, (marker.x, marker.y))
+            guide = frame
+        x, y = self.place(other)
+        if joint.kind == "prismatic":
+            c, s = _cis(joint.axis)
+            dx, dy = guide.turn(c * along - s * across, s * along + c * across)
+        else:
+            dx, dy = ex, ey
+        sign = 1 if forward else -1
+        frame.x, frame.y = x + sign * dx, y + sign * dy
+        return frame
+
+    def _displaced(self, frame: Frame, joint: Joint) -> Frame:
+        """A body in absolute coordinates, displaced at a joint that its pose closes."""
+        e = self.eps[joint]
+        x, y = frame.place(joint.second.x, joint.second.y)
+        moved = _turned(frame, e["rotation"], (joint.second.x, joint.second.y)) if "rotation" in e else frame
+        dx, dy = e.get("x", 0), e.get("y", 0)
+        if "normal" in e:
+            _, _, nx, ny = self.axes(joint)
+            dx, dy = dx + nx * e["normal"], dy + ny * e["normal"]
+        return Frame(x + dx, y + dy, (joint.second.x, joint.second.y), moved.ex, moved.ey, moved.angle, frame.wrapped)
+
+
+def derive(mechanism: Mechanism) -> Equations:
+    """All equations of a mechanism, with names, units and every joint reaction.
+
+    Raises DeclarationError where the declaration has no equations: a body that nothing places, a joint that no
+    coordinate can close, an expression with a foreign symbol.
+    """
+    m = mechanism
+    if not m.coordinates:
+        raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate")
+    q, v, a = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qva")
+    locks = [closure for closure in m.closures if isinstance(closure, Lock)]
+    u, p = stack([i.symbol for i in m.inputs]), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
+    s, t = stack([x.symbol for x in m.starts]), m.time
+
+    plain = Kinematics(m)
+    held = _held(m, plain)
+    rows, closures, signs = _closures(m, held)
+    Phi = signs * stack([plain.residual(*c) for c in closures])
+    lam = ca.SX.sym("lam", len(rows))
+
+    X, w = _inertia(m, plain, pivoted=True)
+    Xq = ca.jacobian(X, q)
+    Xv = ca.jtimes(X, q, v)
+    bias = ca.jtimes(Xv, q, v)
+    M = Xq.T @ ca.diag(w) @ Xq
+    d = Xq.T @ (w * bias)
+    T = ca.dot(w * Xv, Xv) / 2
+    if m.kinetic:
+        extra = sum(m.kinetic, ca.SX(0))
+        momentum = ca.gradient(extra, v)
+        M += ca.jacobian(momentum, v)
+        d += ca.jtimes(momentum, q, v) - ca.gradient(extra, q)
+        T += extra
+
+    V = _potential(m, plain)
+    paths, efforts = _efforts(m, plain, q, v)
+    f_applied = ca.jacobian(paths, q).T @ efforts
+    place = {key_of(c.q): i for i, c in enumerate(m.coordinates)}
+    for coordinate, expression in m.generalized:
+        f_applied[place[key_of(coordinate)]] += expression
+    f = f_applied - ca.gradient(V, q)
+
+    C = ca.jacobian(Phi, q)
+    xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
+    gaps = signs * stack([plain.gap(*c) for c in closures])
+
+    # Everything a user can read.
+    values: list[Scalar] = []
+    outputs: list[Variable] = []
+    wrapped: dict[str, int] = {}
+    body_values, body_outputs = _body_outputs(m, plain, q, v, a)
+    values += body_values
+    outputs += body_outputs
+    for body in m.bodies:
+        if plain.frame(body).wrapped:
+            wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
+    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam)
+    values += reactions
+    outputs += reaction_outputs
+    efforts_of_locks, lock_outputs = _locking(locks, closures, lam)
+    values += efforts_of_locks
+    outputs += lock_outputs
+    spatial_values, spatial_outputs = _spatial_outputs(m, q, v, a, closures, lam)
+    values += spatial_values
+    outputs += spatial_outputs
+    for joint in m.spatial_joints:
+        if joint.kind == "revolute":
+            wrapped[f"{joint.name}.angle"] = _tied_start(m, joint.free)
+    values += ca.vertsplit(lam)
+    for i, row in enumerate(rows):
+        force = "N" if row.unit == "m" else "N.m"  # times the row it is work
+        outputs.append(
+            Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}")
+        )
+    values += [o.expression for o in m.outputs]
+    outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
+    y = stack(values)
+    instant = _depends_on_any(y, ca.vertcat(a, lam, u))
+    outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
+
+    guess = _guess(m)
+    sdot = ca.SX.sym("sdot", len(m.starts))
+    tied, ties = _ties(m)
+    passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if m.inputs else f_applied
+
+    symbols = {"q": q, "v": v, "a": a, "lam": lam, "u": u, "p": p, "t": t, "s": s, "sdot": sdot}
+    expressions = {
+        "M": M,
+        "d": d,
+        "f": f,
+        "Phi": Phi,
+        "C": C,
+        "xi": xi,
+        "displacements": stack([plain.locked(lock)[0] for lock in locks]),
+        "gaps": gaps,
+        "gaps_matrix": ca.jacobian(gaps, q),
+        "kinetic_energy": T,
+        "potential_energy": V,
+        "input_power": ca.dot(f_applied - passive, v),
+        "other_power": ca.dot(passive, v),
+        "readings": y,
+        "guess": guess,
+        "guess_rate": ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape),
+        "ties": ties,
+        "ties_matrix": ca.jacobian(ties, q),
+    }
+    equations = Equations(
+        name=m.name,
+        description=m.description,
+        coordinates=[Variable(c.name, c.unit) for c in m.coordinates],
+        parameters=[Variable(x.name, x.unit, x.default, x.minimum, x.maximum, x.description) for x in m.parameters],
+        starts=[Variable(f"start.{x.name}", x.unit, x.value, description=x.description) for x in m.starts],
+        start_rates=[
+            Variable(f"start.{x.rate_name}", rate_of(x.unit), x.rate, description=f"rate of start.{x.name}")
+            for x in m.starts
+        ],
+        tied=tied,
+        inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
+        outputs=outputs,
+        rows=rows,
+        compliances=_compliances(rows) if m.compliant else [],
+        switches=_switches(m, locks, closures),
+        held=[lock.name for lock in locks],
+        wrapped=wrapped,
+        works=not f_applied.is_zero(),
+        stop_time=m.experiment.stop_time,
+        step_size=m.experiment.step_size,
+        interval=m.experiment.interval or m.experiment.step_size,
+        options=m.options,
+        functions={name: _function(m, name, symbols, x) for name, x in expressions.items()},
+    )
+    return evaluable(equations)
+
+
+def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) -> ca.Function:
+    arguments = [symbols[letter] for letter in ARGUMENTS[name]]
+    value = ca.densify(value) if value.is_column() else value
+    function = ca.Function(name, arguments, [value], {"allow_free": True})
+    if function.has_free():
+        free = ", ".join(map(str, function.get_free()))
+        raise DeclarationError(
+            f"{m.name}: {name} uses {free}, which is no coordinate, rate, parameter or input of this mechanism; "
+            "declare it here"
+        )
+    return shared(name, arguments, [value])
+
+
+def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
+    """Directions of closures that hold by the choice of coordinates, so need no constraint; joint -> directions.
+
+    Found by the residual being identically zero: two natural bars that share a point, a slider without an angle.
+    """
+    coordinates = {key_of(c.q) for c in m.coordinates}
+    held: dict[Joint, tuple[str, ...]] = {}
+    for closure in m.closures:
+        if not isinstance(closure, Joint):
+            continue
+        zero = []
+        for direction in closure.directions:
+            residual = kinematics.residual(closure, direction)
+            if residual.is_zero():
+                zero.append(direction)
+            elif not any(key_of(symbol) in coordinates for symbol in ca.symvar(residual)):
+                raise DeclarationError(
+                    f"{m.name}: joint {closure.name} leaves a gap of {residual} along {direction} that no coordinate "
+                    "can close; check its markers, offset and angle"
+                )
+        if zero:
+            held[closure] = tuple(zero)
+    _check_held(m, held)
+    return held
+
+
+def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
+    """Joints that one body's coordinates close must not disturb each other when displaced virtually."""
+    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in directions} for j, directions in held.items()}
+    by_body: dict[Body, list[Joint]] = {}
+    for joint in held:
+        by_body.setdefault(joint.second.body, []).append(joint)
+    for body, joints in by_body.items():
+        if body.between is not None:
+            for joint in joints:
+                ends = (body.start, body.end)
+                if not any(_same(joint.second.x, e.x) and _same(joint.second.y, e.y) for e in ends):
+                    raise DeclarationError(
+                        f"{m.name}: joint {joint.name} is closed by the points of {body.name} but is not at one of its "
+                        "ends; place the body between other points"
+                    )
+            continue
+        for joint in joints:
+            moved = Kinematics(m, {joint: held[joint]}, {joint: eps[joint]})
+            for other in joints:
+                if other is joint:
+                    continue
+                symbols = stack(list(eps[joint].values()))
+                for direction in held[other]:
+                    if ca.depends_on(moved.residual(other, direction), symbols):
+                        slope = ca.jacobian(moved.residual(other, direction), symbols)
+                        if not ca.substitute(slope, symbols, ca.SX.zeros(symbols.shape)).is_zero():
+                            raise DeclarationError(
+                                f"{m.name}: the coordinates of {body.name} close both {joint.name} and {other.name}; "
+                                "their reactions cannot be told apart; put both at one point of the body, or give "
+                                "the body an angle coordinate"
+                            )
+
+
+def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Row], list[Closing], ca.SX]:
+    """Constraint rows in the order of declaration, what each closes, and the sign of the residual in it.
+
+    A row reads point of the second body minus point of the first, the other way round where only the first body is torn
+    off (has absolute coordinates); this is the sign in which the paper writes the five-bar.
+    """
+    rows: list[Row] = []
+    closures: list[Closing] = []
+    signs: list[float] = []
+    for closure in m.closures:
+        sign, directions = 1.0, ("length",)
+        if isinstance(closure, Constraint):
+            directions = ("",)
+        elif isinstance(closure, Lock):
+            directions = ("locked",)
+        elif isinstance(closure, SpatialJoint):
+            directions = closure.directions
+        elif isinstance(closure, Joint):
+            directions = tuple(k for k in closure.directions if k not in held.get(closure, ()))
+            first, second = closure.first.body, closure.second.body
+            if first.pose is not None and second.pose is None and first is not m.ground:
+                sign = -1.0
+        for direction in directions:
+            turning = direction.startswith("rotation")
+            own = isinstance(closure, Constraint | Lock)
+            unit = closure.unit if own else "rad" if turning else "m"
+            rows.append(Row(closure.name, direction, unit))
+            closures.append((closure, direction))
+            signs.append(sign)
+    return rows, closures, stack(signs)
+
+
+def _compliances(rows: list[Row]) -> list[Variable]:
+    units = {"m": "m/N", "rad": "rad/(N.m)"}
+    return [
+        Variable(
+            f"{row.name}.compliance.{row.direction}".removesuffix("."),
+            units.get(row.unit, "1"),
+            minimum=0.0,
+            description=f"compliance of {row.name} {row.direction}".strip() + ", for shares of redundant constraints",
+        )
+        for row in rows
+    ]
+
+
+def _locking(locks: list[Lock], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+    """Effort of each lock, in the direction in which its displacement grows."""
+    values, outputs = [], []
+    for lock in locks:
+        values.append(-lam[closures.index((lock, "locked"))])
+        what, unit = ("torque", "N.m") if lock.unit == "rad" else ("force", "N")
+        outputs.append(Variable(f"{lock.name}.locking_{what}", unit, description=f"{what} of the lock of {lock.name}"))
+    return values, outputs
+
+
+def _switches(m: Mechanism, locks: list[Lock], closures: list[Closing]) -> list[Switch]:
+    """Boolean inputs, locks first, each kind in the order of declaration."""
+    switches = [
+        Switch(
+            f"{lock.name}.locked",
+            [closures.index((lock, "locked"))],
+            True,
+            i,
+            description=f"stop the motion of {lock.name}",
+        )
+        for i, lock in enumerate(locks)
+    ]
+    for closure in m.releases:
+        rows = [i for i, (each, _) in enumerate(closures) if each is closure]
+        if not rows:
+            raise DeclarationError(
+                f"{m.name}: {closure.name} holds by the choice of coordinates, so it cannot be released; use "
+                "coordinates in which constraints close it"
+            )
+        switches.append(Switch(f"{closure.name}.released", rows, False, description=f"switch {closure.name} off"))
+    return switches
+
+
+def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
+    """Displacements X and their weights w: places of centres of mass, angles (natural coordinates, space: directions).
+
+    With `pivoted`, a body that a hinge on the ground places counts by its angle and its inertia about the hinge alone.
+    """
+    X: list[Scalar] = []
+    w: list[Scalar] = []
+    for body in m.bodies:
+        frame = kinematics.frame(body)
+        hinge = body.placed_by
+        if pivoted and hinge is not None and hinge.kind == "revolute" and hinge.first.body is m.ground:
+            arm = (body.center[0] - hinge.second.x) ** 2 + (body.center[1] - hinge.second.y) ** 2
+            X.append(frame.angle)
+            w.append(body.inertia + body.mass * arm)
+            continue
+        if not symbolic(body.mass).is_zero():
+            X += kinematics.center(body)
+            w += [body.mass, body.mass]
+        if not symbolic(body.inertia).is_zero():
+            # (ex, ey) is linear in natural coordinates, so that the mass matrix is constant.
+            X += [frame.ex, frame.ey] if frame.wrapped else [frame.angle]
+            w += [body.inertia, body.inertia] if frame.wrapped else [body.inertia]
+    for body in m.spatial_bodies:
+        displacements, weights = body.displacements()
+        X += ca.vertsplit(displacements)
+        w += weights
+    return stack(X), stack(w)
+
+
+def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
+    """Potential energy of gravity, springs and the user's own terms."""
+    gx, gy, _ = m.gravity_vector
+    centers = [kinematics.center(body) for body in m.bodies]
+    x, y = (stack([center[k] for center in centers]) for k in (0, 1))
+    V = sum(m.potential, ca.SX(0)) - ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
+    for body in m.spatial_bodies:
+        V -= body.mass * ca.dot(stack(m.gravity_vector), body.position)
+    for spring in m.springs:
+        V += spring.stiffness * (_elongation(kinematics, spring.between) - spring.rest) ** 2 / 2
+    return V
+
+
+def _elongation(kinematics: Kinematics, between: AnyJoint | tuple[AnyMarker, AnyMarker]) -> ca.SX:
+    return kinematics.free(between) if isinstance(between, AnyJoint) else kinematics.distance(between)
+
+
+def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
+    """Displacements along which the efforts of drives, loads and dampers act, in that order."""
+    paths: list[Scalar] = [kinematics.free(drive.joint) for drive in m.drives]
+    for load in m.loads:
+        paths += [*kinematics.place(load.at), kinematics.frame(load.at.body).angle]
+    paths += [_elongation(kinematics, s.between) for s in m.springs if not symbolic(s.damping).is_zero()]
+    return paths
+
+
+def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """The paths of the efforts and the efforts themselves."""
+    paths = stack(_paths(m, kinematics))
+    efforts: list[Scalar] = [drive.effort for drive in m.drives]
+    for load in m.loads:
+        efforts += [*load.force, load.torque]
+    rates = ca.jtimes(paths, q, v) if paths.numel() else paths
+    dampers = [s for s in m.springs if not symbolic(s.damping).is_zero()]
+    efforts += [-s.damping * rates[len(efforts) + i] for i, s in enumerate(dampers)]
+    return paths, stack(efforts)
+
+
+_REACTIONS = {
+    "x": ("force.x", "N", "force along x on {second} from {first}"),
+    "y": ("force.y", "N", "force along y on {second} from {first}"),
+    "rotation": ("moment", "N.m", "moment on {second} from {first}, about the joint's point on {second}"),
+    "normal": ("force", "N", "force on {second} from {first}, along the left normal of the guide"),
+    "length": ("force", "N", "force on {second} from {first}, positive when the joint pushes"),
+}
+
+
+def _reactions(
+    m: Mechanism,
+    plain: Kinematics,
+    held: dict[Joint, tuple[str, ...]],
+    q: ca.SX,
+    v: ca.SX,
+    a: ca.SX,
+    efforts: ca.SX,
+    lam: ca.SX,
+) -> tuple[list[ca.SX], list[Variable]]:
+    """Reaction of every joint along every direction it suppresses, on the second body from the first."""
+    if not m.joints:
+        return [], []
+    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in j.directions} for j in m.joints}
+    # A direction that a constraint closes is displaced in the constraint, any other one in the kinematics.
+    in_frames = {
+        j: {k: e for k, e in eps[j].items() if j.coordinate is not None or k in held.get(j, ())} for j in m.joints
+    }
+    moved = Kinematics(m, held, in_frames) if any(in_frames.values()) else plain
+    Xe, _ = _inertia(m, moved)
+    _, closures, signs = _closures(m, held)
+    displaced = stack([eps.get(c, {}).get(direction, 0.0) for c, direction in closures])
+    Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
+    X, w = _inertia(m, plain)
+    aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
+    work = (
+        ca.dot(Xe, w * aX)
+        + _potential(m, moved)
+        - ca.dot(stack(_paths(m, moved)), efforts)
+        + (ca.dot(Phie, lam) if lam.numel() else 0)
+    )
+    symbols = stack([e for j in m.joints for e in eps[j].values()])
+    r = ca.substitute(ca.gradient(work, symbols), symbols, ca.SX.zeros(symbols.shape))
+    outputs = []
+    for joint in m.joints:
+        for direction in joint.directions:
+            suffix, unit, text = _REACTIONS[direction]
+            text = text.format(first=joint.first.body.name, second=joint.second.body.name)
+            outputs.append(Variable(f"{joint.name}.{suffix}", unit, description=text))
+    return ca.vertsplit(r), outputs
+
+
+def _body_outputs(
+    m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX, a: ca.SX
+) -> tuple[list[ca.SX], list[Variable]]:
+    """Place, velocity and acceleration of every centre of mass and angle, and of every slider along its guide."""
+    names: list[tuple[str, str, str, str, str]] = []
+    places: list[Scalar] = []
+    for body in m.bodies:
+        frame = kinematics.frame(body)
+        places += [*kinematics.center(body), frame.angle]
+        b = body.name
+        names += [
+            (f"{b}.x", f"{b}.vx", f"{b}.ax", "m", f"{{}} of the centre of mass of {b} along x"),
+            (f"{b}.y", f"{b}.vy", f"{b}.ay", "m", f"{{}} of the centre of mass of {b} along y"),
+            (f"{b}.angle", f"{b}.angular_velocity", f"{b}.angular_acceleration", "rad", f"angular {{}} of {b}"),
+        ]
+    sliders = [j for j in m.joints if j.kind == "prismatic"]
+    guides = Counter(j.second.body for j in sliders)
+    for joint in sliders:
+        b = joint.second.body.name
+        if guides[joint.second.body] == 1:
+            places.append(kinematics.free(joint))
+            along = f"{{}} of {b} along {joint.name}"
+            names.append((f"{b}.position", f"{b}.velocity", f"{b}.acceleration", "m", along))
+    X = stack(places)
+    Xv = ca.jtimes(X, q, v)
+    Xa = ca.jtimes(Xv, q, v) + ca.jtimes(X, q, a)
+    values, outputs = [], []
+    for place in zip(*map(ca.vertsplit, (X, Xv, Xa)), strict=True):
+        values += place
+    for x, xv, xa, unit, text in names:
+        rate, second = rate_of(unit), rate_of(rate_of(unit))
+        word = "position" if unit == "m" else "place"
+        for name, name_unit, what in ((x, unit, word), (xv, rate, "velocity"), (xa, second, "acceleration")):
+            outputs.append(Variable(name, name_unit, description=text.format(what).replace("angular place", "angle")))
+    return values, outputs
+
+
+def _spatial_outputs(
+    m: Mechanism, q: ca.SX, v: ca.SX, a: ca.SX, closures: list[Closing], lam: ca.SX
+) -> tuple[list[ca.SX], list[Variable]]:
+    """Motion of every body in space, free motion and reaction of every joint between such bodies."""
+
+    def rate(x: ca.SX) -> ca.SX:
+        return ca.jtimes(x, q, v) + ca.jtimes(x, v, a)
+
+    values: list[ca.SX] = []
+    outputs: list[Variable] = []
+
+    def add(name: str, vector: ca.SX, unit: str, text: str) -> None:
+        """A number, or a vector by its components; {} stands for the axis in the name, ` along {}` in the text."""
+        for axis, x in zip("xyz", ca.vertsplit(vector), strict=False):
+            values.append(x)
+            outputs.append(Variable(name.format(axis), unit, description=text.format(axis)))
+
+    for body in m.spatial_bodies:
+        b, r, e = body.name, body.position, body.attitude
+        spin = angular_velocity(e, ca.jtimes(e, q, v))
+        add(b + ".{}", r, "m", f"position of the centre of mass of {b} along {{}}")
+        add(b + ".v{}", rate(r), "m/s", f"velocity of the centre of mass of {b} along {{}}")
+        add(b + ".a{}", rate(rate(r)), "m/s2", f"acceleration of the centre of mass of {b} along {{}}")
+        for i, x in enumerate(ca.vertsplit(e)):
+            add(f"{b}.e{i}", x, "1", f"Euler parameter {i} of {b}")
+        add(b + ".angular_velocity.{}", spin, "rad/s", f"angular velocity of {b} along {{}}")
+        add(b + ".angular_acceleration.{}", rate(spin), "rad/s2", f"angular acceleration of {b} along {{}}")
+    sliders = Counter(j.second.body for j in m.spatial_joints if j.kind == "prismatic")
+    for joint in m.spatial_joints:
+        j, pair = joint.name, f"{joint.second.body.name} from {joint.first.body.name}"
+        if joint.kind == "revolute":
+            angle = joint.free
+            add(f"{j}.angle", angle, "rad", f"angle of {pair}")
+            add(f"{j}.angular_velocity", rate(angle), "rad/s", f"rate of {j}.angle")
+            add(f"{j}.angular_acceleration", rate(rate(angle)), "rad/s2", f"second rate of {j}.angle")
+        if joint.kind == "prismatic" and sliders[joint.second.body] == 1:
+            s, b = joint.free, joint.second.body.name
+            add(f"{b}.position", s, "m", f"position of {b} along {j}")
+            add(f"{b}.velocity", rate(s), "m/s", f"velocity of {b} along {j}")
+            add(f"{b}.acceleration", rate(rate(s)), "m/s2", f"acceleration of {b} along {j}")
+        own = {direction: x for (c, direction), x in zip(closures, ca.vertsplit(lam), strict=True) if c is joint}
+        force, moment = joint.reaction(own)
+        add(j + ".force.{}", force, "N", f"force along {{}} on {pair}")
+        if joint.kind != "spherical":
+            add(
+                j + ".moment.{}",
+                moment,
+                "N.m",
+                f"moment along {{}} on {pair}, about the joint's point on {joint.second.body.name}",
+            )
+    return values, outputs
+
+
+def _guess(m: Mechanism) -> ca.SX:
+    """Guesses of the coordinates in parameters and start values alone."""
+    resolved: dict[int, ca.SX] = {}
+    for c in m.coordinates:
+        guess = symbolic(c.guess)
+        before = [symbol for symbol in ca.symvar(guess) if key_of(symbol) in resolved]
+        if before:
+            guess = ca.substitute(guess, stack(before), stack([resolved[key_of(b)] for b in before]))
+        resolved[key_of(c.q)] = guess
+    return stack(list(resolved.values()))
+
+
+def _ties(m: Mechanism) -> tuple[list[int], ca.SX]:
+    """Which start quantity each tie uses, and the ties; an angle that is computed counts up to whole turns."""
+    tied, residuals = [], []
+    place = {key_of(x.symbol): i for i, x in enumerate(m.starts)}
+    for symbol, expression in m.ties:
+        i = place[key_of(symbol)]
+        difference = expression - symbol
+        if m.starts[i].unit == "rad" and not expression.is_symbolic():
+            difference = ca.atan2(ca.sin(difference), ca.cos(difference))
+        tied.append(i)
+        residuals.append(difference)
+    return tied, stack(residuals)
+
+
+def _tied_start(m: Mechanism, angle: ca.SX) -> int:
+    """The start quantity near which a computed angle begins, -1 where there is none."""
+    for symbol, expression in m.ties:
+        if (expression - angle).is_zero() or ca.is_equal(expression, angle, 12):
+            return next(k for k, x in enumerate(m.starts) if key_of(x.symbol) == key_of(symbol))
+    return -1
+
+
+def _depends_on_any(y: ca.SX, x: ca.SX) -> list[bool]:
+    """Which entries of y depend on any entry of x."""
+    touched = set(ca.jacobian_sparsity(y, x).row())
+    return [i in touched for i in range(y.numel())]
+
+
+def _absolute(x: Scalar, y: Scalar, angle: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
+    c, s = _cis(angle)
+    return Frame(symbolic(x), symbolic(y), local, c, s, symbolic(angle))
+
+
+def _turned(base: Frame, by: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
+    """A frame turned by an angle against another one; its place is set by whoever asks."""
+    by = symbolic(by)
+    angle = base.angle + by
+    if base.wrapped:
+        return Frame(ca.SX(0), ca.SX(0), local, *base.turn(*_cis(by)), angle, wrapped=True)
+    return Frame(ca.SX(0), ca.SX(0), local, *_cis(angle), angle)
+
+
+def _same(a: Scalar, b: Scalar) -> bool:
+    if isinstance(a, ca.SX) or isinstance(b, ca.SX):
+        return a is b or (symbolic(a) - symbolic(b)).is_zero()
+    return a == b
+
+
+def _sum(a: Scalar, b: Scalar) -> Scalar:
+    """a + b; operations with expressions are slow, so none is done where one of them vanishes."""
+    return a if _vanishes(b) else b if _vanishes(a) else a + b
+
+
+def _vanishes(x: Scalar) -> bool:
+    """Whether something is the number zero."""
+    return not isinstance(x, ca.SX) and x == 0
+
+
+def _cis(angle: Scalar) -> tuple[ca.SX, ca.SX]:
+    """Cosine and sine, exact at the right angles that guides usually have."""
+    angle = symbolic(angle)
+    if angle.is_constant():
+        quarters = float(angle) / (math.pi / 2)
+        if quarters == round(quarters):
+            return tuple(ca.SX((1, 0, -1, 0)[(round(quarters) - k) % 4]) for k in (0, 1))
+    return ca.cos(angle), ca.sin(angle)

@@ -1,0 +1,179 @@
+"""Functions of a mechanism combined for evaluation with numbers: each needed result once, subexpressions shared."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import accumulate, pairwise
+
+import casadi as ca
+
+from .types import Equations
+
+__all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "with_functions", "with_tangents"]
+
+DENSE = 50
+"""Coordinates up to which matrices are dense arrays; larger ones are sparse."""
+
+MANY = 100
+"""Coordinates from which on they may be eliminated in the order of declaration."""
+
+MORE = 1.1
+"""Work of a factorisation in the order of declaration, over that with little fill, up to which it is taken."""
+
+ARGUMENTS = {
+    name: letters.split()
+    for name, letters in {
+        "M": "q p",
+        "d": "q v p",
+        "f": "q v u p t",
+        "Phi": "q p",
+        "C": "q p",
+        "xi": "q v p",
+        "displacements": "q p",
+        "gaps": "q p",
+        "gaps_matrix": "q p",
+        "kinetic_energy": "q v p",
+        "potential_energy": "q p",
+        "input_power": "q v u p t",
+        "other_power": "q v p t",
+        "readings": "q v a lam u p t",
+        "guess": "p s",
+        "guess_rate": "p s sdot",
+        "ties": "q p s",
+        "ties_matrix": "q p s",
+    }.items()
+}
+"""What each function of the equations depends on."""
+
+EVALUATED = {
+    "dynamics": 2,
+    "constraints": 2,
+    "power": 0,
+    "energy": 0,
+    "readings": 0,
+    "closure": 2,
+    "guesses": 0,
+    "displacements": 0,
+    "tangents": 4,
+}
+"""Functions that run with numbers outside the kernel, and how many of their results are matrices."""
+
+
+def symbols(equations: Equations) -> dict[str, ca.SX]:
+    """Fresh symbols for the arguments of the functions of `equations`."""
+    sizes = {
+        "q": equations.n,
+        "v": equations.n,
+        "a": equations.n,
+        "lam": equations.l,
+        "u": len(equations.inputs),
+        "p": len(equations.parameters) + len(equations.held),
+        "t": 1,
+        "s": len(equations.starts),
+        "sdot": len(equations.starts),
+    }
+    return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+
+def evaluable(equations: Equations) -> Equations:
+    """The same equations with the functions that the oracle and the assembly call.
+
+    dynamics(q, v, u, p, t): M, C, F = f - d, xi. constraints(q, v, p): M, C, Phi, C v. power(q, v, u, p, t): W.
+    energy(q, v, p): J. closure(q, p, s): derivatives of gaps and ties, gaps, ties. guesses(p, s, sdot): q, v.
+    """
+    e, x = equations, symbols(equations)
+    q, v, u, p, t, s, sdot = (x[k] for k in ("q", "v", "u", "p", "t", "s", "sdot"))
+    M, C, Phi = e.M(q, p), e.C(q, p), e.Phi(q, p)
+    power = e.input_power(q, v, u, p, t) + e.other_power(q, v, p, t)
+    energy = e.kinetic_energy(q, v, p) + e.potential_energy(q, p)
+    closure = [e.gaps_matrix(q, p), e.ties_matrix(q, p, s), e.gaps(q, p), e.ties(q, p, s)]
+    results = {
+        "dynamics": ([q, v, u, p, t], [M, C, e.f(q, v, u, p, t) - e.d(q, v, p), e.xi(q, v, p)]),
+        "constraints": ([q, v, p], [M, C, Phi, C @ v]),
+        "power": ([q, v, u, p, t], [power]),
+        "energy": ([q, v, p], [energy]),
+        "closure": ([q, p, s], closure),
+        "guesses": ([p, s, sdot], [e.guess(p, s), e.guess_rate(p, s, sdot)]),
+    }
+    functions = {"readings": e.readings}
+    if e.held:
+        functions["displacements"] = e.displacements
+    for name, (arguments, values) in results.items():
+        dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
+        functions[name] = shared(name, arguments, dense)
+    pattern = ca.SX(M.sparsity(), 1) + ca.SX(C.T.sparsity(), 1) @ ca.SX(C.sparsity(), 1)  # of H
+    ties = e.ties_matrix.sparsity_out(0).T
+    given = [column for begin, end in pairwise(ties.colind()) if end - begin == 1 for column in ties.row()[begin:end]]
+    return with_functions(replace(e, order=elimination(pattern.sparsity(), given), telling=given), functions)
+
+
+def elimination(pattern: ca.Sparsity, telling: Sequence[int] = ()) -> list[int]:
+    """The order in which coordinates are eliminated from H: one that fills L little.
+
+    Coordinates that tell the motion come last where that takes no more work: their pivots are those of masses then,
+    and no other is small but at a singular position. Of many coordinates the order is that of their declaration where
+    it takes hardly more work: what repeats in a mechanism is then eliminated alike, and compiled as a loop.
+    """
+    factor, order = pattern.ldl(True)
+    if pattern.size1() >= MANY:
+        declared, plain = pattern.ldl(False)
+        if _work(declared) <= MORE * _work(factor):
+            return list(plain)
+    told = sorted(order, key=lambda i: i in telling)
+    if _work(ca.DM(pattern, 1)[told, told].sparsity().ldl(False)[0]) <= _work(factor):
+        return told
+    return list(order)
+
+
+def _work(factor: ca.Sparsity) -> int:
+    """Multiplications in a factorisation, nearly: squares of the nonzeros of the columns of L."""
+    ends = factor.colind()
+    return sum((end - begin) ** 2 for begin, end in pairwise(ends))
+
+
+def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Function:
+    """A function with its common subexpressions shared.
+
+    They are found on the nonzeros: on a matrix, CasADi's search takes time with the square of its size.
+    """
+    entries = ca.cse(ca.vertcat(*(ca.vec(value.nz[:]) for value in values)))
+    ends = list(accumulate((value.nnz() for value in values), initial=0))
+    values = [ca.SX(x.sparsity(), entries[ends[i] : ends[i + 1]]) for i, x in enumerate(values)]
+    return ca.Function(name, arguments, values)
+
+
+def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> Equations:
+    """The same equations with more functions, or others, that run with numbers."""
+    signatures = {name: _signature(f, EVALUATED.get(name, 0)) for name, f in functions.items()}
+    return replace(
+        equations,
+        functions={**equations.functions, **functions},
+        signatures={**equations.signatures, **signatures},
+    )
+
+
+def _signature(f: ca.Function, matrices: int = 0) -> dict:
+    """Sizes of arguments and results, see `alfmu.kernel.program.Signature`."""
+    outputs = []
+    for i in range(f.n_out()):
+        pattern = f.sparsity_out(i)
+        shape = list(pattern.shape)
+        outputs.append(shape if pattern.is_dense() else [*shape, pattern.colind(), pattern.row()])
+    return {"inputs": [f.nnz_in(i) for i in range(f.n_in())], "outputs": outputs, "matrices": matrices}
+
+
+def with_tangents(equations: Equations) -> Equations:
+    """The same equations with what implicit methods need: derivatives of what (4) and (3) lack at fixed a and lam.
+
+    tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n), Xq, Xv (l, n), Rt (n,) by q, v and t of R = F - M a - C' lam and
+    X = xi - C a.
+    """
+    if "tangents" in equations.signatures:
+        return equations
+    e, x = equations, symbols(equations)
+    q, v, a, lam, u, p, t = (x[k] for k in ("q", "v", "a", "lam", "u", "p", "t"))
+    R = e.f(q, v, u, p, t) - e.d(q, v, p) - e.M(q, p) @ a - e.C(q, p).T @ lam
+    X = e.xi(q, v, p) - e.C(q, p) @ a
+    values = [ca.jacobian(R, q), ca.jacobian(R, v), ca.jacobian(X, q), ca.jacobian(X, v), ca.jacobian(R, t)]
+    return with_functions(e, {"tangents": shared("tangents", [q, v, a, lam, u, p, t], list(map(ca.densify, values)))})

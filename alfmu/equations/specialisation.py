@@ -1,0 +1,88 @@
+"""Leave out what a scene does not need before it is traced: outputs nobody reads, parameters that never change."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+
+import casadi as ca
+
+from ..model.errors import InputError
+from .evaluation import ARGUMENTS, evaluable, shared, symbols
+from .interface import MONITORS, events
+from .types import Equations
+
+__all__ = ["specialised"]
+
+_ENERGY = "monitor.energy"
+
+ALL = "all"
+"""Stands for every parameter of the mechanism."""
+
+
+def specialised(
+    equations: Equations, outputs: Iterable[str] | None = None, freeze: Sequence[str] | None = None
+) -> Equations:
+    """The same equations with what is not needed left out: outputs but those that match, parameters to freeze.
+
+    `outputs` are names or patterns such as `link*.angle`; nothing is computed for the others. `freeze` are parameters
+    of the mechanism that become constants at their defaults, `["all"]` for every one. None leaves everything in.
+    Raises InputError where a pattern matches no output, or a name is no parameter.
+    """
+    e = equations if freeze is None else _frozen(equations, freeze)
+    return e if outputs is None else _keeping(e, outputs)
+
+
+def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
+    """The same equations with those outputs and monitors alone that match a pattern."""
+    e, patterns = equations, [patterns] if isinstance(patterns, str) else list(patterns)
+    names = [o.name for o in e.outputs]
+    monitors = [m.name for m in (*MONITORS, *events(e)) if m.name not in e.monitors]
+    for pattern in patterns:
+        if not any(_matches(name, [pattern]) for name in [*names, *monitors]):
+            raise InputError(f"{e.name} has no output {pattern!r}; it has {', '.join([*names, *monitors])}")
+    kept = [i for i, name in enumerate(names) if _matches(name, patterns)]
+    x = symbols(e)
+    arguments = [x[letter] for letter in ARGUMENTS["readings"]]
+    readings = shared("readings", arguments, [e.readings(*arguments)[kept]])
+    monitors = [name for name in monitors if not _matches(name, patterns)]
+    return evaluable(
+        replace(
+            e,
+            # Work is integrated for the balance of energy.
+            works=e.works and _ENERGY not in monitors,
+            outputs=[e.outputs[i] for i in kept],
+            wrapped={name: start for name, start in e.wrapped.items() if _matches(name, patterns)},
+            monitors=[*e.monitors, *monitors],
+            functions={**_equations(e), "readings": readings},
+        )
+    )
+
+
+def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
+    """The same equations with parameters folded into them; start values and numbers of the solver stay."""
+    e = equations
+    known = [p.name for p in e.parameters]
+    names = known if list(names) == [ALL] else list(names)
+    if unknown := [name for name in names if name not in known]:
+        raise InputError(f"{e.name} has no parameter {unknown[0]!r} to freeze; it has {', '.join(known) or 'none'}")
+    left = [p for p in e.parameters if p.name not in names]
+    x = symbols(replace(e, parameters=left))
+    own = iter(ca.vertsplit(x["p"])) if x["p"].numel() else iter(())
+    p = ca.vertcat(*(ca.SX(p.start) if p.name in names else next(own) for p in e.parameters), *own)
+    functions = {}
+    for name, letters in ARGUMENTS.items():
+        value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))
+        value = ca.densify(value) if value.is_column() else ca.sparsify(value)
+        functions[name] = shared(name, [x[letter] for letter in letters], [value])
+    return evaluable(replace(e, parameters=left, functions=functions))
+
+
+def _equations(e: Equations) -> dict[str, ca.Function]:
+    """The functions that derivation gave, without what was made of them."""
+    return {name: e.functions[name] for name in ARGUMENTS}
+
+
+def _matches(name: str, patterns: list[str]) -> bool:
+    return any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)

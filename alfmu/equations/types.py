@@ -1,0 +1,210 @@
+"""The equations of a mechanism as numbers need them: functions, names, units. No symbols, no declaration.
+
+`alfmu.derive` makes them, a scene file carries them, `alfmu.runtime` evaluates them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+__all__ = ["Equations", "Mobility", "Row", "Switch", "Variable"]
+
+FORMAT = 4
+"""Version of the scene file and of the functions beside it; raised whenever their content changes meaning."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A named quantity with unit, start value, inclusive bounds and description."""
+
+    name: str
+    unit: str
+    start: float | str = 0.0
+    minimum: float | None = None
+    maximum: float | None = None
+    description: str = ""
+    type: str = "Real"
+    """FMI type: Real, Integer, Boolean or String."""
+    instant: bool = False
+    """Whether an output follows the inputs without delay (accelerations and reactions do)."""
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A Boolean input that puts constraints in force and out of it while the mechanism moves."""
+
+    name: str
+    rows: list[int]
+    """Constraints that it concerns."""
+    holds: bool
+    """Whether they hold where it is on (a lock) or where it is off (a joint that can be released)."""
+    value: int = -1
+    """Place among `Equations.held` of the displacement that a lock keeps; -1 where nothing is kept."""
+    start: bool = False
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One constraint: the joint (or body, or constraint) that it closes, its direction and unit."""
+
+    name: str
+    direction: str
+    unit: str
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """How a mechanism can move: in general, and at one position."""
+
+    freedom: int
+    """Degrees of freedom at a regular position."""
+    redundant: int
+    """Constraints that follow from the others on the whole of the motion."""
+    freedom_here: int
+    """Independent velocities at the given position; more than `freedom` where it is singular."""
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Everything that `alfmu.derive` found out about a mechanism with n coordinates and l constraints.
+
+    `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs), p (parameters), s (start values)
+    and t (s); the name of each is the paper's letter or the quantity:
+
+    ==============================  =============================================  ==================================
+    M(q, p)                         mass matrix (n, n)                             kinetic energy v'Mv/2
+    d(q, v, p)                      velocity terms (n,)                            (4)
+    f(q, v, u, p, t)                applied forces (n,)                            (4)
+    Phi(q, p)                       constraints (l,)                               (1)
+    C(q, p)                         constraint matrix (l, n)                       (2)
+    xi(q, v, p)                     constraint-induced accelerations (l,)          (3)
+    displacements(q, p)             what locks keep, m or rad
+    gaps(q, p)                      how far each constraint is open (l,), m or rad zero where Phi is
+    gaps_matrix(q, p)               its derivative (l, n)
+    kinetic_energy(q, v, p)         J
+    potential_energy(q, p)          J
+    input_power(q, v, u, p, t)      power of the inputs, W
+    other_power(q, v, p, t)         power of dampers and loads, W
+    readings(q, v, a, lam, u, p, t) everything a user can read, in the order of `outputs`
+    guess(p, s)                     start of the position assembly (n,)
+    guess_rate(p, s, sdot)          its time derivative (n,)
+    ties(q, p, s)                   independent quantities minus their start values
+    ties_matrix(q, p, s)            its derivative with respect to q
+    ==============================  =============================================  ==================================
+
+    Those that are evaluated with numbers are combined by `alfmu.equations.evaluation`, and traced into a kernel by
+    `alfmu.kernel.trace`.
+    """
+
+    name: str
+    description: str
+    coordinates: list[Variable]
+    parameters: list[Variable]
+    starts: list[Variable]
+    start_rates: list[Variable]
+    tied: list[int]
+    inputs: list[Variable]
+    outputs: list[Variable]
+    rows: list[Row]
+    wrapped: dict[str, int]
+    """Outputs that are angles known up to whole turns only, and the start value they begin near (-1: none)."""
+    works: bool
+    """Whether inputs, dampers or loads do work; otherwise energy is conserved."""
+    stop_time: float
+    step_size: float
+    interval: float
+    """Communication step when nobody says otherwise [s]."""
+    options: dict[str, Any] = field(default_factory=dict)
+    """Options that the mechanism was declared with."""
+    kernel: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Once traced, the programs of the kernel (`alfmu.kernel.program`): a quick and a careful step, and `instant`."""
+    solver: dict[str, float | str] = field(default_factory=dict)
+    """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
+    reason: str = ""
+    """Why `solver.method` is what it is, where `auto` chose it."""
+    monitors: list[str] = field(default_factory=list)
+    """Monitors that are left out."""
+    order: list[int] = field(default_factory=list)
+    """Order of the coordinates in which the augmented mass fills in least when it is factorised."""
+    telling: list[int] = field(default_factory=list)
+    """Coordinates that a start gives by themselves, and that tell the motion."""
+    freedom: int | None = None
+    """Degrees of freedom at regular positions; None where they are not known before a run."""
+    shared: list[str] | None = None
+    """Outputs that are not unique, as redundant constraints share a load; None where that is not known yet."""
+    brakes: bool = False
+    """Whether redundant constraints become independent beside the motion, and so would stop it (`Oracle.hold`)."""
+    uneven: bool = False
+    """Whether constraints are in different units (`alfmu.runtime.scaling`), so that each has a penalty of its own."""
+    compliances: list[Variable] = field(default_factory=list)
+    """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
+    switches: list[Switch] = field(default_factory=list)
+    """Boolean inputs that change the topology."""
+    held: list[str] = field(default_factory=list)
+    """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them."""
+    functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
+    signatures: dict[str, dict[str, Any]] = field(default_factory=dict, repr=False)
+    """Sizes of the functions that run with numbers (`alfmu.kernel.program.Signature`)."""
+    workspace: int = 0
+    """Numbers that compiled functions need beside the memory of an instance."""
+    library: Any = field(default=None, repr=False)
+    """The functions compiled (`alfmu.kernel.compiled.Library`), where they are."""
+    programs: dict[str, ca.Function] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """Programs of the kernel as one function each (`alfmu.kernel.fusion`), as far as they were wanted; shared by all
+    instances of these equations, and not by others that are made of them."""
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.coordinates)
+
+    @property
+    def l(self) -> int:  # noqa: E743 - the paper's letter
+        """Number of constraints."""
+        return len(self.rows)
+
+    @property
+    def turns(self) -> bool:
+        """Whether there are Euler parameters, of which each by turns hardly tells the motion."""
+        return any(c.unit == "1" for c in self.coordinates)
+
+    def __getattr__(self, name: str) -> ca.Function:
+        functions = self.__dict__.get("functions", {})
+        if name in functions:
+            return functions[name]
+        raise AttributeError(name)
+
+    def to_json(self) -> str:
+        """The scene file: everything but the functions as plain JSON, the same bytes for the same equations."""
+        data = {k: v for k, v in asdict_shallow(self).items() if k not in ("functions", "library", "programs")}
+        data["format"] = FORMAT
+        return json.dumps(data, indent=1)
+
+    @classmethod
+    def from_json(cls, text: str) -> Equations:
+        """The equations that `to_json` wrote, without functions."""
+        data = json.loads(text)
+        if (found := data.pop("format", None)) != FORMAT:
+            raise ValueError(f"scene file of format {found}, this alfmu reads {FORMAT}; export it again")
+        for key in ("coordinates", "parameters", "starts", "start_rates", "compliances", "inputs", "outputs"):
+            data[key] = [Variable(**v) for v in data[key]]
+        data["rows"] = [Row(**r) for r in data["rows"]]
+        data["switches"] = [Switch(**s) for s in data["switches"]]
+        return cls(**data)
+
+
+def asdict_shallow(equations: Equations) -> dict[str, Any]:
+    """Fields as plain data, functions left alone (they cannot be copied)."""
+    plain = {}
+    for key in Equations.__dataclass_fields__:
+        value = getattr(equations, key)
+        if isinstance(value, list):
+            value = [asdict(v) if hasattr(v, "__dataclass_fields__") else v for v in value]
+        plain[key] = value
+    return plain

@@ -1,0 +1,1 @@
+"""The paper's equations, singular positions, integrators, implicit rules: for arrays and symbols alike."""

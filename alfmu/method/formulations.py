@@ -1,0 +1,108 @@
+"""Blajer's augmented-Lagrangian method, and the alternatives it is compared with, in the letters of the paper.
+
+W. Blajer, "Augmented Lagrangian Formulation: Geometrical Interpretation and Application to Systems with Singularities
+and Redundancy", Multibody System Dynamics 8 (2002) 141-159. Equation numbers stand at the lines.
+
+Written with `@`, `.T`, `+` and the `solve` they are handed, so that the same lines run on NumPy arrays (the oracle) and
+can be traced with symbols (the kernel). M (n, n) mass matrix, F = f - d (n,) applied forces less velocity terms,
+C (l, n) constraint matrix of any rank, xi (l,) constraint-induced accelerations, alpha (l, l) diagonal artificial
+masses, a (n,) accelerations, lam (l,) multipliers, with M a + d = f - C' lam. `solve` applies the inverse of H, the
+augmented mass.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+__all__ = [
+    "CORRECTIONS",
+    "augmented_mass",
+    "classic",
+    "dae",
+    "minimum_norm",
+    "penalty",
+    "project",
+    "residual",
+    "stabilised",
+    "stiffness",
+]
+
+CORRECTIONS = 20
+"""Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
+
+Array = Any
+Solve = Callable[[Array], Array]
+Done = Callable[[Array, Array], bool]
+
+
+def augmented_mass(M: Array, C: Array, alpha: Array) -> Array:
+    """H (n, n): M completed by artificial masses; positive definite where M or C holds every motion."""
+    return M + C.T @ alpha @ C  # (8)
+
+
+def classic(
+    M: Array, F: Array, C: Array, xi: Array, alpha: Array, solve: Solve, a: Array, lam: Array, most: int, done: Done
+) -> tuple[Array, Array, int, bool]:
+    """(8) as printed; returns a, lam, the iterations used, and whether `done(da, a)` was reached within `most`."""
+    h = F + C.T @ (alpha @ xi)  # (8)
+    for i in range(1, most + 1):
+        before, a = a, solve(h - C.T @ lam)  # (8)
+        lam = lam + alpha @ (C @ a - xi)  # (8)
+        if done(a - before, a):
+            return a, lam, i, True
+    return a, lam, most, False
+
+
+def residual(
+    M: Array, F: Array, C: Array, xi: Array, alpha: Array, solve: Solve, a: Array, lam: Array, most: int, done: Done
+) -> tuple[Array, Array, int, bool]:
+    """(8) in residual form: the same fixed point without the cancellation; returns what `classic` returns."""
+    for i in range(1, most + 1):
+        r1 = F - M @ a  # with -C' lam below, what (4) lacks
+        r2 = xi - C @ a  # what (3) lacks
+        da = solve(r1 + C.T @ (alpha @ r2 - lam))  # (8) for the increment
+        a = a + da
+        lam = lam - alpha @ (r2 - C @ da)  # (8) for the increment
+        if done(da, a):
+            return a, lam, i, True
+    return a, lam, most, False
+
+
+def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, most: int, done: Done) -> Array:
+    """lam without what redundant rows add to it: of all with the same C' lam, that of least norm (weighted by 1/alpha).
+
+    lam = alpha C z with C' alpha C z = C' lam by iterated (10); each pass gains a factor of mass / alpha.
+    """
+    z = solve(C.T @ lam)
+    for _ in range(most):
+        dz = solve(C.T @ (lam - alpha @ (C @ z)))
+        z = z + dz
+        if done(C @ dz, C @ z):
+            break
+    return alpha @ (C @ z)
+
+
+def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: float, omega: float) -> Array:
+    """The right-hand side of (3) with Baumgarte's damping zeta and frequency omega [1/s], as (6) uses it too."""
+    return xi - 2 * zeta * omega * Cv - omega**2 * Phi  # (6)
+
+
+def penalty(F: Array, C: Array, xi: Array, alpha: Array, solve: Solve) -> tuple[Array, Array]:
+    """(6), full penalty, with `xi` already stabilised; returns a and the multipliers that it implies."""
+    a = solve(F + C.T @ (alpha @ xi))  # (6)
+    return a, alpha @ (C @ a - xi)
+
+
+def stiffness(F: Array, C: Array, Phi: Array, k: Array, solve: Solve) -> tuple[Array, Array]:
+    """(5), penalty of stiffness k (l, l) [N/m by row] only; `solve` applies the inverse of M itself."""
+    lam = k @ Phi
+    return solve(F - C.T @ lam), lam  # (5)
+
+
+def dae(M: Array, F: Array, C: Array, xi: Array, solve: Callable[[list, list], tuple]) -> tuple[Array, Array]:
+    """(9), the index-1 DAE form; `solve` takes its blocks, and must bear a matrix that is singular."""
+    return solve([[M, C.T], [C, 0]], [F, xi])  # (9)
+
+
+def project(C: Array, alpha: Array, solve: Solve, residue: Array) -> Array:
+    """One correction (10): of q when the residue is Phi, of v when it is C v."""
+    return -solve(C.T @ (alpha @ residue))  # (10)

@@ -1,0 +1,243 @@
+"""Implicit forms of a mechanism's equations: tangents, and what the linear systems of implicit methods reduce to.
+
+State (q, v), rate (v, a(q, v, u, t)) with a from the augmented Lagrangian, so for constraints of any rank. Its tangent
+is J = [[0, I], [aq, av]] with aq, av (n, n) the derivatives of a. Written for NumPy arrays and for symbols alike, as
+`formulations` is: `solve` applies the inverse of H, `divide(A, b)` the inverse of A. Letters are those of
+`formulations`; R = F - M a - C' lam and X = xi - C a are what (4) and (3) lack, and Rq, Rv, Xq, Xv their derivatives at
+fixed a and lam (`alfmu.equations.evaluation.tangents`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from . import formulations as method
+from .stepping import RADAU9, Collocation, combined
+
+__all__ = [
+    "RULES",
+    "TRAPEZOIDAL",
+    "Newmark",
+    "at_node",
+    "changes",
+    "corrected",
+    "damped",
+    "filter_weights",
+    "moved",
+    "on_branch",
+    "position_step",
+    "position_weights",
+    "return_map",
+    "solved",
+    "stage_weights",
+    "stiffness",
+    "tangent",
+]
+
+Array = Any
+Divide = Callable[[Array, Array], Array]
+
+
+# First order: collocation -------------------------------------------------------------------------------------
+
+
+def tangent(
+    M: Array,
+    C: Array,
+    alpha: Array,
+    solve: method.Solve,
+    R: Array,
+    X: Array,
+    zeros: tuple,
+    most: int,
+    done: method.Done,
+) -> Array:
+    """Derivatives of a (n, k) from those of R (n, k) and X (l, k) at fixed a and lam: (8) with k right-hand sides.
+
+    `zeros` (n, k) and (l, k) to begin with.
+    """
+    return method.residual(M, R, C, X, alpha, solve, *zeros, most, done)[0]
+
+
+def solved(s: Array, aq: Array, av: Array, rq: Array, rv: Array, eye: Array, divide: Divide) -> tuple[Array, Array]:
+    """(I - s J)^-1 applied to (rq, rv), by a system of n equations."""
+    dv = divide(eye - s * av - s * s * aq, rv + s * (aq @ rq))
+    return rq + s * dv, dv
+
+
+def corrected(
+    rule: Collocation,
+    dt: Array,
+    tangents: Sequence[tuple[Array, Array]],
+    residues: Sequence[tuple[Array, Array]],
+    eye: Array,
+    joined: Callable[[list[list[Array]]], Array],
+    split: Callable[[Array, int], list[Array]],
+    divide: Divide,
+) -> list[tuple[Array, Array]]:
+    """Changes of the rates (v, a) at the nodes of a collocation step: s n equations for s nodes.
+
+    `tangents` (aq, av) and `residues` by node; `joined` makes a matrix of blocks, `split` cuts a vector into
+    equal parts.
+    """
+    A, nodes, squared = rule.matrix, range(len(rule.nodes)), _squared(rule)
+    blocks = [
+        [(eye if i == j else 0 * eye) - (dt * A[i][j]) * av - (dt * dt * squared[i][j]) * aq for j in nodes]
+        for i, (aq, av) in enumerate(tangents)
+    ]
+    right = []
+    for i, ((aq, _), (_, rv)) in enumerate(zip(tangents, residues, strict=True)):
+        shift = sum((A[i][j] * residues[j][0] for j in nodes[1:]), A[i][0] * residues[0][0])
+        right.append([rv + dt * (aq @ shift)])
+    changes = split(divide(joined(blocks), joined(right)), len(A))
+    return [
+        (rq + dt * sum((A[i][j] * changes[j] for j in nodes[1:]), A[i][0] * changes[0]), changes[i])
+        for i, (rq, _) in enumerate(residues)
+    ]
+
+
+# The same by accelerations alone, with what the kernel keeps of a tangent: H, Q, V of `stiffness`. ------------------
+
+
+def stiffness(H: Array, C: Array, alpha: Array, Rq: Array, Rv: Array, Xq: Array, Xv: Array) -> tuple[Array, ...]:
+    """H, Q, V (n, n) with H da = Q dq + V dv: (8) for small changes, but for multipliers that are of size mass / alpha.
+
+    An iteration of Newton's method needs no more, as what it leaves is of the same size.
+    """
+    weighted = C.T @ alpha
+    return H, Rq + weighted @ Xq, Rv + weighted @ Xv
+
+
+def at_node(rule: Collocation, i: int, dt: Array, q: Array, v: Array, a: Sequence[Array]) -> tuple[Array, Array]:
+    """q and v at a node of a collocation step from q and v, with accelerations a at the nodes."""
+    return q + dt * (rule.nodes[i] * v + dt * combined(_squared(rule)[i], a)), v + dt * combined(rule.matrix[i], a)
+
+
+def stage_weights(rule: Collocation, dt: Array) -> list[list[list[Array]]]:
+    """Weights by which H, Q, V of each node make up the matrix of a collocation step, for its accelerations."""
+    nodes = range(len(rule.nodes))
+    eye = [[float(i == j) for j in nodes] for i in nodes]
+    first, second = ([[x * w for w in row] for row in A] for x, A in ((-dt, rule.matrix), (-dt * dt, _squared(rule))))
+    return [eye, second, first]
+
+
+def filter_weights(s: Array) -> list[list[list[Array]]]:
+    """The same for (I - s J)^-1 (rq, rv) = (rq + s dv, dv): (H - s V - s^2 Q) dv = H rv + s Q rq, see `solved`."""
+    return [[[1.0]], [[-s * s]], [[-s]]]
+
+
+def _squared(rule: Collocation) -> list[list[float]]:
+    """The matrix of a method, squared."""
+    A, nodes = rule.matrix, range(len(rule.nodes))
+    return [[sum(A[i][k] * A[k][j] for k in nodes) for j in nodes] for i in nodes]
+
+
+# Beside singular positions ------------------------------------------------------------------------------------
+
+
+def return_map(C: Array, alpha: Array, solve: method.Solve, Xv: Array, eye: Array, passes: int) -> tuple[Array, Array]:
+    """How places on the branch follow displacements beside it: dq -> T dq, dv -> T dv + S dq (n, n).
+
+    T keeps what keeps the constraints; S is the change of v that the turn of the constraints asks for: with xi
+    quadratic in v, (dC) v = -Xv T dq / 2.
+    """
+    T, S = eye, 0 * eye
+    for _ in range(passes):
+        T = T - solve(C.T @ (alpha @ (C @ T)))
+    turned = Xv @ T / 2
+    for _ in range(passes):
+        S = S + solve(C.T @ (alpha @ (turned - C @ S)))
+    return T, S
+
+
+def on_branch(aq: Array, av: Array, T: Array, S: Array) -> tuple[Array, Array]:
+    """aq and av of the accelerations at the place on the branch, by displacements beside it."""
+    return aq @ T + av @ S, av @ T
+
+
+# Second order: Newmark's family on positions ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Newmark:
+    """A member of the generalised-alpha family (Chung and Hulbert 1993; for constraints, Arnold and Bruels 2007).
+
+    (1 - m) w1 + m w0 = (1 - f) a1 + f a0 for the accelerations w that make positions and velocities:
+    q1 = q0 + dt v0 + dt^2 ((1/2 - beta) w0 + beta w1), v1 = v0 + dt ((1 - gamma) w0 + gamma w1).
+    """
+
+    m: float
+    f: float
+    beta: float
+    gamma: float
+
+    @property
+    def name(self) -> str:
+        """What tells it from others."""
+        return f"newmark {self.m} {self.f}"
+
+
+TRAPEZOIDAL = Newmark(0.0, 0.0, 0.25, 0.5)
+"""No damping (Bayo and Ledesma 1996)."""
+
+
+def damped(radius: float) -> Newmark:
+    """The member with a spectral radius (0 to 1) at infinite frequency, and least damping below it; order 2."""
+    m, f = (2 * radius - 1) / (radius + 1), radius / (radius + 1)
+    gamma = 0.5 + f - m
+    return Newmark(m, f, (gamma + 0.5) ** 2 / 4, gamma)
+
+
+DAMPED = 0.8
+"""Spectral radius at infinite frequency of `generalized_alpha`."""
+
+CONVERGED = 1e-12
+"""Last change of Newton's method in the index-3 form, over the coordinates."""
+
+RULES: dict[str, Collocation | Newmark] = {
+    "stiff": RADAU9,
+    "trapezoidal": TRAPEZOIDAL,
+    "generalized_alpha": damped(DAMPED),
+}
+"""What the methods that need tangents of the equations (`alfmu.equations.evaluation.with_tangents`) stand for."""
+
+
+def moved(rule: Newmark, dt: Array, q: Array, v: Array, w: Array, a: Array, change: Array) -> tuple:
+    """q, v, w after a step in which the accelerations change from a to a + change."""
+    after = ((1 - rule.f) * (a + change) + rule.f * a - rule.m * w) / (1 - rule.m)
+    q = q + dt * v + dt * dt * ((0.5 - rule.beta) * w + rule.beta * after)
+    return q, v + dt * ((1 - rule.gamma) * w + rule.gamma * after), after
+
+
+def changes(rule: Newmark, dt: Array) -> tuple[Array, Array]:
+    """What v1 and a1 change by, over a change of q1: gamma / (beta dt), (1 - m) / (beta dt^2 (1 - f))."""
+    return rule.gamma / (rule.beta * dt), (1 - rule.m) / (rule.beta * dt * dt * (1 - rule.f))
+
+
+def position_weights(rule: Newmark, dt: Array) -> list[list[list[Array]]]:
+    """Weights by which H, Rq, Rv make up the matrix of `position_step`."""
+    by_v, by_a = changes(rule, dt)
+    return [[[1.0]], [[-1 / by_a]], [[-by_v / by_a]]]
+
+
+def position_step(
+    M: Array,
+    C: Array,
+    Phi: Array,
+    R: Array,
+    Rq: Array,
+    Rv: Array,
+    alpha: Array,
+    rule: Newmark,
+    dt: Array,
+    divide: Divide,
+) -> tuple[Array, Array]:
+    """One Newton iteration on the positions q1 of a step: changes of q1 and of lam [N, N.m].
+
+    Index-3 augmented Lagrangian (Bayo and Ledesma 1996, Cuadrado et al. 1997) in residual form: R = F - M a - C' lam
+    and Phi at the present iterate; all scaled with the square of the step, so that alpha [kg, kg.m2] is that of (8).
+    """
+    by_v, by_a = changes(rule, dt)
+    inertia = M - (by_v / by_a) * Rv - Rq / by_a
+    dq = divide(inertia + C.T @ alpha @ C, R / by_a - C.T @ (alpha @ Phi))
+    return dq, by_a * (alpha @ (Phi + C @ dq))

@@ -1,0 +1,75 @@
+"""Inputs inside a communication step: extrapolated from what they were at past communication points.
+
+The rules are the same lines on numbers and on symbols: they choose by a `where` they are handed (`stepping`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["KEPT", "Past", "extrapolated", "memory_size", "reached"]
+
+KEPT = 3
+"""Communication points that are kept: enough for order 2."""
+
+Array = Any
+Where = Callable[[Any, Any, Any], Any]
+
+
+def memory_size(inputs: int) -> int:
+    """Numbers of so many inputs at past points: how many points, their times, their inputs, newest first."""
+    return 1 + KEPT * (1 + inputs)
+
+
+def reached(
+    known: Array, times: Sequence[Array], inputs: Sequence[Array], t: Array, u: Array, where: Where
+) -> tuple[Array, list[Array], list[Array]]:
+    """What is known of past points after u at t, in place of what was there if it has been reached before."""
+    later = sum(where(known > i, where(times[i] >= t, 1.0, 0.0), 0.0) for i in range(KEPT))
+
+    def older(values: Sequence[Array], i: int) -> Array:
+        found = values[i]
+        for shift in range(1, KEPT - i):
+            found = where(later == shift, values[i + shift], found)
+        return found
+
+    kept = where(known - later + 1 > KEPT, float(KEPT), known - later + 1)
+    first = range(KEPT - 1)
+    return kept, [t, *(older(times, i) for i in first)], [u, *(older(inputs, i) for i in first)]
+
+
+def extrapolated(
+    known: Array, times: Sequence[Array], inputs: Sequence[Array], t: Array, order: int, where: Where
+) -> Array:
+    """Inputs at t by the polynomial of an order through the newest points, a lower one while there are fewer."""
+    total = 0.0
+    for i in range(order + 1):
+        weight = where(known > i, 1.0, 0.0)
+        for j in range(order + 1):
+            if j != i:
+                there = where(known > j, where(known > i, 1.0, 0.0), 0.0)
+                weight = weight * where(there, t - times[j], 1.0) / where(there, times[i] - times[j], 1.0)
+        total = total + weight * inputs[i]
+    return total
+
+
+class Past:
+    """Inputs at the last communication points, newest first; `numbers` are all of it, and may be kept by the caller."""
+
+    def __init__(self, inputs: int, numbers: NDArray | None = None):
+        self.numbers = np.zeros(memory_size(inputs)) if numbers is None else numbers
+        self._times = self.numbers[1 : 1 + KEPT]
+        self._inputs = self.numbers[1 + KEPT :].reshape(KEPT, inputs)
+
+    def reach(self, t: float, u: NDArray) -> None:
+        """Take note of the inputs u at a communication point t."""
+        known, times, inputs = reached(self.numbers[0], self._times.tolist(), self._inputs.copy(), t, u, np.where)
+        self.numbers[0], self._times[:], self._inputs[:] = known, times, inputs
+
+    def at(self, t: float, order: int) -> NDArray:
+        """Inputs at t."""
+        return extrapolated(self.numbers[0], self._times, self._inputs, t, order, np.where)

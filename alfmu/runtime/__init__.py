@@ -1,0 +1,5 @@
+"""What moves a scene: an instance in Python, and the same in C for native FMUs."""
+
+from .instance import Instance
+
+__all__ = ["Instance"]

@@ -1,0 +1,358 @@
+"""Steps of the methods beside RK4, with error control or without, on NumPy arrays: all by the oracle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..kernel.thresholds import FIRST_STEP
+from ..method import formulations as method
+from ..method import implicit
+from ..method import singular as branch
+from ..method.stepping import (
+    SHORTEST,
+    Collocation,
+    Control,
+    Explicit,
+    collocation,
+    collocation_error,
+    combined,
+    continued,
+    explicit,
+    explicit_rule,
+    tolerance,
+)
+from ..model.errors import InputError, StepError
+from .oracle import Oracle
+from .threads import one_thread
+
+__all__ = ["TANGENTS", "Adaptive", "adaptive"]
+
+TANGENTS = tuple(implicit.RULES)
+"""Methods that need the tangents of the equations (`alfmu.equations.evaluation.with_tangents`)."""
+
+
+NEWTON = 8
+"""Most iterations of Newton's method in a step."""
+
+CONVERGED = 0.01
+"""Last change of Newton's method, over the tolerance of the step: what is left after it is about its square."""
+
+RETURNS = 4
+"""Passes of the derivative of the return to the branch."""
+
+Rule = Explicit | Collocation | implicit.Newmark
+
+
+def adaptive(oracle: Oracle, inputs: Callable[[float], NDArray], pace: NDArray) -> Adaptive:
+    """What makes the steps of the oracle's `solver.method`, all but RK4; `pace` keeps what step control remembers."""
+    settings = oracle.settings
+    run = settings.relative_tolerance
+    carried = oracle.equations.kernel.get("method", {}).get("rule")
+    rule: Rule | None = explicit_rule(settings.method, run, carried) or implicit.RULES.get(settings.method)
+    if rule is None:
+        raise InputError(
+            f"{oracle.equations.name}: solver.method {settings.method} is decided where a scene is made; "
+            "choose it there, or explicit or stiff"
+        )
+    relative, absolute = run, settings.absolute_tolerance or run
+    if not isinstance(rule, implicit.Newmark):
+        relative, absolute = tolerance(rule, run), tolerance(rule, absolute)
+    return Adaptive(oracle, rule, inputs, relative, absolute, pace)
+
+
+class Adaptive:
+    """The steps of one run, from one communication point to the next.
+
+    `relative` and `absolute` [m, rad; per s] are the tolerances of a step. A step in which a stage comes near a
+    singular position is made again with every stage on the branch, whatever its length: one smooth field for all. A
+    refused step changes nothing but the length of the next. What is remembered between communication points is
+    `control` alone, as inputs may jump there.
+    """
+
+    def __init__(
+        self,
+        oracle: Oracle,
+        rule: Rule,
+        inputs: Callable[[float], NDArray],
+        relative: float,
+        absolute: float,
+        pace: NDArray | None = None,
+    ):
+        self.oracle, self.rule, self.inputs = oracle, rule, inputs
+        self.relative, self.absolute = relative, absolute
+        self.fixed: float | None = None
+        """Length of all steps [s]; None adapts them."""
+        self.control = Control(3 if isinstance(rule, implicit.Newmark) else rule.estimate + 1, FIRST_STEP, pace)
+        self.counts = dict.fromkeys(("steps", "refused", "beside", "newton"), 0)
+        """Steps, refused ones, tries made on the branch, iterations of Newton's method."""
+        self._error, self._why = math.inf, ""
+        units = [c.unit for c in oracle.equations.coordinates]
+        self._turning = np.array([unit == "rad" for unit in units] + [False] * len(units))
+
+    def place(self, t: float, q: NDArray, v: NDArray, work: float) -> None:
+        """Begin at t with q, v (n,) and the work done so far [J]; inputs may have jumped."""
+        self.t, self.q, self.v, self.work = t, q.copy(), v.copy(), work
+        self._first: NDArray | None = None
+        self._k: Any = None
+
+    @np.errstate(all="ignore")
+    def advance(self, end: float, taken: Callable[[], None] = lambda: None, tries: float = math.inf) -> None:
+        """Go on up to `end` and land on it, or until so many steps were tried; `taken` is called after each step."""
+        with one_thread():
+            while self.t < end and tries > 0:
+                self._try(end, taken)
+                tries -= 1
+
+    def _try(self, end: float, taken: Callable[[], None]) -> None:
+        left = end - self.t
+        dt = min(self.fixed, left) if self.fixed else self.control.propose(left)
+        landed = dt >= left * (1 - 1e-9)
+        if dt < SHORTEST:
+            name = self.oracle.equations.name
+            raise StepError(
+                f"{name}, t = {self.t:.6g} s: no step however short meets the tolerance (last error "
+                f"{self._error:.1e} of it{self._why}); raise solver.relative_tolerance"
+            )
+        found = self.step(dt)
+        if self.fixed and found is None:
+            name = self.oracle.equations.name
+            raise StepError(f"{name}, t = {self.t:.6g} s: the step failed{self._why}; reduce solver.step_size")
+        self._error = found[-1] if found else np.inf
+        if self.fixed or self.control.judge(dt, self._error):
+            self.q, self.v, self.work, self._first, self._k, _ = found
+            self.t = end if landed else self.t + dt
+            self.counts["steps"] += 1
+            taken()
+        else:
+            self.counts["refused"] += 1
+
+    def step(self, dt: float) -> tuple | None:
+        """q, v, work, what the next step can use again, and the error over the tolerance; None where none is found."""
+        self._why = ""
+        self.oracle.hold(self.q)
+        make = {Explicit: self._explicit, Collocation: self._collocation, implicit.Newmark: self._newmark}
+        try:
+            try:
+                return make[type(self.rule)](dt, False)
+            except _Near:
+                self.counts["beside"] += 1
+                return make[type(self.rule)](dt, True)
+        except (StepError, np.linalg.LinAlgError) as error:
+            self._why = f": {str(error).split(': ', 1)[-1].split(';')[0]}"
+            return None
+
+    # Rates and tangents ----------------------------------------------------------------------------------------
+
+    def _rate(self, t: float, y: NDArray, beside: bool, dt: float) -> NDArray:
+        """Rate of q, v and work."""
+        q, v = self._parts(y)
+        return np.concatenate([v, self._acceleration(t, q, v, beside, dt), [self._power(t, q, v)]])
+
+    def _acceleration(self, t: float, q: NDArray, v: NDArray, beside: bool, dt: float) -> NDArray:
+        oracle, u = self.oracle, self.inputs(t)
+        if not beside:
+            self._check_near(q)
+            return oracle.accelerations(q, v, u, t)[0]
+        places = self._places(q, v, branch.LONG_SPACING * dt, t)
+        found = {k: oracle.accelerations(*place, u, t)[0] for k, place in places.items()}
+        return found[0] if 0 in found else branch.mean(found)
+
+    def _power(self, t: float, q: NDArray, v: NDArray) -> float:
+        return self.oracle.power(q, v, self.inputs(t), t) if self.oracle.equations.works else 0.0
+
+    def _check_near(self, q: NDArray) -> None:
+        o = self.oracle
+        if o.settings.continues and o.equations.l and o.margin(q) < branch.GUARD:
+            raise _Near
+
+    def _places(self, q: NDArray, v: NDArray, spacing: float, t: float) -> dict[int, tuple[NDArray, NDArray]]:
+        """The place on the branch (0), or those that a limit is taken from."""
+        o = self.oracle
+        here, rate, spacing = o.approach(q, v, spacing)
+        wanted = max(min(rate, branch.MOST), o.least_distance)
+        if not (rate > 0 and here < branch.ZONE * wanted):
+            return {0: o.reached(q, v, t)}
+        spacing *= wanted / rate
+        return {k: o.reached(q + k * spacing * v, v, t) for k in branch.LONG_MEAN}
+
+    def _linearised(self, t: float, y: NDArray, beside: bool, dt: float) -> tuple[NDArray, tuple[NDArray, NDArray]]:
+        """The rate of q and v, and the derivatives of a by both."""
+        q, v = self._parts(y)
+        if not beside:
+            self._check_near(q)
+            a, aq, av, _, _ = self.tangent(q, v, t)
+            return np.concatenate([v, a]), (aq, av)
+        found = {}
+        for k, (there, w) in self._places(q, v, branch.LONG_SPACING * dt, t).items():
+            a, aq, av, _, (C, solve, Xv) = self.tangent(there, w, t)
+            T, S = implicit.return_map(C, self.oracle.alpha, solve, Xv, np.eye(len(q)), RETURNS)
+            found[k] = a, *implicit.on_branch(aq, av, T, S)
+        a, *tangents = found[0] if 0 in found else (branch.mean({k: x[i] for k, x in found.items()}) for i in range(3))
+        return np.concatenate([v, a]), tuple(tangents)
+
+    def tangent(self, q: NDArray, v: NDArray, t: float) -> tuple:
+        """a, its derivatives by q, v and t, and C, what solves with H, and the derivative of xi by v."""
+        o, n, u = self.oracle, len(q), self.inputs(t)
+        a, lam, _, _ = o.accelerations(q, v, u, t)
+        Rq, Rv, Xq, Xv, Rt = (x.copy() for x in o.tangents(q, v, a, lam, u, t))
+        M, C, _, _ = (x.copy() for x in o.dynamics(q, v, u, t))
+        solve = o.factor(method.augmented_mass(M, C, o.alpha), t)
+        limit = o.settings.tolerance * 100
+
+        def done(change: NDArray, value: NDArray) -> bool:
+            return np.abs(change).max() <= limit * np.abs(value).max()
+
+        l = len(C)
+        zeros = np.zeros((n, 2 * n + 1)), np.zeros((l, 2 * n + 1))
+        R, X = np.column_stack([Rq, Rv, Rt]), np.column_stack([Xq, Xv, np.zeros(l)])
+        both = implicit.tangent(M, C, o.alpha, solve, R, X, zeros, o.settings.max_iterations, done)
+        return a, both[:, :n], both[:, n : 2 * n], both[:, 2 * n], (C, solve, Xv)
+
+    def spectrum(self) -> NDArray:
+        """Eigenvalues [1/s] of small motions about the present one."""
+        n = len(self.q)
+        _, aq, av, _, (C, solve, Xv) = self.tangent(self.q, self.v, self.t)
+        T, S = implicit.return_map(C, self.oracle.alpha, solve, Xv, np.eye(n), RETURNS)
+        aq, av = implicit.on_branch(aq, av, T, S)
+        # Displacements that the constraints keep, alone: T projects on them.
+        return np.linalg.eigvals(np.block([[np.zeros((n, n)), T], [T @ aq, T @ av]]))
+
+    # Methods ---------------------------------------------------------------------------------------------------
+
+    def _settled(self, y: NDArray, t: float) -> NDArray:
+        """The state after a step, projected where the formulation does so."""
+        if not np.isfinite(y).all():
+            raise StepError("the state is not finite")
+        q, v = self._parts(y)
+        if self.oracle.settings.projects:
+            q, v, _, _ = self.oracle.project(q, v, t)
+        return np.concatenate([q, v, y[2 * len(q) :]])
+
+    def _explicit(self, dt: float, beside: bool) -> tuple:
+        def rate(t: float, y: NDArray) -> NDArray:
+            return self._rate(t, y, beside, dt)
+
+        y = np.concatenate([self.q, self.v, [self.work]])
+        first = None if beside else self._first
+        after, errors, last = explicit(self.rule, rate, self.t, y, dt, first, lambda y: self._settled(y, self.t + dt))
+        size = max(self._size(y, after, error, branch.LONG_NOISE * beside) for error in errors)
+        return *self._parts(after), float(after[-1]), None if beside else last, None, size
+
+    def _collocation(self, dt: float, beside: bool) -> tuple:
+        rule, n = self.rule, len(self.q)
+        y = np.concatenate([self.q, self.v])
+        scale = self._scale(y, y)
+
+        def correct(tangents: list, residues: list[NDArray]) -> list[NDArray]:
+            self.counts["newton"] += 1
+            parts = [(r[:n], r[n:]) for r in residues]
+            found = implicit.corrected(rule, dt, tangents, parts, np.eye(n), _joined, np.split, np.linalg.solve)
+            return [np.concatenate(x) for x in found]
+
+        changed: list[float] = []
+
+        def done(changes: list[NDArray], _: list[NDArray]) -> bool:
+            changed.append(max(np.abs(dt * x / scale).max() for x in changes))
+            if not changed[-1] < 1e12 or (len(changed) > 2 and changed[-1] > 2 * changed[-2]):
+                raise StepError("Newton's method diverges")
+            return changed[-1] <= CONVERGED
+
+        def linearise(t: float, y: NDArray) -> tuple[NDArray, tuple[NDArray, NDArray]]:
+            return self._linearised(t, y, beside, dt)
+
+        first, tangents = linearise(self.t, y)
+        k = continued(rule, self._k[0], dt / self._k[1]) if self._k else [first] * len(rule.nodes)
+        after, k, _, converged = collocation(rule, linearise, correct, self.t, y, dt, k, NEWTON, done)
+        if not converged:
+            raise StepError("Newton's method has not converged")
+        work = self.work
+        if self.oracle.equations.works:
+            places = [y + dt * combined(weights, k) for weights in rule.matrix]
+            powers = [
+                self._power(self.t + node * dt, *self._parts(place))
+                for node, place in zip(rule.nodes, places, strict=True)
+            ]
+            work += dt * combined(rule.matrix[-1], powers)
+        error = collocation_error(rule, self._solver(tangents), first, k, dt)
+        after = self._settled(after, self.t + dt)
+        return *self._parts(after), work, None, (k, dt), self._size(y, after, error)
+
+    def _newmark(self, dt: float, beside: bool) -> tuple:
+        """The index-3 form: Newton's method on positions and multipliers, then projections of velocities and of a.
+
+        Projections are orthogonal in the metric of the tangent of the step, so that stiff forces are not stirred
+        (Cuadrado, Cardenal and Bayo 1997).
+        """
+        o, rule, t = self.oracle, self.rule, self.t + dt
+        if self._k is None:
+            a, lam, _, _ = o.accelerations(self.q, self.v, self.inputs(self.t), self.t)
+            self._k = a, a, lam
+        a0, w0, lam = self._k
+        by_v, by_a = implicit.changes(rule, dt)
+        change, scale, u = np.zeros_like(a0), np.maximum(np.abs(self.q), 1.0), self.inputs(t)
+        for i in range(2 * NEWTON):
+            self.counts["newton"] += 1
+            q, v, _ = implicit.moved(rule, dt, self.q, self.v, w0, a0, change)
+            a = a0 + change
+            M, C, F, _ = (x.copy() for x in o.dynamics(q, v, u, t))
+            Phi = o.constraints(q, v)[2].copy()
+            Rq, Rv, _, _, _ = o.tangents(q, v, a, lam, u, t)
+            R = F - M @ a - C.T @ lam
+            dq, dlam = implicit.position_step(M, C, Phi, R, Rq, Rv, o.alpha, rule, dt, np.linalg.solve)
+            change, lam = change + by_a * dq, lam + dlam
+            size = float(np.abs(dq / scale).max())
+            if size <= implicit.CONVERGED:
+                break
+            if i + 1 == 2 * NEWTON or not size < 1e12:
+                raise StepError(f"Newton's method leaves a change of {size:.1e}")
+        q, v, w = implicit.moved(rule, dt, self.q, self.v, w0, a0, change)
+        inertia = M - (by_v / by_a) * Rv - Rq / by_a
+        solve = o.factor(inertia + C.T @ o.alpha @ C, t)
+        for _ in range(RETURNS):
+            q = q + method.project(C, o.alpha, solve, o.constraints(q, v)[2])
+            v = v + method.project(C, o.alpha, solve, o.constraints(q, v)[3])
+        M, C, _, xi = (x.copy() for x in o.dynamics(q, v, u, t))
+        a = o.nearest(M, C, a0 + change, xi, t)
+        power = self._power(self.t, self.q, self.v) + self._power(t, q, v)
+        return q, v, self.work + dt / 2 * power, None, (a, w, lam), 0.0
+
+    def _solver(self, tangents: tuple[NDArray, NDArray]) -> Callable[[float, NDArray], NDArray]:
+        n = len(self.q)
+
+        def solve(s: float, r: NDArray) -> NDArray:
+            return np.concatenate(implicit.solved(s, *tangents, r[:n], r[n:], np.eye(n), np.linalg.solve))
+
+        return solve
+
+    def _parts(self, y: NDArray) -> tuple[NDArray, NDArray]:
+        n = len(self.q)
+        return y[:n], y[n : 2 * n]
+
+    def _scale(self, y: NDArray, after: NDArray) -> NDArray:
+        """Tolerance of each entry of q and v; whole turns do not make an angle any less exact."""
+        larger = np.maximum(np.abs(y), np.abs(after))[: len(self._turning)]
+        return self.absolute + self.relative * np.where(self._turning, np.minimum(larger, 1.0), larger)
+
+    def _size(self, y: NDArray, after: NDArray, error: NDArray, least: float = 0.0) -> float:
+        """Error of the constrained state over the tolerance, or over `least` where that is more."""
+        if self.fixed:
+            return 0.0
+        o, (q, v) = self.oracle, self._parts(after)
+        M, C, _, _ = o.constraints(q, v)
+        solve = o.factor(method.augmented_mass(M, C, o.alpha), self.t)
+        parts = [branch.tangential(C, o.alpha, solve, x) for x in self._parts(error)]
+        return float(np.abs(np.concatenate(parts) / np.maximum(self._scale(y, after), least)).max())
+
+
+class _Near(Exception):
+    """A stage is near a singular position."""
+
+
+def _joined(blocks: list[list[NDArray]]) -> NDArray:
+    """A matrix of blocks, or a vector of parts."""
+    return np.block(blocks) if np.ndim(blocks[0][0]) > 1 else np.concatenate([x for row in blocks for x in row])

@@ -1,0 +1,204 @@
+/* A mechanism in motion, as instance.py has it: values by reference, start, communication steps, outputs, state.
+
+   Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. What a scene
+   is comes from its file: its functions and programs work on the memory `m` laid out by `Layout` in
+   alfmu/kernel/program.py, and on the workspace behind it. */
+
+#ifndef ALFMU_H
+#define ALFMU_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "layout.h"
+
+#define MOST_ARGUMENTS 160 /* of a function, results included */
+#define MOST_STEPS 1e9     /* internal steps in one communication step */
+
+/* A function of the scene as compiled code: arguments, results, and a workspace. */
+typedef void Compiled(const double *const *x, double *const *y, double *w);
+
+typedef enum { REAL, INTEGER, BOOLEAN, STRING } Type;
+typedef enum { PARAMETER, CHOICE, INPUT, SWITCH, OUTPUT } Kind;
+
+typedef struct {
+    const char *name, *unit;
+    Type type;
+    Kind kind;
+    double start, minimum, maximum;
+    int instant; /* whether it follows inputs at once */
+} Variable;
+
+/* A variable that is text, and what it can be. */
+typedef struct {
+    int count, start;
+    const char *const *values;
+} Choice;
+
+typedef struct {
+    const char *name, *direction, *unit;
+} Row;
+
+typedef struct {
+    const char *name, *unit;
+} Coordinate;
+
+/* A Boolean input and the rows that it concerns. */
+typedef struct {
+    int count;
+    const int *rows;
+    int holds, value, start;
+} Switch;
+
+/* Where the nonzeros of a matrix stand, by columns; without `offsets` it is dense. */
+typedef struct {
+    int rows, columns, entries;
+    const int *offsets, *indices;
+} Pattern;
+
+/* A function: runs of operations over places among the constants, the arguments, and what came before; behind them the
+   places of its results. Places have 16 bits (narrow) or 32 (wide). */
+typedef struct {
+    int inputs, outputs, results;
+    const int32_t *lengths; /* of arguments, then of results */
+    const uint16_t *narrow;
+    const int32_t *wide;
+    size_t words;
+    Compiled *compiled; /* in its place, where there is one */
+} Function;
+
+/* Calls of functions on the memory of an instance, choices, loops. */
+typedef struct {
+    const int32_t *code;
+    size_t words;
+} Program;
+
+/* What alfmu/kernel/tables.py writes; numbers that are places stand for functions, programs, or where in the memory or the
+   workspace something is (-1 for none). */
+typedef struct {
+    const char *name;
+    char guid[40];
+#define NUMBER(name) int name;
+    SCENE_NUMBERS(NUMBER)
+#undef NUMBER
+#define NUMBER(name) double name;
+    SCENE_REALS(NUMBER)
+#undef NUMBER
+    /* Variables in the order of their references: parameters, choices, inputs, switches, outputs. The first parameters
+       are those of the mechanism, then start values, start rates, compliances, the solver's. */
+    const Variable *variables;
+    const Choice *choice;
+    const Switch *switched;
+    const int *impulse_rows, *event_places;
+    const Coordinate *coordinates;
+    const Row *rows;
+    const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
+    const int *tied;         /* start values that are kept */
+    const double *normal;    /* standard normal numbers, TRIES x n */
+    Pattern mass, constraint, gaps, tie_rows;
+    const double *constants;
+    const Function *functions;
+    const Program *programs;
+    int constant_count, function_count, program_count;
+    int registers; /* numbers that the longest function works on, constants included */
+    int spare;     /* workspace of compiled functions */
+    struct Block *blocks;
+} Scene;
+
+/* A scene from the bytes of its file; NULL, and why, where it is damaged. */
+Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size);
+void scene_free(Scene *s);
+int settings_length(const Scene *s);
+size_t state_length(const Scene *s);
+
+/* The scene among the resources of an FMU, which the host names by a URI or a path. */
+Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
+
+typedef enum {
+    DONE,
+    REFUSED, /* a value or a call; nothing has changed */
+    OPEN,    /* a step after which constraints cannot be closed */
+    FAILED
+} Outcome;
+
+typedef struct {
+    int initialized, running, known, scaled, fast, whole, pending, brakes;
+    int choice[3];
+} Flags;
+
+typedef struct {
+    const Scene *scene;
+    Flags flags;
+    double *numbers;
+    size_t count; /* of numbers */
+    /* Parts of them. */
+    double *values, *wanted, *on, *kept, *impulses, *lost, *slopes;
+    double *penalty, *full, *units, *scales, *compliances;
+    double *freedom, *masses, *regular, *rank, *largest_penalty;
+    double *m;
+    /* Beside them. */
+    double *workspace, *before, *scratch, *registers, *spare, *past_before;
+    Flags flags_before;
+    int within; /* whether the next step goes on in a communication step that began before */
+    size_t used, room; /* of scratch */
+    int refused_count;
+    unsigned char *refused; /* variables whose last value was not taken */
+    char text[1024];        /* what happened last */
+} Instance;
+
+Instance *instance_new(const Scene *scene);
+void instance_free(Instance *i);
+void instance_reset(Instance *i);
+int variable_count(const Scene *scene);
+
+Outcome instance_set(Instance *i, int reference, double value);
+Outcome instance_choose(Instance *i, int reference, const char *value);
+double instance_get(const Instance *i, int reference);
+const char *instance_chosen(const Instance *i, int reference);
+Outcome instance_set_slope(Instance *i, int reference, double value);
+
+Outcome instance_tolerate(Instance *i, double tolerance);
+Outcome instance_initialize(Instance *i);
+Outcome instance_step(Instance *i, double start, double h);
+Outcome instance_read(Instance *i);
+Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *directions, double *changes);
+Outcome instance_refusals(Instance *i);
+double *instance_time(Instance *i);
+
+size_t state_size(const Instance *i);
+void state_save(const Instance *i, unsigned char *state);
+Outcome state_restore(Instance *i, const unsigned char *state, size_t size);
+
+/* Between the parts of the runtime. */
+Outcome say(Instance *i, Outcome outcome, const char *format, ...)
+#if defined(__GNUC__)
+    __attribute__((format(printf, 3, 4)))
+#endif
+    ;
+double *take(Instance *i, size_t count);
+void spread(const Pattern *pattern, const double *nonzeros, double *dense);
+const char *row_label(const Instance *i, int row, char *label, size_t size);
+double *field(const Instance *i, int offset);
+void constraints_at(
+    Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv);
+double widest(Instance *i, const double *q, const double *v, int of_velocity, int *row);
+void in_force(const Instance *i, const double *on, unsigned char *held);
+
+Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v);
+Outcome check_masses(Instance *i, const double *q, const unsigned char *held);
+void default_penalties(Instance *i, const double *q, double *penalties);
+void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
+void hold(Instance *i);
+void hand_over(Instance *i);
+
+/* A function of the scene on arrays; a program on the memory. */
+void call(Instance *i, int which, const double *const *x, double *const *y);
+void run(Instance *i, int program);
+
+long advance(Instance *i, long steps, double dt);
+int cover(Instance *i, double end, long tries);
+int communicate(Instance *i, double start, double h);
+int read_quickly(Instance *i);
+
+#endif

@@ -1,0 +1,1047 @@
+/* Values, communication steps, events, outputs and the state of an instance, as instance.py has them. */
+
+#include "alfmu.h"
+
+#include <assert.h>
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "linear.h"
+
+#define FORMAT 1
+#define MAGIC 0x464d4c41u /* "ALMF" */
+
+/* Memory ----------------------------------------------------------------------------------------------------------- */
+
+int variable_count(const Scene *s)
+{
+    return s->parameters + s->choices + s->inputs + s->switches + s->outputs;
+}
+
+double *field(const Instance *i, int offset)
+{
+    return i->m + offset;
+}
+
+double *instance_time(Instance *i)
+{
+    return i->m + i->scene->z + i->scene->time;
+}
+
+double *take(Instance *i, size_t count)
+{
+    double *taken = i->scratch + i->used;
+    i->used += count;
+    assert(i->used <= i->room);
+    return taken;
+}
+
+/* Points the parts at their places behind each other, and returns how many numbers they take. */
+static size_t divided(Instance *i, double *numbers)
+{
+    const Scene *s = i->scene;
+    size_t count = 0;
+    const struct {
+        double **part;
+        int size;
+    } parts[] = {
+        {&i->values, s->parameters},
+        {&i->wanted, s->switches},
+        {&i->on, s->switches},
+        {&i->kept, s->held},
+        {&i->impulses, s->impulses},
+        {&i->lost, 1},
+        {&i->slopes, s->inputs + 1},
+        {&i->penalty, s->l},
+        {&i->full, s->l},
+        {&i->units, s->l},
+        {&i->scales, s->n},
+        {&i->compliances, s->compliances},
+        {&i->freedom, 1},
+        {&i->masses, 1},
+        {&i->regular, 1},
+        {&i->rank, 1},
+        {&i->largest_penalty, 1},
+        {&i->m, s->size},
+    };
+    for (size_t k = 0; k < sizeof parts / sizeof *parts; k++) {
+        if (numbers)
+            *parts[k].part = numbers + count;
+        count += (size_t)parts[k].size;
+    }
+    return count;
+}
+
+Instance *instance_new(const Scene *s)
+{
+    const size_t side = (size_t)(s->n + s->l + s->ties + 1);
+    Instance *i = calloc(1, sizeof *i);
+    double *numbers;
+    if (!i)
+        return NULL;
+    i->scene = s;
+    i->count = divided(i, NULL);
+    i->room = 12 * side * side + (size_t)64 * side + 4 * (size_t)(s->inputs + s->outputs);
+    /* The workspace of programs stands behind the memory, which is the last of the numbers. */
+    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
+            + (size_t)s->past_size,
+        sizeof *numbers);
+    i->refused = calloc((size_t)variable_count(s), 1);
+    if (!numbers || !i->refused) {
+        free(numbers);
+        free(i->refused);
+        free(i);
+        return NULL;
+    }
+    i->numbers = numbers;
+    divided(i, numbers);
+    i->workspace = numbers + i->count;
+    i->before = i->workspace + s->workspace;
+    i->scratch = i->before + i->count;
+    i->registers = i->scratch + i->room;
+    i->spare = i->registers + s->registers;
+    i->past_before = i->spare + s->spare;
+    memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *numbers);
+    instance_reset(i);
+    return i;
+}
+
+void instance_free(Instance *i)
+{
+    if (i) {
+        free(i->numbers);
+        free(i->refused);
+        free(i);
+    }
+}
+
+void instance_reset(Instance *i)
+{
+    const Scene *s = i->scene;
+    const Variable *v = s->variables;
+    memset(i->numbers, 0, i->count * sizeof *i->numbers);
+    memset(&i->flags, 0, sizeof i->flags);
+    memset(i->refused, 0, (size_t)variable_count(s));
+    i->refused_count = 0;
+    for (int k = 0; k < s->parameters; k++)
+        i->values[k] = v[k].start;
+    v += s->parameters;
+    for (int k = 0; k < s->choices; k++)
+        i->flags.choice[k] = s->choice[k].start;
+    v += s->choices;
+    for (int k = 0; k < s->inputs; k++) {
+        i->m[s->u + k] = v[k].start;
+        i->slopes[1 + k] = s->no_slope;
+    }
+    for (int k = 0; k < s->switches; k++)
+        i->wanted[k] = s->switched[k].start;
+}
+
+Outcome say(Instance *i, Outcome outcome, const char *format, ...)
+{
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(i->text, sizeof i->text, format, arguments);
+    va_end(arguments);
+    return outcome;
+}
+
+/* Values ----------------------------------------------------------------------------------------------------------- */
+
+/* DONE, or why a value cannot be that of a variable. */
+static Outcome checked(Instance *i, const Variable *v, double value)
+{
+    const char *name = i->scene->name;
+    char low[32] = "-inf", high[32] = "inf";
+    if (v->type == BOOLEAN) {
+        if (value == 0.0 || value == 1.0)
+            return DONE;
+        return say(i, REFUSED, "%s: %s is %g; it must be true or false", name, v->name, value);
+    }
+    if (!isfinite(value))
+        return say(i, REFUSED, "%s: %s is %g; it must be a finite number in %s", name, v->name, value, v->unit);
+    if (v->type == INTEGER && value != floor(value))
+        return say(i, REFUSED, "%s: %s is %g; it must be a whole number", name, v->name, value);
+    if (value >= v->minimum && value <= v->maximum)
+        return DONE;
+    if (isfinite(v->minimum))
+        snprintf(low, sizeof low, "%g", v->minimum);
+    if (isfinite(v->maximum))
+        snprintf(high, sizeof high, "%g", v->maximum);
+    return say(i, REFUSED, "%s: %s = %g %s is outside [%s, %s]", name, v->name, value, v->unit, low, high);
+}
+
+/* Takes note of whether a variable's last value was taken. */
+static Outcome noted(Instance *i, int reference, Outcome outcome)
+{
+    i->refused_count += (outcome != DONE) - i->refused[reference];
+    i->refused[reference] = outcome != DONE;
+    return outcome;
+}
+
+/* Whether a parameter can still be changed. */
+static Outcome open_to_change(Instance *i, const Variable *v)
+{
+    if (i->flags.running)
+        return say(i, REFUSED, "%s: %s is fixed once the run has begun; set it before initialising", i->scene->name,
+            v->name);
+    i->flags.initialized = 0;
+    return DONE;
+}
+
+Outcome instance_set(Instance *i, int reference, double value)
+{
+    const Scene *s = i->scene;
+    const Variable *v = s->variables + reference;
+    Outcome outcome = checked(i, v, value);
+    if (v->kind == OUTPUT)
+        outcome = say(i, REFUSED, "%s: %s is an output and cannot be set", s->name, v->name);
+    else if (outcome == DONE && v->kind == PARAMETER)
+        outcome = open_to_change(i, v);
+    if (outcome == DONE) {
+        if (v->kind == PARAMETER)
+            i->values[reference] = value;
+        reference -= s->parameters + s->choices;
+        if (v->kind == INPUT) {
+            i->m[s->u + reference] = value;
+            i->slopes[1 + reference] = s->no_slope;
+            i->flags.known = 0;
+        }
+        if (v->kind == SWITCH) {
+            i->wanted[reference - s->inputs] = value;
+            i->flags.pending = 0;
+            for (int k = 0; k < s->switches; k++)
+                i->flags.pending |= i->wanted[k] != i->on[k];
+        }
+    }
+    return noted(i, (int)(v - s->variables), outcome);
+}
+
+Outcome instance_choose(Instance *i, int reference, const char *value)
+{
+    const Scene *s = i->scene;
+    const Choice *choice = s->choice + (reference - s->parameters);
+    char known[200] = "";
+    Outcome outcome;
+    for (int k = 0; k < choice->count; k++) {
+        if (value && !strcmp(value, choice->values[k])) {
+            outcome = open_to_change(i, s->variables + reference);
+            if (outcome == DONE)
+                i->flags.choice[reference - s->parameters] = k;
+            return noted(i, reference, outcome);
+        }
+        strncat(known, k ? ", " : "", 2);
+        strncat(known, choice->values[k], 60);
+    }
+    outcome = say(i, REFUSED, "%s: %s is '%.60s'; this native FMU knows %s", s->name, s->variables[reference].name,
+        value ? value : "", known);
+    return noted(i, reference, outcome);
+}
+
+/* An input's time derivative in the next communication step. */
+Outcome instance_set_slope(Instance *i, int reference, double value)
+{
+    const Scene *s = i->scene;
+    const Variable *v = s->variables + reference;
+    if (!isfinite(value))
+        return noted(i, reference,
+            say(i, REFUSED, "%s: the derivative of %s is %g; it must be a finite number", s->name, v->name, value));
+    i->slopes[1 + reference - s->parameters - s->choices] = value;
+    return DONE;
+}
+
+double instance_get(const Instance *i, int reference)
+{
+    const Scene *s = i->scene;
+    if (reference < s->parameters)
+        return i->values[reference];
+    reference -= s->parameters + s->choices;
+    if (reference < s->inputs)
+        return i->m[s->u + reference];
+    reference -= s->inputs;
+    if (reference < s->switches)
+        return i->wanted[reference];
+    reference -= s->switches;
+    if (reference < s->outputs - s->event_count)
+        return i->m[s->seen + reference];
+    reference = s->event_places[reference - (s->outputs - s->event_count)];
+    return reference < s->impulses ? i->impulses[reference] : *i->lost;
+}
+
+const char *instance_chosen(const Instance *i, int reference)
+{
+    const int k = reference - i->scene->parameters;
+    return i->scene->choice[k].values[i->flags.choice[k]];
+}
+
+Outcome instance_refusals(Instance *i)
+{
+    const Scene *s = i->scene;
+    int first = 0;
+    if (!i->refused_count)
+        return DONE;
+    while (!i->refused[first])
+        first++;
+    if (!strstr(i->text, s->variables[first].name))
+        say(i, REFUSED, "%s: the last value of %s was refused; give it a good one", s->name,
+            s->variables[first].name);
+    memset(i->refused, 0, (size_t)variable_count(s));
+    i->refused_count = 0;
+    return REFUSED;
+}
+
+/* Equations -------------------------------------------------------------------------------------------------------- */
+
+void spread(const Pattern *pattern, const double *values, double *dense)
+{
+    const size_t size = (size_t)pattern->rows * (size_t)pattern->columns;
+    if (!pattern->offsets) {
+        memcpy(dense, values, size * sizeof *dense);
+        return;
+    }
+    memset(dense, 0, size * sizeof *dense);
+    for (int c = 0; c < pattern->columns; c++)
+        for (int k = pattern->offsets[c]; k < pattern->offsets[c + 1]; k++)
+            dense[c * pattern->rows + pattern->indices[k]] = values[k];
+}
+
+/* M, C, Phi and C v; each may be NULL. */
+void constraints_at(
+    Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, l = (size_t)s->l;
+    const double *x[] = {q, v, field(i, s->p)};
+    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries);
+    double *y[] = {M, C, phi ? phi : take(i, l), cv ? cv : take(i, l)};
+    call(i, s->constraints, x, y);
+    if (mass)
+        spread(&s->mass, M, mass);
+    if (matrix)
+        spread(&s->constraint, C, matrix);
+    i->used = used;
+}
+
+/* The largest |Phi|, or |Phi-dot|, in units of its row, and which row it is. */
+double widest(Instance *i, const double *q, const double *v, int of_velocity, int *row)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *phi = take(i, (size_t)s->l), *cv = take(i, (size_t)s->l), found = 0.0;
+    constraints_at(i, q, v, NULL, NULL, phi, cv);
+    *row = 0;
+    for (int r = 0; r < s->l; r++) {
+        const double size = fabs((of_velocity ? cv : phi)[r] / i->units[r]);
+        if (i->penalty[r] > 0.0 && !(size <= found)) {
+            found = isnan(size) ? INFINITY : size;
+            *row = r;
+        }
+    }
+    i->used = used;
+    return found;
+}
+
+const char *row_label(const Instance *i, int row, char *label, size_t size)
+{
+    const Row *r = i->scene->rows + row;
+    snprintf(label, size, *r->direction ? "%s %s" : "%s", r->name, r->direction);
+    return label;
+}
+
+/* What programs need beside the memory. */
+void hand_over(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double iterations = i->values[s->max_iterations];
+    i->workspace[s->most] = fmax(iterations - 1, 1.0);
+    i->workspace[s->patient] = PATIENT * iterations - 1;
+    memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
+    if (s->reach >= 0)
+        i->workspace[s->within] = i->within;
+}
+
+/* Penalties and units handed on to the kernel; redundant constraints as they are. */
+static void weigh(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *k = field(i, s->k), *rows = k + SETTINGS, most = largest(i->penalty, s->l);
+    double *matrix = rows + 2 * s->l + s->n + s->compliances;
+    *i->largest_penalty = most = most > 0.0 ? most : 1.0;
+    k[0] = most;
+    k[1] = i->values[s->tolerance];
+    for (int r = 0; r < s->l; r++) {
+        rows[r] = i->penalty[r] / most;
+        rows[s->l + r] = 1 / i->units[r];
+        for (int c = 0; s->brakes && c < s->l; c++)
+            matrix[r * s->l + c] = r == c ? rows[r] : 0.0;
+    }
+}
+
+/* The kernel told what the settings ask for. */
+static void settle_kernel(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *k = field(i, s->k), *rows = k + SETTINGS, least = INFINITY;
+    const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
+    const double pivot_of_mass = *i->freedom > 0.0 ? exp(*i->masses / *i->freedom) : 0.0;
+    weigh(i);
+    k[2] = *i->freedom;
+    k[3] = *i->masses;
+    k[4] = exp(*i->regular);
+    k[5] = NOTHING * pivot_of_mass;
+    k[6] = fmax(LEAST, CONVERGING * sqrt(pivot_of_mass));
+    k[7] = s->l && i->flags.choice[s->branch] == s->continues;
+    k[8] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
+    k[9] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
+    for (int c = 0; c < s->n; c++)
+        rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
+    for (int r = 0; r < s->compliances; r++)
+        least = fmin(least, i->compliances[r]);
+    for (int r = 0; r < s->compliances; r++)
+        rows[2 * s->l + s->n + r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
+    field(i, s->dt)[0] = field(i, s->control)[0] = i->values[s->step_size];
+    field(i, s->control)[1] = !(i->flags.scaled || s->same_tiers);
+    field(i, s->control)[2] = s->method;
+    i->flags.fast = !s->l || i->values[s->max_iterations] >= s->careful_iterations;
+    i->flags.whole = i->flags.fast && !i->flags.brakes;
+    if (i->flags.brakes)
+        hold(i);
+}
+
+static void parameters(Instance *i)
+{
+    const Scene *s = i->scene;
+    memcpy(field(i, s->p), i->values, (size_t)s->own * sizeof(double));
+    memcpy(field(i, s->p) + s->own, i->kept, (size_t)s->held * sizeof(double));
+}
+
+/* Topology --------------------------------------------------------------------------------------------------------- */
+
+void in_force(const Instance *i, const double *on, unsigned char *held)
+{
+    const Scene *s = i->scene;
+    memset(held, 1, (size_t)s->l);
+    for (int k = 0; k < s->switches; k++)
+        for (int r = 0; r < s->switched[k].count; r++)
+            held[s->switched[k].rows[r]] = (on[k] != 0.0) == s->switched[k].holds;
+}
+
+/* Whether the constraints in force are the usual ones. */
+static int usual(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    unsigned char *held = (unsigned char *)take(i, (size_t)s->l);
+    double *off = take(i, (size_t)s->switches);
+    int same = 1;
+    memset(off, 0, (size_t)s->switches * sizeof *off);
+    in_force(i, off, held);
+    for (int r = 0; r < s->l; r++)
+        same &= (i->penalty[r] > 0.0) == held[r];
+    i->used = used;
+    return same;
+}
+
+static Outcome knowledge(Instance *i, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    unsigned char *held = (unsigned char *)take(i, (size_t)s->l);
+    Outcome outcome = DONE;
+    for (int r = 0; r < s->l; r++)
+        held[r] = i->penalty[r] > 0.0;
+    *i->freedom = s->n;
+    *i->masses = 0.0;
+    if (s->l)
+        know(i, q, v, held, usual(i));
+    if (i->flags.brakes && !s->brakes)
+        outcome = say(i, FAILED,
+            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set), or "
+            "with --kind python",
+            s->name);
+    i->used = used;
+    return outcome;
+}
+
+/* Other constraints from now on; what comes into force must be closed, and makes the velocity consistent. */
+static Outcome change(Instance *i, const double *on)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *q = field(i, s->z), *v = q + s->n, *w = i->workspace, gap;
+    unsigned char *held = (unsigned char *)take(i, (size_t)s->l), *new = (unsigned char *)take(i, (size_t)s->l);
+    char label[100];
+    int row, any = 0;
+    Outcome outcome;
+    in_force(i, on, held);
+    for (int r = 0; r < s->l; r++) {
+        const int before = i->penalty[r] > 0.0;
+        i->penalty[r] = held[r] ? i->full[r] : 0.0;
+        held[r] = i->penalty[r] > 0.0;
+        new[r] = held[r] && !before;
+        any |= new[r];
+    }
+    weigh(i);
+    gap = widest(i, q, v, 0, &row);
+    if (!(gap <= GROSS))
+        outcome = say(i, REFUSED,
+            "%s, t = %.6g s: a constraint that is open by %.3g at %s cannot be switched on; wait until it closes",
+            s->name, *instance_time(i), gap, row_label(i, row, label, sizeof label));
+    else
+        outcome = check_masses(i, q, held);
+    if (outcome == DONE && any) {
+        run(i, s->impact);
+        memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
+        field(i, s->z)[s->work] -= w[s->lost];
+        *i->lost += w[s->lost];
+        for (int k = 0; k < s->impulses; k++)
+            if (new[s->impulse_rows[k]])
+                i->impulses[k] = w[s->impulse + s->impulse_rows[k]];
+    }
+    if (outcome == DONE)
+        outcome = knowledge(i, q, v);
+    if (outcome == DONE)
+        settle_kernel(i);
+    i->flags.known = 0;
+    i->used = used;
+    return outcome;
+}
+
+static void remember(Instance *i)
+{
+    memcpy(i->before, i->numbers, i->count * sizeof *i->numbers);
+    i->flags_before = i->flags;
+}
+
+static void go_back(Instance *i)
+{
+    memcpy(i->numbers, i->before, i->count * sizeof *i->numbers);
+    i->flags = i->flags_before;
+}
+
+/* What the Boolean inputs ask for put in force at this instant. */
+static Outcome take_effect(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    Outcome outcome;
+    if (s->held) {
+        double *displacements = take(i, (size_t)s->held);
+        const double *x[] = {field(i, s->z), field(i, s->p)};
+        double *y[] = {displacements};
+        call(i, s->displacements, x, y);
+        for (int k = 0; k < s->switches; k++)
+            if (s->switched[k].value >= 0 && i->wanted[k] != 0.0 && i->on[k] == 0.0)
+                i->kept[s->switched[k].value] = displacements[s->switched[k].value];
+        parameters(i);
+    }
+    outcome = change(i, i->wanted);
+    if (outcome == DONE)
+        memcpy(i->on, i->wanted, (size_t)s->switches * sizeof *i->on);
+    i->flags.pending = 0;
+    i->used = used;
+    return outcome;
+}
+
+/* Start ------------------------------------------------------------------------------------------------------------ */
+
+/* Whether |Phi|, or |Phi-dot|, of every row is within the tolerance, or within the round-off of the row. */
+static int closed(const Instance *i, const double *residue, const double *C, const double *x)
+{
+    const Scene *s = i->scene;
+    for (int r = 0; r < s->l; r++) {
+        double sum = 0.0;
+        for (int c = 0; c < s->n; c++)
+            sum += fabs(C[c * s->l + r] * x[c]);
+        if (i->penalty[r] > 0.0
+            && !(fabs(residue[r]) <= fmax(i->values[s->tolerance] * i->units[r], ROUND_OFF * sum)))
+            return 0;
+    }
+    return 1;
+}
+
+/* q and v brought back to the constraints. */
+static Outcome projected(Instance *i, double *q, double *v)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, l = (size_t)s->l, n = (size_t)s->n;
+    double *C = take(i, l * n), *phi = take(i, l), *cv = take(i, l), *next = take(i, n), pivot, left[2];
+    const double *x[] = {q, field(i, s->p), field(i, s->k)}, *at[] = {q, v, field(i, s->p), field(i, s->k)};
+    double *y[] = {next}, *settled[] = {next, &pivot, left};
+    char label[100];
+    Outcome outcome = DONE;
+    for (int pass = 0; pass < CORRECTIONS; pass++) {
+        constraints_at(i, q, v, NULL, C, phi, cv);
+        if (closed(i, phi, C, q))
+            break;
+        call(i, s->place, x, y);
+        memcpy(q, next, n * sizeof *q);
+    }
+    for (int pass = 0; pass < CORRECTIONS; pass++) {
+        constraints_at(i, q, v, NULL, C, phi, cv);
+        if (closed(i, cv, C, v))
+            break;
+        call(i, s->settle, at, settled);
+        memcpy(v, next, n * sizeof *v);
+    }
+    for (int of_velocity = 0; of_velocity < 2 && outcome == DONE; of_velocity++) {
+        int row;
+        const double worst = widest(i, q, v, of_velocity, &row);
+        if (!(worst <= GROSS))
+            outcome = say(i, OPEN,
+                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name,
+                *instance_time(i), of_velocity ? "|Phi-dot|" : "|Phi|", worst,
+                row_label(i, row, label, sizeof label), GROSS, CORRECTIONS);
+    }
+    i->used = used;
+    return outcome;
+}
+
+static Outcome comply(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int first = s->own + 2 * s->starts;
+    int given = 0;
+    for (int k = 0; k < s->compliances; k++) {
+        i->compliances[k] = i->values[first + k];
+        given += i->compliances[k] > 0.0;
+    }
+    if (!given || given == s->compliances)
+        return DONE;
+    for (int k = 0;; k++)
+        if (i->compliances[k] == 0.0)
+            return say(i, REFUSED, "%s: %s is 0 and others are not; give each constraint a compliance, or none",
+                s->name, s->variables[first + k].name);
+}
+
+static Outcome started(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t l = (size_t)s->l, n = (size_t)s->n;
+    double *q = take(i, n), *v = take(i, n), *z = field(i, s->z), alpha = i->values[s->penalty];
+    unsigned char *held = (unsigned char *)take(i, l);
+    const double time = *instance_time(i);
+    Outcome outcome;
+    parameters(i);
+    for (int k = 0; k < s->switches; k++)
+        i->on[k] = i->wanted[k] != 0.0 && !s->switched[k].holds;
+    in_force(i, i->on, held);
+    outcome = assemble(i, held, q, v);
+    if (outcome == DONE)
+        outcome = check_masses(i, q, held);
+    if (outcome == DONE)
+        outcome = comply(i);
+    if (outcome != DONE)
+        return outcome;
+    default_penalties(i, q, i->full);
+    /* Whether the penalty is the one for which the quick step of the kernel is known to be enough. */
+    i->flags.scaled = alpha == 0.0;
+    for (int r = 0; r < s->l; r++) {
+        i->flags.scaled &= s->weighted || i->full[r] == i->full[0];
+        i->full[r] = alpha > 0.0 ? alpha : i->full[r];
+    }
+    for (int r = 0; r < s->l; r++)
+        i->penalty[r] = held[r] ? i->full[r] : 0.0;
+    weigh(i);
+    if (s->l)
+        outcome = projected(i, q, v);
+    if (outcome == DONE)
+        outcome = knowledge(i, q, v);
+    if (outcome != DONE)
+        return outcome;
+    memset(z, 0, state_length(s) * sizeof *z);
+    memcpy(z, q, n * sizeof *q);
+    memcpy(z + n, v, n * sizeof *v);
+    for (int k = 0; k < s->angles; k++)
+        z[2 * s->n + k] = s->angle_starts[k] < 0 ? 0.0 : i->values[s->own + s->angle_starts[k]];
+    z[s->time] = time;
+    memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
+    *i->lost = 0.0;
+    memset(field(i, s->pace), 0, PACE * sizeof(double));
+    field(i, s->pace)[0] = FIRST_STEP;
+    field(i, s->pace)[1] = LEAST_BEFORE;
+    settle_kernel(i);
+    for (int k = 0; k < s->switches; k++)
+        if (i->wanted[k] != i->on[k])
+            return take_effect(i);
+    return DONE;
+}
+
+/* The tolerance of a run that the host wants, where the method controls its error. */
+Outcome instance_tolerate(Instance *i, double tolerance)
+{
+    return i->scene->method == 1 ? instance_set(i, i->scene->relative_tolerance, tolerance) : DONE;
+}
+
+Outcome instance_initialize(Instance *i)
+{
+    Outcome outcome;
+    i->used = 0;
+    i->flags.initialized = i->flags.known = i->flags.pending = 0;
+    hand_over(i);
+    outcome = started(i);
+    i->flags.initialized = outcome == DONE;
+    i->used = 0;
+    return outcome;
+}
+
+/* Steps ------------------------------------------------------------------------------------------------------------ */
+
+static double margin(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n;
+    double found;
+    const double *x[] = {field(i, s->z), field(i, s->p), field(i, s->k)};
+    double *y[] = {take(i, n), take(i, n), take(i, n), &found};
+    call(i, s->pivots, x, y);
+    i->used = used;
+    return found;
+}
+
+/* FAILED or OPEN where a move that ends at the positions in the workspace is too long to mean anything. */
+static Outcome check_length(Instance *i, double t)
+{
+    const Scene *s = i->scene;
+    const double *q = i->workspace + s->q, *v = i->workspace + s->v, *from = field(i, s->z);
+    double turned = 0.0, moved = 0.0, gap;
+    char label[100];
+    int worst = 0, row;
+    if (!isfinite(norm(q, s->n)) || !isfinite(norm(v, s->n)))
+        return say(i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, t);
+    for (int c = 0; c < s->n; c++) {
+        const double size = fabs(q[c] - from[c]);
+        moved = fmax(moved, size);
+        if (!strcmp(s->coordinates[c].unit, "rad") && size > turned) {
+            turned = size;
+            worst = c;
+        }
+    }
+    if (turned > TURN)
+        return say(i, FAILED,
+            "%s, t = %.6g s: %s turned by %.3g rad in one step, more than half a turn; reduce solver.step_size",
+            s->name, t, s->coordinates[worst].name, turned);
+    gap = widest(i, q, v, 0, &row);
+    if (gap > TORN * moved && gap > GROSS)
+        return say(i, FAILED, "%s, t = %.6g s: a step of %.3g opened %s by %.3g; reduce solver.step_size", s->name, t,
+            moved, row_label(i, row, label, sizeof label), gap);
+    return DONE;
+}
+
+/* One internal step by loops that stop on convergence, and whether it came near a singular position. */
+static Outcome follow(Instance *i, double start, double dt, int *near)
+{
+    const Scene *s = i->scene;
+    const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
+    double *m = i->m, *w = i->workspace, *after = m + s->after;
+    const double t = start + dt;
+    char label[100];
+    int row;
+    Outcome outcome;
+    *near = 0;
+    if (!s->l)
+        return say(i, FAILED,
+            "%s, t = %.6g s: the state is not finite, or turned by more than half a turn in one step; reduce "
+            "solver.step_size",
+            s->name, t);
+    m[s->dt] = dt;
+    m[s->z + s->time] = start;
+    if (i->flags.brakes)
+        hold(i);
+    run(i, s->move);
+    for (int k = 0; k < 4; k++)
+        *near |= w[watch[k] + s->watch_near] != 0.0;
+    *near = *near && field(i, s->k)[7] != 0.0;
+    if (*near) {
+        run(i, s->move_on_branch);
+        for (int k = 0; k < 4; k++)
+            if (w[watch[k]] == INFINITY) /* What `reached` says of it. */
+                return say(i, OPEN,
+                    "%s, t = %.6g s: the branch of the motion leaves a constraint open ahead; reduce solver.step_size",
+                    s->name, start);
+    }
+    outcome = check_length(i, t);
+    if (outcome != DONE)
+        return outcome;
+    run(i, s->close);
+    for (int of_velocity = 0; of_velocity < 2; of_velocity++) {
+        const double worst = widest(i, after, after + s->n, of_velocity, &row);
+        if (!(worst <= GROSS))
+            return say(i, OPEN,
+                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name, t,
+                of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
+                CORRECTIONS);
+    }
+    after[s->trouble] = 0.0;
+    memcpy(m + s->z, after, state_length(s) * sizeof *m);
+    return DONE;
+}
+
+/* An internal step near a singular position in shorter ones. */
+static Outcome subdivided(Instance *i, double start, double dt)
+{
+    const Scene *s = i->scene;
+    const double *q = field(i, s->z);
+    double t = 0.0, h = dt / 2;
+    char where[400] = "";
+    int near;
+    while (t < dt && h > dt * SHORTEST) {
+        const Outcome outcome = follow(i, start + t, h, &near);
+        if (outcome == DONE) {
+            const double rest = dt - t - h;
+            t += h;
+            h = fmin(2 * h, rest);
+        } else if (outcome == OPEN)
+            h /= 2;
+        else
+            return outcome;
+    }
+    if (t >= dt)
+        return DONE;
+    for (int c = 0; c < s->n && c < SAID; c++) {
+        char part[64];
+        snprintf(part, sizeof part, "%s%.40s = %.6g", c ? ", " : "", s->coordinates[c].name, q[c]);
+        strncat(where, part, sizeof where - strlen(where) - 1);
+    }
+    return say(i, FAILED,
+        "%s, t = %.6g s: locked up at %s; no motion goes on from this singular position (distance %.1e); turn round "
+        "before it, or change lengths or start",
+        s->name, start + t, where, sqrt(margin(i)));
+}
+
+static Outcome watched_step(Instance *i, double start, double dt)
+{
+    int near;
+    const Outcome outcome = follow(i, start, dt, &near);
+    if (outcome == OPEN && near)
+        return subdivided(i, start, dt);
+    return outcome;
+}
+
+/* Steps by the method of the scene up to the end of a communication step; those of one length take dt. */
+static Outcome covered(Instance *i, double end, double dt)
+{
+    const Scene *s = i->scene;
+    double *time = instance_time(i), *pace = field(i, s->pace);
+    pace[PACE_LAST] = 0.0;
+    pace[PACE_FIXED] = s->method == 2 ? dt : 0.0;
+    while (*time < end) {
+        if (i->flags.brakes)
+            hold(i);
+        if (!cover(i, end, i->flags.brakes ? 1 : -1))
+            return say(i, FAILED,
+                "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
+                "where constraints stay open, use --kind python or rk4",
+                s->name, *time, s->choice[s->method_choice].values[0]);
+    }
+    return DONE;
+}
+
+/* A communication step that the kernel cannot make in one go. */
+static Outcome slow_step(Instance *i, double start, double h)
+{
+    const Scene *s = i->scene;
+    const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
+    double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
+    const double steps = fmax(1.0, ceil(h / i->values[s->step_size] * (1 - 1e-12))), dt = h / steps;
+    double done = 0.0;
+    Outcome outcome = DONE;
+    if (!(steps < 1e9))
+        return say(i, REFUSED, "%s: %g internal steps in one communication step; increase solver.step_size", s->name,
+            steps);
+    memcpy(begin, z, size);
+    memcpy(before, pace, count * sizeof *pace);
+    z[s->time] = start;
+    if (s->reach >= 0)
+        run(i, s->reach);
+    if (s->method) {
+        outcome = covered(i, start + h, dt);
+        done = steps;
+    }
+    while (done < steps && outcome == DONE) {
+        if (i->flags.fast) {
+            z[s->time] = start + done * dt;
+            if (i->flags.brakes)
+                hold(i);
+            done += (double)advance(i, i->flags.whole ? (long)(steps - done) : 1L, dt);
+        }
+        if (done < steps) {
+            outcome = watched_step(i, start + done * dt, dt);
+            done += 1.0;
+        }
+    }
+    if (outcome == DONE) {
+        z[s->time] = start + h;
+    } else {
+        memcpy(z, begin, size);
+        memcpy(pace, before, count * sizeof *pace);
+    }
+    return outcome;
+}
+
+static Outcome checked_step(Instance *i, double start, double h)
+{
+    const Scene *s = i->scene;
+    const double time = *instance_time(i);
+    if (!(isfinite(h) && h > 0.0))
+        return say(
+            i, REFUSED, "%s, t = %.6g s: a communication step of %g s; it must be above zero", s->name, time, h);
+    if (!(fabs(start - time) <= 1e-6 * h + 1e-12 * fabs(time)))
+        return say(i, REFUSED, "%s: a step from t = %g s is asked for, but the state is at t = %g s", s->name, start,
+            time);
+    return slow_step(i, start, h);
+}
+
+Outcome instance_step(Instance *i, double start, double h)
+{
+    const Scene *s = i->scene;
+    Outcome outcome;
+    i->used = 0;
+    i->slopes[0] = start;
+    hand_over(i);
+    if (i->flags.pending) {
+        remember(i);
+        outcome = take_effect(i);
+        if (outcome != DONE) {
+            go_back(i);
+            memcpy(i->wanted, i->on, (size_t)s->switches * sizeof *i->on);
+            i->flags.pending = 0;
+        } else {
+            outcome = checked_step(i, start, h);
+            if (outcome != DONE)
+                go_back(i);
+        }
+    } else if (i->flags.whole && communicate(i, start, h))
+        outcome = DONE;
+    else
+        outcome = checked_step(i, start, h);
+    if (outcome == DONE) {
+        for (int k = 0; k < s->inputs; k++) {
+            if (isfinite(i->slopes[1 + k]))
+                i->m[s->u + k] += h * i->slopes[1 + k];
+            i->slopes[1 + k] = s->no_slope;
+        }
+        i->flags.known = 0;
+    }
+    i->used = 0;
+    return outcome;
+}
+
+/* Outputs ---------------------------------------------------------------------------------------------------------- */
+
+static int all_finite(const Instance *i)
+{
+    int good = 1;
+    for (int k = 0; k < i->scene->seen_size; k++)
+        good &= isfinite(i->m[i->scene->seen + k]) != 0;
+    return good;
+}
+
+Outcome instance_read(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (i->flags.known)
+        return DONE;
+    i->used = 0;
+    hand_over(i);
+    if (i->flags.brakes)
+        hold(i);
+    if (!(i->flags.fast && read_quickly(i)) && s->instant_patient >= 0) {
+        run(i, s->instant_patient);
+        if (i->m[s->seen + s->seen_size - 2] != 0.0) {
+            run(i, s->limit_patient);
+            if (!all_finite(i))
+                run(i, s->instant_patient);
+        }
+    }
+    i->flags.known = 1;
+    if (all_finite(i))
+        return DONE;
+    return say(i, FAILED, "%s, t = %.6g s: accelerations and reactions cannot be computed here", s->name,
+        *instance_time(i));
+}
+
+Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *directions, double *changes)
+{
+    const Scene *s = i->scene;
+    const int first = s->parameters + s->choices, outputs = first + s->inputs + s->switches;
+    double *w = i->workspace;
+    i->used = 0;
+    hand_over(i);
+    memset(changes, 0, unknown_count * sizeof *changes);
+    if (s->sensitivity < 0)
+        return DONE;
+    if (i->flags.brakes)
+        hold(i);
+    memset(w + s->du, 0, (size_t)s->inputs * sizeof *w);
+    for (size_t k = 0; k < known_count; k++)
+        w[s->du + (int)knowns[k] - first] += directions[k];
+    /* Where a limit is read, its derivative is. */
+    run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity : s->sensitivity);
+    for (size_t k = 0; k < unknown_count; k++)
+        if ((int)unknowns[k] - outputs < s->readings)
+            changes[k] = w[s->dy + (int)unknowns[k] - outputs];
+    for (size_t k = 0; k < unknown_count; k++)
+        if (!isfinite(changes[k]))
+            return say(i, FAILED, "%s, t = %.6g s: directional derivatives cannot be computed here", s->name,
+                *instance_time(i));
+    return DONE;
+}
+
+/* State ------------------------------------------------------------------------------------------------------------ */
+
+typedef struct {
+    unsigned magic, format;
+    size_t count;
+    char guid[48];
+    Flags flags;
+} Head;
+
+static Head head(const Instance *i)
+{
+    Head h;
+    memset(&h, 0, sizeof h);
+    h.magic = MAGIC;
+    h.format = FORMAT;
+    h.count = i->count;
+    strncpy(h.guid, i->scene->guid, sizeof h.guid - 1);
+    h.flags = i->flags;
+    return h;
+}
+
+size_t state_size(const Instance *i)
+{
+    return sizeof(Head) + i->count * sizeof *i->numbers;
+}
+
+void state_save(const Instance *i, unsigned char *state)
+{
+    const Head h = head(i);
+    memcpy(state, &h, sizeof h);
+    memcpy(state + sizeof h, i->numbers, i->count * sizeof *i->numbers);
+}
+
+Outcome state_restore(Instance *i, const unsigned char *state, size_t size)
+{
+    const Head mine = head(i);
+    Head h;
+    int good = size == state_size(i);
+    if (good) {
+        memcpy(&h, state, sizeof h);
+        good = h.magic == mine.magic && h.format == mine.format && h.count == mine.count
+            && !memcmp(h.guid, mine.guid, sizeof h.guid);
+        for (int k = 0; good && k < i->scene->choices; k++)
+            good = h.flags.choice[k] >= 0 && h.flags.choice[k] < i->scene->choice[k].count;
+    }
+    if (!good)
+        return say(i, REFUSED, "%s: the saved state is not one of this mechanism; save it again", i->scene->name);
+    i->flags = h.flags;
+    memcpy(i->numbers, state + sizeof h, i->count * sizeof *i->numbers);
+    memset(i->refused, 0, (size_t)variable_count(i->scene));
+    i->refused_count = 0;
+    return DONE;
+}

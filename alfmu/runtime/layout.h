@@ -1,0 +1,196 @@
+/* What alfmu's Python code and its runtime share; generated from alfmu/kernel/tables.py. */
+
+#ifndef ALFMU_LAYOUT_H
+#define ALFMU_LAYOUT_H
+
+#define SCENE_VERSION 1
+#define SETTINGS 10
+#define GROSS 1e-06
+#define TURN 3.141592653589793
+#define CORRECTIONS 20
+#define NOTHING 25.0
+#define LEAST 0.003
+#define USUAL_PRODUCT 0.1
+#define CONVERGING 7.0
+#define QUARTER 1.5707963267948966
+#define DENSE 50
+#define TIERS 3
+#define WATCH 5
+#define PACE 7
+#define PACE_DT 0
+#define PACE_BEFORE 1
+#define PACE_REFUSED 2
+#define PACE_FIXED 3
+#define PACE_END 4
+#define PACE_LAST 5
+#define PACE_ACCEPTED 6
+#define LEAST_BEFORE 0.01
+#define ROUND_OFF 1.7763568394002505e-15
+#define ASIDE -0.7, -0.1, 0.1, 0.7
+#define LITTLE 0.0001
+#define FAR_RATIO 2.0
+#define COARSE 1024.0
+#define PATIENT 4
+#define REGULAR 0.001
+#define PENALTY_RATIO 100000000.0
+#define ALIKE 10.0
+#define HARDLY 0.001
+#define SAME 1e-11
+#define TOLERANCE 1e-12
+#define ROUGH 1e-09
+#define MOST 200
+#define LONGEST_TURN 0.3
+#define TRIES 32
+#define RANKED 8
+#define TORN 0.3
+#define SHORTEST 6.103515625e-05
+#define SAID 6
+#define FIRST_STEP 0.001
+
+#define SCENE_COUNTS(X) \
+    X(parameters) \
+    X(choices) \
+    X(inputs) \
+    X(switches) \
+    X(outputs) \
+    X(own) \
+    X(starts) \
+    X(compliances) \
+    X(solver) \
+    X(held) \
+    X(impulses) \
+    X(event_count) \
+    X(n) \
+    X(l) \
+    X(angles) \
+    X(readings) \
+    X(ties)
+
+#define SCENE_REFERENCES(X) \
+    X(step_size) \
+    X(penalty) \
+    X(tolerance) \
+    X(max_iterations) \
+    X(relative_tolerance) \
+    X(absolute_tolerance)
+
+#define SCENE_NUMBERS(X) \
+    X(parameters) \
+    X(choices) \
+    X(inputs) \
+    X(switches) \
+    X(outputs) \
+    X(own) \
+    X(starts) \
+    X(compliances) \
+    X(solver) \
+    X(held) \
+    X(impulses) \
+    X(event_count) \
+    X(n) \
+    X(l) \
+    X(angles) \
+    X(readings) \
+    X(ties) \
+    X(step_size) \
+    X(penalty) \
+    X(tolerance) \
+    X(max_iterations) \
+    X(relative_tolerance) \
+    X(absolute_tolerance) \
+    X(branch) \
+    X(continues) \
+    X(method_choice) \
+    X(freedom) \
+    X(brakes) \
+    X(weighted) \
+    X(same_tiers) \
+    X(careful_iterations) \
+    X(method) \
+    X(z) \
+    X(after) \
+    X(begin) \
+    X(u) \
+    X(p) \
+    X(k) \
+    X(dt) \
+    X(control) \
+    X(tally) \
+    X(pace) \
+    X(past) \
+    X(seen) \
+    X(past_size) \
+    X(seen_size) \
+    X(time) \
+    X(work) \
+    X(trouble) \
+    X(near) \
+    X(size) \
+    X(workspace) \
+    X(most) \
+    X(patient) \
+    X(du) \
+    X(slopes) \
+    X(within) \
+    X(q) \
+    X(v) \
+    X(dy) \
+    X(struck) \
+    X(lost) \
+    X(impulse) \
+    X(watch1) \
+    X(watch2) \
+    X(watch3) \
+    X(watch4) \
+    X(watch_near) \
+    X(dynamics) \
+    X(constraints) \
+    X(energy) \
+    X(closure) \
+    X(guesses) \
+    X(displacements) \
+    X(pivots) \
+    X(place) \
+    X(bring) \
+    X(settle) \
+    X(quick) \
+    X(careful) \
+    X(instant) \
+    X(limit) \
+    X(move) \
+    X(move_on_branch) \
+    X(close) \
+    X(impact) \
+    X(sensitivity) \
+    X(limit_sensitivity) \
+    X(reach) \
+    X(beside) \
+    X(branch_step) \
+    X(method_step) \
+    X(instant_patient) \
+    X(limit_patient)
+
+#define SCENE_REALS(X) \
+    X(no_slope) \
+    X(share) \
+    X(exponent)
+
+#define SCENE_PROGRAMS(X) \
+    X(quick) \
+    X(careful) \
+    X(instant) \
+    X(limit) \
+    X(move) \
+    X(move_on_branch) \
+    X(close) \
+    X(impact) \
+    X(sensitivity) \
+    X(limit_sensitivity) \
+    X(reach) \
+    X(beside) \
+    X(branch_step) \
+    X(method_step) \
+    X(instant_patient) \
+    X(limit_patient)
+
+#endif

@@ -1,0 +1,1 @@
+"""Judged runs of a mechanism: reports, maps of stability, the paper's study, other codes, what a step costs."""

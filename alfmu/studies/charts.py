@@ -1,0 +1,151 @@
+"""Figures of studies with matplotlib: errors against run time, and maps of classes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.errors import InputError
+from .tables import Row
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["Map", "maps", "require", "scatter", "slope"]
+
+LINES = ("#3b75af", "#d98c1f", "#3f9268", "#c0523a", "#7a66b0", "#1f8f96", "#b0608c", "#6b7680", "#8a6d3b", "#222222")
+MARKERS = "os^Dv<>Ph*"
+
+PALE = 0.5
+"""How much paler cells with a note are."""
+
+LEAST = 1e-17
+"""Errors of zero are drawn here."""
+
+
+def require() -> type[Figure]:
+    """The class of figures; InputError where matplotlib is missing."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError("a picture needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
+    return Figure
+
+
+def slope(x: Sequence[float], y: Sequence[float]) -> float | None:
+    """Slope of a straight line through points on log-log scales; None of less than two points."""
+    if len(set(x)) < 2:
+        return None
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def scatter(
+    title: str,
+    rows: Sequence[Row],
+    quantities: Sequence[str],
+    time: str,
+    label: Callable[[Row], str],
+    colour: Callable[[Row], str],
+    floors: Mapping[str, float | None],
+) -> Figure:
+    """Quantities against run time, a panel for each and a line for each label, coloured by `colour`.
+
+    `floors` are errors of what the quantities were judged by, drawn as dashed lines.
+    """
+    drawn = require()(figsize=(13.5, 8.2), layout="constrained")
+    drawn.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
+    labels = list(dict.fromkeys(map(label, rows)))
+    colours = {name: LINES[i % len(LINES)] for i, name in enumerate(dict.fromkeys(map(colour, rows)))}
+    for axes, quantity in zip(drawn.subplots(2, 2, sharex=True).flat, quantities, strict=True):
+        for i, name in enumerate(labels):
+            line = [r for r in rows if label(r) == name and r.get(quantity) is not None and r.get(time) is not None]
+            line = [r for r in line if np.isfinite(r[quantity])]
+            if line:
+                x, y = [r[time] for r in line], [max(r[quantity], LEAST) for r in line]
+                style = {"color": colours[colour(line[0])], "marker": MARKERS[i % len(MARKERS)]}
+                axes.loglog(x, y, linewidth=1.2, markersize=4.5, label=name, **style)
+        if floors.get(quantity):
+            axes.axhline(floors[quantity], color="0.4", linestyle="--", linewidth=0.9)
+            text = {
+                "xy": (0.99, floors[quantity]),
+                "xycoords": ("axes fraction", "data"),
+                "ha": "right",
+                "va": "bottom",
+            }
+            axes.annotate("error of the reference", fontsize=8, color="0.4", **text)
+        axes.set_title(quantity, loc="left", fontsize=11)
+        _tidy(axes)
+    for axes in drawn.axes[2:]:
+        axes.set_xlabel("run time, median [s]")
+    lines = {name: line for axes in drawn.axes for line, name in zip(*axes.get_legend_handles_labels(), strict=True)}
+    kept = [name for name in labels if name in lines]
+    drawn.legend([lines[name] for name in kept], kept, loc="outside right upper", fontsize=8, frameon=False)
+    return drawn
+
+
+def _tidy(axes: Axes) -> None:
+    axes.grid(color="#e3e8ee", linewidth=0.8)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+@dataclass(frozen=True)
+class Map:
+    """Cells in a rectangle: the class of each by the names of its row and column, and notes on some, which are pale."""
+
+    title: str
+    across: str
+    down: str
+    columns: Sequence[str]
+    rows: Sequence[str]
+    classes: Mapping[tuple[str, str], str]
+    notes: Mapping[tuple[str, str], str]
+
+
+def maps(title: str, each: Sequence[Map], colours: Mapping[str, str]) -> Figure:
+    """Maps under each other, two in a row, with one legend."""
+    width = 2 if len(each) > 1 else 1
+    lines = [each[i : i + width] for i in range(0, len(each), width)]
+    heights = [max(1.2 + 0.3 * len(m.rows) for m in line) for line in lines]
+    figure = require()(figsize=(7.4 * width, sum(heights) + 1.1), layout="constrained")
+    figure.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
+    grid = figure.add_gridspec(len(lines), width, height_ratios=heights)
+    for i, line in enumerate(lines):
+        for k, each_map in enumerate(line):
+            _map(figure.add_subplot(grid[i, k]), each_map, colours)
+    from matplotlib.patches import Patch
+
+    seen = {c for m in each for c in m.classes.values()}
+    handles = [Patch(facecolor=c, edgecolor="0.3", label=name) for name, c in colours.items() if name in seen]
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 5), fontsize=9, frameon=False)
+    return figure
+
+
+def _map(axes: Axes, one: Map, colours: Mapping[str, str]) -> None:
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Rectangle
+
+    names = list(colours)
+    table = np.full((len(one.rows), len(one.columns)), np.nan)
+    for i, row in enumerate(one.rows):
+        for k, column in enumerate(one.columns):
+            if (row, column) in one.classes:
+                table[i, k] = names.index(one.classes[row, column])
+            if note := one.notes.get((row, column)):
+                axes.add_patch(Rectangle((k - 0.5, i - 0.5), 1, 1, color="white", alpha=PALE, linewidth=0))
+                axes.text(k, i, note, ha="center", va="center", fontsize=6.5, color="0.15")
+    shades = ListedColormap(list(colours.values()))
+    axes.imshow(table, cmap=shades, vmin=-0.5, vmax=len(names) - 0.5, aspect="auto", interpolation="nearest")
+    axes.set_xticks(range(len(one.columns)), [x.replace(", ", "\n") for x in one.columns], fontsize=8)
+    axes.set_yticks(range(len(one.rows)), one.rows, fontsize=8)
+    axes.set_xticks(np.arange(-0.5, len(one.columns)), minor=True)
+    axes.set_yticks(np.arange(-0.5, len(one.rows)), minor=True)
+    axes.grid(which="minor", color="white", linewidth=1.5)
+    axes.tick_params(which="both", length=0)
+    axes.spines[:].set_visible(False)
+    axes.set_title(one.title, loc="left", fontsize=10.5)
+    axes.set_xlabel(one.across, fontsize=9)
+    axes.set_ylabel(one.down, fontsize=9)

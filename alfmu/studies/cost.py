@@ -1,0 +1,174 @@
+"""What a scene costs, counted in operations of its generated functions: by part, and against what was left out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from ..equations import Equations, Mobility, Variable
+from ..equations.interface import MONITORS
+from ..equations.specialisation import specialised
+from ..kernel.fusion import functions_of
+from ..kernel.program import called
+from ..kernel.trace import parts, traced
+from ..simulation import prepared
+
+__all__ = ["Cost", "cost", "described", "left_out", "operations"]
+
+_FREE = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER)
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Operations of an internal step and of reading the outputs once."""
+
+    step: int
+    """The quick step in all; what its parts share is counted once."""
+    parts: dict[str, int]
+    """Of the step: model, factorisation, iterations, integration, projection; checks, less what the parts share."""
+    careful: int
+    """The step that is taken where the quick one says that it was not enough."""
+    outputs: int
+    nonzeros: dict[str, int]
+    """Structural nonzeros of M, C, H, and of its factor L without the diagonal."""
+    iterations: int
+    corrections: int
+
+
+def cost(equations: Equations) -> Cost:
+    """Operations of a traced scene."""
+    e = equations
+    quick = e.kernel["quick"]
+    step = _whole(e, "quick")
+    evaluation, nonzeros = parts(e, quick)
+    model, factored, iterated = (operations(evaluation[name]) for name in ("model", "factorisation", "iterations"))
+    stages = list(called(quick["calls"])).count("rate")
+
+    def together(names: Callable[[str], bool]) -> int:
+        return _together(e, filter(names, called(quick["calls"])))
+
+    by_part = {
+        "model": stages * model,
+        "factorisation": stages * (factored - model),
+        "iterations": stages * (iterated - factored),
+        "integration": together(lambda name: name == "sum" or name.startswith("stage")),
+        "projection": together(lambda name: name.endswith(("_place", "_settle", "_correct"))),
+    }
+    by_part["checks, less what is shared"] = step - sum(by_part.values())
+    return Cost(
+        step=step,
+        parts=by_part,
+        careful=_whole(e, "careful"),
+        outputs=_whole(e, "instant"),
+        nonzeros=nonzeros,
+        iterations=quick["iterations"],
+        corrections=quick["corrections"],
+    )
+
+
+def described(everything: Equations, scene: Equations, mobility: Mobility) -> list[str]:
+    """What a scene costs and what was left out of it, in lines for a reader.
+
+    `everything` is the same mechanism with all outputs and parameters, `mobility` what is known of both. Each thing
+    left out is put back alone to see what that saves.
+    """
+    prepared_scene = prepared(scene)
+    now, full = cost(prepared_scene), _with_all_passes(everything, mobility, prepared_scene)
+    text = [
+        f"operations of a step: {now.step} ({now.iterations} multiplier iterations in each of 4 evaluations, "
+        f"{now.corrections} correction{'s' * (now.corrections != 1)} each of q and v)",
+        *(f"  {name:24} {count:>8}" for name, count in now.parts.items()),
+        f"operations of a careful step: {now.careful}, taken where the first is found not to be enough",
+        f"operations of reading the outputs: {now.outputs}",
+        "structural nonzeros: " + ", ".join(f"{name} {count}" for name, count in now.nonzeros.items()),
+        "",
+        "for hard scenes, apart from the step above, with operations (0: not in this scene)",
+        *(f"  {what:64} {count:>8}" for what, count in _hard(prepared_scene).items()),
+        "",
+        f"{'left out, and the operations that it saves':66} {'step':>8} {'outputs':>8}",
+    ]
+    lines = left_out(everything, scene, mobility)
+    text += [f"  {what:64} {_saved(back, now)}".rstrip() for what, back in lines] or ["  nothing: all of it is needed"]
+    text.append(f"  {'in all':64} {_saved(full, now)}")
+    text.append(f"  {'of the same scene with everything in':64} {full.step:>8} {full.outputs:>8}")
+    return text
+
+
+def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> list[tuple[str, Cost | None]]:
+    """What a scene does without, and what it would cost with this put back; None where that cannot be."""
+    outputs = _missing(everything.outputs, scene.outputs)
+    frozen = _missing(everything.parameters, scene.parameters)
+    kept, constants = None, None
+    if outputs or scene.monitors:
+        kept = [v.name for v in scene.outputs] + [m.name for m in MONITORS if m.name not in scene.monitors]
+    if frozen:
+        constants = frozen
+    lines: list[tuple[str, Cost | None]] = []
+    if kept is not None:
+        back = cost(prepared(specialised(everything, None, constants)))
+        some = "" if any(o.instant for o in scene.outputs) else ", so all accelerations and reactions with them"
+        lines.append((f"{len(outputs)} outputs, {len(scene.monitors)} monitors{some}", back))
+    if constants is not None:
+        back = cost(prepared(specialised(everything, kept, None)))
+        lines.append((f"{len(frozen)} parameters, folded into constants", back))
+    if scene.l and not mobility.redundant and any(o.instant for o in scene.outputs):
+        back = _with_all_passes(scene, mobility, prepared(scene))
+        lines.append(("least-norm pass: no constraint is redundant", back))
+    if not scene.l:
+        lines.append(("multiplier iteration and projection: there are no constraints", None))
+    if not scene.works:
+        lines.append(("integral of work: nothing does work, or nobody reads the energy", None))
+    return lines
+
+
+def _with_all_passes(equations: Equations, mobility: Mobility, like: Equations) -> Cost:
+    """Cost of equations as if a constraint were redundant, with the multiplier iterations of a prepared scene."""
+    return cost(traced(equations, replace(mobility, redundant=1), like.kernel["quick"]["iterations"]))
+
+
+def _hard(e: Equations) -> dict[str, int]:
+    """Operations of what only hard scenes need, by what it is for."""
+    return {
+        "a step near a singular position, on the branch of the motion": _whole(e, "branch")
+        if "branch" in e.kernel
+        else 0,
+        "limits of reactions, read at a singular position": _whole(e, "limit") if "limit" in e.kernel else 0,
+        "shares of redundant constraints by their compliances": _of(e, "distribute"),
+        "what locks keep, when one is switched on": _of(e, "displacements"),
+        "tangents of implicit methods": _of(e, "tangents"),
+        "a step by solver.method, its loops passed once": _whole(e, "method") if "method" in e.kernel else 0,
+    }
+
+
+def _of(e: Equations, name: str) -> int:
+    return operations(e.functions[name]) if name in e.signatures else 0
+
+
+def _missing(before: list[Variable], after: list[Variable]) -> list[str]:
+    """Names of variables that are there before alone."""
+    left = {v.name for v in after}
+    return [v.name for v in before if v.name not in left]
+
+
+def _saved(before: Cost | None, now: Cost) -> str:
+    return "" if before is None else f"{before.step - now.step:>8} {before.outputs - now.outputs:>8}"
+
+
+def operations(function: ca.Function) -> int:
+    """Arithmetic operations of a function, without moving numbers in and out."""
+    return sum(function.instruction_id(k) not in _FREE for k in range(function.n_instructions()))
+
+
+def _whole(e: Equations, program: str) -> int:
+    [function, *more] = functions_of(e, program).values()
+    if not more and function.is_a("SXFunction"):
+        return operations(function)
+    return _together(e, called(e.kernel[program]["calls"]))
+
+
+def _together(e: Equations, names: Iterable[str]) -> int:
+    """Operations of some functions, which may be there more than once."""
+    return sum(count * operations(e.functions[name]) for name, count in Counter(names).items())

@@ -1,0 +1,419 @@
+"""The motion of a mechanism by an unrelated method, as exact as double precision makes it: what studies judge by.
+
+The equations of motion (4) under the constraints (1) are reduced to independent coordinates y, in which they are
+ordinary differential equations, and given to SciPy with tolerances near round-off. Nothing of the augmented-Lagrangian
+method, of its penalties or of its projections takes part. There are two ways to reduce them:
+
+NullSpace  y are components along the null space of C at some position, q(y) closes the constraints by Newton's method
+           to round-off at every evaluation (coordinate partitioning by singular values). Where the basis gets oblique
+           another is taken. It ends before a singular position, where the null space says no more which way to go.
+Placement  q(y) is the guess that the declaration computes from its start values, where it closes the constraints
+           everywhere: then it is the motion's branch in closed form, and goes through singular positions.
+"""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853, Radau
+
+from ..equations import Equations
+from ..equations.evaluation import shared, symbols, with_functions
+from ..kernel.program import Call
+from ..kernel.vm import Vm
+from ..runtime import Instance
+
+__all__ = ["Effort", "Reference", "reference"]
+
+SINGULAR = 0.02
+"""Smallest singular value of the independent constraints, over the largest, below which a null space is ambiguous."""
+
+READABLE = 0.03
+"""The same, below which reactions are not judged: they lose digits with its inverse, and may have a pole."""
+
+NOTHING = 1e-12
+"""The same, of what is zero at a singular position itself."""
+
+OBLIQUE = 1.5
+"""Growth of what the basis makes of unit displacements, along the motion or across, above which another is taken."""
+
+NEWTON = 12
+"""Most corrections that close the constraints at an evaluation."""
+
+CLOSED = 1e-11
+"""Residue [m, rad] that a placement may leave."""
+
+LITTLE = 1e-4
+"""Displacement of lengths [m] to a place beside the start, where C is as large as usual."""
+
+BESIDE = 1e-9
+"""Distance [m, rad; per s] of a start from its placement that round-off and the assembly make."""
+
+POINTS, CONSERVED = 30, 1e-9
+"""Places at which the energy is looked at, and the relative change up to which it is conserved."""
+
+TURN = 2 * np.pi
+
+
+METHODS = {DOP853: 1.0, Radau: 1e3}
+"""Of SciPy in the order in which they are tried, and by how much their tolerances are larger."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How exact a reference is wanted, and how long it may take."""
+
+    fine: float = 1e-13
+    """Relative and absolute tolerance of the reference."""
+    coarse: float | None = 1e-12
+    """The same of the run it is compared with; None where nothing is."""
+    parts: int = 200
+    """Least number of steps, which keeps the interpolation between them as exact as the steps."""
+    seconds: float = 15.0
+    """Wall time of one integration."""
+
+
+class _Stopped(Exception):
+    """An integration cannot go on, for the reason given."""
+
+
+class _Far(_Stopped):
+    """A trial of a step is too far off to close the constraints: a shorter one is wanted."""
+
+
+class _Model:
+    """The equations of a started instance, with its parameters and inputs: arrays of q, v and t."""
+
+    def __init__(self, instance: Instance):
+        e = instance.equations
+        backend = Vm(_with_placement(e))
+        signatures, self.outputs = backend.equations.signatures, len(e.outputs)
+        self._dynamics, self._constraints, self._readings, self._energy, self._placement = (
+            Call(backend, name, signatures[name])
+            for name in ("dynamics", "constraints", "readings", "energy", "placement")
+        )
+        self.p, self.u = instance.oracle.p.copy(), instance.inputs.copy()
+        self.held = np.flatnonzero(instance.oracle.active)
+        self.freedom = instance.mobility().freedom
+        self.q, self.v = instance.q.copy(), instance.v.copy()
+        self.starts = np.array([instance.get(v.name) for v in e.starts])
+        self.rates = np.array([instance.get(v.name) for v in e.start_rates])
+        self.tied = list(e.tied)
+        self.turns = np.array([c.unit == "rad" for c in e.coordinates])
+        beside = np.random.default_rng(0).standard_normal(e.n) * np.where(self.turns, 1.0, LITTLE)
+        self.largest = max(_size(self.constraints(place)[0].copy()) for place in (self.q, self.q + beside))
+
+    @property
+    def rank(self) -> int:
+        """Independent constraints at regular positions."""
+        return len(self.q) - self.freedom
+
+    def constraints(self, q: NDArray) -> tuple[NDArray, NDArray]:
+        """C and Phi of the constraints in force."""
+        _, C, Phi, _ = self._constraints(q, np.zeros_like(q), self.p)
+        return _dense(C)[self.held], Phi[self.held]
+
+    def dynamics(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """M, C, F, xi of (3) and (4)."""
+        M, C, F, xi = self._dynamics(q, v, self.u, self.p, t)
+        return _dense(M), _dense(C)[self.held], F, xi[self.held]
+
+    def placement(self, x: NDArray, rate: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """q of the independent start values x, its derivative J, and the part of its acceleration that rates make."""
+        starts, rates = self.starts.copy(), np.zeros_like(self.starts)
+        starts[self.tied], rates[self.tied] = x, rate
+        J, q, bend = self._placement(self.p, starts, rates)
+        return q.copy(), J.reshape((len(q), -1), order="F")[:, self.tied], bend.copy()
+
+    def narrowness(self, q: NDArray) -> float:
+        """Smallest singular value of the independent constraints over the largest beside the start; 1 without any."""
+        if not self.rank:
+            return 1.0
+        return float(np.linalg.svd(self.constraints(q)[0], compute_uv=False)[self.rank - 1] / self.largest)
+
+    def readings(self, q: NDArray, v: NDArray, a: NDArray, t: float) -> NDArray:
+        """All outputs at a state of the motion, with the multipliers of least norm that make C' lam = F - M a."""
+        M, C, F, _ = self.dynamics(q, v, t)
+        lam = np.zeros(self._readings.x[3].size)
+        if len(self.held):
+            basis, sizes, rows = np.linalg.svd(C.T, full_matrices=False)
+            r = min(self.rank, int((sizes > NOTHING * sizes[0]).sum()))
+            lam[self.held] = rows[:r].T @ (basis[:, :r].T @ (F - M @ a) / sizes[:r])
+        return self._readings(q, v, a, lam, self.u, self.p, t)[0].copy()
+
+    def energy(self, q: NDArray, v: NDArray) -> float:
+        """Kinetic and potential energy [J]."""
+        return float(self._energy(q, v, self.p)[0][0])
+
+
+class _Reduction(Protocol):
+    """A mechanism in independent coordinates; y holds them and their rates."""
+
+    def reduced(self, t: float, y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        """q, v, a, and the accelerations of the independent coordinates."""
+
+    def spent(self, y: NDArray) -> bool:
+        """Whether another reduction must go on from here."""
+
+
+class _NullSpace:
+    """Components along the null space of C at a position."""
+
+    name = "null space of C"
+
+    def __init__(self, model: _Model, q: NDArray):
+        self.model, self.r = model, model.rank
+        C, _ = model.constraints(q)
+        left, sizes, right = np.linalg.svd(C) if C.size else (np.eye(0), np.ones(1), np.eye(len(q)))
+        if self.r and sizes[self.r - 1] < SINGULAR * model.largest:
+            raise _Stopped("a singular position")
+        self.rows, self.along, self.center = left[:, : self.r].T, right[self.r :], q
+        self.usual = 1 / sizes[self.r - 1] if self.r else np.inf
+        self.side = np.linalg.slogdet(self._matrix(C))[0]
+
+    @classmethod
+    def begun(cls, model: _Model, q: NDArray, v: NDArray) -> tuple[_Reduction, NDArray]:
+        """The reduction at a state, and its y."""
+        chart = cls(model, q)
+        return chart, np.concatenate([np.zeros(len(chart.along)), chart.along @ v])
+
+    def reduced(self, t: float, y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        place, rate = np.split(y, 2)
+        q, inverse = self._closed(place)
+        inward, tangent = inverse[:, : self.r], inverse[:, self.r :]
+        v = tangent @ rate
+        M, _, F, xi = self.model.dynamics(q, v, t)
+        bend = inward @ (self.rows @ xi)
+        second = np.linalg.solve(tangent.T @ M @ tangent, tangent.T @ (F - M @ bend))
+        return q, v, bend + tangent @ second, second
+
+    def spent(self, y: NDArray) -> bool:
+        q, inverse = self._closed(np.split(y, 2)[0])
+        inward, tangent = (_size(x) for x in (inverse[:, : self.r], inverse[:, self.r :]))
+        return tangent > OBLIQUE or inward > OBLIQUE * self.usual or self.model.narrowness(q) < SINGULAR
+
+    def _matrix(self, C: NDArray) -> NDArray:
+        """What Newton's method inverts; its determinant changes sign at singular positions, which steps may leap."""
+        return np.vstack([self.rows @ C, self.along])
+
+    def _closed(self, place: NDArray) -> tuple[NDArray, NDArray]:
+        """q with these components that closes the constraints, by Newton's method, and the inverse of its matrix."""
+        q = self.center + place @ self.along
+        for _ in range(NEWTON):
+            C, Phi = self.model.constraints(q)
+            inverse = np.linalg.inv(self._matrix(C))
+            dq = inverse @ np.concatenate([self.rows @ Phi, self.along @ (q - self.center) - place])
+            q = q - dq
+            if np.abs(dq).max() <= 1e-13 * (1 + np.abs(q).max()):
+                if np.linalg.slogdet(inverse)[0] != self.side:
+                    raise _Stopped("a singular position")
+                return q, inverse
+        raise _Far("a position where Newton's method does not close the constraints")
+
+
+class _Placement:
+    """The coordinates in closed form of the start values, as the declaration places them."""
+
+    name = "placement of the declaration"
+
+    def __init__(self, model: _Model):
+        self.model = model
+        if not model.freedom or len(model.tied) != model.freedom:
+            raise _Stopped("start values that are not the independent coordinates")
+
+    @classmethod
+    def begun(cls, model: _Model, q: NDArray, v: NDArray) -> tuple[_Reduction, NDArray]:
+        """The reduction at the start, and its y."""
+        placed = cls(model)
+        x, rate = model.starts[model.tied], model.rates[model.tied]
+        there, J, _ = model.placement(x, rate)
+        gap = there - q
+        gap = np.where(model.turns, gap - TURN * np.round(gap / TURN), gap)
+        if not max(np.abs(gap).max(), np.abs(J @ rate - v).max()) < BESIDE * (1 + np.abs(rate).max()):
+            raise _Stopped("a start elsewhere than the declaration places it")
+        return placed, np.concatenate([x, rate])
+
+    def reduced(self, t: float, y: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+        place, rate = np.split(y, 2)
+        q, J, bend = self.model.placement(place, rate)
+        if not np.abs(self.model.constraints(q)[1]).max(initial=0.0) < CLOSED:
+            raise _Stopped("a placement that does not close the constraints")
+        v = J @ rate
+        M, _, F, _ = self.model.dynamics(q, v, t)
+        second = np.linalg.solve(J.T @ M @ J, J.T @ (F - M @ bend))
+        return q, v, bend + J @ second, second
+
+    def spent(self, y: NDArray) -> bool:
+        return False
+
+
+@dataclass
+class _Motion:
+    """A motion over time, in pieces of one reduction each."""
+
+    model: _Model
+    way: type
+    method: str
+    tolerance: float
+    ends: list[float]
+    pieces: list[tuple[Callable[[float], NDArray], _Reduction]]
+    why: str = ""
+    """What ended it before its time."""
+
+    @property
+    def until(self) -> float:
+        return self.ends[-1] if self.ends else 0.0
+
+    @property
+    def stiff(self) -> bool:
+        """Whether an explicit method took too long."""
+        return self.method == Radau.__name__
+
+    def knows(self, t: float) -> bool:
+        """Whether a time is in the motion, but for its round-off."""
+        return bool(self.ends) and t <= self.until * (1 + 1e-12)
+
+    def at(self, t: float) -> tuple[NDArray, NDArray, NDArray]:
+        """q, v, a at a time that is in the motion."""
+        interpolated, reduction = self.pieces[min(bisect_left(self.ends, t), len(self.ends) - 1)]
+        return reduction.reduced(t, interpolated(t))[:3]
+
+
+@dataclass
+class Reference:
+    """The motion and what can be read on it, with the error of both: the largest change to other ways to compute it."""
+
+    motion: _Motion
+    others: list[_Motion]
+    stop: float
+
+    @property
+    def until(self) -> float:
+        """Time up to which the motion is known [s]."""
+        return self.motion.until
+
+    def outputs(self, times: NDArray) -> NDArray:
+        """All outputs (k, outputs) at times; NaN after `until`."""
+        return _outputs(self.motion, times)
+
+    def readable(self, times: NDArray) -> NDArray:
+        """Whether reactions can be judged at times (k,): not near singular positions."""
+        known = [t for t in times if self.motion.knows(t)]
+        near = [self.motion.model.narrowness(self.motion.at(t)[0]) < READABLE for t in known]
+        return np.array([not x for x in near] + [False] * (len(times) - len(known)))
+
+    def checks(self, times: NDArray) -> Iterator[tuple[str, NDArray]]:
+        """Outputs (k, outputs) by the other ways, and what each was."""
+        for other in self.others:
+            yield f"{other.way.name}, {other.method} {other.tolerance:.0e}", _outputs(other, times)
+
+    def energies(self, times: NDArray) -> NDArray:
+        """Kinetic and potential energy [J] at times up to `until`."""
+        return np.array([self.motion.model.energy(*self.motion.at(t)[:2]) for t in times if self.motion.knows(t)])
+
+    def kinetic(self, times: NDArray) -> float:
+        """The largest kinetic energy [J] at times up to `until`."""
+        states = [(t, *self.motion.at(t)[:2]) for t in times if self.motion.knows(t)]
+        return max(float(v @ self.motion.model.dynamics(q, v, t)[0] @ v) / 2 for t, q, v in states)
+
+    def conserves(self) -> bool:
+        """Whether nothing works on the mechanism, as it is run."""
+        energies = self.energies(np.linspace(0.0, self.until, POINTS))
+        return bool(np.ptp(energies) <= CONSERVED * (1 + np.abs(energies).max()))
+
+
+def reference(instance: Instance, stop: float, effort: Effort = Effort()) -> Reference | str:
+    """The motion of an initialised instance from its state to `stop` [s] with inputs held; or why there is none.
+
+    Of the two reductions that counts which reaches further, or where both arrive the placement; the other one, and
+    a run of larger tolerance, tell its error.
+    """
+    model = _Model(instance)
+    placed = _followed(model, _Placement, stop, effort.fine, effort)
+    motions = [placed, _followed(model, _NullSpace, stop, effort.fine, effort, placed.stiff)]
+    best = max(motions, key=lambda m: m.until)
+    if not best.ends:
+        return "; ".join(m.why for m in motions)
+    others = [m for m in motions if m is not best]
+    if effort.coarse is not None:
+        others.append(_followed(model, best.way, stop, effort.coarse, effort, best.stiff))
+    return Reference(best, [m for m in others if m.ends], stop)
+
+
+def _followed(model: _Model, way: type, stop: float, tolerance: float, effort: Effort, stiff: bool = False) -> _Motion:
+    """The motion by DOP853; by Radau with larger tolerances where that takes too long, as it does on stiff systems."""
+    for method, looser in list(METHODS.items())[stiff:]:
+        motion = _Motion(model, way, method.__name__, tolerance * looser, [], [])
+        try:
+            _integrate(motion, method, stop, effort)
+        except (_Stopped, np.linalg.LinAlgError, ValueError) as stopped:
+            motion.why = f"the {way.name} ends at {stopped}"
+        except TimeoutError:
+            motion.why = f"{method.__name__} takes too long on the {way.name}"
+            continue
+        break
+    return motion
+
+
+@np.errstate(all="ignore")
+def _integrate(motion: _Motion, method: type, stop: float, effort: Effort) -> None:
+    """Steps of `method` from the start of the model, with a fresh reduction where one is spent."""
+    t, q, v = 0.0, motion.model.q, motion.model.v
+    longest, patience, first = stop / effort.parts, time.perf_counter() + effort.seconds, None
+    while t < stop:
+        reduction, y = motion.way.begun(motion.model, q, v)
+
+        def rate(t: float, y: NDArray, reduction: _Reduction = reduction) -> NDArray:
+            if time.perf_counter() > patience:
+                raise TimeoutError
+            try:
+                return np.concatenate([y[len(y) // 2 :], reduction.reduced(t, y)[3]])
+            except _Far:
+                return np.full_like(y, np.nan)
+
+        options = {"rtol": motion.tolerance, "atol": motion.tolerance, "max_step": longest, "first_step": first}
+        solver = method(rate, t, y, stop, **options)
+        while solver.status == "running":
+            if message := solver.step():
+                raise _Stopped(message)
+            motion.ends.append(solver.t)
+            motion.pieces.append((solver.dense_output(), reduction))
+            if reduction.spent(solver.y):
+                break
+        t, (q, v, *_) = solver.t, reduction.reduced(solver.t, solver.y)
+        first = min(solver.step_size, stop - t) or None
+
+
+def _outputs(motion: _Motion, times: NDArray) -> NDArray:
+    """All outputs of a motion at times, NaN where it is over."""
+    table = np.full((len(times), motion.model.outputs), np.nan)
+    for row, t in zip(table, times, strict=True):
+        if motion.knows(t):
+            row[:] = motion.model.readings(*motion.at(t), t)
+    return table
+
+
+def _with_placement(equations: Equations) -> Equations:
+    """The equations with q of the start values as a function, and its derivatives: what a model calls beside others."""
+    e, x = equations, symbols(equations)
+    p, s, sdot = (x[k] for k in ("p", "s", "sdot"))
+    q = e.guess(p, s)
+    J = ca.jacobian(q, s)
+    values = J, q, ca.jtimes(J @ sdot, s, sdot)
+    return with_functions(e, {"placement": shared("placement", [p, s, sdot], [ca.densify(x) for x in values])})
+
+
+def _size(matrix: NDArray) -> float:
+    """The largest singular value; 0 of a matrix without entries."""
+    return float(np.linalg.norm(matrix, 2)) if matrix.size else 0.0
+
+
+def _dense(matrix: NDArray) -> NDArray:
+    return matrix if isinstance(matrix, np.ndarray) else matrix.toarray()

@@ -1,0 +1,138 @@
+"""Other ways to compute the motion of a mechanism, for comparison.
+
+SciPy's integrators run any mechanism, on the index-1 DAE (9); Pinocchio, Exudyn and MuJoCo those that `peers` has
+models of, where they are installed. Whoever has another code adds a `Rival` to RIVALS.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from ..equations import Equations
+from ..model.settings import Settings
+from ..runtime import Instance
+from . import peers
+from .cases import ARITHMETIC, STEP, TOLERANCE, Case, Run
+from .peers import Peer, Start
+
+__all__ = ["RIVALS", "SCIPY", "Rival"]
+
+MONITORS = ("monitor.position_error", "monitor.velocity_error", "monitor.energy")
+
+
+@dataclass(frozen=True)
+class Rival:
+    """A code with a step or a tolerance: `build` prepares a mechanism, what it returns runs it once over a case."""
+
+    name: str
+    method: str
+    control: str
+    """STEP or TOLERANCE."""
+    values: Callable[[str], Sequence[float]]
+    """Steps [s] or tolerances for a mechanism by its name, the largest first; none where it is not known."""
+    build: Callable[[Equations, float, Case], Callable[[], Run]]
+    missing: str = ""
+    """Why it cannot be run here."""
+
+    def run(self, equations: Equations, value: float, case: Case) -> Run:
+        """A case, and again where it is short, to know its time better."""
+        once = self.build(equations, value, case)
+        found = once()
+        while found.complete and not case.enough(found.seconds):
+            found.seconds += once().seconds
+        return found
+
+
+def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> Callable[[], Run]:
+    """(9) by least squares in every evaluation, integrated as it stands: constraints may drift."""
+    e = equations
+    instance = Instance(e, Settings(step_size=e.step_size, formulation="dae"))
+    instance.initialize()
+    oracle, u, n = instance.oracle, instance.inputs, e.n
+    names = [*(v.name for v in e.outputs), *MONITORS]
+    start, span = np.concatenate([instance.q, instance.v]), (0.0, case.times[-1])
+
+    def read(t: float, y: NDArray) -> NDArray:
+        q, v = y[:n], y[n:]
+        a, lam, _, _ = oracle.accelerations(q, v, u, t)
+        return np.concatenate([oracle.outputs(q, v, a, lam, u, t), oracle.residues(q, v), [oracle.energy(q, v)]])
+
+    @np.errstate(all="ignore")
+    def once() -> Run:
+        begin = time.perf_counter()
+
+        def rate(t: float, y: NDArray) -> NDArray:
+            if time.perf_counter() - begin > case.limit:
+                raise TimeoutError
+            return np.concatenate([y[n:], oracle.accelerations(y[:n], y[n:], u, t)[0]])
+
+        table, reached, failure, cut, before = np.empty((0, len(names))), 0, "", False, oracle.counters.evaluations
+        try:
+            found = solve_ivp(rate, span, start, method, case.times, rtol=tolerance, atol=tolerance)
+            table = np.array([read(t, y) for t, y in zip(found.t, found.y.T, strict=True)])
+            reached, failure = len(found.t), "" if found.success else found.message
+        except TimeoutError:
+            cut = True
+        except ARITHMETIC as error:
+            failure = str(error) or type(error).__name__
+        seconds = [time.perf_counter() - begin]
+        used = oracle.counters.evaluations - before
+        counters = replace(oracle.counters, steps=0, evaluations=used, energy_error=np.nan)
+        return Run(names, case.times[:reached], table, seconds, counters if reached else None, failure, cut)
+
+    return once
+
+
+def _peer(peer: Peer, equations: Equations, value: float, case: Case) -> Callable[[], Run]:
+    """A model of the same mechanism, from the same start; its angle and its reactions are what is judged."""
+    starts = [v.start for v in (*equations.starts, *equations.start_rates)]
+    names = [peers.ANGLE[equations.name], *peers.REACTIONS[equations.name]]
+    empty = case.times[:0], np.empty((0, len(names)))
+
+    def failed(error: Exception, seconds: float) -> Run:
+        return Run(names, *empty, [seconds], failure=f"{type(error).__name__}: {' '.join(str(error).split())[:120]}")
+
+    try:
+        simulate = peer.build(equations.name, Start(*starts), value, case.times)
+    except Exception as error:
+        broken = failed(error, 0.0)
+        return lambda: broken
+
+    @np.errstate(all="ignore")
+    def once() -> Run:
+        begin = time.perf_counter()
+        try:
+            found = simulate()
+        except Exception as error:
+            return failed(error, time.perf_counter() - begin)
+        seconds, k = [time.perf_counter() - begin], len(found.times)
+        short = "" if k == len(case.times) else found.note or f"stopped after {k} of {len(case.times)} points"
+        table = np.column_stack([found.angle, found.reactions]) if k else empty[1]
+        return Run(names, case.times[:k], table, seconds, failure=short)
+
+    return once
+
+
+def _model(peer: Peer) -> Rival:
+    control = STEP if peer.control == "step" else TOLERANCE
+    missing = "" if peer.installed else "not installed; pip install 'alfmu[bench]' has it"
+    return Rival(peer.name, peer.setting, control, lambda name: peer.steps.get(name, ()), partial(_peer, peer), missing)
+
+
+TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
+
+SCIPY = tuple(
+    Rival("SciPy on (9)", method, TOLERANCE, lambda name: TOLERANCES, partial(_scipy, method))
+    for method in ("DOP853", "Radau", "BDF")
+)
+"""SciPy's integrators."""
+
+RIVALS = (*SCIPY, *map(_model, peers.TUNED))
+"""What every report runs beside alfmu."""

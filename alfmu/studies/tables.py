@@ -1,0 +1,139 @@
+"""Tables of a study: rows as CSV files with all digits, the same rows rounded in Markdown, and where they were made."""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import os
+import platform
+import subprocess
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from ..kernel.build import compiler
+
+__all__ = [
+    "Cell",
+    "Chapter",
+    "Row",
+    "environment",
+    "markdown",
+    "paragraph",
+    "processor",
+    "rounded",
+    "shown",
+    "write_csv",
+]
+
+Cell = str | int | float | None
+Row = dict[str, Cell]
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A part of a report: a heading, an introduction, and tables that each show some columns of one CSV file."""
+
+    heading: str
+    introduction: str
+    tables: Mapping[str, Sequence[str]]
+    """Columns by title."""
+
+    def write(self, path: Path, rows: Sequence[Row]) -> None:
+        """The CSV file, with all that the rows have and all that the tables show."""
+        write_csv(path, rows, [name for columns in self.tables.values() for name in columns])
+
+    def markdown(self, name: str, rows: Sequence[Row], notes: Sequence[str] = ()) -> str:
+        """The chapter in Markdown; `name` is that of its CSV file, without the ending."""
+        tables = [shown(title, name, columns, rows) for title, columns in self.tables.items()]
+        return "\n\n".join([self.heading, paragraph(self.introduction), *notes, *tables])
+
+
+def paragraph(text: str) -> str:
+    """Text in lines of a readable length."""
+    return textwrap.fill(" ".join(text.split()), 118, break_on_hyphens=False)
+
+
+def shown(title: str, name: str, columns: Sequence[str], rows: Sequence[Mapping[str, Cell]], digits: int = 3) -> str:
+    """Some columns of rows of a CSV file as a Markdown table under its title; `name` is without the ending."""
+    return f"**{title}** (`{name}.csv`)\n\n" + markdown(
+        columns, [[row.get(x) for x in columns] for row in rows], digits
+    )
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Cell]], more: Sequence[str] = ()) -> None:
+    """A CSV file with 17 significant digits: the columns of all rows and some more; what a row lacks stays empty."""
+    columns = list(dict.fromkeys([*(name for row in rows for name in row), *more]))
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([_exact(row.get(name)) for name in columns] for row in rows)
+
+
+def markdown(columns: Sequence[str], rows: Sequence[Sequence[Cell]], digits: int = 3) -> str:
+    """A Markdown table with rounded numbers."""
+    heads = [name.replace("|", "\\|") for name in columns]
+    lines = [heads, ["---"] * len(columns), *([rounded(x, digits) for x in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def rounded(x: Cell, digits: int = 3) -> str:
+    """A cell as text; floats with so many significant digits, without an exponent where it can be helped."""
+    if x is None:
+        return "-"
+    if isinstance(x, float):
+        return f"{x:.0f}" if 10**digits <= abs(x) < 1e7 else f"{x:.{digits}g}"
+    return str(x).replace("|", "\\|")
+
+
+def environment(command: str, packages: Sequence[str]) -> list[tuple[str, str]]:
+    """Where, when and with what a study ran."""
+    load = f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown"
+    return [
+        ("command", f"`{command}`"),
+        ("date", datetime.date.today().isoformat()),
+        ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
+        ("processor", f"{processor()}, {os.cpu_count()} logical"),
+        ("load average at the start", load),
+        ("Python", f"{platform.python_implementation()} {platform.python_version()}"),
+        ("C compiler", _compiler()),
+        *((name, _version(name)) for name in packages),
+    ]
+
+
+def where(command: str, packages: Sequence[str], measured: Mapping[str, Cell]) -> list[Row]:
+    """`environment` and what bounds a study as rows of a CSV file."""
+    return [{"what": what, "value": value} for what, value in [*environment(command, packages), *measured.items()]]
+
+
+def _exact(x: Cell) -> str:
+    return "" if x is None else f"{x:.17g}" if isinstance(x, float) else str(x)
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _compiler() -> str:
+    command = compiler()
+    if command is None:
+        return "none"
+    try:
+        done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
+    except OSError as error:
+        return f"cannot be run ({error.strerror})"
+    return (done.stdout.strip().splitlines() or ["unknown"])[0]
+
+
+def processor() -> str:
+    """The name of the processor."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()

@@ -1,0 +1,1 @@
+"""Drawings and films of mechanisms, diagrams of results."""
