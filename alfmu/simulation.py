@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from .equations import Equations, Variable
 from .equations.derivation import derive
 from .equations.evaluation import DENSE, with_tangents
+from .equations.interface import CHOICES, SOLVER_VARIABLES
 from .equations.specialisation import specialised
 from .kernel import DEFAULT, KERNELS
 from .kernel.build import compiled, compiler
@@ -24,7 +25,6 @@ from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
 from .model.registry import load
 from .model.settings import Settings
-from .equations.interface import CHOICES, SOLVER_VARIABLES
 from .runtime import Instance
 from .runtime.adaptive import TANGENTS
 from .runtime.oracle import Counters

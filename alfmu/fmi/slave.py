@@ -18,9 +18,9 @@ from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
 from ..equations import Equations, Variable
+from ..equations.interface import CHOICES, choices
 from ..kernel.program import LIBRARY, PLATFORM
 from ..model.errors import AlfmuError, ExportError, InputError
-from ..equations.interface import CHOICES, choices
 from ..runtime import Instance
 
 __all__ = ["FUNCTIONS", "SCENE", "Slave", "interface", "loaded"]

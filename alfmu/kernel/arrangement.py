@@ -1,9 +1,10 @@
 """The operations of a function in the form and the order that the interpreter runs fastest.
 
-Sums, differences and products are sums of products, c + a b + a' b' + ..., and the sine and the cosine of an angle are
-one operation, so that there are few kinds, and few numbers that are stored and read again. Equal operations follow each other in runs: a processor that cannot foresee the next kind loses as much
-time as dozens of operations take. The numbers are those of the function to the last bit: a factor of one, two negated
-factors and a summand of minus zero change none.
+Sums, differences and products are sums of products, c + a b + a' b', and the sine and the cosine of an angle are one
+operation, so that there are few kinds, and few numbers that are stored and read again. Equal operations follow each
+other in runs: a processor that cannot foresee the next kind loses as much time as dozens of operations take. The
+numbers are those of the function to the last bit: a factor of one, two negated factors and a summand of minus zero
+change none.
 """
 
 from __future__ import annotations
@@ -114,7 +115,7 @@ class _Form:
         return Arrangement(arguments, self._constants, _runs(_together(self._operations, results)), results)
 
     def _within(self) -> dict[int, int]:
-        """Products that become part of the one sum or difference that uses them, and the factor that is negated or -1."""
+        """Products that become part of the sum or difference that uses them, and which factor is negated (or -1)."""
         found, factors, differences = {}, Counter(), []
         for code, (a, b) in zip(self._code, self._operands, strict=True):
             if code == ca.OP_ADD and (self._single(a) or self._single(b)):
@@ -205,7 +206,7 @@ def _together(operations: list[Operation], results: list[tuple[int, int, int]]) 
 def _runs(operations: list[Operation]) -> list[list[Operation]]:
     """The same operations, each after those that make its operands, in few runs of equal ones.
 
-    Of the operations that are ready, a run takes those first on which the longest chain waits, and it ends where another
+    Of the operations that are ready, a run takes those first on which the longest chain waits. It ends where another
     kind has one that is far more urgent; that kind follows.
     """
     users, missing = _users(operations)

@@ -1,8 +1,8 @@
 """A scene as one file that the C runtime loads: functions as runs of equal operations, programs as calls, tables.
 
 The file is little-endian and the same bytes for the same equations. A function works on one array of numbers: the
-constants of the scene, then its arguments, then what each of its operations gives, in order. An operation is stored with
-the places of its operands alone, and equal operations follow each other, so that the runtime chooses what to do once a
+constants of the scene, then its arguments, then what each of its operations gives, in order. Of an operation the places
+of its operands are stored alone, and equal operations follow each other, so that the runtime chooses what to do once a
 run (`runtime/interpret.c`). What repeats in a long function is a loop over places that go by a step.
 """
 

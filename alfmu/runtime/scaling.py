@@ -7,7 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PENALTY_RATIO", "scaled"]
+from ..kernel.thresholds import ALIKE, HARDLY, PENALTY_RATIO, SAME
+
+__all__ = ["scaled"]
 
 
 def scaled(

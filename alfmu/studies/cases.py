@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from ..equations import Equations
 from ..equations.derivation import derive
+from ..equations.interface import CHOICES, SOLVER_VARIABLES
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED
-from ..equations.interface import CHOICES, SOLVER_VARIABLES
 from ..runtime import Instance
 from ..runtime.oracle import Counters
 from ..simulation import Unit, prepared, with_defaults
