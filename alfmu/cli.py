@@ -253,8 +253,8 @@ def _list(chosen: argparse.Namespace) -> None:
 
 def _info(chosen: argparse.Namespace) -> None:
     from .equations.derivation import derive
+    from .equations.interface import variables_of
     from .equations.specialisation import specialised
-    from .fmi.slave import interface
     from .model.registry import choices
     from .runtime import Instance
     from .simulation import prepared, with_defaults
@@ -279,7 +279,10 @@ def _info(chosen: argparse.Namespace) -> None:
         each = _merged((name,) for name in shared)
         print(f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}")
     for title, variables in (
-        ("parameters and start values", [v for causality, v in interface(instance) if causality == "parameter"]),
+        (
+            "parameters and start values",
+            variables_of(instance.equations).causal("parameter"),
+        ),
         ("inputs", instance.input_variables),
         ("outputs", instance.outputs),
     ):

@@ -10,7 +10,7 @@ from oracles.parallelogram import Parallelogram
 
 import alfmu
 from alfmu.kernel.vm import Vm
-from alfmu.runtime.oracle import Oracle
+from alfmu.oracle.oracle import Oracle
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
 """Mass, inertia, centre of mass of the bodies of `arm`."""

@@ -22,7 +22,7 @@ from alfmu.method.stepping import (
     landing,
     tolerance,
 )
-from alfmu.runtime.adaptive import Adaptive
+from alfmu.oracle.adaptive import Adaptive
 
 EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8}
 RADAUS = {"Radau 9": RADAU9}

@@ -13,7 +13,7 @@ from scenes import derived, readings, started
 import alfmu
 from alfmu.kernel.vm import Vm
 from alfmu.method import formulations as method
-from alfmu.runtime.oracle import Oracle
+from alfmu.oracle.oracle import Oracle
 
 EPS = np.finfo(float).eps
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..model.errors import InputError
 from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
 from .types import Equations, Variable
 
@@ -14,7 +16,9 @@ __all__ = [
     "CHOICES",
     "MONITORS",
     "SOLVER_VARIABLES",
+    "Counters",
     "Interface",
+    "checked",
     "choices",
     "default_settings",
     "events",
@@ -133,6 +137,10 @@ class Interface:
     """Boolean inputs."""
     outputs: list[Variable]
 
+    def causal(self, causality: str) -> list[Variable]:
+        """The variables of a causality."""
+        return [v for each, v in self.causalities if each == causality]
+
     @property
     def causalities(self) -> list[tuple[str, Variable]]:
         """All variables, each with its causality in FMI."""
@@ -181,3 +189,39 @@ def choices(values: Mapping[str, str]) -> list[Variable]:
         )
         for name, known in CHOICES.items()
     ]
+
+
+@dataclass
+class Counters:
+    """Work done and the largest errors seen since initialisation."""
+
+    steps: int = 0
+    evaluations: int = 0
+    """Of accelerations and multipliers, those for outputs included."""
+    multiplier_iterations: int = 0
+    unconverged: int = 0
+    """Evaluations in which the multiplier iteration reached its limit."""
+    projection_iterations: int = 0
+    refused: int = 0
+    """Steps that were too inaccurate, and made again shorter."""
+    unprojected: int = 0
+    """Steps after which a constraint was left above the tolerance."""
+    position_error: float = 0.0
+    """Largest |Phi| after a step [m, rad]."""
+    velocity_error: float = 0.0
+    """Largest |Phi-dot| after a step [m/s, rad/s]."""
+    acceleration_error: float = 0.0
+    """Largest |Phi-ddot| at an output [m/s2, rad/s2]."""
+    energy_error: float = 0.0
+    """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
+
+
+def checked(name: str, v: Variable, value: object) -> None:
+    """InputError where a value cannot be that of a variable of the mechanism of this name."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+        raise InputError(f"{name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
+    if v.type == "Integer" and value != int(value):
+        raise InputError(f"{name}: {v.name} is {value:g}; it must be a whole number")
+    if (v.minimum is not None and value < v.minimum) or (v.maximum is not None and value > v.maximum):
+        low, high = ("-inf" if v.minimum is None else v.minimum), ("inf" if v.maximum is None else v.maximum)
+        raise InputError(f"{name}: {v.name} = {value:g} {v.unit} is outside [{low}, {high}]")

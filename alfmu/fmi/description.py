@@ -10,12 +10,10 @@ from xml.etree import ElementTree as ET
 import markdown
 
 from ..equations import Equations, Variable
-from ..equations.evaluation import DENSE
-from ..kernel.program import PLATFORM
+from ..equations.interface import default_settings
+from ..equations.interface import variables_of as interface
 from ..model.settings import FIXED, Settings
 from ..model.units import unit
-from ..runtime import Instance
-from .slave import interface
 
 __all__ = ["build_description", "dependencies", "documentation", "model_description", "model_description3"]
 
@@ -44,7 +42,7 @@ def model_description(
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
     """
     e, native = equations, variables is not None
-    variables = interface(Instance(e)) if variables is None else variables
+    variables = interface(e).causalities if variables is None else variables
     derivatives = str(native and bool(e.inputs)).lower()
     root = ET.Element(
         "fmiModelDescription",
@@ -173,7 +171,7 @@ def _categories(root: ET.Element) -> None:
 def _experiment(root: ET.Element, e: Equations) -> None:
     span = {"startTime": "0", "stopTime": _number(e.stop_time)}
     if e.solver.get("method", Settings.method) not in FIXED:
-        span["tolerance"] = _number(Instance(e).get("solver.relative_tolerance"))
+        span["tolerance"] = _number(default_settings(e).relative_tolerance)
     ET.SubElement(root, "DefaultExperiment", span, stepSize=_number(e.interval))
 
 
@@ -268,7 +266,7 @@ def documentation(equations: Equations, sketch: str, readme: str, generator: str
         f"<tr><td><code>{html.escape(v.name)}</code></td><td>{causality}</td><td>{v.unit}</td>"
         f"<td>{_start(causality, v)}</td>"
         f"<td>{html.escape(v.description)}</td></tr>"
-        for causality, v in interface(Instance(e))
+        for causality, v in interface(e).causalities
     )
     options = "".join(f"<li><code>{html.escape(k)}</code> = {html.escape(str(x))}</li>" for k, x in e.options.items())
     return f"""<!DOCTYPE html>
@@ -289,15 +287,9 @@ def documentation(equations: Equations, sketch: str, readme: str, generator: str
 """
 
 
-def dependencies(equations: Equations, portable: bool = True) -> str:
-    """What the FMU needs from outside, in one line."""
-    packages = ["numpy", *(["scipy"] if equations.n > DENSE else [])]
-    need, others = " and ".join(packages), ""
-    if equations.library is None:
-        need = " and ".join([*packages, "casadi"])
-    else:
-        others = f"; on another platform than {PLATFORM} " + ("also casadi" if portable else "it does not run")
+def dependencies() -> str:
+    """What an FMU for Python needs from outside, in one line."""
     return (
-        "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later) whose packages "
-        f"include {need}{others}. Python hosts such as fmpy have an interpreter; other hosts must load libpython first."
+        "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later), and "
+        "no package. Python hosts such as fmpy have an interpreter; other hosts must load libpython first."
     )

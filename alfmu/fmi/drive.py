@@ -21,7 +21,7 @@ from ..equations import Variable
 from ..model.errors import ExportError, InputError, StepError
 from ..simulation import Result, run
 from .experiment import Experiment, unlike
-from .slave import SCENE
+from .slave import OPTIONS
 
 __all__ = ["Fmu", "validate"]
 
@@ -76,8 +76,8 @@ class Fmu:
         }
         """Defaults of the numbers that can be set before the run."""
         self._folder = extract(str(path))
-        scene = Path(self._folder, "resources", SCENE)
-        self.options = json.loads(scene.read_text())["options"] if scene.is_file() else {}
+        options = Path(self._folder, "resources", OPTIONS)
+        self.options = json.loads(options.read_text())["options"] if options.is_file() else {}
         """Options that the mechanism was exported with, if alfmu exported it."""
         try:
             self.slave = instantiate_fmu(

@@ -23,13 +23,10 @@ from pythonfmu.builder import FmuBuilder
 
 from ..equations import Equations
 from ..equations.derivation import derive
-from ..equations.evaluation import EVALUATED
 from ..equations.specialisation import specialised
 from ..kernel import DEFAULT
-from ..kernel.program import LIBRARY
 from ..kernel.tables import identified, interface, packed
 from ..kernel.trace import untraced
-from ..kernel.vm import serialized
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
@@ -39,7 +36,7 @@ from ..view.picture import model_png
 from . import native
 from .description import build_description, dependencies, documentation, model_description, model_description3
 from .experiment import reference_results
-from .slave import FUNCTIONS, SCENE
+from .slave import OPTIONS, SCENE
 from .terminals import document, terminals
 
 __all__ = ["KINDS", "RUN_SIDE", "export", "packed_scene"]
@@ -53,38 +50,11 @@ KINDS = {
 GROUP = "alfmu.fmus"
 """Entry-point group of modules with a pythonfmu class for the mechanism of the same name."""
 
-RUN_SIDE = (
-    "model/errors.py",
-    "model/settings.py",
-    "equations/__init__.py",
-    "equations/types.py",
-    "equations/interface.py",
-    "method/formulations.py",
-    "method/integrators.py",
-    "method/singular.py",
-    "method/inputs.py",
-    "kernel/program.py",
-    "kernel/thresholds.py",
-    "kernel/stream.py",
-    "kernel/order.py",
-    "kernel/fusion.py",
-    "kernel/vm.py",
-    "kernel/compiled.py",
-    "runtime/__init__.py",
-    "runtime/oracle.py",
-    "runtime/assembly.py",
-    "runtime/scaling.py",
-    "runtime/topology.py",
-    "runtime/instance.py",
-    "fmi/slave.py",
-)
-"""Modules of alfmu that travel inside an FMU, those that its kernel does not need left out."""
+RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
+"""Modules of alfmu that travel inside an FMU for Python, beside the C library."""
 
-METHODS = ("runtime/adaptive.py", "method/implicit.py", "method/stepping.py", "runtime/threads.py")
-"""Those that methods beside RK4 need."""
-
-PORTABLE = ("kernel/stream.py", "kernel/order.py", "kernel/fusion.py", "kernel/vm.py")
-"""Those that run the portable form, and need CasADi."""
+HOSTS = ("linux64", "win64")
+"""Platforms that pythonfmu has a library for."""
 
 _ENTRY = '''"""FMU entry of a mechanism that has none of its own."""
 
@@ -149,20 +119,14 @@ def export(
         _archive(path, {**results, **_native(equations, declared, version, picture, platforms, fmi)})
         return path
     generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
-    library = equations.library
-    unneeded = ("kernel/compiled.py",) if library is None else () if portable else PORTABLE
-    methods = METHODS if equations.solver.get("method", "rk4") != "rk4" else ()
-    sources = {name: _source(name) for name in (*RUN_SIDE, *methods) if name not in unneeded}
-    resources = {SCENE: equations.to_json().encode()}
-    if library is None or portable:
-        resources[FUNCTIONS] = serialized(equations, EVALUATED).encode()
-    if library is not None:
-        resources[LIBRARY] = library.path.read_bytes()
-    entry = _entry(equations.name)
-    content = [entry.encode(), *(text.encode() for text in sources.values()), *resources.values()]
+    sources, scene, entry = {name: _source(name) for name in RUN_SIDE}, packed(equations), _entry(equations.name)
+    hosts = [name for name in native.platforms(equations.name, ()) if name in HOSTS]
+    libraries = {native.file_name(name): data for name, data in native.libraries(equations.name, hosts).items()}
+    content = [entry.encode(), *(text.encode() for text in sources.values()), scene]
     digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]
     package = f"alfmu_{equations.name}_{digest}"
     guid = _guid(generator, digest)
+    resources = {SCENE: identified(scene, guid), OPTIONS: _options(equations), **libraries}
 
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)
@@ -174,21 +138,21 @@ def export(
             _write(top / package / name, text)
         for name, data in resources.items():
             (top / name).write_bytes(data)
-        documents, needs = top / "documentation", dependencies(equations, portable)
+        documents, needs = top / "documentation", dependencies()
         page = documentation(equations, declared.sketch, declared.documentation, generator, needs)
         _write(documents / "index.html", page)
         _write(documents / "externalDependencies.txt", needs + "\n")
         for name in ("alfmu", "pythonfmu"):
             _write(documents / "licenses" / f"{name}.txt", _license(name))
         (documents / "model.png").write_bytes(picture)
-        packed = top / f"{equations.name}.fmu"
+        made = top / f"{equations.name}.fmu"
         with _imports_undone(package, script.stem):
-            FmuBuilder.build_FMU(script, packed, [top / package, *(top / name for name in resources)], documents)
+            FmuBuilder.build_FMU(script, made, [top / package, *(top / name for name in resources)], documents)
         described = {
             "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
             "model.png": picture,
         }
-        with zipfile.ZipFile(packed) as archive:
+        with zipfile.ZipFile(made) as archive:
             files = {info.filename: archive.read(info) for info in archive.infolist() if not info.is_dir()}
         _archive(path, {**files, **described, **results})
     return path
@@ -208,10 +172,9 @@ def packed_scene(
     if kind == "native":
         native.checked(equations)
     equations = prepared(equations, kernel or DEFAULT)
-    instance = Instance(equations)
-    instance.initialize()  # an FMU that cannot start is not worth writing
-    if kind == "native" and native.may_brake(instance):
+    if native.may_brake(equations):
         equations = prepared(replace(untraced(equations), brakes=True))
+    Instance(equations).initialize()  # an FMU that cannot start is not worth writing
     return derived, equations
 
 
@@ -239,10 +202,10 @@ def _native(
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
         }
     libraries = {}
-    for each in chosen:
+    for each, data in native.libraries(e.name, chosen).items():
         platform = native.PLATFORMS[each]
         folder = each if fmi == 2 else platform.fmi3
-        libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = native.library(e.name, each)
+        libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = data
     return {
         "modelDescription.xml": described,
         **form,
@@ -250,8 +213,8 @@ def _native(
         "documentation/index.html": page.encode(),
         "documentation/model.png": picture,
         "documentation/licenses/alfmu.txt": _license("alfmu").encode(),
-        "resources/scene.bin": identified(scene, guid),
-        f"resources/{SCENE}": json.dumps({"options": e.options}, indent=1).encode(),
+        f"resources/{SCENE}": identified(scene, guid),
+        f"resources/{OPTIONS}": _options(e),
         **{f"sources/{name}": text.encode() for name, text in files.items()},
         **libraries,
     }
@@ -271,6 +234,10 @@ def _credits(declared: Mechanism) -> dict[str, str]:
         date = datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     found = {"author": declared.author, "copyright": rights, "generationDateAndTime": date}
     return {name: value for name, value in found.items() if value}
+
+
+def _options(equations: Equations) -> bytes:
+    return json.dumps({"options": equations.options}, indent=1).encode()
 
 
 def _guid(generator: str, digest: str) -> str:

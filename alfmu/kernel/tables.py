@@ -60,10 +60,14 @@ NUMBERS = (
     *COUNTS,
     *REFERENCES,
     *("branch", "continues", "method_choice", "freedom", "brakes", "weighted", "same_tiers", "careful_iterations"),
+    *("monitor_position", "monitor_velocity", "monitor_energy"),
     *("method", *FIELDS, "past_size", "seen_size", "time", "work", "trouble", "near", "size", "workspace"),
     *(*HANDED, "watch_near", *FUNCTIONS, *PROGRAMS),
 )
 REALS = ("no_slope", "share", "exponent")
+
+_WATCHED = {"position": "position_error", "velocity": "velocity_error", "energy": "energy"}
+"""Monitors whose largest values an instance keeps."""
 
 HOT = ("quick", "instant", "method")
 """Programs whose calls are joined: they run in every step."""
@@ -212,7 +216,7 @@ class _Table:
         e, layout = self.e, self.layout
         variables, known = interface(self.scene), known_choices(self.scene)
         at = {v.name: k for k, (_, v) in enumerate(variables.causalities)}
-        names = list(CHOICES)
+        names, seen = list(CHOICES), {v.name: k for k, v in enumerate(variables.outputs)}
         quick, careful = (e.kernel[name] for name in ("quick", "careful"))
         method = self.scene.solver.get("method", Settings.method)
         rule = explicit_rule(method, 1.0, e.kernel.get("method", {}).get("rule")) or implicit.RULES.get(method)
@@ -245,6 +249,7 @@ class _Table:
             "weighted": quick.get("weighted", False),
             "same_tiers": quick == careful,
             "careful_iterations": CAREFUL if e.l else 1,
+            **{f"monitor_{name}": seen.get(f"monitor.{key}", -1) for name, key in _WATCHED.items()},
             "method": 0 if method == Settings.method else 1 + (method in FIXED),
             **{name: layout.fields[name][0] for name in FIELDS},
             "past_size": layout.fields["past"][1],

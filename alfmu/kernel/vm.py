@@ -259,7 +259,7 @@ class _Staged:
         self._runs = self._bound(calls)
         self.context: Callable[[], AbstractContextManager] = nullcontext
         if any(call[0] == LOOP for call in calls):
-            from ..runtime.threads import one_thread
+            from ..oracle.threads import one_thread
 
             self.context = one_thread
 

@@ -1,4 +1,4 @@
-"""What moves a scene: an instance in Python, and the same in C for native FMUs."""
+"""What moves a scene: the C library, what builds it, and instances that it drives."""
 
 from .instance import Instance
 

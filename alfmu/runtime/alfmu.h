@@ -15,6 +15,19 @@
 #define MOST_ARGUMENTS 160 /* of a function, results included */
 #define MOST_STEPS 1e9     /* internal steps in one communication step */
 
+/* What an instance counts beside the tally of its memory, and the largest errors that it has seen. */
+enum {
+    PATIENT_STEPS,
+    READS,
+    UNCONVERGED,
+    POSITION_ERROR,
+    VELOCITY_ERROR,
+    ACCELERATION_ERROR,
+    ENERGY_ERROR,
+    ENERGY_START,
+    COUNTED
+};
+
 /* A function of the scene as compiled code: arguments, results, and a workspace. */
 typedef void Compiled(const double *const *x, double *const *y, double *w);
 
@@ -122,7 +135,7 @@ typedef enum {
 } Outcome;
 
 typedef struct {
-    int initialized, running, known, scaled, fast, whole, pending, brakes;
+    int initialized, running, known, scaled, fast, whole, pending, brakes, given;
     int choice[3];
 } Flags;
 
@@ -135,6 +148,8 @@ typedef struct {
     double *values, *wanted, *on, *kept, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty;
+    double *given;  /* penalties of each constraint, where `flags.given` says so */
+    double *counts; /* COUNTED */
     double *m;
     /* Beside them. */
     double *workspace, *before, *scratch, *registers, *spare, *past_before;
@@ -165,6 +180,8 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     size_t known_count, const double *directions, double *changes);
 Outcome instance_refusals(Instance *i);
 double *instance_time(Instance *i);
+Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here);
+Outcome instance_penalize(Instance *i, const double *penalties);
 
 size_t state_size(const Instance *i);
 void state_save(const Instance *i, unsigned char *state);

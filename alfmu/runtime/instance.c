@@ -65,6 +65,8 @@ static size_t divided(Instance *i, double *numbers)
         {&i->regular, 1},
         {&i->rank, 1},
         {&i->largest_penalty, 1},
+        {&i->given, s->l},
+        {&i->counts, COUNTED},
         {&i->m, s->size},
     };
     for (size_t k = 0; k < sizeof parts / sizeof *parts; k++) {
@@ -600,6 +602,17 @@ static Outcome projected(Instance *i, double *q, double *v)
     return outcome;
 }
 
+/* Kinetic and potential energy. */
+static double energy(Instance *i)
+{
+    const Scene *s = i->scene;
+    double found;
+    const double *z = field(i, s->z), *x[] = {z, z + s->n, field(i, s->p)};
+    double *y[] = {&found};
+    call(i, s->energy, x, y);
+    return found;
+}
+
 static Outcome comply(Instance *i)
 {
     const Scene *s = i->scene;
@@ -629,6 +642,8 @@ static Outcome started(Instance *i)
     for (int k = 0; k < s->switches; k++)
         i->on[k] = i->wanted[k] != 0.0 && !s->switched[k].holds;
     in_force(i, i->on, held);
+    for (int r = 0; r < s->l; r++)
+        held[r] &= !(i->flags.given && i->given[r] == 0.0);
     outcome = assemble(i, held, q, v);
     if (outcome == DONE)
         outcome = check_masses(i, q, held);
@@ -638,10 +653,10 @@ static Outcome started(Instance *i)
         return outcome;
     default_penalties(i, q, i->full);
     /* Whether the penalty is the one for which the quick step of the kernel is known to be enough. */
-    i->flags.scaled = alpha == 0.0;
+    i->flags.scaled = alpha == 0.0 && !i->flags.given;
     for (int r = 0; r < s->l; r++) {
         i->flags.scaled &= s->weighted || i->full[r] == i->full[0];
-        i->full[r] = alpha > 0.0 ? alpha : i->full[r];
+        i->full[r] = i->flags.given ? i->given[r] : alpha > 0.0 ? alpha : i->full[r];
     }
     for (int r = 0; r < s->l; r++)
         i->penalty[r] = held[r] ? i->full[r] : 0.0;
@@ -663,6 +678,9 @@ static Outcome started(Instance *i)
     memset(field(i, s->pace), 0, PACE * sizeof(double));
     field(i, s->pace)[0] = FIRST_STEP;
     field(i, s->pace)[1] = LEAST_BEFORE;
+    memset(i->counts, 0, COUNTED * sizeof *i->counts);
+    memset(field(i, s->tally), 0, (TIERS + 5) * sizeof(double));
+    i->counts[ENERGY_START] = energy(i);
     settle_kernel(i);
     for (int k = 0; k < s->switches; k++)
         if (i->wanted[k] != i->on[k])
@@ -870,6 +888,7 @@ static Outcome slow_step(Instance *i, double start, double h)
         }
         if (done < steps) {
             outcome = watched_step(i, start + done * dt, dt);
+            i->counts[PATIENT_STEPS] += outcome == DONE;
             done += 1.0;
         }
     }
@@ -940,6 +959,22 @@ static int all_finite(const Instance *i)
     return good;
 }
 
+/* The largest errors that were read; not a number where nobody watches. */
+static void watch_errors(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *seen = field(i, s->seen);
+    double *c = i->counts;
+    c[READS] += 1.0;
+    c[POSITION_ERROR] = s->monitor_position < 0 ? NAN : fmax(c[POSITION_ERROR], seen[s->monitor_position]);
+    c[VELOCITY_ERROR] = s->monitor_velocity < 0 ? NAN : fmax(c[VELOCITY_ERROR], seen[s->monitor_velocity]);
+    c[ACCELERATION_ERROR] = fmax(c[ACCELERATION_ERROR], seen[s->seen_size - 3]);
+    c[ENERGY_ERROR] = s->monitor_energy < 0
+        ? NAN
+        : fmax(c[ENERGY_ERROR],
+              fabs(seen[s->monitor_energy] - c[ENERGY_START] - field(i, s->z)[s->work]));
+}
+
 Outcome instance_read(Instance *i)
 {
     const Scene *s = i->scene;
@@ -957,9 +992,11 @@ Outcome instance_read(Instance *i)
                 run(i, s->instant_patient);
         }
     }
-    i->flags.known = 1;
-    if (all_finite(i))
+    if (all_finite(i)) {
+        i->flags.known = 1;
+        watch_errors(i);
         return DONE;
+    }
     return say(i, FAILED, "%s, t = %.6g s: accelerations and reactions cannot be computed here", s->name,
         *instance_time(i));
 }
@@ -1044,4 +1081,31 @@ Outcome state_restore(Instance *i, const unsigned char *state, size_t size)
     memset(i->refused, 0, (size_t)variable_count(i->scene));
     i->refused_count = 0;
     return DONE;
+}
+
+/* Penalties ------------------------------------------------------------------------------------------------------- */
+
+Outcome instance_penalize(Instance *i, const double *penalties)
+{
+    const Scene *s = i->scene;
+    Outcome outcome;
+    for (int r = 0; r < s->l; r++)
+        if (!(isfinite(penalties[r]) && penalties[r] >= 0.0))
+            return say(i, REFUSED, "%s: solver.penalty of constraint %d is %g; it must be a finite number, 0 or above",
+                s->name, r + 1, penalties[r]);
+    if (!i->flags.initialized) {
+        memcpy(i->given, penalties, (size_t)s->l * sizeof *penalties);
+        i->flags.given = 1;
+        return DONE;
+    }
+    i->used = 0;
+    hand_over(i);
+    remember(i);
+    memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
+    i->flags.scaled = 0;
+    outcome = change(i, i->on);
+    if (outcome != DONE)
+        go_back(i);
+    i->used = 0;
+    return outcome;
 }

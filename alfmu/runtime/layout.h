@@ -106,6 +106,9 @@
     X(weighted) \
     X(same_tiers) \
     X(careful_iterations) \
+    X(monitor_position) \
+    X(monitor_velocity) \
+    X(monitor_energy) \
     X(method) \
     X(z) \
     X(after) \

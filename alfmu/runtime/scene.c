@@ -509,7 +509,7 @@ static void functions(Reader *r)
     s->function_count = (int)count;
     shaped(r, "dynamics", s->dynamics, 1, 5, 4, n, n, s->inputs, P, 1, s->mass.entries, s->constraint.entries, n, l);
     shaped(r, "constraints", s->constraints, 1, 3, 4, n, n, P, s->mass.entries, s->constraint.entries, l, l);
-    shaped(r, "energy", s->energy, 0, 3, 1, n, n, P, 1);
+    shaped(r, "energy", s->energy, 1, 3, 1, n, n, P, 1);
     shaped(r, "closure", s->closure, 1, 3, 4, n, P, s->starts, s->gaps.entries, s->tie_rows.entries, l, ties);
     shaped(r, "guesses", s->guesses, 1, 3, 2, P, s->starts, s->starts, n, n);
     shaped(r, "displacements", s->displacements, s->held > 0, 2, 1, n, P, s->held);
@@ -659,6 +659,10 @@ static void memory(Reader *r)
         spoil(r, "its memory has %d numbers", s->size);
     if (s->work != 2 * s->n + s->angles || s->time != s->work + 1 || s->trouble != s->work + 2 || s->near != s->work + 5)
         spoil(r, "its state contradicts itself");
+    if (!between(s->monitor_position, -1, s->outputs - s->event_count)
+        || !between(s->monitor_velocity, -1, s->outputs - s->event_count)
+        || !between(s->monitor_energy, -1, s->outputs - s->event_count))
+        spoil(r, "its monitors contradict each other");
     if (s->seen_size < 3 + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
         spoil(r, "its outputs contradict each other");
     if (s->pace > s->past || s->tally + TIERS + 5 > s->pace)

@@ -706,3 +706,32 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
         i->scales[c] = (float)i->scales[c];
     i->used = used;
 }
+
+Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here)
+{
+    const Scene *s = i->scene;
+    unsigned char *held;
+    double *C, *phi, *weights;
+    i->used = 0;
+    *freedom = *here = s->n;
+    *redundant = 0;
+    if (!i->flags.initialized)
+        return say(i, REFUSED, "%s: its degrees of freedom are known after initialising", s->name);
+    if (!s->l)
+        return DONE;
+    held = (unsigned char *)take(i, (size_t)s->l);
+    C = take(i, (size_t)s->l * (size_t)s->n);
+    phi = take(i, (size_t)s->l);
+    weights = take(i, (size_t)s->l);
+    for (int r = 0; r < s->l; r++) {
+        held[r] = i->penalty[r] > 0.0;
+        weights[r] = held[r] / i->units[r];
+        *redundant += held[r];
+    }
+    *freedom = freedom_near(i, field(i, s->z), held);
+    *redundant -= s->n - *freedom;
+    weighted_at(i, field(i, s->z), weights, C, phi);
+    *here = s->n - rank_of(i, C);
+    i->used = 0;
+    return DONE;
+}

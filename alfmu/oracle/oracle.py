@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations
+from ..equations.interface import Counters
 from ..kernel.program import GROSS, Backend, Call
 from ..kernel.thresholds import ASIDE, COARSE, FAR_RATIO, LITTLE, PATIENT, REGULAR
 from ..method import formulations as method
@@ -21,32 +21,7 @@ from ..model.errors import OpenError, StepError
 from ..model.settings import Settings
 from .scaling import scaled
 
-__all__ = ["Counters", "Oracle"]
-
-
-@dataclass
-class Counters:
-    """Work done and the largest errors seen since initialisation."""
-
-    steps: int = 0
-    evaluations: int = 0
-    """Of accelerations and multipliers, those for outputs included."""
-    multiplier_iterations: int = 0
-    unconverged: int = 0
-    """Evaluations in which the multiplier iteration reached its limit."""
-    projection_iterations: int = 0
-    refused: int = 0
-    """Steps that were too inaccurate, and made again shorter."""
-    unprojected: int = 0
-    """Steps after which a constraint was left above the tolerance."""
-    position_error: float = 0.0
-    """Largest |Phi| after a step [m, rad]."""
-    velocity_error: float = 0.0
-    """Largest |Phi-dot| after a step [m/s, rad/s]."""
-    acceleration_error: float = 0.0
-    """Largest |Phi-ddot| at an output [m/s2, rad/s2]."""
-    energy_error: float = 0.0
-    """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
+__all__ = ["Oracle"]
 
 
 class Oracle:
