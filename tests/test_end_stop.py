@@ -40,7 +40,8 @@ def test_the_reference_is_good_to_1e_12_rad():
     assert np.abs(exact(most=5e-4) - exact())[:, 0].max() <= 1e-12
     assert np.abs(exact(rtol=1e-12) - exact())[:, 0].max() <= 5e-11
     assert np.abs(exact(rtol=1e-9, method="Radau") - exact())[:, 0].max() <= 1e-8
-    assert np.ptp([PLAIN.energy(th, w) - work for th, w, work in exact()]) <= 1e-9
+    # A thousand steps, in each of which 1e-13 of 250 J may be lost.
+    assert np.ptp([PLAIN.energy(th, w) - work for th, w, work in exact()]) <= 1000 * 1e-13 * 250
     assert exact()[-1, 2] < -10.0  # what the stop dissipates of 250 J
 
 

@@ -1,5 +1,6 @@
 """The method: accelerations and multipliers against 50 digits, penalties, projections, and the alternatives."""
 
+import math
 from collections.abc import Callable, Iterator
 
 import casadi as ca
@@ -50,14 +51,24 @@ RATIOS = [1e2, 1e4, 1e6, 1e8, 1e10, 1e12, 1e14]
 @pytest.mark.parametrize("sizes", SIZES, ids=["equal", "different", "m2=0"])
 @pytest.mark.parametrize("ratio", RATIOS, ids=lambda x: f"{x:.0e}")
 class TestResidualForm:
-    """It does not depend on the penalty: 1e-13 of the largest entry from 1e2 to 1e14 times the mass."""
+    """It does not depend on the penalty: 1e-13 of the largest entry from 1e2 to 1e14 times the mass.
+
+    An iteration leaves mass / alpha of the error, and the round-off of H over the mass: H sums n + l = 16 products of
+    the size of alpha, so that is at most 16 alpha / mass roundings, a third at 1e14. Ten iterations are enough up to
+    1e13 times the mass, and thirty at 1e14.
+    """
+
+    def iterations(self, ratio: float) -> int:
+        """Iterations that are enough whatever the round-off, at least the default."""
+        return max(alfmu.Settings.max_iterations, math.ceil(math.log(1e-13) / math.log(16 * EPS * ratio)))
 
     def instances(self, ratio: float, sizes: dict) -> Iterator[tuple[alfmu.Instance, np.ndarray, np.ndarray]]:
         """At each state, the exact accelerations and multipliers of least norm beside it."""
         five_bar = Parallelogram(**sizes)
         alpha = ratio * max(five_bar.m1, five_bar.m2, five_bar.m3, five_bar.m4)
         for th, w in STATES:
-            i = started(derived("five_bar"), start(th, w, **sizes, **{"solver.penalty": alpha}))
+            given = {"solver.penalty": alpha, "solver.max_iterations": self.iterations(ratio)}
+            i = started(derived("five_bar"), start(th, w, **sizes, **given))
             yield i, five_bar.accelerations(th, w), five_bar.multipliers(th, w)
             assert i.counters.unconverged == 0
 
@@ -66,7 +77,7 @@ class TestResidualForm:
             assert relative(accelerations(i)[0], exact) <= 1e-13
 
     def test_multipliers_that_it_leaves(self, ratio: float, sizes: dict) -> None:
-        """From lambda = 0 with one penalty for all rows they stay in the range of C, so they have the least norm."""
+        """With one penalty for all rows they have the least norm; round-off along null vectors of C' is not in them."""
         for i, _, exact in self.instances(ratio, sizes):
             assert relative(accelerations(i)[1], exact) <= 1e-13
 
@@ -212,7 +223,7 @@ def reported() -> dict[str, np.ndarray]:
     given = {"solver.penalty": 1e6, "solver.formulation": "classic"}
     i, free = started(e, given), started(e, given, projection=False)
     p, alpha = i.values[: len(e.parameters)], 1e6 * np.eye(8)
-    found: dict[str, list] = {"after three": [], "to 1e-12": [], "to 1e-15": [], "Phi": [], "Phi-dot": []}
+    found: dict[str, list] = {"after three": [], "changes": [], "to 1e-15": [], "Phi": [], "Phi-dot": []}
 
     def solver(q: np.ndarray) -> tuple[np.ndarray, Callable]:
         C = np.array(e.C(q, p))
@@ -234,10 +245,9 @@ def reported() -> dict[str, np.ndarray]:
 
             method.classic(M, F, C, xi, alpha, solve, np.zeros(8), np.zeros(8), 30, watch)
             exact = five_bar.accelerations(th, w)
-            scale = np.abs(exact).max()
             found["after three"].append(relative(seen[2][0], exact))
-            for name, limit in (("to 1e-12", 1e-12 * scale), ("to 1e-15", 1e-15)):
-                found[name].append(next((n for n, (_, da) in enumerate(seen, 1) if da <= limit), np.inf))
+            found["changes"].append([da / np.abs(exact).max() for _, da in seen])
+            found["to 1e-15"].append(next((n for n, (_, da) in enumerate(seen, 1) if da <= 1e-15), np.inf))
         free.restore(i.save())
         free.step(0.02)
         q, v = free.q.copy(), free.v.copy()
@@ -261,12 +271,17 @@ def reported() -> dict[str, np.ndarray]:
 def test_iterations_that_the_paper_reports(reported: dict) -> None:
     """1 to 3 iterations for |da| <= 1e-15 (alpha = 1e6) are not seen in double precision; what is seen instead.
 
-    After three, a is good to 1e-9 of its size; 1e-12 takes six at the median; 1e-15 is hardly ever reached.
+    Each gains the factor mass / alpha, about 1e-6. The right-hand side of (8) is of the size of alpha, so its round-off
+    makes alpha / mass roundings of a: the third iteration reaches them, and none after it changes a by less, but by
+    chance. So 1e-12 of the size of a is met by luck, and 1e-15 is hardly ever reached.
     """
+    floor = 1e6 * EPS
     assert reported["to 1e-15"].min() > 3
     assert np.isinf(reported["to 1e-15"]).mean() > 0.5
-    assert 4 <= np.median(reported["to 1e-12"]) <= 8
-    assert 1e-12 < np.median(reported["after three"]) < 1e-9
+    assert 1e-8 < reported["changes"][:, 1].min() < reported["changes"][:, 1].max() < 1e-5
+    assert reported["changes"][:, 2:].max() < 8 * floor
+    assert np.median(reported["changes"][:, 2:]) > 1e-12
+    assert 1e-12 < np.median(reported["after three"]) < 8 * floor
     assert reported["after three"].max() < 1e-8
 
 

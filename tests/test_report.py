@@ -187,7 +187,7 @@ def test_methods_are_those_that_the_solver_offers():
 def written(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module in ("report", "stability"):
-            patch.setattr(f"alfmu.{module}.methods", lambda: FEW)
+            patch.setattr(f"alfmu.studies.{module}.methods", lambda: FEW)
         return report(["particle_on_circle"], tmp_path_factory.mktemp("report"), effort=SMALL)
 
 

@@ -102,7 +102,7 @@ class Oracle:
     def accelerations(
         self, q: NDArray, v: NDArray, u: NDArray, t: float, patience: int = 1
     ) -> tuple[NDArray, NDArray, int, NDArray]:
-        """a (n,), lam (l,), the multiplier iterations used, and Phi-ddot (l,) that is left.
+        """a (n,), lam (l,) of least norm, the multiplier iterations used, and Phi-ddot (l,) that is left.
 
         `patience` times as many iterations as usual may be made.
         """
@@ -396,7 +396,11 @@ class Oracle:
     def _iterated(
         self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, t: float, patience: int = 1
     ) -> tuple[NDArray, NDArray, int, bool]:
-        """(8), classic or residual, until the change is within the tolerance of the accelerations it changes."""
+        """(8), classic or residual, until the change is within the tolerance of the accelerations it changes.
+
+        Null vectors of C' do not act on a, so that alpha times the round-off of each pass stays in lam along them. Yet
+        they act on tangents: lam is handed out without them.
+        """
         solve = self.factor(method.augmented_mass(M, C, self.alpha), t)
         scale = np.abs(F).max(initial=0.0) / np.abs(_entries(M)).max(initial=1e-300)
         limit = self.settings.tolerance
@@ -405,7 +409,9 @@ class Oracle:
             return np.abs(da).max() <= limit * max(np.abs(a).max(), scale)
 
         zeros = np.zeros_like(F), np.zeros_like(xi)
-        return iterate(M, F, C, xi, self.alpha, solve, *zeros, patience * self.settings.max_iterations, done)
+        most = patience * self.settings.max_iterations
+        a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
+        return a, _least(C, self.alpha, solve, lam), used, converged
 
     def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray, t: float) -> NDArray:
         """Multipliers that act like lam (l,): of least norm, or as constraints of the given compliances share them."""
@@ -414,13 +420,7 @@ class Oracle:
         if self.compliances.any():
             stiffness = self.stiffnesses * self._penalty.max()
             alpha = _sparse_diagonal(stiffness) if self.sparse else np.diag(stiffness)
-        solve = self.factor(method.augmented_mass(M, C, alpha), t)
-        limit = np.finfo(float).eps
-
-        def done(change: NDArray, value: NDArray) -> bool:
-            return np.abs(change).max(initial=0.0) <= limit * np.abs(value).max(initial=0.0)
-
-        return method.minimum_norm(C, alpha, solve, lam, CORRECTIONS, done)
+        return _least(C, alpha, self.factor(method.augmented_mass(M, C, alpha), t), lam)
 
     @property
     def stiffnesses(self) -> NDArray:
@@ -545,6 +545,16 @@ class Oracle:
 
     def _say(self, t: float, measured: str, remedy: str) -> str:
         return f"{self.equations.name}, t = {t:.6g} s: {measured}; {remedy}"
+
+
+def _least(C: NDArray, alpha: NDArray, solve: method.Solve, lam: NDArray) -> NDArray:
+    """lam of least norm, until another pass would change round-off alone."""
+    limit = np.finfo(float).eps
+
+    def done(change: NDArray, value: NDArray) -> bool:
+        return np.abs(change).max(initial=0.0) <= limit * np.abs(value).max(initial=0.0)
+
+    return method.minimum_norm(C, alpha, solve, lam, CORRECTIONS, done)
 
 
 def _least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:
