@@ -51,8 +51,7 @@ def standalone(equations: Equations) -> Equations:
             redundant = tracer.redundant
             kernel["instant_patient"] = tracer.instant(careful, redundant)
             kernel["limit_patient"] = tracer.limit(careful, redundant)
-        if e.switches:
-            kernel["impact"] = tracer.impact(careful)
+        kernel["impact"] = tracer.impact(careful)
         tracer.pivots(careful)
     if e.inputs and any(v.instant for v in e.outputs):
         plan = Plan(CAREFUL, 3, weighted=e.l > 0)
