@@ -36,10 +36,17 @@ from ..runtime import Instance
 from ..simulation import prepared, with_defaults
 from ..specialisation import specialised
 from . import native
-from .description import build_description, dependencies, documentation, model_description, model_description3
+from .description import (
+    build_description,
+    dependencies,
+    documentation,
+    enumerated,
+    model_description,
+    model_description3,
+)
 from .experiment import reference_results
 from .slave import FUNCTIONS, SCENE
-from .table import interface
+from .table import interface, known_choices
 from .terminals import document, terminals
 
 __all__ = ["KINDS", "RUN_SIDE", "export", "packed_scene"]
@@ -222,14 +229,14 @@ def _native(
     files = {name: text.replace(native.GUID, guid) for name, text in files.items()}
     compiled = [name for name in files if name.endswith(".c")]
     needs = "This FMU needs nothing but the C library."
-    page = documentation(e, declared.sketch, declared.documentation, generator, needs)
-    variables = interface(e)
+    variables, choices = interface(e), known_choices(e)
+    page = documentation(e, declared.sketch, declared.documentation, generator, needs, enumerated(variables, choices))
     found = terminals(declared, [v.name for _, v in variables])
     if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared))
+        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices)
         form = {}
     else:
-        described = model_description3(e, version, generator, guid, variables, _credits(declared))
+        described = model_description3(e, version, generator, guid, variables, _credits(declared), choices)
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),

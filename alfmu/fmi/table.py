@@ -43,10 +43,13 @@ def _only(v: Variable) -> Variable:
     return replace(v, minimum=v.start, maximum=v.start)
 
 
-def known_choices(equations: Equations) -> dict[str, list[str]]:
-    """What text variables can be in a native FMU: a scene carries one formulation and one method."""
+def known_choices(equations: Equations) -> dict[str, dict[str, str]]:
+    """What text variables can be in a native FMU, and what that is: a scene carries one formulation and one method."""
     chosen = Instance(equations).choices
-    return {name: list(known) if name == "solver.branch" else [chosen[name]] for name, known in CHOICES.items()}
+    return {
+        name: dict(known) if name == "solver.branch" else {chosen[name]: known[chosen[name]]}
+        for name, known in CHOICES.items()
+    }
 
 
 def constants() -> str:
@@ -131,7 +134,7 @@ class _Table:
         for name, values in known.items():
             self._array(f"const char *const {_field(name)}_values", map(_text, values))
         each = (
-            f"{{{len(values)}, {values.index(instance.choices[name])}, {_field(name)}_values}}"
+            f"{{{len(values)}, {list(values).index(instance.choices[name])}, {_field(name)}_values}}"
             for name, values in known.items()
         )
         self._array("const Choice choice", each)
@@ -154,7 +157,7 @@ class _Table:
             **{name: at[f"solver.{name}"] for name in _NUMBERS},
             "branch": names.index("solver.branch"),
             "method_choice": names.index("solver.method"),
-            "continues": known["solver.branch"].index("continue"),
+            "continues": list(known["solver.branch"]).index("continue"),
             "no_slope": _number(math.inf if "reach" in e.kernel else 0.0),
         }
 

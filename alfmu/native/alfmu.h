@@ -126,10 +126,9 @@ typedef struct {
     double *workspace, *before, *scratch;
     Flags flags_before;
     int within; /* whether the next step goes on in a communication step that began before */
+    long left;  /* internal steps that this communication step may still take */
     size_t used, room; /* of scratch */
-    int refused_count;
-    unsigned char *refused; /* variables whose last value was not taken */
-    char text[1024];        /* what happened last */
+    char text[1024];   /* what happened last */
 } Instance;
 
 Instance *instance_new(const Scene *scene);
@@ -138,22 +137,23 @@ void instance_reset(Instance *i);
 int variable_count(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);
-Outcome instance_choose(Instance *i, int reference, const char *value);
 double instance_get(const Instance *i, int reference);
-const char *instance_chosen(const Instance *i, int reference);
 Outcome instance_set_slope(Instance *i, int reference, double value);
 
 Outcome instance_tolerate(Instance *i, double tolerance);
 Outcome instance_initialize(Instance *i);
+Outcome instance_can_step(Instance *i, double start, double h);
 Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_read(Instance *i);
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *directions, double *changes);
-Outcome instance_refusals(Instance *i);
+Outcome instance_output_derivatives(
+    Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);
 
 size_t state_size(const Instance *i);
 void state_save(const Instance *i, unsigned char *state);
+int state_running(const unsigned char *state);
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size);
 
 /* Between the parts of the runtime. */
