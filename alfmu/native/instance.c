@@ -15,7 +15,9 @@
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 /* Most internal steps, or tries of them, in one communication step: a call comes back after some seconds at most. */
+#ifndef MOST_STEPS
 #define MOST_STEPS 1000000
+#endif
 
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
 #define PATIENT_STEP 10
@@ -1068,7 +1070,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
 
 /* Places after now, in internal steps, that derivatives of outputs are differences of, and their weights. */
 #define PLACES 5
-#define APART 0.125
+#define APART 0.03125
 static const double difference[2][PLACES] = {
     {-25.0 / 12, 4.0, -3.0, 4.0 / 3, -1.0 / 4},
     {35.0 / 12, -26.0 / 3, 19.0 / 2, -14.0 / 3, 11.0 / 12},
