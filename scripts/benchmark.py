@@ -317,7 +317,7 @@ def native_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
 
 
 def from_c(top: Path, guid: str, steps: int, rounds: int) -> list[float]:
-    """Medians [s] of an initialisation, a doStep, a step of the kernel, in turns."""
+    """Medians [s] of an initialisation, a doStep, a step of the kernel with the outputs at its end, in turns."""
     sources = sorted(map(str, (top / "native" / "sources").glob("*.c")))
     flags = ["-O2", "-fno-math-errno", "-ffp-contract=off", f'-DGUID="{guid}"', f"-I{native.headers()}"]
     flags += [f"-I{top / 'native' / 'sources'}", str(SCRIPTS / "native_bench.c")]
@@ -524,9 +524,9 @@ CHAPTERS = {
     "native": Chapter(
         "## The five-bar as a native FMU",
         f"""The same motion, {STOP:g} s in steps of {DT:g} s. From C the FMU is linked with a host, where its doStep and
-        the bare step of its kernel take turns, in processor time; through fmpy it takes turns with a C library whose
-        functions do nothing. Initialise is an instantiation with all that follows up to the first step; the file is for
-        one platform.""",
+        what the kernel does in it (a step, and the outputs at its end) take turns, in processor time; through fmpy it
+        takes turns with a C library whose functions do nothing. Initialise is an instantiation with all that follows up
+        to the first step; the file is for one platform.""",
         {
             "A native FMU": (
                 *("scene", "doStep in C / kernel", "doStep through fmpy / (empty + kernel)"),

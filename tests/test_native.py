@@ -21,6 +21,7 @@ from alfmu.cli import main
 from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu, validate
 from alfmu.kernel.program import Layout
+from alfmu.runtime import CHOICES
 from alfmu.simulation import prepared, run, with_defaults
 
 HOST = Path(__file__).with_name("native_host.c")
@@ -61,7 +62,16 @@ def state_of(fmu: Fmu, layout: Layout) -> np.ndarray:
 def like(fmu: Fmu, instance: alfmu.Instance) -> None:
     """Give an initialised FMU the memory of an instance."""
     size = 8 * instance.layout.size
-    fmu.restore(fmu.save()[:-size] + instance.memory.block[: instance.layout.size].tobytes())
+    fmu.restore(summed(fmu.save()[:-size] + instance.memory.block[: instance.layout.size].tobytes()))
+
+
+def summed(state: bytes) -> bytes:
+    """A state with the check sum of what it says now: that of Fowler, Noll and Vo by words of 64 bits."""
+    words = [int.from_bytes(state[4:8], "little"), *np.frombuffer(state[24:], np.uint64).tolist()]
+    found = 0xCBF29CE484222325
+    for word in words:
+        found = (found ^ word) * 0x100000001B3 % 2**64
+    return state[:16] + found.to_bytes(8, "little") + state[24:]
 
 
 def unlike(a, b, *but: str) -> float:
@@ -161,10 +171,18 @@ def test_variables_are_those_of_the_python_fmu(built, exported, name):
         [
             (v.name, v.valueReference, v.causality, v.type, v.unit, v.start, v.min, v.description)
             for v in d.modelVariables
+            if v.name not in CHOICES
         ]
         for d in described
     ]
     assert kept[0] == kept[1]
+    choices = [[v for v in d.modelVariables if v.name in CHOICES] for d in described]
+    for here, there in zip(*choices, strict=True):
+        items = here.declaredType.items
+        assert (here.name, here.valueReference, here.causality) == (there.name, there.valueReference, there.causality)
+        assert (here.type, items[int(here.start) - 1].name) == ("Enumeration", there.start)
+        assert all(item.description == CHOICES[here.name][item.name] for item in items)
+        assert len(items) == (2 if here.name == "solver.branch" else 1)
     follow = [{u.variable.name: [v.name for v in u.dependencies] for u in d.outputs} for d in described]
     assert follow[0] == follow[1]
 
@@ -738,7 +756,6 @@ def test_fmi_3_saves_derives_and_refuses(slave):
     assert other.getFloat64([angle]) == after
     for call in (
         lambda: unit.setFloat64([torque], [float("nan")]),
-        lambda: unit.doStep(0.42, 0.02),
         lambda: unit.doStep(0.42, -1.0),
         lambda: unit.setFloat64([angle], [1.0]),
         lambda: unit.getInt32([angle]),

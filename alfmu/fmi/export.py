@@ -25,7 +25,7 @@ from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.specialisation import specialised
 from ..kernel import DEFAULT
-from ..kernel.tables import identified, interface, packed
+from ..kernel.tables import identified, interface, known_choices, packed
 from ..kernel.trace import untraced
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
@@ -34,7 +34,14 @@ from ..runtime import Instance
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native
-from .description import build_description, dependencies, documentation, model_description, model_description3
+from .description import (
+    build_description,
+    dependencies,
+    documentation,
+    enumerated,
+    model_description,
+    model_description3,
+)
 from .experiment import reference_results
 from .slave import OPTIONS, SCENE
 from .terminals import document, terminals
@@ -189,14 +196,14 @@ def _native(
     guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     compiled = [name for name in files if name.endswith(".c")]
     needs = "This FMU needs nothing but the C library."
-    page = documentation(e, declared.sketch, declared.documentation, generator, needs)
-    variables = interface(e).causalities
+    variables, choices = interface(e).causalities, known_choices(e)
+    page = documentation(e, declared.sketch, declared.documentation, generator, needs, enumerated(variables, choices))
     found = terminals(declared, [v.name for _, v in variables])
     if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared))
+        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices)
         form = {}
     else:
-        described = model_description3(e, version, generator, guid, variables, _credits(declared))
+        described = model_description3(e, version, generator, guid, variables, _credits(declared), choices)
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),

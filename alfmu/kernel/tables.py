@@ -84,10 +84,13 @@ _FIXED = ("solver.input_order",)
 """Numbers of the solver that a scene has traced."""
 
 
-def known_choices(equations: Equations) -> dict[str, list[str]]:
-    """What text variables can be: a scene carries one formulation and one method."""
-    chosen = {v.name: v.start for v in variables_of(equations).choices}
-    return {name: list(known) if name == "solver.branch" else [chosen[name]] for name, known in CHOICES.items()}
+def known_choices(equations: Equations) -> dict[str, dict[str, str]]:
+    """What text variables can be, and what that is: a scene carries one formulation and one method."""
+    chosen = {v.name: str(v.start) for v in variables_of(equations).choices}
+    return {
+        name: dict(known) if name == "solver.branch" else {chosen[name]: known[chosen[name]]}
+        for name, known in CHOICES.items()
+    }
 
 
 def layout_header() -> str:
@@ -242,7 +245,7 @@ class _Table:
             "ties": len(e.tied),
             **{name: at[f"solver.{name}"] for name in REFERENCES},
             "branch": names.index("solver.branch"),
-            "continues": known["solver.branch"].index("continue"),
+            "continues": list(known["solver.branch"]).index("continue"),
             "method_choice": names.index("solver.method"),
             "freedom": -1 if e.freedom is None else e.freedom,
             "brakes": e.brakes,
@@ -279,7 +282,7 @@ class _Table:
         for _, v in variables.causalities:
             self._variable(w, v)
         for v in variables.choices:
-            w.integer(known[v.name].index(v.start))
+            w.integer(list(known[v.name]).index(str(v.start)))
             self._texts(w, known[v.name])
         for switch in e.switches:
             w.integer(switch.holds)

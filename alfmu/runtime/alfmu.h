@@ -13,7 +13,8 @@
 #include "layout.h"
 
 #define MOST_ARGUMENTS 160 /* of a function, results included */
-#define MOST_STEPS 1e9     /* internal steps in one communication step */
+/* Most internal steps, or tries of them, in one communication step: a call comes back after some seconds at most. */
+#define MOST_STEPS 1000000
 
 /* What an instance counts beside the tally of its memory, and the largest errors that it has seen. */
 enum {
@@ -124,6 +125,10 @@ void scene_free(Scene *s);
 int settings_length(const Scene *s);
 size_t state_length(const Scene *s);
 
+/* CRC-32 of bytes that follow others; it begins with CHECK_BEGIN, and its complement is the check sum. */
+#define CHECK_BEGIN 0xffffffffu
+uint32_t check_sum_from(uint32_t sum, const unsigned char *bytes, size_t count);
+
 /* The scene among the resources of an FMU, which the host names by a URI or a path. */
 Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
 
@@ -153,12 +158,12 @@ typedef struct {
     double *m;
     /* Beside them. */
     double *workspace, *before, *scratch, *registers, *spare, *past_before;
+    double dt_before;
     Flags flags_before;
     int within; /* whether the next step goes on in a communication step that began before */
+    long left;  /* internal steps that this communication step may still take */
     size_t used, room; /* of scratch */
-    int refused_count;
-    unsigned char *refused; /* variables whose last value was not taken */
-    char text[1024];        /* what happened last */
+    char text[1024];   /* what happened last */
 } Instance;
 
 Instance *instance_new(const Scene *scene);
@@ -167,24 +172,25 @@ void instance_reset(Instance *i);
 int variable_count(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);
-Outcome instance_choose(Instance *i, int reference, const char *value);
 double instance_get(const Instance *i, int reference);
-const char *instance_chosen(const Instance *i, int reference);
 Outcome instance_set_slope(Instance *i, int reference, double value);
 
 Outcome instance_tolerate(Instance *i, double tolerance);
 Outcome instance_initialize(Instance *i);
+Outcome instance_can_step(Instance *i, double start, double h);
 Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_read(Instance *i);
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *directions, double *changes);
-Outcome instance_refusals(Instance *i);
+Outcome instance_output_derivatives(
+    Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);
 Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here);
 Outcome instance_penalize(Instance *i, const double *penalties);
 
 size_t state_size(const Instance *i);
 void state_save(const Instance *i, unsigned char *state);
+int state_running(const unsigned char *state);
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size);
 
 /* Between the parts of the runtime. */

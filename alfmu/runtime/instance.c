@@ -11,8 +11,14 @@
 
 #include "linear.h"
 
-#define FORMAT 1
+#define FORMAT 2
 #define MAGIC 0x464d4c41u /* "ALMF" */
+
+/* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
+#define PATIENT_STEP 10
+
+/* Inputs above this are tried before they are taken: some outputs may not be finite with them. */
+#define TRIED 1e30
 
 /* Memory ----------------------------------------------------------------------------------------------------------- */
 
@@ -91,10 +97,7 @@ Instance *instance_new(const Scene *s)
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
             + (size_t)s->past_size,
         sizeof *numbers);
-    i->refused = calloc((size_t)variable_count(s), 1);
-    if (!numbers || !i->refused) {
-        free(numbers);
-        free(i->refused);
+    if (!numbers) {
         free(i);
         return NULL;
     }
@@ -115,7 +118,6 @@ void instance_free(Instance *i)
 {
     if (i) {
         free(i->numbers);
-        free(i->refused);
         free(i);
     }
 }
@@ -126,8 +128,6 @@ void instance_reset(Instance *i)
     const Variable *v = s->variables;
     memset(i->numbers, 0, i->count * sizeof *i->numbers);
     memset(&i->flags, 0, sizeof i->flags);
-    memset(i->refused, 0, (size_t)variable_count(s));
-    i->refused_count = 0;
     for (int k = 0; k < s->parameters; k++)
         i->values[k] = v[k].start;
     v += s->parameters;
@@ -176,14 +176,6 @@ static Outcome checked(Instance *i, const Variable *v, double value)
     return say(i, REFUSED, "%s: %s = %g %s is outside [%s, %s]", name, v->name, value, v->unit, low, high);
 }
 
-/* Takes note of whether a variable's last value was taken. */
-static Outcome noted(Instance *i, int reference, Outcome outcome)
-{
-    i->refused_count += (outcome != DONE) - i->refused[reference];
-    i->refused[reference] = outcome != DONE;
-    return outcome;
-}
-
 /* Whether a parameter can still be changed. */
 static Outcome open_to_change(Instance *i, const Variable *v)
 {
@@ -194,63 +186,82 @@ static Outcome open_to_change(Instance *i, const Variable *v)
     return DONE;
 }
 
-Outcome instance_set(Instance *i, int reference, double value)
-{
-    const Scene *s = i->scene;
-    const Variable *v = s->variables + reference;
-    Outcome outcome = checked(i, v, value);
-    if (v->kind == OUTPUT)
-        outcome = say(i, REFUSED, "%s: %s is an output and cannot be set", s->name, v->name);
-    else if (outcome == DONE && v->kind == PARAMETER)
-        outcome = open_to_change(i, v);
-    if (outcome == DONE) {
-        if (v->kind == PARAMETER)
-            i->values[reference] = value;
-        reference -= s->parameters + s->choices;
-        if (v->kind == INPUT) {
-            i->m[s->u + reference] = value;
-            i->slopes[1 + reference] = s->no_slope;
-            i->flags.known = 0;
-        }
-        if (v->kind == SWITCH) {
-            i->wanted[reference - s->inputs] = value;
-            i->flags.pending = 0;
-            for (int k = 0; k < s->switches; k++)
-                i->flags.pending |= i->wanted[k] != i->on[k];
-        }
-    }
-    return noted(i, (int)(v - s->variables), outcome);
-}
-
-Outcome instance_choose(Instance *i, int reference, const char *value)
+static Outcome set_choice(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
     const Choice *choice = s->choice + (reference - s->parameters);
-    char known[200] = "";
+    char known[400] = "";
     Outcome outcome;
-    for (int k = 0; k < choice->count; k++) {
-        if (value && !strcmp(value, choice->values[k])) {
-            outcome = open_to_change(i, s->variables + reference);
-            if (outcome == DONE)
-                i->flags.choice[reference - s->parameters] = k;
-            return noted(i, reference, outcome);
-        }
-        strncat(known, k ? ", " : "", 2);
-        strncat(known, choice->values[k], 60);
+    if (value >= 1.0 && value <= choice->count && value == floor(value)) {
+        outcome = open_to_change(i, s->variables + reference);
+        if (outcome == DONE)
+            i->flags.choice[reference - s->parameters] = (int)value - 1;
+        return outcome;
     }
-    outcome = say(i, REFUSED, "%s: %s is '%.60s'; this native FMU knows %s", s->name, s->variables[reference].name,
-        value ? value : "", known);
-    return noted(i, reference, outcome);
+    for (int k = 0; k < choice->count; k++) {
+        char part[64];
+        snprintf(part, sizeof part, "%s%d (%.40s)", k ? ", " : "", k + 1, choice->values[k]);
+        strncat(known, part, sizeof known - strlen(known) - 1);
+    }
+    return say(i, REFUSED, "%s: %s is %g; this native FMU knows %s", s->name, s->variables[reference].name, value, known);
+}
+
+static Outcome set_input(Instance *i, int reference, double value)
+{
+    const Scene *s = i->scene;
+    const int k = reference - s->parameters - s->choices;
+    double *u = i->m + s->u + k, *slope = i->slopes + 1 + k;
+    const double u_before = *u, slope_before = *slope;
+    *u = value;
+    *slope = s->no_slope;
+    i->flags.known = 0;
+    if (fabs(value) <= TRIED || !i->flags.initialized || instance_read(i) == DONE)
+        return DONE;
+    *u = u_before;
+    *slope = slope_before;
+    return say(i, REFUSED, "%s: %s = %g %s: outputs are not finite with it; give a smaller value", s->name,
+        s->variables[reference].name, value, s->variables[reference].unit);
+}
+
+static Outcome set_switch(Instance *i, int reference, double value)
+{
+    const Scene *s = i->scene;
+    i->wanted[reference - s->parameters - s->choices - s->inputs] = value;
+    i->flags.pending = 0;
+    for (int k = 0; k < s->switches; k++)
+        i->flags.pending |= i->wanted[k] != i->on[k];
+    return DONE;
+}
+
+/* A choice is set by its number, from 1 on. A value that is refused leaves the one before it in force. */
+Outcome instance_set(Instance *i, int reference, double value)
+{
+    const Variable *v = i->scene->variables + reference;
+    Outcome outcome;
+    if (v->kind == OUTPUT)
+        return say(i, REFUSED, "%s: %s is an output and cannot be set", i->scene->name, v->name);
+    if (v->kind == CHOICE)
+        return set_choice(i, reference, value);
+    outcome = checked(i, v, value);
+    if (outcome != DONE)
+        return outcome;
+    if (v->kind == INPUT)
+        return set_input(i, reference, value);
+    if (v->kind == SWITCH)
+        return set_switch(i, reference, value);
+    outcome = open_to_change(i, v);
+    if (outcome == DONE)
+        i->values[reference] = value;
+    return outcome;
 }
 
 /* An input's time derivative in the next communication step. */
 Outcome instance_set_slope(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
-    const Variable *v = s->variables + reference;
     if (!isfinite(value))
-        return noted(i, reference,
-            say(i, REFUSED, "%s: the derivative of %s is %g; it must be a finite number", s->name, v->name, value));
+        return say(i, REFUSED, "%s: the derivative of %s is %g; it must be a finite number", s->name,
+            s->variables[reference].name, value);
     i->slopes[1 + reference - s->parameters - s->choices] = value;
     return DONE;
 }
@@ -260,7 +271,10 @@ double instance_get(const Instance *i, int reference)
     const Scene *s = i->scene;
     if (reference < s->parameters)
         return i->values[reference];
-    reference -= s->parameters + s->choices;
+    reference -= s->parameters;
+    if (reference < s->choices)
+        return i->flags.choice[reference] + 1;
+    reference -= s->choices;
     if (reference < s->inputs)
         return i->m[s->u + reference];
     reference -= s->inputs;
@@ -271,28 +285,6 @@ double instance_get(const Instance *i, int reference)
         return i->m[s->seen + reference];
     reference = s->event_places[reference - (s->outputs - s->event_count)];
     return reference < s->impulses ? i->impulses[reference] : *i->lost;
-}
-
-const char *instance_chosen(const Instance *i, int reference)
-{
-    const int k = reference - i->scene->parameters;
-    return i->scene->choice[k].values[i->flags.choice[k]];
-}
-
-Outcome instance_refusals(Instance *i)
-{
-    const Scene *s = i->scene;
-    int first = 0;
-    if (!i->refused_count)
-        return DONE;
-    while (!i->refused[first])
-        first++;
-    if (!strstr(i->text, s->variables[first].name))
-        say(i, REFUSED, "%s: the last value of %s was refused; give it a good one", s->name,
-            s->variables[first].name);
-    memset(i->refused, 0, (size_t)variable_count(s));
-    i->refused_count = 0;
-    return REFUSED;
 }
 
 /* Equations -------------------------------------------------------------------------------------------------------- */
@@ -749,6 +741,15 @@ static Outcome check_length(Instance *i, double t)
     return DONE;
 }
 
+/* What a communication step comes to that takes more work than a call may do. */
+static Outcome too_much(Instance *i)
+{
+    return say(i, FAILED,
+        "%s, t = %.6g s: more than %d internal steps in one communication step (steps tried again count; patient ones "
+        "count as %d); take shorter communication steps, or increase solver.step_size or the tolerances",
+        i->scene->name, *instance_time(i), MOST_STEPS, PATIENT_STEP);
+}
+
 /* One internal step by loops that stop on convergence, and whether it came near a singular position. */
 static Outcome follow(Instance *i, double start, double dt, int *near)
 {
@@ -760,6 +761,9 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     int row;
     Outcome outcome;
     *near = 0;
+    i->left -= PATIENT_STEP;
+    if (i->left < 0)
+        return too_much(i);
     if (!s->l)
         return say(i, FAILED,
             "%s, t = %.6g s: the state is not finite, or turned by more than half a turn in one step; reduce "
@@ -847,9 +851,13 @@ static Outcome covered(Instance *i, double end, double dt)
     pace[PACE_LAST] = 0.0;
     pace[PACE_FIXED] = s->method == 2 ? dt : 0.0;
     while (*time < end) {
+        const long tries = i->flags.brakes ? 1 : i->left;
+        if (i->left <= 0)
+            return too_much(i);
+        i->left -= tries;
         if (i->flags.brakes)
             hold(i);
-        if (!cover(i, end, i->flags.brakes ? 1 : -1))
+        if (!cover(i, end, tries))
             return say(i, FAILED,
                 "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
                 "where constraints stay open, use --kind python or rk4",
@@ -858,18 +866,21 @@ static Outcome covered(Instance *i, double end, double dt)
     return DONE;
 }
 
+/* How many internal steps a communication step takes at least. */
+static double internal_steps(const Instance *i, double h)
+{
+    return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
+}
+
 /* A communication step that the kernel cannot make in one go. */
 static Outcome slow_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
     const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
     double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
-    const double steps = fmax(1.0, ceil(h / i->values[s->step_size] * (1 - 1e-12))), dt = h / steps;
+    const double steps = internal_steps(i, h), dt = h / steps;
     double done = 0.0;
     Outcome outcome = DONE;
-    if (!(steps < 1e9))
-        return say(i, REFUSED, "%s: %g internal steps in one communication step; increase solver.step_size", s->name,
-            steps);
     memcpy(begin, z, size);
     memcpy(before, pace, count * sizeof *pace);
     z[s->time] = start;
@@ -901,49 +912,113 @@ static Outcome slow_step(Instance *i, double start, double h)
     return outcome;
 }
 
-static Outcome checked_step(Instance *i, double start, double h)
+/* DONE, or why a communication step cannot be made from here, or not by one call. */
+Outcome instance_can_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    const double time = *instance_time(i);
+    const double time = *instance_time(i), steps = internal_steps(i, h);
     if (!(isfinite(h) && h > 0.0))
         return say(
             i, REFUSED, "%s, t = %.6g s: a communication step of %g s; it must be above zero", s->name, time, h);
-    if (!(fabs(start - time) <= 1e-6 * h + 1e-12 * fabs(time)))
+    if (!(isfinite(start) && fabs(start - time) <= 1e-6 * h + 1e-12 * fabs(time)))
         return say(i, REFUSED, "%s: a step from t = %g s is asked for, but the state is at t = %g s", s->name, start,
             time);
-    return slow_step(i, start, h);
+    if (!(steps <= MOST_STEPS))
+        return say(i, REFUSED,
+            "%s, t = %.6g s: a communication step of %g s takes %.3g internal steps, more than %d; take shorter "
+            "communication steps, or increase solver.step_size (%g s)",
+            s->name, time, h, steps, MOST_STEPS, i->values[s->step_size]);
+    if (!(start + h / steps > nextafter(start, INFINITY)))
+        return say(i, REFUSED,
+            "%s, t = %.6g s: steps of %g s are lost in the last digit of the time; take longer ones, or begin at 0",
+            s->name, time, h / steps);
+    return DONE;
+}
+
+/* How many numbers stand from the tally to past inputs: what steps remember beside the motion. */
+static size_t told(const Scene *s)
+{
+    return (size_t)(s->past + s->past_size - s->tally);
+}
+
+/* What a step may change is kept, beside the state at its begin, which the step keeps itself. */
+static void remember_step(Instance *i)
+{
+    const Scene *s = i->scene;
+    memcpy(i->before, i->slopes, (size_t)(s->inputs + 1) * sizeof *i->before);
+    memcpy(i->before + s->inputs + 1, i->m + s->u, (size_t)s->inputs * sizeof *i->before);
+    memcpy(i->before + 2 * s->inputs + 1, i->m + s->tally, told(s) * sizeof *i->before);
+    memcpy(i->before + 2 * (size_t)s->inputs + 1 + told(s), i->counts, COUNTED * sizeof *i->before);
+    i->dt_before = *field(i, s->dt);
+}
+
+static void step_back(Instance *i)
+{
+    const Scene *s = i->scene;
+    memcpy(i->m + s->z, i->m + s->begin, state_length(s) * sizeof *i->m);
+    memcpy(i->slopes, i->before, (size_t)(s->inputs + 1) * sizeof *i->slopes);
+    memcpy(i->m + s->u, i->before + s->inputs + 1, (size_t)s->inputs * sizeof *i->m);
+    memcpy(i->m + s->tally, i->before + 2 * s->inputs + 1, told(s) * sizeof *i->m);
+    memcpy(i->counts, i->before + 2 * (size_t)s->inputs + 1 + told(s), COUNTED * sizeof *i->counts);
+    *field(i, s->dt) = i->dt_before;
+    i->flags.known = 0;
+}
+
+/* A communication step and the outputs at its end, without which it is not made. */
+static Outcome whole_step(Instance *i, double start, double h)
+{
+    const Scene *s = i->scene;
+    Outcome outcome = DONE;
+    /* Methods beside RK4 may need any number of steps, which the slower way counts. */
+    if (!i->flags.whole || s->method || !communicate(i, start, h))
+        outcome = slow_step(i, start, h);
+    if (outcome != DONE)
+        return outcome;
+    for (int k = 0; k < s->inputs; k++) {
+        if (isfinite(i->slopes[1 + k]))
+            i->m[s->u + k] += h * i->slopes[1 + k];
+        i->slopes[1 + k] = s->no_slope;
+    }
+    i->flags.known = 0;
+    return instance_read(i);
 }
 
 Outcome instance_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    Outcome outcome;
+    Outcome outcome = DONE;
+    if (!i->flags.initialized)
+        outcome = say(i, REFUSED, "%s: initialise before the first step", s->name);
+    else
+        outcome = instance_can_step(i, start, h);
+    if (outcome != DONE)
+        return outcome;
     i->used = 0;
-    i->slopes[0] = start;
-    hand_over(i);
+    if (!i->within)
+        i->left = MOST_STEPS;
     if (i->flags.pending) {
         remember(i);
+        hand_over(i);
         outcome = take_effect(i);
         if (outcome != DONE) {
             go_back(i);
             memcpy(i->wanted, i->on, (size_t)s->switches * sizeof *i->on);
             i->flags.pending = 0;
-        } else {
-            outcome = checked_step(i, start, h);
-            if (outcome != DONE)
-                go_back(i);
+            i->used = 0;
+            return outcome;
         }
-    } else if (i->flags.whole && communicate(i, start, h))
-        outcome = DONE;
-    else
-        outcome = checked_step(i, start, h);
-    if (outcome == DONE) {
-        for (int k = 0; k < s->inputs; k++) {
-            if (isfinite(i->slopes[1 + k]))
-                i->m[s->u + k] += h * i->slopes[1 + k];
-            i->slopes[1 + k] = s->no_slope;
-        }
-        i->flags.known = 0;
+        i->slopes[0] = start;
+        hand_over(i);
+        outcome = whole_step(i, start, h);
+        if (outcome != DONE)
+            go_back(i);
+    } else {
+        remember_step(i);
+        i->slopes[0] = start;
+        hand_over(i);
+        outcome = whole_step(i, start, h);
+        if (outcome != DONE)
+            step_back(i);
     }
     i->used = 0;
     return outcome;
@@ -951,12 +1026,19 @@ Outcome instance_step(Instance *i, double start, double h)
 
 /* Outputs ---------------------------------------------------------------------------------------------------------- */
 
-static int all_finite(const Instance *i)
+/* The first output that is not finite, with its value; NULL where all are. */
+static const char *not_finite(const Instance *i, double *value)
 {
-    int good = 1;
-    for (int k = 0; k < i->scene->seen_size; k++)
-        good &= isfinite(i->m[i->scene->seen + k]) != 0;
-    return good;
+    const Scene *s = i->scene;
+    const double *seen = i->m + s->seen;
+    const int first = variable_count(s) - s->outputs;
+    for (int k = 0; k < s->outputs; k++)
+        if (!isfinite(*value = instance_get(i, first + k)))
+            return s->variables[first + k].name;
+    for (int k = s->outputs - s->event_count; k < s->seen_size; k++)
+        if (!isfinite(*value = seen[k]))
+            return "|Phi-ddot|";
+    return NULL;
 }
 
 /* The largest errors that were read; not a number where nobody watches. */
@@ -978,6 +1060,8 @@ static void watch_errors(Instance *i)
 Outcome instance_read(Instance *i)
 {
     const Scene *s = i->scene;
+    const char *name;
+    double value;
     if (i->flags.known)
         return DONE;
     i->used = 0;
@@ -988,17 +1072,20 @@ Outcome instance_read(Instance *i)
         run(i, s->instant_patient);
         if (i->m[s->seen + s->seen_size - 2] != 0.0) {
             run(i, s->limit_patient);
-            if (!all_finite(i))
+            if (not_finite(i, &value))
                 run(i, s->instant_patient);
         }
     }
-    if (all_finite(i)) {
-        i->flags.known = 1;
+    name = not_finite(i, &value);
+    i->flags.known = !name;
+    if (!name) {
         watch_errors(i);
         return DONE;
     }
-    return say(i, FAILED, "%s, t = %.6g s: accelerations and reactions cannot be computed here", s->name,
-        *instance_time(i));
+    return say(i, FAILED,
+        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
+        "another start or a smaller solver.step_size",
+        s->name, *instance_time(i), name, value);
 }
 
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
@@ -1029,10 +1116,60 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     return DONE;
 }
 
+/* Places after now, in internal steps, that derivatives of outputs are differences of, and their weights. */
+#define PLACES 5
+#define APART 0.03125
+static const double difference[2][PLACES] = {
+    {-25.0 / 12, 4.0, -3.0, 4.0 / 3, -1.0 / 4},
+    {35.0 / 12, -26.0 / 3, 19.0 / 2, -14.0 / 3, 11.0 / 12},
+};
+
+/* Time derivatives of outputs as the motion goes on from here, with the inputs as they are and go on by themselves: one-
+   sided differences of order 4 (first derivatives) and 3 (second ones) of a short motion, which is then taken back.
+   Boolean inputs that have not yet taken effect do not count. */
+Outcome instance_output_derivatives(
+    Instance *i, const unsigned *references, const int *orders, size_t count, double *values)
+{
+    const Scene *s = i->scene;
+    const double start = *instance_time(i), h = APART * i->values[s->step_size];
+    Outcome outcome = DONE;
+    remember(i);
+    i->left = MOST_STEPS;
+    i->flags.pending = 0;
+    i->slopes[0] = start;
+    memset(values, 0, count * sizeof *values);
+    for (int k = 0; outcome == DONE && k < PLACES; k++) {
+        if (k) {
+            i->used = 0;
+            i->within = k > 1;
+            hand_over(i);
+            outcome = slow_step(i, start + (k - 1) * h, h);
+            for (int each = 0; each < s->inputs; each++)
+                if (isfinite(i->slopes[1 + each]))
+                    i->m[s->u + each] += h * i->slopes[1 + each];
+            i->flags.known = 0;
+        }
+        if (outcome == DONE)
+            outcome = instance_read(i);
+        for (size_t each = 0; outcome == DONE && each < count; each++)
+            values[each] += difference[orders[each] - 1][k] * instance_get(i, (int)references[each]);
+    }
+    for (size_t each = 0; each < count; each++)
+        values[each] /= orders[each] == 1 ? h : h * h;
+    go_back(i);
+    i->within = 0;
+    i->used = 0;
+    for (size_t each = 0; outcome == DONE && each < count; each++)
+        if (!isfinite(values[each]))
+            outcome = say(i, FAILED, "%s, t = %.6g s: derivative %d of %s would be %g", s->name, start, orders[each],
+                s->variables[references[each]].name, values[each]);
+    return outcome;
+}
+
 /* State ------------------------------------------------------------------------------------------------------------ */
 
 typedef struct {
-    unsigned magic, format;
+    unsigned magic, format, sum; /* a check sum of the whole state with zero in its place */
     size_t count;
     char guid[48];
     Flags flags;
@@ -1047,6 +1184,7 @@ static Head head(const Instance *i)
     h.count = i->count;
     strncpy(h.guid, i->scene->guid, sizeof h.guid - 1);
     h.flags = i->flags;
+    h.flags.known = 0; /* What is restored is read again. */
     return h;
 }
 
@@ -1055,32 +1193,130 @@ size_t state_size(const Instance *i)
     return sizeof(Head) + i->count * sizeof *i->numbers;
 }
 
-void state_save(const Instance *i, unsigned char *state)
+/* The check sum of a saved state, as it was when it was saved. */
+static unsigned state_sum(const unsigned char *state, size_t size)
 {
-    const Head h = head(i);
-    memcpy(state, &h, sizeof h);
-    memcpy(state + sizeof h, i->numbers, i->count * sizeof *i->numbers);
+    const unsigned nothing = 0;
+    const size_t at = offsetof(Head, sum);
+    unsigned sum = check_sum_from(CHECK_BEGIN, state, at);
+    sum = check_sum_from(sum, (const unsigned char *)&nothing, sizeof nothing);
+    return ~check_sum_from(sum, state + at + sizeof nothing, size - at - sizeof nothing);
 }
 
+void state_save(const Instance *i, unsigned char *state)
+{
+    const Scene *s = i->scene;
+    const double *memory = i->m;
+    const struct {
+        const double *numbers;
+        size_t count;
+    } scratch[] = {{memory + s->after, state_length(s)}, {memory + s->begin, state_length(s)},
+        {memory + s->seen, (size_t)s->seen_size}, {i->slopes, 1}};
+    Head h = head(i);
+    memcpy(state + sizeof h, i->numbers, i->count * sizeof *i->numbers);
+    /* What steps and reading leave behind, and nothing depends on. */
+    for (size_t k = 0; k < sizeof scratch / sizeof *scratch; k++)
+        memset(state + sizeof h + (size_t)(scratch[k].numbers - i->numbers) * sizeof(double), 0,
+            scratch[k].count * sizeof(double));
+    memcpy(state, &h, sizeof h);
+    h.sum = state_sum(state, state_size(i));
+    memcpy(state, &h, sizeof h);
+}
+
+/* Whether a saved state is of a run that has begun. */
+int state_running(const unsigned char *state)
+{
+    Head h;
+    memcpy(&h, state, sizeof h);
+    return h.flags.running;
+}
+
+static Outcome unsound(Instance *i, const char *what, double value)
+{
+    return say(i, REFUSED, "%s: %s of the saved state is %g, which no run has; save it again", i->scene->name, what,
+        value);
+}
+
+/* DONE, or what in the state just restored was never that of an instance: numbers that index or bound anything first. */
+static Outcome sound(Instance *i)
+{
+    const Scene *s = i->scene;
+    const Flags *f = &i->flags;
+    const Variable *inputs = s->variables + s->parameters + s->choices;
+    const double *control = field(i, s->control);
+    const int flags[] = {f->initialized, f->running, f->known, f->scaled, f->fast, f->whole, f->pending, f->brakes};
+    const struct {
+        const char *name;
+        const double *numbers;
+        int count;
+    } parts[] = {
+        {"the motion", field(i, s->z), (int)state_length(s)},
+        {"a parameter", field(i, s->p), s->own + s->held},
+        {"a penalty", i->penalty, s->l},
+        {"a penalty", i->full, s->l},
+        {"a unit", i->units, s->l},
+        {"a scale", i->scales, s->n},
+        {"a compliance", i->compliances, s->compliances},
+        {"a lock", i->kept, s->held},
+        {"an impulse", i->impulses, s->impulses},
+        {"energy lost", i->lost, 1},
+        {"a step size", control, 1},
+        {"a past input", field(i, s->past), s->past_size},
+    };
+    for (size_t k = 0; k < sizeof flags / sizeof *flags; k++)
+        if (flags[k] != 0 && flags[k] != 1)
+            return unsound(i, "a flag", flags[k]);
+    for (int k = 0; k < s->choices; k++)
+        if (f->choice[k] < 0 || f->choice[k] >= s->choice[k].count)
+            return unsound(i, s->variables[s->parameters + k].name, f->choice[k]);
+    for (int k = 0; k < s->parameters; k++)
+        if (checked(i, s->variables + k, i->values[k]) != DONE)
+            return unsound(i, s->variables[k].name, i->values[k]);
+    for (int k = 0; k < s->inputs; k++)
+        if (checked(i, inputs + k, i->m[s->u + k]) != DONE)
+            return unsound(i, inputs[k].name, i->m[s->u + k]);
+    for (int k = 0; k < s->inputs; k++)
+        if (i->slopes[1 + k] != s->no_slope && !isfinite(i->slopes[1 + k]))
+            return unsound(i, "the derivative of an input", i->slopes[1 + k]);
+    for (int k = 0; k < s->switches; k++)
+        if ((i->wanted[k] != 0.0 && i->wanted[k] != 1.0) || (i->on[k] != 0.0 && i->on[k] != 1.0))
+            return unsound(i, inputs[s->inputs + k].name, i->wanted[k]);
+    for (size_t part = 0; part < sizeof parts / sizeof *parts; part++)
+        for (int k = 0; k < parts[part].count; k++)
+            if (!isfinite(parts[part].numbers[k]))
+                return unsound(i, parts[part].name, parts[part].numbers[k]);
+    if (f->running && !f->initialized)
+        return unsound(i, "a flag", f->running);
+    if (f->initialized && (control[0] != i->values[s->step_size] || (control[1] != 0.0 && control[1] != 1.0)))
+        return unsound(i, "the first tier", control[1]);
+    if (f->initialized && control[2] != s->method)
+        return unsound(i, "the method", control[2]);
+    return DONE;
+}
+
+/* Nothing has changed where a state is refused. */
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size)
 {
     const Head mine = head(i);
     Head h;
-    int good = size == state_size(i);
-    if (good) {
+    Outcome outcome;
+    unsigned sum = 0;
+    if (size == state_size(i)) {
         memcpy(&h, state, sizeof h);
-        good = h.magic == mine.magic && h.format == mine.format && h.count == mine.count
-            && !memcmp(h.guid, mine.guid, sizeof h.guid);
-        for (int k = 0; good && k < i->scene->choices; k++)
-            good = h.flags.choice[k] >= 0 && h.flags.choice[k] < i->scene->choice[k].count;
+        sum = h.sum;
     }
-    if (!good)
+    if (size != state_size(i) || h.magic != mine.magic || h.format != mine.format || h.count != mine.count
+        || memcmp(h.guid, mine.guid, sizeof h.guid) != 0)
         return say(i, REFUSED, "%s: the saved state is not one of this mechanism; save it again", i->scene->name);
+    if (sum != state_sum(state, size))
+        return say(i, REFUSED, "%s: the check sum of the saved state does not agree; save it again", i->scene->name);
+    remember(i);
     i->flags = h.flags;
     memcpy(i->numbers, state + sizeof h, i->count * sizeof *i->numbers);
-    memset(i->refused, 0, (size_t)variable_count(i->scene));
-    i->refused_count = 0;
-    return DONE;
+    outcome = sound(i);
+    if (outcome != DONE)
+        go_back(i);
+    return outcome;
 }
 
 /* Penalties ------------------------------------------------------------------------------------------------------- */

@@ -84,12 +84,24 @@ API int alfmu_set(Instance *i, int reference, double value)
 
 API int alfmu_choose(Instance *i, int reference, const char *value)
 {
-    return (int)instance_choose(i, reference, value);
+    const Scene *s = i->scene;
+    const Choice *choice = s->choice + (reference - s->parameters);
+    char known[300] = "";
+    for (int k = 0; k < choice->count; k++) {
+        if (!strcmp(value, choice->values[k]))
+            return (int)instance_set(i, reference, k + 1);
+        if (strlen(known) + strlen(choice->values[k]) + 3 < sizeof known) {
+            strcat(known, *known ? ", " : "");
+            strcat(known, choice->values[k]);
+        }
+    }
+    return (int)say(i, REFUSED, "%s: %s is '%.60s'; this scene knows %s", s->name, s->variables[reference].name, value,
+        known);
 }
 
 API const char *alfmu_chosen(const Instance *i, int reference)
 {
-    return instance_chosen(i, reference);
+    return i->scene->choice[reference - i->scene->parameters].values[(int)instance_get(i, reference) - 1];
 }
 
 API double alfmu_get(const Instance *i, int reference)

@@ -677,10 +677,10 @@ static void memory(Reader *r)
         spoil(r, "it watches nothing");
 }
 
-/* The check sum of a file: CRC-32 as in zip archives, half a byte at a time. */
-static uint32_t check_sum(const unsigned char *at, size_t count)
+/* A check sum goes on: CRC-32 as in zip archives, half a byte at a time. */
+uint32_t check_sum_from(uint32_t sum, const unsigned char *at, size_t count)
 {
-    uint32_t table[16], sum = 0xffffffffu;
+    uint32_t table[16];
     for (uint32_t k = 0; k < 16; k++) {
         table[k] = k;
         for (int bit = 0; bit < 4; bit++)
@@ -690,7 +690,7 @@ static uint32_t check_sum(const unsigned char *at, size_t count)
         sum = table[(sum ^ *at) & 15] ^ sum >> 4;
         sum = table[(sum ^ *at >> 4) & 15] ^ sum >> 4;
     }
-    return ~sum;
+    return sum;
 }
 
 static void body(Reader *r)
@@ -742,7 +742,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
             (unsigned)SCENE_VERSION);
     else if (little(bytes + 12, 4) != size)
         spoil(&r, "it has %zu bytes in place of %u", size, (unsigned)little(bytes + 12, 4));
-    else if (little(bytes + 16, 8) != check_sum(bytes + 24, size - 24))
+    else if (little(bytes + 16, 8) != (uint32_t)~check_sum_from(CHECK_BEGIN, bytes + 24, size - 24))
         spoil(&r, "its check sum does not agree; it is damaged");
     else {
         memcpy(s->guid, bytes + 24, sizeof s->guid - 1);
