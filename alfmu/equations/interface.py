@@ -204,6 +204,8 @@ class Counters:
     projection_iterations: int = 0
     refused: int = 0
     """Steps that were too inaccurate, and made again shorter."""
+    patient: int = 0
+    """Steps by loops that stop on convergence, where those that are unrolled were not enough."""
     unprojected: int = 0
     """Steps after which a constraint was left above the tolerance."""
     position_error: float = 0.0

@@ -322,9 +322,19 @@ class _Patient(Tracer):
         again("longer_places", {"stretched": stretched, places[0]: first}, longer, ["stretched", "slow"])
         self._repeat(calls, "slow", LONGER, again.made)
 
+    def _least_by_loop(self, calls: Calls, scene: Scene, name: str) -> None:
+        """Multipliers of least norm by passes until they change no more."""
+        matrices, lam, z = self.matrices(scene), ca.SX.sym("lam", self.e.l), ca.SX.sym("z", self.e.n)
+        some = {each: matrices[each] for each in ("C", "D", "L")}
+        calls("least_begin", {"k": self.known["k"]}, lambda: {"z": ca.SX(self.e.n, 1)}, ["least_z"])
+        again, known = Calls(self), {"k": self.known["k"], **some, name: lam, "least_z": z}
+        again("least_again", known, lambda: scene.least_again(some, lam, z), ["least_z", "least_norm", "more"])
+        self._repeat(calls, "more", CORRECTIONS, again.made)
+        calls("least_end", {"least_norm": lam}, lambda: {"lam": lam}, [name])
+
     def _least(self, calls: Calls, scene: Scene, name: str) -> None:
         if not self.e.compliances:
-            super()._least(calls, scene, name)
+            self._least_by_loop(calls, scene, name)
             return
         matrices, lam = self.matrices(scene), ca.SX.sym("lam", self.e.l)
         some = {each: matrices[each] for each in ("M", "C")}

@@ -1068,7 +1068,7 @@ Outcome instance_read(Instance *i)
     hand_over(i);
     if (i->flags.brakes)
         hold(i);
-    if (!(i->flags.fast && read_quickly(i)) && s->instant_patient >= 0) {
+    if (!(i->flags.fast && read_quickly(i) && !not_finite(i, &value)) && s->instant_patient >= 0) {
         run(i, s->instant_patient);
         if (i->m[s->seen + s->seen_size - 2] != 0.0) {
             run(i, s->limit_patient);

@@ -323,6 +323,7 @@ class Instance:
             c.evaluations += evaluations
             c.multiplier_iterations += evaluations * program["iterations"]
             c.projection_iterations += 2 * tried * program["corrections"]
+        c.patient = int(counted["patient_steps"])
         reads = int(counted["reads"])
         c.evaluations += reads
         c.multiplier_iterations += reads * kernel["instant"].get("iterations", 0)
