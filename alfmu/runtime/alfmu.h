@@ -102,6 +102,7 @@ typedef struct {
     int constant_count, function_count, program_count;
     int registers; /* numbers that the longest function works on, constants included */
     int spare;     /* workspace of compiled functions */
+    int dense;     /* unknowns of the largest dense system */
     struct Block *blocks;
 } Scene;
 
@@ -123,7 +124,7 @@ typedef enum {
 
 typedef struct {
     int initialized, running, known, scaled, fast, whole, pending, brakes;
-    int choice[3];
+    int choice[CHOICES];
 } Flags;
 
 typedef struct {
@@ -135,9 +136,12 @@ typedef struct {
     double *values, *wanted, *on, *kept, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty;
+    double *stabilisation; /* zeta and omega [1/s] of (6), (5) and Baumgarte's form of (9) */
+    double *projection;    /* whether steps end with projections (10); below zero as the formulation has it */
+    double *unconverged;   /* evaluations in which the multiplier iteration reached its limit */
     double *m;
     /* Beside them. */
-    double *workspace, *before, *scratch, *registers, *spare, *past_before;
+    double *workspace, *before, *scratch, *registers, *spare, *past_before, *dense;
     Flags flags_before;
     int within; /* whether the next step goes on in a communication step that began before */
     size_t used, room; /* of scratch */
@@ -155,6 +159,7 @@ Outcome instance_set(Instance *i, int reference, double value);
 Outcome instance_choose(Instance *i, int reference, const char *value);
 double instance_get(const Instance *i, int reference);
 const char *instance_chosen(const Instance *i, int reference);
+Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection);
 Outcome instance_set_slope(Instance *i, int reference, double value);
 
 Outcome instance_tolerate(Instance *i, double tolerance);
@@ -191,6 +196,9 @@ void default_penalties(Instance *i, const double *q, double *penalties);
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
 void hold(Instance *i);
 void hand_over(Instance *i);
+
+/* The program that leads to the end of a step by a formulation. */
+int move_by(const Scene *s, int formulation);
 
 /* A function of the scene on arrays; a program on the memory. */
 void call(Instance *i, int which, const double *const *x, double *const *y);
