@@ -230,7 +230,6 @@ def test_a_long_run_shows_its_progress_on_a_terminal(tmp_path):
 
 def test_info_shows_what_fmus_carry(capsys, tmp_path, monkeypatch):
     if native.compiler():
-        monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
         assert main(["info", "particle_on_circle", "--sizes"]) == 0
         said = capsys.readouterr().out.split("FMU of kind ")
         for text in said[1:]:

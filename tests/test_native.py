@@ -39,16 +39,13 @@ pytestmark = pytest.mark.skipif(not native.compiler(), reason="there is no C com
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory) -> Callable[..., Path]:
-    """`built("five_bar", ...)`: the path of that native FMU, made on first use, its C not optimised to save time."""
+    """`built("five_bar", ...)`: the path of that native FMU, made on first use."""
     folder, made = tmp_path_factory.mktemp("native"), {}
 
     def get(mechanism, key="", options=None, **given):
         name = "_".join([getattr(mechanism, "name", mechanism), key, *(options or {}).values()])
         if name not in made:
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(native, "LEVELS", ("-O0", "-O0"))
-                path = folder / f"{name}.fmu"
-                made[name] = alfmu.export(mechanism, path, options=options, kind="native", **given)
+            made[name] = alfmu.export(mechanism, folder / f"{name}.fmu", options=options, kind="native", **given)
         return made[name]
 
     return get
@@ -631,8 +628,7 @@ def test_an_importer_can_build_it_from_its_sources(built, tmp_path):
     assert version() == b"2.0"
 
 
-def test_the_same_mechanism_gives_the_same_bytes(built, tmp_path, monkeypatch):
-    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
+def test_the_same_mechanism_gives_the_same_bytes(built, tmp_path):
     again = alfmu.export("particle_on_circle", tmp_path, kind="native")
     assert again.read_bytes() == built("particle_on_circle").read_bytes()
 
@@ -657,8 +653,7 @@ def test_without_a_compiler(monkeypatch, tmp_path):
         alfmu.export("particle_on_circle", tmp_path, kind="native")
 
 
-def test_from_the_command_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
+def test_from_the_command_line(tmp_path, capsys):
     path = tmp_path / "particle.fmu"
     assert main(["export", "particle_on_circle", "--kind", "native", "-o", str(path)]) == 0
     assert main(["validate", str(path)]) == 0
@@ -792,10 +787,9 @@ def test_fmi_3_returns_early_where_the_host_asks_and_where_a_motion_ends(slave):
 # Other hosts ----------------------------------------------------------------------------------------------------------
 
 
-def test_for_other_platforms(tmp_path, monkeypatch):
+def test_for_other_platforms(tmp_path):
     """Built by zig; where there is wine, the Windows library runs and gives the numbers of this platform."""
     pytest.importorskip("ziglang")
-    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
     path = alfmu.export("particle_on_circle", tmp_path, kind="native", platforms=["linux64", "win64"])
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)

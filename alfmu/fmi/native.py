@@ -11,7 +11,11 @@ import numpy as np
 
 from .. import oracle
 from ..equations import Equations
+from ..equations.evaluation import DENSE
+from ..equations.interface import default_settings
+from ..kernel.alternatives import OWN, formulations
 from ..model.errors import ExportError
+from ..model.settings import Settings
 from ..runtime import build
 from ..runtime.build import HERE, PLATFORMS, file_name
 
@@ -23,11 +27,16 @@ MOST = 200
 
 def checked(equations: Equations) -> None:
     """ExportError where a scene asks for what native FMUs do not have."""
-    e, solver = equations, {"formulation": "residual", **equations.solver}
-    if solver["formulation"] != "residual":
-        what = f"solver.formulation {solver['formulation']}"
-    elif e.n > MOST:
+    e, chosen = equations, default_settings(equations)
+    known = formulations(e)
+    if e.n > MOST:
         what = f"more than {MOST} coordinates (here {e.n}; its start would take minutes)"
+    elif chosen.formulation not in known:
+        what = f"solver.formulation {chosen.formulation} of more than {DENSE} coordinates (it has {', '.join(known)})"
+    elif e.l and chosen.formulation != OWN and chosen.method != Settings.method:
+        what = (
+            f"solver.method {chosen.method} with solver.formulation {chosen.formulation} (it takes {Settings.method})"
+        )
     else:
         return
     raise ExportError(f"{e.name}: a native FMU has no {what}; export it with --kind python, or without")

@@ -10,14 +10,14 @@ import casadi as ca
 
 from ..equations import Equations
 from ..equations.evaluation import with_functions
-from .program import CHOICE, FACTOR, LOOP, SOLVE, Layout
+from .program import CHOICE, FACTOR, LEAST_NORM, LOOP, SOLVE, Layout
 
 __all__ = ["LONGEST", "joined"]
 
 LONGEST = 40000
 """Instructions up to which calls are joined; the programs of a larger scene stay calls of small functions."""
 
-_APART = (CHOICE, LOOP, FACTOR, SOLVE)
+_APART = (CHOICE, LOOP, FACTOR, SOLVE, LEAST_NORM)
 """What stays between joined functions."""
 
 

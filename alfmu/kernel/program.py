@@ -20,6 +20,7 @@ __all__ = [
     "CHOICE",
     "FACTOR",
     "GROSS",
+    "LEAST_NORM",
     "LIBRARY",
     "LOOP",
     "PACE",
@@ -50,7 +51,8 @@ names of its arguments, names of its results]; or [CHOICE, name of a number, cal
 to make where it is]. Programs of a method (STAGED), and of native FMUs, may also have [LOOP, name of a number, times,
 calls to make while it is not zero], at most so many times or as often as a number of that name says; [FACTOR, [weights,
 parts], [factors, order], n, m], which factorises the matrix of m times m blocks (n, n) that are sums of the parts of
-their row, by weights of row and column; and [SOLVE, [factors, order, m vectors], [solution], n, m].
+their row, by weights of row and column; and [SOLVE, [factors, order, m vectors], [solution], n, m]. Native FMUs alone
+have [LEAST_NORM, [matrix (n, n), vector], [solution], n], the least-squares solution of least norm.
 """
 
 CHOICE = "?"
@@ -59,7 +61,7 @@ CHOICE = "?"
 STAGED = ("method", "beside")
 """A step by the method of the scene; the same on the branch of the motion, beside singular positions."""
 
-LOOP, FACTOR, SOLVE = "*", "factor", "solve"
+LOOP, FACTOR, SOLVE, LEAST_NORM = "*", "factor", "solve", "least_norm"
 """Marks loops, and what is done by routines that all scenes share."""
 
 TIERS = ("quick", "careful", "branch")
@@ -110,7 +112,7 @@ def called(calls: list[list]) -> Iterator[str]:
             yield from called(rest[2])
         elif name == LOOP:
             yield from called(rest[2])
-        elif name not in (FACTOR, SOLVE):
+        elif name not in (FACTOR, SOLVE, LEAST_NORM):
             yield name
 
 

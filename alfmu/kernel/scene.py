@@ -25,7 +25,7 @@ __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 LOOP_KIND, GATHER_KIND = len(KINDS), len(KINDS) + 1
 """Numbers of what else there is in a function: a loop, and values found by a table in each pass of it."""
 
-CALLS = ("call", "choice", "loop", "factor", "solve")
+CALLS = ("call", "choice", "loop", "factor", "solve", "least_norm")
 """What a program is made of, in the order of their numbers."""
 
 NARROW = 2**16

@@ -16,18 +16,20 @@ from ..equations.evaluation import DENSE
 from ..equations.interface import CHOICES, SOLVER_VARIABLES, Interface, events, every_event, variables_of
 from ..method import formulations, implicit, singular, stepping
 from ..method.stepping import Collocation, Explicit, explicit_rule, share
-from ..model.settings import FIXED, Settings
+from ..model.settings import FIXED, FORMULATIONS, PROJECTED, Settings
 from . import program as program_module
 from . import thresholds
+from .alternatives import OWN
+from .alternatives import formulations as carried
 from .joined import joined
-from .program import CHOICE, FACTOR, LOOP, SOLVE, TIERS, Layout
+from .program import CHOICE, FACTOR, LEAST_NORM, LOOP, SOLVE, TIERS, Layout
 from .scene import CALLS, Code, Constants, Writer, code
 from .standalone import passed, standalone
 from .trace import CAREFUL, ROUND_OFF, Watch
 
 __all__ = ["identified", "interface", "known_choices", "layout_header", "packed"]
 
-VERSION = 1
+VERSION = 2
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -43,9 +45,12 @@ REFERENCES = ("step_size", "penalty", "tolerance", "max_iterations", "relative_t
 FIELDS = ("z", "after", "begin", "u", "p", "k", "dt", "control", "tally", "pace", "past", "seen")
 HANDED = {
     **{name: name for name in ("most", "patient", "du", "slopes", "within", "q", "v", "dy", "struck", "lost")},
+    **{name: name for name in ("again", "stabilisation", "projects")},
     "impulse": "impulses",
-    **{f"watch{i}": f"watch{i}" for i in (1, 2, 3, 4)},
+    **{f"{name}{i}": f"{name}{i}" for name in ("watch", "q", "v") for i in (1, 2, 3, 4)},
+    "watch0": "watch0",
 }
+OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
     **{name: name for name in ("dynamics", "constraints", "energy", "closure", "guesses", "displacements", "pivots")},
     **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
@@ -54,15 +59,17 @@ PROGRAMS = {
     **{name: name for name in ("quick", "careful", "instant", "limit", "move", "move_on_branch", "close", "impact")},
     **{name: name for name in ("sensitivity", "limit_sensitivity", "reach", "beside")},
     **{"branch_step": "branch", "method_step": "method"},
-    **{"instant_patient": "instant_patient", "limit_patient": "limit_patient"},
+    **{name: name for name in ("instant_patient", "limit_patient", "keep")},
+    **{f"{program}_{name}": f"{program}_{name}" for program in ("move", "instant") for name in OTHERS},
 }
 NUMBERS = (
     *COUNTS,
     *REFERENCES,
-    *("branch", "continues", "method_choice", "freedom", "brakes", "weighted", "same_tiers", "careful_iterations"),
+    *("formulation", "branch", "continues", "method_choice"),
+    *("freedom", "brakes", "weighted", "same_tiers", "careful_iterations"),
     *("monitor_position", "monitor_velocity", "monitor_energy"),
     *("method", *FIELDS, "past_size", "seen_size", "time", "work", "trouble", "near", "size", "workspace"),
-    *(*HANDED, "watch_near", *FUNCTIONS, *PROGRAMS),
+    *(*HANDED, *FUNCTIONS, *PROGRAMS),
 )
 REALS = ("no_slope", "share", "exponent")
 
@@ -85,10 +92,11 @@ _FIXED = ("solver.input_order",)
 
 
 def known_choices(equations: Equations) -> dict[str, dict[str, str]]:
-    """What text variables can be, and what that is: a scene carries one formulation and one method."""
+    """What text variables can be, and what that is: a scene carries one method of integration."""
     chosen = {v.name: str(v.start) for v in variables_of(equations).choices}
+    carries = {"solver.formulation": carried(equations), "solver.method": [chosen["solver.method"]]}
     return {
-        name: dict(known) if name == "solver.branch" else {chosen[name]: known[chosen[name]]}
+        name: {each: text for each, text in known.items() if each in carries.get(name, known)}
         for name, known in CHOICES.items()
     }
 
@@ -111,6 +119,13 @@ def layout_header() -> str:
         "WATCH": len(Watch.FIELDS),
         "PACE": len(program_module.PACE),
         **{f"PACE_{name.upper()}": i for i, name in enumerate(program_module.PACE)},
+        **{f"WATCH_{name.upper()}": i for i, name in enumerate(Watch.FIELDS)},
+        "CHOICES": len(CHOICES),
+        "FORMULATIONS": len(FORMULATIONS),
+        **{f"{name.upper()}_FORMULATION": i for i, name in enumerate(FORMULATIONS)},
+        "PROJECTED": tuple(int(name in PROJECTED) for name in FORMULATIONS),
+        "ZETA": Settings.zeta,
+        "OMEGA": Settings.omega,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "ROUND_OFF": ROUND_OFF,
     }
@@ -118,6 +133,7 @@ def layout_header() -> str:
     found |= {name: ", ".join(map(repr, x)) for name, x in found.items() if isinstance(x, tuple)}
     lines = [f"#define {name} {value}" for name, value in found.items()]
     tables = {"COUNTS": COUNTS, "REFERENCES": REFERENCES, "NUMBERS": NUMBERS, "REALS": REALS, "PROGRAMS": PROGRAMS}
+    tables |= {"OTHERS": OTHERS}
     for name, names in tables.items():
         rows = "".join(f" \\\n    X({each})" for each in names)
         lines += ["", f"#define SCENE_{name}(X){rows}"]
@@ -197,7 +213,7 @@ class _Table:
             else:
                 inputs, outputs, *sizes = rest
                 if sizes:
-                    side = sizes[0] * sizes[1]
+                    side = math.prod(sizes)
                     lengths = [side * side, side] if name == FACTOR else [side]
                 else:
                     lengths = self.functions[self.number[name]].outputs
@@ -210,6 +226,8 @@ class _Table:
                     words += [CALLS.index("factor"), *sizes, terms, *at]
                 elif name == SOLVE:
                     words += [CALLS.index("solve"), *sizes, *at]
+                elif name == LEAST_NORM:
+                    words += [CALLS.index("least_norm"), *sizes, *at]
                 else:
                     words += [CALLS.index("call"), self.number[name], *at]
         return words
@@ -244,6 +262,7 @@ class _Table:
             "readings": len(e.outputs),
             "ties": len(e.tied),
             **{name: at[f"solver.{name}"] for name in REFERENCES},
+            "formulation": names.index("solver.formulation"),
             "branch": names.index("solver.branch"),
             "continues": list(known["solver.branch"]).index("continue"),
             "method_choice": names.index("solver.method"),
@@ -265,7 +284,6 @@ class _Table:
             # What a scene does not hand on has a place at the beginning, which has room for it.
             "workspace": max(self.workspace, e.n + e.l + len(e.outputs) + len(e.inputs) + len(Watch.FIELDS) + 1),
             **offsets,
-            "watch_near": Watch.FIELDS.index("near"),
             **{name: self.number.get(key, -1) for name, key in FUNCTIONS.items()},
             **{
                 name: self.program_names.index(key) if key in self.program_names else -1

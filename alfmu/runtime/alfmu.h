@@ -116,6 +116,7 @@ typedef struct {
     int constant_count, function_count, program_count;
     int registers; /* numbers that the longest function works on, constants included */
     int spare;     /* workspace of compiled functions */
+    int dense;     /* unknowns of the largest dense system */
     struct Block *blocks;
 } Scene;
 
@@ -141,7 +142,7 @@ typedef enum {
 
 typedef struct {
     int initialized, running, known, scaled, fast, whole, pending, brakes, given;
-    int choice[3];
+    int choice[CHOICES];
 } Flags;
 
 typedef struct {
@@ -153,11 +154,13 @@ typedef struct {
     double *values, *wanted, *on, *kept, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty;
-    double *given;  /* penalties of each constraint, where `flags.given` says so */
-    double *counts; /* COUNTED */
+    double *given;         /* penalties of each constraint, where `flags.given` says so */
+    double *counts;        /* COUNTED */
+    double *stabilisation; /* zeta and omega [1/s] of (6), (5) and Baumgarte's form of (9) */
+    double *projection;    /* whether steps end with projections (10); below zero as the formulation has it */
     double *m;
     /* Beside them. */
-    double *workspace, *before, *scratch, *registers, *spare, *past_before;
+    double *workspace, *before, *scratch, *registers, *spare, *past_before, *dense;
     double dt_before;
     Flags flags_before;
     int within; /* whether the next step goes on in a communication step that began before */
@@ -173,6 +176,7 @@ int variable_count(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);
 double instance_get(const Instance *i, int reference);
+Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection);
 Outcome instance_set_slope(Instance *i, int reference, double value);
 
 Outcome instance_tolerate(Instance *i, double tolerance);
@@ -214,6 +218,9 @@ void default_penalties(Instance *i, const double *q, double *penalties);
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
 void hold(Instance *i);
 void hand_over(Instance *i);
+
+/* The program that leads to the end of a step by a formulation. */
+int move_by(const Scene *s, int formulation);
 
 /* A function of the scene on arrays; a program on the memory. */
 void call(Instance *i, int which, const double *const *x, double *const *y);

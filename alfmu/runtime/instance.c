@@ -3,6 +3,7 @@
 #include "alfmu.h"
 
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -73,6 +74,8 @@ static size_t divided(Instance *i, double *numbers)
         {&i->largest_penalty, 1},
         {&i->given, s->l},
         {&i->counts, COUNTED},
+        {&i->stabilisation, 2},
+        {&i->projection, 1},
         {&i->m, s->size},
     };
     for (size_t k = 0; k < sizeof parts / sizeof *parts; k++) {
@@ -92,10 +95,11 @@ Instance *instance_new(const Scene *s)
         return NULL;
     i->scene = s;
     i->count = divided(i, NULL);
-    i->room = 12 * side * side + (size_t)64 * side + 4 * (size_t)(s->inputs + s->outputs);
+    i->room = 12 * side * side + (size_t)64 * side + 4 * (size_t)(s->inputs + s->outputs)
+        + (size_t)(s->past + s->past_size - s->pace);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
-            + (size_t)s->past_size,
+            + (size_t)s->past_size + least_norm_work(s->dense, s->dense),
         sizeof *numbers);
     if (!numbers) {
         free(i);
@@ -109,6 +113,7 @@ Instance *instance_new(const Scene *s)
     i->registers = i->scratch + i->room;
     i->spare = i->registers + s->registers;
     i->past_before = i->spare + s->spare;
+    i->dense = i->past_before + s->past_size;
     memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *numbers);
     instance_reset(i);
     return i;
@@ -128,6 +133,9 @@ void instance_reset(Instance *i)
     const Variable *v = s->variables;
     memset(i->numbers, 0, i->count * sizeof *i->numbers);
     memset(&i->flags, 0, sizeof i->flags);
+    i->stabilisation[0] = ZETA;
+    i->stabilisation[1] = OMEGA;
+    *i->projection = -1.0;
     for (int k = 0; k < s->parameters; k++)
         i->values[k] = v[k].start;
     v += s->parameters;
@@ -255,6 +263,23 @@ Outcome instance_set(Instance *i, int reference, double value)
     return outcome;
 }
 
+/* zeta and omega [1/s] of (5), (6) and Baumgarte's form of (9); whether steps end with projections (10), below zero as
+   the formulation has it. No variable of a scene: a binding sets them. */
+Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection)
+{
+    if (i->flags.running)
+        return say(i, REFUSED, "%s: zeta, omega and the projection are fixed once the run has begun; set them before "
+                               "initialising",
+            i->scene->name);
+    if (!isfinite(zeta) || !isfinite(omega))
+        return say(i, REFUSED, "%s: zeta = %g, omega = %g; they must be finite numbers", i->scene->name, zeta, omega);
+    i->stabilisation[0] = zeta;
+    i->stabilisation[1] = omega;
+    *i->projection = projection;
+    i->flags.initialized = 0;
+    return DONE;
+}
+
 /* An input's time derivative in the next communication step. */
 Outcome instance_set_slope(Instance *i, int reference, double value)
 {
@@ -345,6 +370,66 @@ const char *row_label(const Instance *i, int row, char *label, size_t size)
     return label;
 }
 
+/* Formulations ----------------------------------------------------------------------------------------------------- */
+
+int move_by(const Scene *s, int formulation)
+{
+#define OF(name) , s->move_##name
+    const int programs[] = {s->move SCENE_OTHERS(OF)};
+#undef OF
+    return programs[formulation];
+}
+
+/* Reads by loops that stop on convergence, where accelerations are read at all. */
+static int instant_by(const Scene *s, int formulation)
+{
+#define OF(name) , s->instant_##name
+    const int programs[] = {s->instant_patient SCENE_OTHERS(OF)};
+#undef OF
+    return programs[formulation] < 0 ? s->instant : programs[formulation];
+}
+
+static int formulation(const Instance *i)
+{
+    return i->flags.choice[i->scene->formulation];
+}
+
+/* Whether steps end with projections (10). */
+static int projects(const Instance *i)
+{
+    static const int usual[] = {PROJECTED};
+    return *i->projection < 0.0 ? usual[formulation(i)] : *i->projection > 0.0;
+}
+
+/* Whether all programs of the scene are those of what is chosen, not `move` and `instant` alone. */
+static int all_serve(const Instance *i)
+{
+    return !i->scene->l || (formulation(i) == RESIDUAL_FORMULATION && projects(i));
+}
+
+/* DONE where accelerations can be computed at q, v; `pivot` is the smallest of what was factorised there. */
+static Outcome explained(Instance *i, const double *q, const double *v, double t, double pivot)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries);
+    double *F = take(i, (size_t)s->n), *xi = take(i, (size_t)s->l);
+    const double *x[] = {q, v, field(i, s->u), field(i, s->p), &t};
+    double *y[] = {M, C, F, xi};
+    Outcome outcome = DONE;
+    call(i, s->dynamics, x, y);
+    if (!isfinite(largest(M, s->mass.entries)) || !isfinite(largest(F, s->n)) || !isfinite(largest(xi, s->l)))
+        outcome = say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; reduce solver.step_size",
+            s->name, t);
+    else if (!(pivot > 0.0))
+        outcome = say(i, FAILED,
+            "%s, t = %.6g s: the augmented mass matrix is singular; give the massless body a mass, or hold it by "
+            "constraints",
+            s->name, t);
+    i->used = used;
+    return outcome;
+}
+
 /* What programs need beside the memory. */
 void hand_over(Instance *i)
 {
@@ -352,6 +437,9 @@ void hand_over(Instance *i)
     const double iterations = i->values[s->max_iterations];
     i->workspace[s->most] = fmax(iterations - 1, 1.0);
     i->workspace[s->patient] = PATIENT * iterations - 1;
+    i->workspace[s->again] = iterations - 1;
+    memcpy(i->workspace + s->stabilisation, i->stabilisation, 2 * sizeof(double));
+    i->workspace[s->projects] = projects(i);
     memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
     if (s->reach >= 0)
         i->workspace[s->within] = i->within;
@@ -387,7 +475,7 @@ static void settle_kernel(Instance *i)
     k[4] = exp(*i->regular);
     k[5] = NOTHING * pivot_of_mass;
     k[6] = fmax(LEAST, CONVERGING * sqrt(pivot_of_mass));
-    k[7] = s->l && i->flags.choice[s->branch] == s->continues;
+    k[7] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
     k[8] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
     k[9] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
     for (int c = 0; c < s->n; c++)
@@ -399,7 +487,7 @@ static void settle_kernel(Instance *i)
     field(i, s->dt)[0] = field(i, s->control)[0] = i->values[s->step_size];
     field(i, s->control)[1] = !(i->flags.scaled || s->same_tiers);
     field(i, s->control)[2] = s->method;
-    i->flags.fast = !s->l || i->values[s->max_iterations] >= s->careful_iterations;
+    i->flags.fast = !s->l || (all_serve(i) && i->values[s->max_iterations] >= s->careful_iterations);
     i->flags.whole = i->flags.fast && !i->flags.brakes;
     if (i->flags.brakes)
         hold(i);
@@ -653,7 +741,7 @@ static Outcome started(Instance *i)
     for (int r = 0; r < s->l; r++)
         i->penalty[r] = held[r] ? i->full[r] : 0.0;
     weigh(i);
-    if (s->l)
+    if (s->l && projects(i))
         outcome = projected(i, q, v);
     if (outcome == DONE)
         outcome = knowledge(i, q, v);
@@ -666,7 +754,7 @@ static Outcome started(Instance *i)
         z[2 * s->n + k] = s->angle_starts[k] < 0 ? 0.0 : i->values[s->own + s->angle_starts[k]];
     z[s->time] = time;
     memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
-    *i->lost = 0.0;
+    *i->lost = i->counts[UNCONVERGED] = 0.0;
     memset(field(i, s->pace), 0, PACE * sizeof(double));
     field(i, s->pace)[0] = FIRST_STEP;
     field(i, s->pace)[1] = LEAST_BEFORE;
@@ -688,7 +776,13 @@ Outcome instance_tolerate(Instance *i, double tolerance)
 
 Outcome instance_initialize(Instance *i)
 {
+    const Scene *s = i->scene;
     Outcome outcome;
+    if (s->method && !all_serve(i))
+        return say(i, REFUSED,
+            "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
+            "solver.method rk4",
+            s->name, s->choice[s->method_choice].values[0]);
     i->used = 0;
     i->flags.initialized = i->flags.known = i->flags.pending = 0;
     hand_over(i);
@@ -712,7 +806,29 @@ static double margin(Instance *i)
     return found;
 }
 
-/* FAILED or OPEN where a move that ends at the positions in the workspace is too long to mean anything. */
+/* FAILED where a move from `start` ends at no finite state, in the words of its first stage that went wrong. */
+static Outcome check_finite(Instance *i, double start, double dt)
+{
+    const Scene *s = i->scene;
+    const double *w = i->workspace;
+    const struct {
+        int watch, q, v;
+        double t;
+    } stages[] = {{s->watch1, s->q1, s->v1, start}, {s->watch2, s->q2, s->v2, start + dt / 2},
+        {s->watch3, s->q3, s->v3, start + dt / 2}, {s->watch4, s->q4, s->v4, start + dt}};
+    if (isfinite(norm(w + s->q, s->n)) && isfinite(norm(w + s->v, s->n)))
+        return DONE;
+    for (int k = 0; k < 4; k++) {
+        const double pivot = w[stages[k].watch + WATCH_PIVOT];
+        const Outcome outcome = explained(i, w + stages[k].q, w + stages[k].v, stages[k].t, pivot);
+        if (outcome != DONE)
+            return outcome;
+    }
+    return say(i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, start + dt);
+}
+
+/* FAILED where a move that ends at the positions in the workspace is too long to mean anything, or opens a constraint
+   that projections should close. */
 static Outcome check_length(Instance *i, double t)
 {
     const Scene *s = i->scene;
@@ -720,8 +836,6 @@ static Outcome check_length(Instance *i, double t)
     double turned = 0.0, moved = 0.0, gap;
     char label[100];
     int worst = 0, row;
-    if (!isfinite(norm(q, s->n)) || !isfinite(norm(v, s->n)))
-        return say(i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, t);
     for (int c = 0; c < s->n; c++) {
         const double size = fabs(q[c] - from[c]);
         moved = fmax(moved, size);
@@ -734,6 +848,8 @@ static Outcome check_length(Instance *i, double t)
         return say(i, FAILED,
             "%s, t = %.6g s: %s turned by %.3g rad in one step, more than half a turn; reduce solver.step_size",
             s->name, t, s->coordinates[worst].name, turned);
+    if (!projects(i))
+        return DONE;
     gap = widest(i, q, v, 0, &row);
     if (gap > TORN * moved && gap > GROSS)
         return say(i, FAILED, "%s, t = %.6g s: a step of %.3g opened %s by %.3g; reduce solver.step_size", s->name, t,
@@ -750,6 +866,37 @@ static Outcome too_much(Instance *i)
         i->scene->name, *instance_time(i), MOST_STEPS, PATIENT_STEP);
 }
 
+/* q and v in the workspace brought back to the constraints. */
+static Outcome closed_again(Instance *i, double t)
+{
+    const Scene *s = i->scene;
+    const double *after = field(i, s->after);
+    char label[100];
+    int row;
+    run(i, s->close);
+    for (int of_velocity = 0; of_velocity < 2; of_velocity++) {
+        const double worst = widest(i, after, after + s->n, of_velocity, &row);
+        if (!(worst <= GROSS))
+            return say(i, OPEN,
+                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name, t,
+                of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
+                CORRECTIONS);
+    }
+    return DONE;
+}
+
+/* Counts the stages of a move in which the multiplier iteration reached its limit. */
+static void count_unconverged(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
+    const double tolerance = i->values[s->tolerance];
+    for (int k = 0; k < 4; k++) {
+        const double *seen = i->workspace + watch[k];
+        i->counts[UNCONVERGED] += !(seen[WATCH_CHANGE] <= tolerance * tolerance * seen[WATCH_SIZE] + DBL_MIN);
+    }
+}
+
 /* One internal step by loops that stop on convergence, and whether it came near a singular position. */
 static Outcome follow(Instance *i, double start, double dt, int *near)
 {
@@ -757,8 +904,6 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
     double *m = i->m, *w = i->workspace, *after = m + s->after;
     const double t = start + dt;
-    char label[100];
-    int row;
     Outcome outcome;
     *near = 0;
     i->left -= PATIENT_STEP;
@@ -773,9 +918,9 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     m[s->z + s->time] = start;
     if (i->flags.brakes)
         hold(i);
-    run(i, s->move);
+    run(i, move_by(s, formulation(i)));
     for (int k = 0; k < 4; k++)
-        *near |= w[watch[k] + s->watch_near] != 0.0;
+        *near |= w[watch[k] + WATCH_NEAR] != 0.0;
     *near = *near && field(i, s->k)[7] != 0.0;
     if (*near) {
         run(i, s->move_on_branch);
@@ -785,18 +930,16 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
                     "%s, t = %.6g s: the branch of the motion leaves a constraint open ahead; reduce solver.step_size",
                     s->name, start);
     }
-    outcome = check_length(i, t);
+    outcome = check_finite(i, start, dt);
+    if (outcome == DONE)
+        outcome = check_length(i, t);
+    if (outcome == DONE && projects(i))
+        outcome = closed_again(i, t);
+    else if (outcome == DONE)
+        run(i, s->keep);
     if (outcome != DONE)
         return outcome;
-    run(i, s->close);
-    for (int of_velocity = 0; of_velocity < 2; of_velocity++) {
-        const double worst = widest(i, after, after + s->n, of_velocity, &row);
-        if (!(worst <= GROSS))
-            return say(i, OPEN,
-                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name, t,
-                of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
-                CORRECTIONS);
-    }
+    count_unconverged(i);
     after[s->trouble] = 0.0;
     memcpy(m + s->z, after, state_length(s) * sizeof *m);
     return DONE;
@@ -1057,9 +1200,27 @@ static void watch_errors(Instance *i)
               fabs(seen[s->monitor_energy] - c[ENERGY_START] - field(i, s->z)[s->work]));
 }
 
+/* What can be read at this instant, by loops that stop on convergence. */
+static void read_patiently(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *seen = i->m + s->seen + s->seen_size;
+    const int instant = instant_by(s, formulation(i));
+    double value;
+    run(i, instant);
+    i->counts[UNCONVERGED] += seen[-1] != 0.0;
+    if (seen[-2] != 0.0 && s->limit_patient >= 0) {
+        run(i, s->limit_patient);
+        if (not_finite(i, &value))
+            run(i, instant);
+    }
+}
+
 Outcome instance_read(Instance *i)
 {
     const Scene *s = i->scene;
+    const double *z = field(i, s->z);
+    Outcome outcome = DONE;
     const char *name;
     double value;
     if (i->flags.known)
@@ -1068,24 +1229,41 @@ Outcome instance_read(Instance *i)
     hand_over(i);
     if (i->flags.brakes)
         hold(i);
-    if (!(i->flags.fast && read_quickly(i) && !not_finite(i, &value)) && s->instant_patient >= 0) {
-        run(i, s->instant_patient);
-        if (i->m[s->seen + s->seen_size - 2] != 0.0) {
-            run(i, s->limit_patient);
-            if (not_finite(i, &value))
-                run(i, s->instant_patient);
-        }
-    }
+    if (!(i->flags.fast && read_quickly(i) && !not_finite(i, &value)))
+        read_patiently(i);
     name = not_finite(i, &value);
     i->flags.known = !name;
     if (!name) {
         watch_errors(i);
         return DONE;
     }
+    if (instant_by(s, formulation(i)) != s->instant)
+        outcome = explained(i, z, z + s->n, z[s->time], i->workspace[s->watch0 + WATCH_PIVOT]);
+    if (outcome != DONE)
+        return outcome;
     return say(i, FAILED,
         "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
         "another start or a smaller solver.step_size",
         s->name, *instance_time(i), name, value);
+}
+
+/* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
+static void differences(Instance *i, const double *direction, double *change)
+{
+    const Scene *s = i->scene;
+    const int instant = instant_by(s, formulation(i));
+    double *u = field(i, s->u), *seen = field(i, s->seen), *before = take(i, (size_t)s->inputs);
+    memcpy(before, u, (size_t)s->inputs * sizeof *u);
+    memset(change, 0, (size_t)s->readings * sizeof *change);
+    for (int side = -1; side < 2; side += 2) {
+        for (int k = 0; k < s->inputs; k++)
+            u[k] = before[k] + side * direction[k];
+        run(i, instant);
+        for (int k = 0; k < s->readings; k++)
+            change[k] += side * seen[k] / 2;
+    }
+    memcpy(u, before, (size_t)s->inputs * sizeof *u);
+    run(i, instant);
 }
 
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
@@ -1104,8 +1282,10 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     memset(w + s->du, 0, (size_t)s->inputs * sizeof *w);
     for (size_t k = 0; k < known_count; k++)
         w[s->du + (int)knowns[k] - first] += directions[k];
-    /* Where a limit is read, its derivative is. */
-    run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity : s->sensitivity);
+    if (s->l && formulation(i) > CLASSIC_FORMULATION)
+        differences(i, w + s->du, w + s->dy);
+    else /* Where a limit is read, its derivative is. */
+        run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity : s->sensitivity);
     for (size_t k = 0; k < unknown_count; k++)
         if ((int)unknowns[k] - outputs < s->readings)
             changes[k] = w[s->dy + (int)unknowns[k] - outputs];

@@ -67,6 +67,8 @@ class Instance:
         self._references = self._scene.references
         for v in (*found.parameters, *found.choices):
             self._unit.set(self._references[v.name], v.start)
+        projection = -1 if given.projection is None else int(given.projection)
+        self._judged(self._scene.library.alfmu_stabilise(self._unit.address, given.zeta, given.omega, projection))
         if np.ndim(given.penalty):
             self._penalize(np.asarray(given.penalty, float))
         layout = Layout(e)

@@ -2,6 +2,7 @@
    scene, then the arguments, then what each operation gives. The loader has checked every place, so nothing is checked
    here. */
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -178,6 +179,16 @@ static void call_at(Instance *i, const Function *f, const int32_t *at)
     }
 }
 
+/* Least-squares solution of least norm of a square system, as NumPy's lstsq has it; not finite where the matrix is not. */
+static void solve_dense(Instance *i, int size, const double *matrix, const double *right, double *solution)
+{
+    if (isfinite(largest(matrix, size * size)))
+        least_norm(size, size, matrix, right, DBL_EPSILON * size, solution, i->dense);
+    else
+        for (int k = 0; k < size; k++)
+            solution[k] = NAN;
+}
+
 static void run_code(Instance *i, const int32_t *at, const int32_t *end)
 {
     double *m = i->m;
@@ -223,6 +234,10 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
             at += 5 + at[1];
             break;
         }
+        case LEAST_NORM_CODE: /* unknowns; matrix, right-hand side; solution */
+            solve_dense(i, at[0], m + at[1], m + at[2], m + at[3]);
+            at += 4;
+            break;
         }
 }
 

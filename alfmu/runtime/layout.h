@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 1
+#define SCENE_VERSION 2
 #define SETTINGS 10
 #define GROSS 1e-06
 #define TURN 3.141592653589793
@@ -24,6 +24,22 @@
 #define PACE_END 4
 #define PACE_LAST 5
 #define PACE_ACCEPTED 6
+#define WATCH_CHANGE 0
+#define WATCH_SIZE 1
+#define WATCH_PIVOT 2
+#define WATCH_NEAR 3
+#define WATCH_MARGIN 4
+#define CHOICES 3
+#define FORMULATIONS 6
+#define RESIDUAL_FORMULATION 0
+#define CLASSIC_FORMULATION 1
+#define PENALTY_FORMULATION 2
+#define STIFFNESS_FORMULATION 3
+#define BAUMGARTE_FORMULATION 4
+#define DAE_FORMULATION 5
+#define PROJECTED 1, 1, 0, 0, 0, 0
+#define ZETA 1.0
+#define OMEGA 10.0
 #define LEAST_BEFORE 0.01
 #define ROUND_OFF 1.7763568394002505e-15
 #define ASIDE -0.7, -0.1, 0.1, 0.7
@@ -98,6 +114,7 @@
     X(max_iterations) \
     X(relative_tolerance) \
     X(absolute_tolerance) \
+    X(formulation) \
     X(branch) \
     X(continues) \
     X(method_choice) \
@@ -140,12 +157,23 @@
     X(dy) \
     X(struck) \
     X(lost) \
+    X(again) \
+    X(stabilisation) \
+    X(projects) \
     X(impulse) \
     X(watch1) \
     X(watch2) \
     X(watch3) \
     X(watch4) \
-    X(watch_near) \
+    X(q1) \
+    X(q2) \
+    X(q3) \
+    X(q4) \
+    X(v1) \
+    X(v2) \
+    X(v3) \
+    X(v4) \
+    X(watch0) \
     X(dynamics) \
     X(constraints) \
     X(energy) \
@@ -171,7 +199,18 @@
     X(branch_step) \
     X(method_step) \
     X(instant_patient) \
-    X(limit_patient)
+    X(limit_patient) \
+    X(keep) \
+    X(move_classic) \
+    X(move_penalty) \
+    X(move_stiffness) \
+    X(move_baumgarte) \
+    X(move_dae) \
+    X(instant_classic) \
+    X(instant_penalty) \
+    X(instant_stiffness) \
+    X(instant_baumgarte) \
+    X(instant_dae)
 
 #define SCENE_REALS(X) \
     X(no_slope) \
@@ -194,6 +233,24 @@
     X(branch_step) \
     X(method_step) \
     X(instant_patient) \
-    X(limit_patient)
+    X(limit_patient) \
+    X(keep) \
+    X(move_classic) \
+    X(move_penalty) \
+    X(move_stiffness) \
+    X(move_baumgarte) \
+    X(move_dae) \
+    X(instant_classic) \
+    X(instant_penalty) \
+    X(instant_stiffness) \
+    X(instant_baumgarte) \
+    X(instant_dae)
+
+#define SCENE_OTHERS(X) \
+    X(classic) \
+    X(penalty) \
+    X(stiffness) \
+    X(baumgarte) \
+    X(dae)
 
 #endif

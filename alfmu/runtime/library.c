@@ -190,6 +190,13 @@ API double *alfmu_state(Instance *i)
     return i->m + i->scene->z;
 }
 
+/* What has no variable: zeta and omega of stabilised formulations, and whether steps end with projections (-1: as the
+   formulation has it). */
+API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
+{
+    return (int)instance_stabilise(i, zeta, omega, projection);
+}
+
 API int alfmu_mobility(Instance *i, int *freedom, int *redundant, int *here)
 {
     return (int)instance_mobility(i, freedom, redundant, here);

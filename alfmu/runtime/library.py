@@ -69,6 +69,7 @@ _SIGNATURES = {
     "save": (None, c_void_p, c_char_p),
     "restore": (c_int, c_void_p, c_char_p, c_size_t),
     "state": (c_void_p, c_void_p),
+    "stabilise": (c_int, c_void_p, c_double, c_double, c_int),
     "mobility": (c_int, c_void_p, POINTER(c_int), POINTER(c_int), POINTER(c_int)),
     "penalize": (c_int, c_void_p, c_void_p),
     "penalties": (None, c_void_p, c_void_p),

@@ -15,6 +15,7 @@
 #define HEAD 64 /* bytes before the body */
 #define DEEPEST 16 /* choices and loops within each other */
 #define MOST_NUMBERS (1 << 28) /* in the memory or the registers of an instance */
+#define MOST_UNKNOWNS 10000 /* of a dense system */
 
 typedef struct {
     const unsigned char *at, *end;
@@ -193,7 +194,8 @@ static void numbers(Reader *r)
         spoil(r, #name " has the reference %d", s->name);
     SCENE_REFERENCES(REFERENCE)
 #undef REFERENCE
-    if (!between(s->branch, 0, s->choices) || !between(s->method_choice, 0, s->choices))
+    if (!between(s->branch, 0, s->choices) || !between(s->method_choice, 0, s->choices)
+        || !between(s->formulation, 0, s->choices) || s->choices != CHOICES)
         spoil(r, "its choices contradict each other");
     if (!between(s->method, 0, 3) || s->freedom > s->n)
         spoil(r, "its method contradicts itself");
@@ -237,7 +239,8 @@ static void choices(Reader *r)
             values[each] = text(r);
     }
     s->choice = made;
-    if (!r->bad && !between(s->continues, 0, made[s->branch].count))
+    if (!r->bad
+        && (!between(s->continues, 0, made[s->branch].count) || made[s->formulation].count > FORMULATIONS))
         spoil(r, "its choices contradict each other");
 }
 
@@ -601,6 +604,17 @@ static void checked_program(Reader *r, const int32_t *code, size_t words, int de
             at += 6 + (size_t)c[1];
             break;
         }
+        case LEAST_NORM_CODE:
+            if (left < 4 || !between(c[0], 1, MOST_UNKNOWNS)) {
+                spoil(r, "a dense system of a program is damaged");
+                return;
+            }
+            if (!within(r, c[1], (int64_t)c[0] * c[0]) || !within(r, c[2], c[0]) || !within(r, c[3], c[0]))
+                spoil(r, "a program leaves the memory");
+            else if (c[0] > r->scene->dense)
+                r->scene->dense = c[0];
+            at += 5;
+            break;
         default:
             spoil(r, "a program has no step %d", (int)code[at]);
         }
@@ -625,8 +639,11 @@ static void programs(Reader *r)
     SCENE_PROGRAMS(KNOWN)
 #undef KNOWN
     if (s->quick < 0 || s->careful < 0 || s->instant < 0 || (s->method && s->method_step < 0)
-        || (s->l && (s->move < 0 || s->close < 0 || s->impact < 0)))
+        || (s->l && (s->move < 0 || s->close < 0 || s->keep < 0 || s->impact < 0)))
         spoil(r, "a program is missing");
+    for (int k = 0; !r->bad && s->l && k < s->choice[s->formulation].count; k++)
+        if (move_by(s, k) < 0)
+            spoil(r, "the program of a formulation is missing");
 }
 
 /* Memory ----------------------------------------------------------------------------------------------------------- */
@@ -652,8 +669,9 @@ static void memory(Reader *r)
         {s->k, settings_length(s)}, {s->dt, 1}, {s->control, 3}, {s->tally, TIERS + 5}, {s->pace, PACE},
         {s->past, s->past_size}, {s->seen, s->seen_size}},
       handed[] = {{s->most, 1}, {s->patient, 1}, {s->du, s->inputs}, {s->slopes, s->inputs + 1}, {s->within, 1},
-          {s->q, s->n}, {s->v, s->n}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH}, {s->watch4, WATCH},
-          {s->dy, s->readings}, {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}};
+          {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
+          {s->watch4, WATCH}, {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n},
+          {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->dy, s->readings}, {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}};
     if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS)
         || (s->brakes && s->l > 10000))
         spoil(r, "its memory has %d numbers", s->size);
@@ -673,8 +691,6 @@ static void memory(Reader *r)
     for (size_t k = 0; k < sizeof handed / sizeof *handed; k++)
         if (handed[k].place < 0 || handed[k].place + (int64_t)handed[k].length > s->workspace)
             spoil(r, "a value is outside its workspace");
-    if (!between(s->watch_near, 0, WATCH))
-        spoil(r, "it watches nothing");
 }
 
 /* A check sum goes on: CRC-32 as in zip archives, half a byte at a time. */
