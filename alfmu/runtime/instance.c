@@ -897,6 +897,22 @@ static void count_unconverged(Instance *i)
     }
 }
 
+/* The largest |Phi| and |Phi-dot| after a step that does not end with projections. */
+static void watch_gaps(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, l = (size_t)s->l;
+    const double *q = field(i, s->after);
+    double *phi = take(i, l), *cv = take(i, l), *c = i->counts;
+    constraints_at(i, q, q + s->n, NULL, NULL, phi, cv);
+    for (int r = 0; r < s->l; r++)
+        if (i->penalty[r] > 0.0) {
+            c[POSITION_ERROR] = fmax(c[POSITION_ERROR], fabs(phi[r]));
+            c[VELOCITY_ERROR] = fmax(c[VELOCITY_ERROR], fabs(cv[r]));
+        }
+    i->used = used;
+}
+
 /* One internal step by loops that stop on convergence, and whether it came near a singular position. */
 static Outcome follow(Instance *i, double start, double dt, int *near)
 {
@@ -919,6 +935,9 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     if (i->flags.brakes)
         hold(i);
     run(i, move_by(s, formulation(i)));
+    outcome = check_finite(i, start, dt);
+    if (outcome != DONE)
+        return outcome;
     for (int k = 0; k < 4; k++)
         *near |= w[watch[k] + WATCH_NEAR] != 0.0;
     *near = *near && field(i, s->k)[7] != 0.0;
@@ -935,8 +954,10 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
         outcome = check_length(i, t);
     if (outcome == DONE && projects(i))
         outcome = closed_again(i, t);
-    else if (outcome == DONE)
+    else if (outcome == DONE) {
         run(i, s->keep);
+        watch_gaps(i);
+    }
     if (outcome != DONE)
         return outcome;
     count_unconverged(i);
