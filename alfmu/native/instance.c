@@ -923,18 +923,20 @@ Outcome instance_can_step(Instance *i, double start, double h)
 static void remember_step(Instance *i)
 {
     const Scene *s = i->scene;
-    memcpy(i->before, i->slopes, (size_t)(s->inputs + 1) * sizeof *i->before);
-    memcpy(i->before + s->inputs + 1, i->m + s->u, (size_t)s->inputs * sizeof *i->before);
-    memcpy(i->before + 2 * s->inputs + 1, i->m + s->pace, (size_t)(s->past + s->past_size - s->pace) * sizeof *i->before);
+    double *to = i->before;
+    memcpy(to, i->slopes, (size_t)(s->inputs + 1) * sizeof *to);
+    memcpy(to += s->inputs + 1, i->m + s->u, (size_t)s->inputs * sizeof *to);
+    memcpy(to + s->inputs, i->m + s->dt, (size_t)(s->past + s->past_size - s->dt) * sizeof *to);
 }
 
 static void step_back(Instance *i)
 {
     const Scene *s = i->scene;
-    memcpy(i->m + s->z, i->m + s->begin, (size_t)(s->after - s->z) * sizeof *i->m);
-    memcpy(i->slopes, i->before, (size_t)(s->inputs + 1) * sizeof *i->slopes);
-    memcpy(i->m + s->u, i->before + s->inputs + 1, (size_t)s->inputs * sizeof *i->m);
-    memcpy(i->m + s->pace, i->before + 2 * s->inputs + 1, (size_t)(s->past + s->past_size - s->pace) * sizeof *i->m);
+    const double *from = i->before;
+    memcpy(i->m + s->z, i->m + s->begin, (size_t)(s->after - s->z) * sizeof *from);
+    memcpy(i->slopes, from, (size_t)(s->inputs + 1) * sizeof *from);
+    memcpy(i->m + s->u, from += s->inputs + 1, (size_t)s->inputs * sizeof *from);
+    memcpy(i->m + s->dt, from + s->inputs, (size_t)(s->past + s->past_size - s->dt) * sizeof *from);
     i->flags.known = 0;
 }
 
@@ -1210,15 +1212,19 @@ static Outcome sound(Instance *i)
     for (int k = 0; k < s->switches; k++)
         if ((i->wanted[k] != 0.0 && i->wanted[k] != 1.0) || (i->on[k] != 0.0 && i->on[k] != 1.0))
             return unsound(i, inputs[s->inputs + k].name, i->wanted[k]);
+    if (f->running && !f->initialized)
+        return unsound(i, "a flag", f->running);
+    if (!isfinite(*instance_time(i)))
+        return unsound(i, "the time", *instance_time(i));
+    if (!f->initialized) /* What follows is found when a run begins. */
+        return DONE;
     for (size_t part = 0; part < sizeof parts / sizeof *parts; part++)
         for (int k = 0; k < parts[part].count; k++)
             if (!isfinite(parts[part].numbers[k]))
                 return unsound(i, parts[part].name, parts[part].numbers[k]);
-    if (f->running && !f->initialized)
-        return unsound(i, "a flag", f->running);
-    if (f->initialized && (control[0] != i->values[s->step_size] || (control[1] != 0.0 && control[1] != 1.0)))
+    if (control[0] != i->values[s->step_size] || (control[1] != 0.0 && control[1] != 1.0))
         return unsound(i, "the first tier", control[1]);
-    if (f->initialized && control[2] != s->method)
+    if (control[2] != s->method)
         return unsound(i, "the method", control[2]);
     return DONE;
 }
