@@ -181,7 +181,7 @@ ALLOWED: dict[str, set[str]] = {
     },
     "fmi.terminals": {"mechanism"},
     "fmi.native": {"equations", "errors", "fmi.table", "kernel.build", "runtime"},
-    "fmi.description": {"equations", "evaluation", "fmi.slave", "kernel.program", "oracle", "runtime", "units"},
+    "fmi.description": {"equations", "evaluation", "fmi.slave", "kernel.program", "runtime", "units"},
     "fmi.export": {
         "derivation",
         "errors",

@@ -14,7 +14,8 @@
 #define FORMAT 2
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
-/* Most internal steps, or tries of them, in one communication step: a call comes back after some seconds at most. */
+/* Most internal steps, or tries of them, in one communication step, so that every call comes back: the five-bar makes a
+   million in 4 s, the flexible four-bar by a stiff method in 17 s. */
 #ifndef MOST_STEPS
 #define MOST_STEPS 1000000
 #endif
