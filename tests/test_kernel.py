@@ -170,7 +170,7 @@ def test_settings_beside_the_usual_ones_run_as_by_the_oracle(settings):
         i.step(0.1)
     kept = [v.name not in ("monitor.iterations", "monitor.distance") for v in both[0].outputs]
     a, b = (i.read()[kept] for i in both)
-    # Classic iterations, and the first one of the residual form, lose digits to the penalty (1e8 masses), stage by stage.
+    # Classic iterations, and the first one of the residual form, lose digits to the penalty (1e8 masses) each stage.
     lost = 20 * 1e8 * 2.0**-52 if settings.projection is None else 1e-11
     assert np.abs(a - b).max() <= lost * np.abs(b).max()
 

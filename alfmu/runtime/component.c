@@ -372,9 +372,11 @@ static State *saved(Component *c, State *state);
    has what was reached before one that fails; otherwise the whole step is taken back. */
 static Status watched(Component *c, double point, double step, int *early)
 {
+    const int may_return = *early;
     Instance *i = c->instance;
     const double count = fmax(1.0, ceil(step / i->values[i->scene->step_size] * (1 - 1e-12)));
     double until = INFINITY;
+    *early = 0;
     if (instance_can_step(i, point, step) != DONE)
         return refused(c, DISCARDED);
     c->before = saved(c, c->before);
@@ -385,23 +387,23 @@ static Status watched(Component *c, double point, double step, int *early)
         i->within = k > 1.0;
         outcome = instance_step(i, k > 1.0 ? *instance_time(i) : point, step / count);
         i->within = 0;
-        if (outcome != DONE && *early && k > 1.0)
+        *early = may_return && k > 1.0;
+        if (outcome != DONE && *early)
             return FINE; /* The next step says what is wrong. */
         if (outcome != DONE) {
             refused(c, DISCARDED);
             state_restore(i, c->before->bytes, c->before->size);
-            *early = 0;
             return DISCARDED;
         }
+        *early = may_return && k < count;
         if (k == count)
             *instance_time(i) = point + step;
         c->phase = LOOKING;
-        c->look(c->host, *instance_time(i), *early && k < count, &until);
+        c->look(c->host, *instance_time(i), *early, &until);
         c->phase = STEPPING;
-        if (*early && k < count && *instance_time(i) >= until)
+        if (*early && *instance_time(i) >= until)
             return FINE;
     }
-    *early = 0;
     return FINE;
 }
 

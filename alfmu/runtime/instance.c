@@ -1099,32 +1099,32 @@ Outcome instance_can_step(Instance *i, double start, double h)
     return DONE;
 }
 
-/* How many numbers stand from the tally to past inputs: what steps remember beside the motion. */
+/* How many numbers stand from the internal step to past inputs: what steps remember beside the motion. */
 static size_t told(const Scene *s)
 {
-    return (size_t)(s->past + s->past_size - s->tally);
+    return (size_t)(s->past + s->past_size - s->dt);
 }
 
 /* What a step may change is kept, beside the state at its begin, which the step keeps itself. */
 static void remember_step(Instance *i)
 {
     const Scene *s = i->scene;
-    memcpy(i->before, i->slopes, (size_t)(s->inputs + 1) * sizeof *i->before);
-    memcpy(i->before + s->inputs + 1, i->m + s->u, (size_t)s->inputs * sizeof *i->before);
-    memcpy(i->before + 2 * s->inputs + 1, i->m + s->tally, told(s) * sizeof *i->before);
-    memcpy(i->before + 2 * (size_t)s->inputs + 1 + told(s), i->counts, COUNTED * sizeof *i->before);
-    i->dt_before = *field(i, s->dt);
+    double *to = i->before;
+    memcpy(to, i->slopes, (size_t)(s->inputs + 1) * sizeof *to);
+    memcpy(to += s->inputs + 1, i->m + s->u, (size_t)s->inputs * sizeof *to);
+    memcpy(to += s->inputs, i->counts, COUNTED * sizeof *to);
+    memcpy(to + COUNTED, i->m + s->dt, told(s) * sizeof *to);
 }
 
 static void step_back(Instance *i)
 {
     const Scene *s = i->scene;
-    memcpy(i->m + s->z, i->m + s->begin, state_length(s) * sizeof *i->m);
-    memcpy(i->slopes, i->before, (size_t)(s->inputs + 1) * sizeof *i->slopes);
-    memcpy(i->m + s->u, i->before + s->inputs + 1, (size_t)s->inputs * sizeof *i->m);
-    memcpy(i->m + s->tally, i->before + 2 * s->inputs + 1, told(s) * sizeof *i->m);
-    memcpy(i->counts, i->before + 2 * (size_t)s->inputs + 1 + told(s), COUNTED * sizeof *i->counts);
-    *field(i, s->dt) = i->dt_before;
+    const double *from = i->before;
+    memcpy(i->m + s->z, i->m + s->begin, state_length(s) * sizeof *from);
+    memcpy(i->slopes, from, (size_t)(s->inputs + 1) * sizeof *from);
+    memcpy(i->m + s->u, from += s->inputs + 1, (size_t)s->inputs * sizeof *from);
+    memcpy(i->counts, from += s->inputs, COUNTED * sizeof *from);
+    memcpy(i->m + s->dt, from + COUNTED, told(s) * sizeof *from);
     i->flags.known = 0;
 }
 
@@ -1482,15 +1482,19 @@ static Outcome sound(Instance *i)
     for (int k = 0; k < s->switches; k++)
         if ((i->wanted[k] != 0.0 && i->wanted[k] != 1.0) || (i->on[k] != 0.0 && i->on[k] != 1.0))
             return unsound(i, inputs[s->inputs + k].name, i->wanted[k]);
+    if (f->running && !f->initialized)
+        return unsound(i, "a flag", f->running);
+    if (!isfinite(*instance_time(i)))
+        return unsound(i, "the time", *instance_time(i));
+    if (!f->initialized) /* What follows is found when a run begins. */
+        return DONE;
     for (size_t part = 0; part < sizeof parts / sizeof *parts; part++)
         for (int k = 0; k < parts[part].count; k++)
             if (!isfinite(parts[part].numbers[k]))
                 return unsound(i, parts[part].name, parts[part].numbers[k]);
-    if (f->running && !f->initialized)
-        return unsound(i, "a flag", f->running);
-    if (f->initialized && (control[0] != i->values[s->step_size] || (control[1] != 0.0 && control[1] != 1.0)))
+    if (control[0] != i->values[s->step_size] || (control[1] != 0.0 && control[1] != 1.0))
         return unsound(i, "the first tier", control[1]);
-    if (f->initialized && control[2] != s->method)
+    if (control[2] != s->method)
         return unsound(i, "the method", control[2]);
     return DONE;
 }

@@ -683,7 +683,7 @@ static void memory(Reader *r)
         spoil(r, "its monitors contradict each other");
     if (s->seen_size < 3 + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
         spoil(r, "its outputs contradict each other");
-    if (s->pace > s->past || s->tally + TIERS + 5 > s->pace)
+    if (s->pace > s->past || s->tally + TIERS + 5 > s->pace || s->dt > s->tally)
         spoil(r, "its fields are not in order");
     for (size_t k = 0; k < sizeof fields / sizeof *fields; k++)
         if (fields[k].place < 0 || fields[k].place + (int64_t)fields[k].length > s->size)
