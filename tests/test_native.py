@@ -635,8 +635,9 @@ def test_the_same_mechanism_gives_the_same_bytes(built, tmp_path):
 
 
 def test_what_a_native_fmu_has_not_is_refused(tmp_path):
-    with pytest.raises(alfmu.ExportError, match=r"a native FMU has no solver\.formulation classic"):
-        alfmu.export("five_bar", tmp_path, kind="native", parameters={"solver.formulation": "classic"})
+    given = {"solver.formulation": "classic", "solver.method": "explicit"}
+    with pytest.raises(alfmu.ExportError, match=r"has no solver\.method explicit with solver\.formulation classic"):
+        alfmu.export("five_bar", tmp_path, kind="native", parameters=given)
     with pytest.raises(alfmu.ExportError, match="no kind 'other'"):
         alfmu.export("five_bar", tmp_path, kind="other")
     with pytest.raises(alfmu.ExportError, match="leave --kernel out"):

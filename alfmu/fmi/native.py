@@ -13,7 +13,7 @@ from .. import oracle
 from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
-from ..kernel.alternatives import OWN, formulations
+from ..kernel.alternatives import formulations
 from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
@@ -30,16 +30,14 @@ def checked(equations: Equations) -> None:
     e, chosen = equations, default_settings(equations)
     known = formulations(e)
     if e.n > MOST:
-        what = f"more than {MOST} coordinates (here {e.n}; its start would take minutes)"
+        what = f"more than {MOST} coordinates (here {e.n}; its start would take minutes); use fewer"
     elif chosen.formulation not in known:
-        what = f"solver.formulation {chosen.formulation} of more than {DENSE} coordinates (it has {', '.join(known)})"
-    elif e.l and chosen.formulation != OWN and chosen.method != Settings.method:
-        what = (
-            f"solver.method {chosen.method} with solver.formulation {chosen.formulation} (it takes {Settings.method})"
-        )
+        what = f"solver.formulation {chosen.formulation} of more than {DENSE} coordinates; use {', '.join(known)}"
+    elif e.l and chosen.formulation != Settings.formulation and chosen.method != Settings.method:
+        what = f"solver.method {chosen.method} with solver.formulation {chosen.formulation}; use solver.method rk4"
     else:
         return
-    raise ExportError(f"{e.name}: a native FMU has no {what}; export it with --kind python, or without")
+    raise ExportError(f"{e.name}: a native FMU has no {what}, or export it with --kind python")
 
 
 def may_brake(equations: Equations) -> bool:
