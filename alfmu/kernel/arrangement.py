@@ -13,6 +13,7 @@ import struct
 from collections import Counter
 from dataclasses import dataclass
 from heapq import heappop, heappush
+from itertools import zip_longest
 
 import casadi as ca
 
@@ -93,7 +94,8 @@ class _Form:
         self._uses = Counter(i for pair in self._operands for i in pair if i >= 0)
 
     def arrangement(self) -> Arrangement:
-        arguments, results, angles = {}, [], {}
+        arguments, results = {}, []
+        angles: dict[int, tuple[list[int], list[int]]] = {}
         within = self._within()
         for k, (code, (a, b)) in enumerate(zip(self._code, self._operands, strict=True)):
             if code == ca.OP_INPUT:
@@ -103,15 +105,16 @@ class _Form:
             elif code == ca.OP_OUTPUT:
                 results.append((*self._places[k], a))
             elif code in (ca.OP_SIN, ca.OP_COS):
-                angles.setdefault(a, {})[code] = k
+                angles.setdefault(a, ([], []))[code == ca.OP_COS].append(k)
             elif code not in _JOINED:
                 operands = (self._one, a) if code == ca.OP_INV else (a, b) if code in BINARY else (a,)
                 self._add(ca.OP_DIV if code == ca.OP_INV else code, operands, k)
             elif k not in within:
                 self._add(SUMS[0], self._sum(k, within), k)
         for angle, wanted in angles.items():
-            made = (wanted[x] if x in wanted else self._new() for x in (ca.OP_SIN, ca.OP_COS))
-            self._operations.append(Operation(_NUMBER[SINE_COSINE], (angle,), tuple(made)))
+            for pair in zip_longest(*wanted):
+                made = tuple(self._new() if k is None else k for k in pair)
+                self._operations.append(Operation(_NUMBER[SINE_COSINE], (angle,), made))
         return Arrangement(arguments, self._constants, _runs(_together(self._operations, results)), results)
 
     def _within(self) -> dict[int, int]:

@@ -136,7 +136,7 @@ class _Writing:
         at |= {value: body.source(slot, base, values, columns) for value, (_, slot) in made.arguments.items()}
         if piece.count == 1:
             self.words += _runs(made, {value: place[:1] for value, place in at.items()})
-        else:
+        elif values:
             if body.back:
                 self._copy(body, found, values, columns)
             tables = [found[j, column :: piece.period] for j, column in body.tables]
