@@ -19,7 +19,7 @@ import casadi as ca
 
 from .stream import BINARY, UNARY, Instructions
 
-__all__ = ["KINDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged"]
+__all__ = ["KINDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged", "in_runs"]
 
 SUMS = ("sum1", "sum2")
 """c + a b with so many products, which are added in their order."""
@@ -115,7 +115,7 @@ class _Form:
             for pair in zip_longest(*wanted):
                 made = tuple(self._new() if k is None else k for k in pair)
                 self._operations.append(Operation(_NUMBER[SINE_COSINE], (angle,), made))
-        return Arrangement(arguments, self._constants, _runs(_together(self._operations, results)), results)
+        return Arrangement(arguments, self._constants, in_runs(_together(self._operations, results)), results)
 
     def _within(self) -> dict[int, int]:
         """Products that become part of the sum or difference that uses them, and which factor is negated (or -1)."""
@@ -206,7 +206,7 @@ def _together(operations: list[Operation], results: list[tuple[int, int, int]]) 
     return [*kept, *longer.values()]
 
 
-def _runs(operations: list[Operation]) -> list[list[Operation]]:
+def in_runs(operations: list[Operation]) -> list[list[Operation]]:
     """The same operations, each after those that make its operands, in few runs of equal ones.
 
     Of the operations that are ready, a run takes those first on which the longest chain waits. It ends where another

@@ -8,21 +8,24 @@ they are arranged in runs (`alfmu.kernel.arrangement`), and the numbers are the 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
-from .arrangement import KINDS, Arrangement, arranged
+from .arrangement import KINDS, Arrangement, Operation, arranged, in_runs
 from .places import line
 from .repeat import Repeat, pieces, repeats
 from .stream import CONSTANT, INPUT, NOTHING, VALUE, Instructions, Operations
 
-__all__ = ["BEHIND", "GATHER_KIND", "LOOP_KIND", "NARROW", "Code", "Constants", "written"]
+__all__ = ["BEHIND", "EACH_KIND", "GATHER_KIND", "LOOP_KIND", "NARROW", "Code", "Constants", "written"]
 
-LOOP_KIND, GATHER_KIND = len(KINDS), len(KINDS) + 1
-"""Numbers of what else there is in a function: a loop, and values found by a table in each pass of it."""
+LOOP_KIND, EACH_KIND, GATHER_KIND = (len(KINDS) + i for i in range(3))
+"""Numbers of what else there is in a function: a loop; an operation in all passes of a loop; copies of values."""
 
 BEHIND = 2**40
 """Added to places that count from behind the last constant: how many there are is known when all functions are."""
@@ -30,14 +33,15 @@ BEHIND = 2**40
 NARROW = 2**16
 """Places that operands of 16 bits reach, and operations in a run of them."""
 
-LONG = 6000
-"""Operations above which a function is searched for what repeats."""
+LONG = 12000
+"""Operations above which a function is searched for what repeats: a loop takes up to twice the time of straight code, so
+it is worth it where that would be long."""
+
+WORTH = 1.0
+"""Operations that a word of a function with loops has to stand for; without them it is half of one, in half the bits."""
 
 LINE, TABLE, BEFORE = range(3)
 """Where values come from that are not made in a pass: places that go by a step, a table, a pass before."""
-
-_BACK = 4
-"""Passes before the first for which a loop has places, where values pass from one to the next."""
 
 
 class Constants:
@@ -77,12 +81,11 @@ class Code:
 def written(instructions: Instructions, constants: Constants, inputs: list[int], outputs: list[int]) -> Code:
     """The words of a function with arguments and results of these lengths."""
     operations = Operations.of(instructions)
-    found = repeats(operations) if len(operations) > LONG else []
-    writing = _Writing(operations, list(pieces(len(operations), found, len(operations))), constants, inputs, outputs)
-    for piece in writing.pieces:
-        writing.piece(piece)
-    words = np.array(writing.words, np.int64)
-    return Code(inputs, outputs, words, writing.results, writing.end - writing.begin, bool(found))
+    if len(operations) > LONG:
+        made = _Writing(operations, constants, inputs, outputs).done(repeats(operations))
+        if WORTH * len(made.words) < len(operations):
+            return made
+    return _Writing(operations, constants, inputs, outputs).done([])
 
 
 class _Writing:
@@ -91,62 +94,105 @@ class _Writing:
     def __init__(
         self,
         operations: Operations,
-        parts: list[Repeat],
         constants: Constants,
         inputs: list[int],
         outputs: list[int],
     ):
         o = self._operations = operations
-        self.pieces, self._constants = parts, constants
-        self.words: list[int] = []
-        self.begin = self.end = BEHIND + sum(inputs)
-        """Places of the first value, and of the next."""
+        self._inputs, self._outputs, self._constants = inputs, outputs, constants
+        self._words: list[int] = []
+        self._end = BEHIND + sum(inputs)
+        """Place of the next value."""
         self._arguments, self._results = (np.cumsum([0, *lengths]) for lengths in (inputs, outputs))
-        self.results = np.full(sum(outputs), constants.place(0.0))  # what no operation gives is zero
+        self._written = np.full(sum(outputs), constants.place(0.0))  # what no operation gives is zero
         used = np.unique(o.operand[o.kind == CONSTANT])
         self._number = np.zeros(len(o.constant), int)
         self._number[used] = [constants.place(value) for value in o.constant[used].tolist()]
         self._place = np.full(len(o), -1)
         """Of values that are known outside the pass that makes them."""
+        self._local = self._kept = np.zeros(0, bool)
+
+    def done(self, found: list[Repeat]) -> Code:
+        """The function with loops for what was found to repeat, as far as they can be."""
+        o = self._operations
+        carried = {each: one for each in found if (one := _carried(o, each)) is not None}
+        parts = list(pieces(len(o), list(carried), len(o)))
         scope = np.concatenate([np.repeat(x.start + x.period * np.arange(x.count), x.period) for x in parts] or [[]])
         self._local = (o.kind == VALUE) & (scope[o.made] == scope)
         """Operands that are made in the same pass of the same piece."""
         self._kept = np.zeros(len(o), bool)
+        """Values that are needed elsewhere."""
         self._kept[o.made[(o.kind == VALUE) & ~self._local]] = True
         self._kept[o.made[0, (o.kind[0] == VALUE) & (o.result[0] >= 0)]] = True
+        for piece in parts:
+            self._piece(piece, carried.get(piece, {}))
+        words, values = np.array(self._words, np.int64), self._end - BEHIND - sum(self._inputs)
+        return Code(self._inputs, self._outputs, words, self._written, values, bool(carried))
 
-    def piece(self, piece: Repeat) -> None:
+    def _piece(self, piece: Repeat, carried: dict[tuple[int, int], tuple[int, int]]) -> None:
         """A loop, or straight code, which has one pass."""
-        o, part = self._operations, slice(piece.start, piece.end)
-        body = _Body(piece, o, self._local, self._kept, self._found(part))
+        part = slice(piece.start, piece.end)
+        body = _Body(piece, self._operations, self._local, self._kept, self._found(part), carried)
         made = arranged(body.instructions())
-        ordered = [value for run in made.runs for operation in run for value in operation.made]
-        offset = {value: i for i, value in enumerate(ordered, len(body.tables))}
-        columns = {column: offset[value] for _, column, value in made.results}
-        values = len(body.tables) + len(ordered)
-        base = self.end + values * body.back
-        for column, i in columns.items():
-            self._place[piece.passes(column)] = base + values * np.arange(piece.count) + i
-        found = self._found(part)
-        writes = np.flatnonzero(o.result[0, part] >= 0)
-        which, entry = o.result[:, part][:, writes]
-        self.results[self._results[which] + entry] = found[0, writes]
         at = {value: (self._constants.place(number), 0) for value, number in made.constants.items()}
-        at |= {value: (base + i, values) for value, i in offset.items()}
-        at |= {value: body.source(slot, base, values, columns) for value, (_, slot) in made.arguments.items()}
         if piece.count == 1:
-            self.words += _runs(made, {value: place[:1] for value, place in at.items()})
-        elif values:
-            if body.back:
-                self._copy(body, found, values, columns)
-            tables = [found[j, column :: piece.period] for j, column in body.tables]
-            code = [GATHER_KIND, len(tables), *(i * piece.count for i in range(len(tables)))] if tables else []
-            code += _runs(made, at)
-            self.words += [LOOP_KIND, piece.count, values, len(code), piece.count * len(tables), *code]
-            self.words += np.concatenate([*tables, []]).astype(int).tolist()
-        self.end = base + values * piece.count
+            at |= {value: body.sources[slot][1:] for value, (_, slot) in made.arguments.items()}
+            self._straight(made.runs, at)
+        else:
+            self._looped(piece.count, body, made, at)
+        for _, column, value in made.results:
+            first, step = at[value]
+            self._place[piece.passes(column)] = first + step * np.arange(piece.count)
+        writes = piece.start + np.flatnonzero(self._operations.result[0, part] >= 0)
+        which, entry = self._operations.result[:, writes]
+        self._written[self._results[which] + entry] = self._found(writes)[0]
 
-    def _found(self, part: slice) -> NDArray:
+    def _straight(self, found: list[list[Operation]], at: dict[int, tuple[int, int]]) -> None:
+        for run in found:
+            for operation in run:
+                at |= {value: (self._end + i, 0) for i, value in enumerate(operation.made)}
+                self._end += len(operation.made)
+        self._words += _runs(found, {value: place[:1] for value, place in at.items()})
+
+    def _looped(self, count: int, body: _Body, made: Arrangement, at: dict[int, tuple[int, int]]) -> None:
+        """Operations by which nothing passes on to later passes each in all passes, and loops of the others."""
+        value_of = {column: value for _, column, value in made.results}
+        before: dict[int, list[tuple[int, int]]] = {}  # values, and those that are them so many passes before
+        for value, (_, slot) in made.arguments.items():
+            kind, first, second = body.sources[slot]
+            if kind == LINE:
+                at[value] = first, second
+            elif kind == TABLE:
+                at[value] = self._copies(body.tables[first]), 1
+            else:
+                before.setdefault(value_of[first], []).append((second, value))
+        cells = {(value_of[column], row): place for (column, row), place in body.cells.items()}
+        earlier = {value: source for source, found in before.items() for _, value in found}
+        operations = [operation for run in made.runs for operation in run]
+        for group, repeated in _groups(operations, earlier):
+            runs = in_runs(group) if repeated else [group]
+            values = [value for run in runs for operation in run for value in operation.made]
+            back = max((i for value in values for i, _ in before.get(value, [])), default=0)
+            if back:
+                rows = range(-back, 0)
+                self._copies([cells.get((value, row), 0) for row in rows for value in values])
+            for i, value in enumerate(values):
+                at[value] = self._end + i, len(values)
+                at |= {x: (self._end + i - k * len(values), len(values)) for k, x in before.get(value, [])}
+            if repeated:
+                words = _runs(runs, at)
+                self._words += [LOOP_KIND, count, len(values), len(words), *words]
+            else:
+                self._words += [EACH_KIND, count, group[0].kind, *(x for k in group[0].operands for x in at[k])]
+            self._end += count * len(values)
+
+    def _copies(self, places: Sequence[int]) -> int:
+        """Values brought together; returns the place of the first."""
+        self._words += [GATHER_KIND, len(places), *places]
+        self._end += len(places)
+        return self._end - len(places)
+
+    def _found(self, part: slice | NDArray) -> NDArray:
         """Places of operands, two rows; -1 of those that are not known yet."""
         o = self._operations
         kind, operand, argument = o.kind[:, part], o.operand[:, part], o.argument[:, part]
@@ -154,34 +200,35 @@ class _Writing:
         entries = BEHIND + self._arguments[argument] + operand
         return np.select(cases, [self._place[o.made[:, part]], entries, self._number[operand * cases[2]]], -1)
 
-    def _copy(self, body: _Body, found: NDArray, values: int, columns: dict[int, int]) -> None:
-        """Values that the first passes take from elsewhere, where they would be if passes before had made them."""
-        table = np.zeros(values * body.back, int)
-        for (row, column), (j, user) in body.copies.items():
-            table[values * (body.back + row) + columns[column]] = found[j, user]
-        self.words += [LOOP_KIND, len(table), 1, 3, len(table), GATHER_KIND, 1, 0, *table.tolist()]
-
 
 class _Body:
     """One pass of a piece as a function of its own, whose arguments are what it takes from elsewhere."""
 
-    def __init__(self, piece: Repeat, operations: Operations, local: NDArray, kept: NDArray, found: NDArray):
+    def __init__(
+        self,
+        piece: Repeat,
+        operations: Operations,
+        local: NDArray,
+        kept: NDArray,
+        found: NDArray,
+        carried: dict[tuple[int, int], tuple[int, int]],
+    ):
         self._piece, self._operations, self._found = piece, operations, found
         first = slice(piece.start, piece.start + piece.period)
         self._first = [x[..., first].tolist() for x in (operations.code, operations.kind, operations.made, local)]
         self._firsts = found[:, : piece.period].tolist()
         self._constant = operations.constant
+        self._carried = carried
         self._kept = np.flatnonzero(kept[piece.start : piece.end].reshape(piece.count, -1).any(axis=0)).tolist()
-        self.tables: list[tuple[int, int]] = []
-        """Operands that need one: which of two, and the operation."""
-        self.copies: dict[tuple[int, int], tuple[int, int]] = {}
-        """Which value of which pass before the first to which operand: which of two, and the operation in the piece."""
-        self.back = 0
-        """Passes before the first that there are copies of values of."""
-        self._sources: list[tuple[int, int, int]] = []
+        self.sources: list[tuple[int, int, int]] = []
+        """Of each argument: LINE, the first place and the step; TABLE and its number; BEFORE, the operation that makes
+        it, and how many passes before."""
+        self.tables: list[list[int]] = []
+        """Places in all passes."""
+        self.cells: dict[tuple[int, int], int] = {}
+        """Of what first passes take from elsewhere: the operation that makes it in others, the pass, and its place."""
         self._slots: dict[tuple[int, int, int] | bytes, int] = {}
         self._numbers: dict[int, int] = {}
-        self._wanted: dict[tuple[int, int], int] = {}
 
     def instructions(self) -> Instructions:
         code, kinds, made, local = self._first
@@ -208,15 +255,6 @@ class _Body:
         constants[constant] = self._constant[found[3, constant]]
         return Instructions(found[0], found[1:3], np.array([np.zeros_like(found[3]), found[3]]), constants)
 
-    def source(self, slot: int, base: int, values: int, columns: dict[int, int]) -> tuple[int, int]:
-        """Place and step of what comes from elsewhere, where values of the first pass begin at `base`."""
-        kind, first, second = self._sources[slot]
-        if kind == TABLE:
-            return base + first, values
-        if kind == BEFORE:
-            return base - second * values + columns[first], values
-        return first, second
-
     def _leaf(self, j: int, column: int, kind: int) -> tuple[int, int]:
         """A constant, or where else an operand comes from in each pass."""
         piece = self._piece
@@ -225,48 +263,110 @@ class _Body:
         places = self._found[j, column :: piece.period]
         if kind == CONSTANT and (places == places[0]).all():
             return ca.OP_CONST, self._number(places[0], self._operations.operand[j, piece.start + column])
-        if kind == VALUE and (places < 0).any():
-            made = self._operations.made[j, piece.passes(column)]
-            source, key = self._before(j, column, made), made.tobytes()
-        else:
-            found, key = line(places), places.tobytes()
-            source = None if found is None else (LINE, *found)
-        if source is None and key not in self._slots:
-            self.tables.append((j, column))
-        return ca.OP_INPUT, self._slot(source or (TABLE, len(self.tables) - 1, 0), source or key)
+        if (j, column) in self._carried:
+            value, back = self._carried[j, column]
+            self.cells |= {(value, row - back): int(places[row]) for row in range(back)}
+            return ca.OP_INPUT, self._slot((BEFORE, value, back))
+        if (found := line(places)) is not None:
+            return ca.OP_INPUT, self._slot((LINE, *found))
+        key = places.tobytes()
+        if key not in self._slots:
+            self.tables.append(places.tolist())
+        return ca.OP_INPUT, self._slot((TABLE, len(self.tables) - 1, 0), key)
 
     def _slot(self, source: tuple[int, int, int], key: tuple[int, int, int] | bytes | None = None) -> int:
         """The number of a source, the same for the same key."""
-        slot = self._slots.setdefault(key or source, len(self._sources))
-        if slot == len(self._sources):
-            self._sources.append(source)
+        slot = self._slots.setdefault(key or source, len(self.sources))
+        if slot == len(self.sources):
+            self.sources.append(source)
         return slot
 
     def _number(self, place: int, operand: int) -> int:
         """One number of those of a constant."""
         return self._numbers.setdefault(int(place), int(operand))
 
-    def _before(self, j: int, column: int, made: NDArray) -> tuple[int, int, int] | None:
-        """Whether an operand is what the pass so many before has made, or would have made before the first."""
-        row, which = np.divmod(made - self._piece.start, self._piece.period)
-        back = len(made) - 1 - int(row[-1])
-        own = slice(back, None)
-        if not 0 < back <= _BACK or (row[own] != np.arange(len(made) - back)).any() or (which[own] != which[-1]).any():
+
+def _carried(operations: Operations, piece: Repeat) -> dict[tuple[int, int], tuple[int, int]] | None:
+    """Operands that another pass of a loop has made: which of two, and the operation, to the operation that makes them
+    and how many passes before. None where that is not the same in all passes."""
+    o, part, shape = operations, slice(piece.start, piece.end), (piece.count, piece.period)
+    begin = piece.passes(0)[:, None]
+    found: dict[tuple[int, int], tuple[int, int]] = {}
+    cells: dict[tuple[int, int], int] = {}
+    for j in (0, 1):
+        value, made = o.kind[j, part].reshape(shape) == VALUE, o.made[j, part].reshape(shape)
+        local = value & (made >= begin)
+        if ((local != local[0]) | (local & (made - begin != made[0] - piece.start))).any():
             return None
-        value = int(which[-1])
-        cells = {(p - back, value): int(made[p]) for p in range(back)}
-        if any(self._wanted.get(cell, x) != x for cell, x in cells.items()) or (row[:back] >= 0).any():
-            return None
-        self._wanted |= cells
-        self.copies |= {(p - back, value): (j, column + p * self._piece.period) for p in range(back)}
-        self.back = max(self.back, back)
-        return BEFORE, value, back
+        for column in np.flatnonzero((value & ~local & (made >= piece.start)).any(axis=0)).tolist():
+            row, which = np.divmod(made[:, column] - piece.start, piece.period)
+            back = piece.count - 1 - int(row[-1])
+            later = slice(back, None)
+            if not 0 < back < piece.count or (row[:back] >= 0).any():
+                return None
+            if (row[later] != np.arange(piece.count - back)).any() or (which[later] != which[-1]).any():
+                return None
+            found[j, column] = int(which[-1]), back
+            before = {(int(which[-1]), i - back): int(made[i, column]) for i in range(back)}
+            if any(cells.setdefault(cell, maker) != maker for cell, maker in before.items()):
+                return None
+    return found
 
 
-def _runs(made: Arrangement, at: dict[int, tuple[int, ...]]) -> list[int]:
+def _groups(operations: list[Operation], earlier: dict[int, int]) -> Iterator[tuple[list[Operation], bool]]:
+    """Operations that can be done in all passes at once, each alone, and others in groups, in order.
+
+    `earlier` are operands that are what a value was some passes before. What depends on its own earlier values has to
+    be done pass by pass.
+    """
+    maker = {value: i for i, operation in enumerate(operations) for value in operation.made}
+    edges = {
+        (maker[source], i)
+        for i, operation in enumerate(operations)
+        for x in operation.operands
+        if (source := earlier.get(x, x)) in maker
+    }
+    made, users = np.array(sorted(edges), int).reshape(-1, 2).T
+    shape = (len(operations), len(operations))
+    count, part = connected_components(csr_array((np.ones(len(made)), (made, users)), shape), connection="strong")
+    members: list[list[Operation]] = [[] for _ in range(count)]
+    for i, k in enumerate(part.tolist()):
+        members[k].append(operations[i])
+    repeated = [len(x) > 1 for x in members]
+    for k in part[made[made == users]].tolist():
+        repeated[k] = True
+    after: list[set[int]] = [set() for _ in members]
+    for k, user in zip(part[made].tolist(), part[users].tolist(), strict=True):
+        if k != user:
+            after[k].add(user)
+    missing = np.bincount([user for x in after for user in x], minlength=count).tolist()
+    ready = [k for k in range(count) if not missing[k]]
+
+    def done(k: int) -> None:
+        for user in after[k]:
+            missing[user] -= 1
+            if not missing[user]:
+                ready.append(user)
+
+    while ready:
+        alone = next((k for k in ready if not repeated[k]), None)
+        if alone is not None:
+            ready.remove(alone)
+            yield members[alone], False
+            done(alone)
+            continue
+        group = []
+        while (k := next((k for k in ready if repeated[k]), None)) is not None:
+            ready.remove(k)
+            group += members[k]
+            done(k)
+        yield group, True
+
+
+def _runs(runs: list[list[Operation]], at: dict[int, tuple[int, ...]]) -> list[int]:
     """The words of runs of operations on values at these places."""
     words: list[int] = []
-    for run in made.runs:
+    for run in runs:
         for start in range(0, len(run), NARROW - 1):
             part = run[start : start + NARROW - 1]
             words += [part[0].kind, len(part)]

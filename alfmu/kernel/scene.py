@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arrangement import KINDS, SINE_COSINE, SUMS
-from .passes import BEHIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
+from .passes import BEHIND, EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, UNARY, Instructions
 
 __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
@@ -37,8 +37,10 @@ def operations_header() -> str:
         f"#define SINE_COSINE_KIND {KINDS.index(SINE_COSINE)}",
         f"#define KIND_COUNT {len(KINDS)}",
         f"#define LOOP_KIND {LOOP_KIND}",
+        f"#define EACH_KIND {EACH_KIND}",
         f"#define GATHER_KIND {GATHER_KIND}",
         f"#define OPERAND_COUNTS {counts}",
+        "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
         f"enum {{ {', '.join(f'{name.upper()}_CODE' for name in CALLS)} }};",
     ]
     return "\n".join([*lines, ""])
@@ -92,11 +94,24 @@ class Writer:
         def placed(places: NDArray) -> NDArray:
             return np.where(places >= BEHIND // 2, places - BEHIND + constants, places)
 
-        top = constants + sum(made.inputs) + made.values
         self.integers(made.inputs)
         self.integers(made.outputs)
-        narrow = top <= NARROW and not made.looped
-        self.integer(int(not narrow))
-        kind = "<u2" if narrow else "<i4"
-        self.integers(placed(made.words), kind)
-        self.integers(placed(made.results), kind)
+        wide = made.looped or constants + sum(made.inputs) + made.values > NARROW
+        self.integer(int(wide))
+        self.integers(placed(made.words), "<i4" if wide else "<u2")
+        if wide:
+            self.integers(in_line(placed(made.results)))
+        else:
+            self.integers(placed(made.results), "<u2")
+
+
+def in_line(values: NDArray) -> NDArray:
+    """How many values go by a step, the first of them and the step, for all of them."""
+    rows: list[tuple[int, int, int]] = []
+    steps, at = np.diff(values), 0
+    ends = np.append(np.flatnonzero(np.diff(steps)) + 1, len(steps))
+    while at < len(values):
+        end = int(ends[np.searchsorted(ends, at, side="right")]) if at < len(steps) else at
+        rows.append((end + 1 - at, int(values[at]), int(steps[at]) if end > at else 0))
+        at = end + 1
+    return np.array(rows, np.int64).reshape(-1)
