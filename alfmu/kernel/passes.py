@@ -10,6 +10,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import casadi as ca
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from .arrangement import KINDS, Arrangement, Operation, arranged, in_runs
+from .arrangement import KINDS, SUMS, Arrangement, Operation, arranged, in_runs
 from .places import line
 from .repeat import Repeat, pieces, repeats
 from .stream import CONSTANT, INPUT, NOTHING, VALUE, Instructions, Operations
@@ -34,11 +35,13 @@ NARROW = 2**16
 """Places that operands of 16 bits reach, and operations in a run of them."""
 
 LONG = 12000
-"""Operations above which a function is searched for what repeats: a loop takes up to twice the time of straight code, so
-it is worth it where that would be long."""
+"""Operations above which a function is searched for what repeats: loops take up to twice the time of straight code."""
 
 WORTH = 1.0
-"""Operations that a word of a function with loops has to stand for; without them it is half of one, in half the bits."""
+"""Operations that a word of a function with loops stands for at least; one without them has two words an operation."""
+
+SHORT = 10
+"""Places in line that are listed one by one: their words are about as many as those of a line."""
 
 LINE, TABLE, BEFORE = range(3)
 """Where values come from that are not made in a pass: places that go by a step, a table, a pass before."""
@@ -71,7 +74,8 @@ class Code:
     words: NDArray
     """Runs: number of the operation, how many, and the places of their operands."""
     results: NDArray
-    """Place of each entry of the results."""
+    """Rows that say where entries of the results are found, the later ones what is not in others: how many, the first
+    entry and the step to the next, the place of the first and the step."""
     values: int
     """How many numbers the operations give."""
     looped: bool
@@ -104,7 +108,7 @@ class _Writing:
         self._end = BEHIND + sum(inputs)
         """Place of the next value."""
         self._arguments, self._results = (np.cumsum([0, *lengths]) for lengths in (inputs, outputs))
-        self._written = np.full(sum(outputs), constants.place(0.0))  # what no operation gives is zero
+        self._lines = [(sum(outputs), 0, 1, constants.place(0.0), 0)]  # what no operation gives is zero
         used = np.unique(o.operand[o.kind == CONSTANT])
         self._number = np.zeros(len(o.constant), int)
         self._number[used] = [constants.place(value) for value in o.constant[used].tolist()]
@@ -127,7 +131,7 @@ class _Writing:
         for piece in parts:
             self._piece(piece, carried.get(piece, {}))
         words, values = np.array(self._words, np.int64), self._end - BEHIND - sum(self._inputs)
-        return Code(self._inputs, self._outputs, words, self._written, values, bool(carried))
+        return Code(self._inputs, self._outputs, words, np.array(self._lines, np.int64), values, bool(carried))
 
     def _piece(self, piece: Repeat, carried: dict[tuple[int, int], tuple[int, int]]) -> None:
         """A loop, or straight code, which has one pass."""
@@ -143,9 +147,11 @@ class _Writing:
         for _, column, value in made.results:
             first, step = at[value]
             self._place[piece.passes(column)] = first + step * np.arange(piece.count)
-        writes = piece.start + np.flatnonzero(self._operations.result[0, part] >= 0)
-        which, entry = self._operations.result[:, writes]
-        self._written[self._results[which] + entry] = self._found(writes)[0]
+        writes = np.flatnonzero(self._operations.result[0, part][: piece.period] >= 0)
+        for columns in [writes] if piece.count == 1 else writes[:, None]:
+            users = (piece.passes(0)[:, None] + columns).reshape(-1)
+            which, entry = self._operations.result[:, users]
+            self._lines += in_line(self._results[which] + entry, self._found(users)[0])
 
     def _straight(self, found: list[list[Operation]], at: dict[int, tuple[int, int]]) -> None:
         for run in found:
@@ -188,7 +194,20 @@ class _Writing:
 
     def _copies(self, places: Sequence[int]) -> int:
         """Values brought together; returns the place of the first."""
-        self._words += [GATHER_KIND, len(places), *places]
+        listed: list[int] = []
+
+        def gather() -> None:
+            self._words += [GATHER_KIND, len(listed), *listed] if listed else []
+            listed.clear()
+
+        for count, first, step in in_line(np.array(places)):
+            if count < SHORT:
+                listed += range(first, first + count * step, step) if step else [first] * count
+                continue
+            gather()
+            nothing, one = map(self._constants.place, (-0.0, 1.0))
+            self._words += [EACH_KIND, count, KINDS.index(SUMS[0]), nothing, 0, first, step, one, 0]
+        gather()
         self._end += len(places)
         return self._end - len(places)
 
@@ -361,6 +380,25 @@ def _groups(operations: list[Operation], earlier: dict[int, int]) -> Iterator[tu
             group += members[k]
             done(k)
         yield group, True
+
+
+def in_line(*values: NDArray) -> list[tuple[int, ...]]:
+    """How many go by a step, then of each of these sequences the first and the step, for all of them."""
+    rows: list[tuple[int, ...]] = []
+    count = len(values[0])
+    steps = np.array([np.diff(x) for x in values])
+    ends = iter([*(np.flatnonzero((np.diff(steps) != 0).any(axis=0)) + 1).tolist(), count - 1])
+    first = np.array(values).T.tolist()
+    at = end = 0
+    while at < count:
+        while end <= at < count - 1:
+            end = next(ends)
+        step, last = [0] * len(values), at
+        if at < count - 1 and np.abs(steps[:, at]).max() < BEHIND // 2:  # else from constants to others
+            step, last = steps[:, at].tolist(), end
+        rows.append((last + 1 - at, *chain(*zip(first[at], step, strict=True))))
+        at = last + 1
+    return rows
 
 
 def _runs(runs: list[list[Operation]], at: dict[int, tuple[int, ...]]) -> list[int]:

@@ -98,20 +98,12 @@ class Writer:
         self.integers(made.outputs)
         wide = made.looped or constants + sum(made.inputs) + made.values > NARROW
         self.integer(int(wide))
-        self.integers(placed(made.words), "<i4" if wide else "<u2")
+        kind = "<i4" if wide else "<u2"
+        self.integers(placed(made.words), kind)
         if wide:
-            self.integers(in_line(placed(made.results)))
-        else:
-            self.integers(placed(made.results), "<u2")
-
-
-def in_line(values: NDArray) -> NDArray:
-    """How many values go by a step, the first of them and the step, for all of them."""
-    rows: list[tuple[int, int, int]] = []
-    steps, at = np.diff(values), 0
-    ends = np.append(np.flatnonzero(np.diff(steps)) + 1, len(steps))
-    while at < len(values):
-        end = int(ends[np.searchsorted(ends, at, side="right")]) if at < len(steps) else at
-        rows.append((end + 1 - at, int(values[at]), int(steps[at]) if end > at else 0))
-        at = end + 1
-    return np.array(rows, np.int64).reshape(-1)
+            self.integers(placed(made.results).ravel())
+            return
+        results = np.zeros(sum(made.outputs), np.int64)
+        for count, entry, entries, place, step in placed(made.results).tolist():
+            results[entry + entries * np.arange(count)] = place + step * np.arange(count)
+        self.integers(results, kind)

@@ -461,20 +461,25 @@ static void function(Reader *r, Function *f)
     /* Words and results stand behind each other. */
     if (wide) {
         size_t rows = 0;
+        int64_t spare = 2 * all; /* entries that are said twice at most */
         const int32_t *first = integers(r, -1, &words), *then = integers(r, -1, &rows);
         int32_t *both = r->bad ? NULL : room(r, words + (size_t)all + 1, sizeof *both);
         if (!both)
             return;
         memcpy(both, first, words * sizeof *both);
-        /* How many go by a step, the first and the step. */
-        for (size_t k = 0; k + 3 <= rows; k += 3) {
-            if (then[k] < 1 || then[k] > all - (int64_t)results) {
+        for (int64_t k = 0; k < all; k++)
+            both[words + (size_t)k] = -1;
+        /* How many, the first entry and the step to the next, the place of the first and the step. */
+        for (const int32_t *row = then; row + 5 <= then + rows; row += 5) {
+            const int64_t count = row[0], last = row[1] + (count - 1) * row[2];
+            if (count < 1 || (spare -= count) < 0 || row[1] < 0 || row[1] >= all || last < 0 || last >= all) {
                 spoil(r, "the results of a function are damaged");
                 return;
             }
-            for (int32_t each = 0; each < then[k]; each++)
-                both[words + results++] = (int32_t)((uint32_t)then[k + 1] + (uint32_t)each * (uint32_t)then[k + 2]);
+            for (int64_t each = 0; each < count; each++)
+                both[words + (size_t)(row[1] + each * row[2])] = (int32_t)(row[3] + each * row[4]);
         }
+        results = (size_t)all;
         f->wide = both;
     } else {
         const uint16_t *first = narrow_integers(r, &words), *then = narrow_integers(r, &results);
