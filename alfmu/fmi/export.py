@@ -157,7 +157,7 @@ def export(
     if library is None or portable:
         resources[FUNCTIONS] = serialized(equations, EVALUATED).encode()
     if library is not None:
-        resources[LIBRARY] = library.path.read_bytes()
+        resources[LIBRARY] = native.content(equations.name, library.path)
     entry = _entry(equations.name)
     content = [entry.encode(), *(text.encode() for text in sources.values()), *resources.values()]
     digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from ..equations import Equations
-from ..kernel.build import FLAGS, build, cache, compiler, version
+from ..kernel.build import FLAGS, build, compiler, kept, version, whole
 from ..model.errors import ExportError
 from ..runtime import Instance
 
-__all__ = ["OWN", "PLATFORMS", "checked", "headers", "library", "may_brake", "platforms", "sources"]
+__all__ = ["OWN", "PLATFORMS", "checked", "content", "headers", "library", "may_brake", "platforms", "sources"]
 
 
 @dataclass(frozen=True)
@@ -91,11 +91,16 @@ def library(scene: str, platform: str) -> bytes:
     command, files = _command(scene, platform), sources()
     flags = ["-O2", *FLAGS, "-std=c99", "-fvisibility=hidden", "-DNDEBUG"]
     identity = "\0".join([*files, *files.values(), *command, version(command), *flags])
-    name = f"native_{hashlib.sha256(identity.encode()).hexdigest()[:32]}{PLATFORMS[platform].suffix}"
-    path = cache() / name
-    if not path.is_file():
-        build(scene, [*command, *flags, f"-I{headers()}"], files, path, "use --kind python")
-    return path.read_bytes()
+    name, suffix = f"native_{hashlib.sha256(identity.encode()).hexdigest()[:32]}", PLATFORMS[platform].suffix
+    command = [*command, *flags, f"-I{headers()}"]
+    return content(scene, kept(name, suffix) or build(scene, command, files, name, suffix, "use --kind python"))
+
+
+def content(scene: str, path: Path) -> bytes:
+    """The bytes of a library in the cache, as they were built."""
+    if (found := whole(path)) is None:
+        raise ExportError(f"{scene}: the library {path} was damaged a moment ago; try again")
+    return found
 
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:

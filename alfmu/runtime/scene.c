@@ -784,6 +784,17 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
     return s;
 }
 
+int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+{
+    Function *own = (Function *)s->functions; /* which the scene itself has made */
+    if (count != s->function_count || !between(spare, 0, MOST_NUMBERS) || strcmp(identity, s->guid))
+        return 0;
+    for (int k = 0; k < count; k++)
+        own[k].compiled = functions[k];
+    s->spare = spare;
+    return 1;
+}
+
 void scene_free(Scene *s)
 {
     struct Block *block = s ? s->blocks : NULL;
