@@ -13,12 +13,13 @@ import struct
 from collections import Counter
 from dataclasses import dataclass
 from heapq import heappop, heappush
+from itertools import zip_longest
 
 import casadi as ca
 
 from .stream import BINARY, UNARY, Instructions
 
-__all__ = ["KINDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged"]
+__all__ = ["KINDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged", "in_runs"]
 
 SUMS = ("sum1", "sum2")
 """c + a b with so many products, which are added in their order."""
@@ -93,7 +94,8 @@ class _Form:
         self._uses = Counter(i for pair in self._operands for i in pair if i >= 0)
 
     def arrangement(self) -> Arrangement:
-        arguments, results, angles = {}, [], {}
+        arguments, results = {}, []
+        angles: dict[int, tuple[list[int], list[int]]] = {}
         within = self._within()
         for k, (code, (a, b)) in enumerate(zip(self._code, self._operands, strict=True)):
             if code == ca.OP_INPUT:
@@ -103,16 +105,17 @@ class _Form:
             elif code == ca.OP_OUTPUT:
                 results.append((*self._places[k], a))
             elif code in (ca.OP_SIN, ca.OP_COS):
-                angles.setdefault(a, {})[code] = k
+                angles.setdefault(a, ([], []))[code == ca.OP_COS].append(k)
             elif code not in _JOINED:
                 operands = (self._one, a) if code == ca.OP_INV else (a, b) if code in BINARY else (a,)
                 self._add(ca.OP_DIV if code == ca.OP_INV else code, operands, k)
             elif k not in within:
                 self._add(SUMS[0], self._sum(k, within), k)
         for angle, wanted in angles.items():
-            made = (wanted[x] if x in wanted else self._new() for x in (ca.OP_SIN, ca.OP_COS))
-            self._operations.append(Operation(_NUMBER[SINE_COSINE], (angle,), tuple(made)))
-        return Arrangement(arguments, self._constants, _runs(_together(self._operations, results)), results)
+            for pair in zip_longest(*wanted):
+                made = tuple(self._new() if k is None else k for k in pair)
+                self._operations.append(Operation(_NUMBER[SINE_COSINE], (angle,), made))
+        return Arrangement(arguments, self._constants, in_runs(_together(self._operations, results)), results)
 
     def _within(self) -> dict[int, int]:
         """Products that become part of the sum or difference that uses them, and which factor is negated (or -1)."""
@@ -203,7 +206,7 @@ def _together(operations: list[Operation], results: list[tuple[int, int, int]]) 
     return [*kept, *longer.values()]
 
 
-def _runs(operations: list[Operation]) -> list[list[Operation]]:
+def in_runs(operations: list[Operation]) -> list[list[Operation]]:
     """The same operations, each after those that make its operands, in few runs of equal ones.
 
     Of the operations that are ready, a run takes those first on which the longest chain waits. It ends where another

@@ -6,6 +6,7 @@ values that pass from one block to the next. The code has no global state and al
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import accumulate
 
@@ -17,7 +18,7 @@ from .loops import blocks, c_function
 from .program import CHOICE, FACTOR, LOOP, PACE, SOLVE, TIERS, Layout, Program
 from .stream import BINARY, UNARY, Instructions, Operations, number
 
-__all__ = ["HEAD", "ROUTINES", "lengths", "sources", "written"]
+__all__ = ["HEAD", "ROUTINES", "compiled_code", "lengths", "sources", "written"]
 
 BLOCK = 400
 """Operations in one C function of a long one; compilers take more than linear time for longer blocks."""
@@ -56,6 +57,17 @@ EXPORT void alfmu_call(int i, Arguments x, Results y, double *w)
     functions[i](x, y, w);
 }
 
+"""
+
+_TABLE = """
+/* For `scene_compiled` of the runtime. */
+EXPORT extern Function *const alfmu_functions[];
+EXPORT extern const int alfmu_function_count, alfmu_spare;
+EXPORT extern const char alfmu_scene[];
+Function *const alfmu_functions[] = {{
+    {names}}};
+const int alfmu_function_count = {count}, alfmu_spare = {spare};
+const char alfmu_scene[] = {identity};
 """
 
 _WITHIN = (ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG)
@@ -273,12 +285,7 @@ def written(equations: Equations, passed: Mapping[str, int]) -> tuple[list[str],
     `passed` are the lengths of values that somebody else puts there.
     """
     e, layout = equations, Layout(equations)
-    files, needed = [""], 0
-    for _, text, workspace in _functions(e):
-        if len(files[-1]) > UNIT:
-            files.append("")
-        files[-1] += text
-        needed = max(needed, workspace)
+    files, needed = _files(_functions(e, {}))
     calls = "".join(f"extern Function {name};\n" for name in e.signatures)
     names = ",\n    ".join(e.signatures)
     calls += f"static Function *const functions[] = {{\n    {names}}};\n{_CALL}"
@@ -321,19 +328,45 @@ def written(equations: Equations, passed: Mapping[str, int]) -> tuple[list[str],
     return [HEAD + text for text in files], ends[-1], dict(zip(places, ends, strict=False))
 
 
+def compiled_code(equations: Equations, kept: Mapping[str, dict[int, int]], identity: str) -> list[str]:
+    """C files with all functions, and a table of them for the scene of this identity.
+
+    `kept` are further arguments of functions that results may be written over, and their lengths.
+    """
+    files, spare = _files(_functions(equations, kept))
+    names = list(equations.signatures)
+    declared = "".join(f"extern Function {name};\n" for name in names)
+    files[-1] += declared + _TABLE.format(
+        names=",\n    ".join(names), count=len(names), spare=spare, identity=json.dumps(identity)
+    )
+    return [HEAD + text for text in files]
+
+
+def _files(functions: Iterable[tuple[str, str, int]]) -> tuple[list[str], int]:
+    """What `_functions` gives, in files of bounded length, and the workspace that they need."""
+    files, needed = [""], 0
+    for _, text, workspace in functions:
+        if len(files[-1]) > UNIT:
+            files.append("")
+        files[-1] += text
+        needed = max(needed, workspace)
+    return files, needed
+
+
 def lengths(equations: Equations) -> dict[str, int]:
     """Bytes of C of each function."""
     found = dict.fromkeys(equations.signatures, 0)
-    for name, text, _ in _functions(equations):
+    for name, text, _ in _functions(equations, {}):
         found[name] += len(text)
     return found
 
 
-def _functions(e: Equations) -> Iterator[tuple[str, str, int]]:
-    """The name of each function, and what `_function` gives of it."""
+def _functions(e: Equations, kept: Mapping[str, dict[int, int]]) -> Iterator[tuple[str, str, int]]:
+    """The name of each function, and what `_function` gives of it; `kept` are arguments that others write over."""
     overwritten = _overwritten(e)
     for name in e.signatures:
-        for text, workspace in _function(name, e.functions[name], overwritten[name], e.name):
+        written_over = overwritten[name] | kept.get(name, {})
+        for text, workspace in _function(name, e.functions[name], written_over, e.name):
             yield name, text, workspace
 
 

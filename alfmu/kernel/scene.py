@@ -9,30 +9,20 @@ run (`runtime/interpret.c`). What repeats in a long function is a loop over plac
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from .arrangement import KINDS, SINE_COSINE, SUMS, arranged
+from .arrangement import KINDS, SINE_COSINE, SUMS
+from .passes import BEHIND, EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, UNARY, Instructions
 
 __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
-LOOP_KIND, GATHER_KIND = len(KINDS), len(KINDS) + 1
-"""Numbers of what else there is in a function: a loop, and values found by a table in each pass of it."""
-
 CALLS = ("call", "choice", "loop", "factor", "solve", "least_norm")
 """What a program is made of, in the order of their numbers."""
-
-NARROW = 2**16
-"""Places that operands of 16 bits reach."""
-
-LONG = 6000
-"""Operations above which a function is searched for what repeats."""
 
 
 def operations_header() -> str:
@@ -47,8 +37,10 @@ def operations_header() -> str:
         f"#define SINE_COSINE_KIND {KINDS.index(SINE_COSINE)}",
         f"#define KIND_COUNT {len(KINDS)}",
         f"#define LOOP_KIND {LOOP_KIND}",
+        f"#define EACH_KIND {EACH_KIND}",
         f"#define GATHER_KIND {GATHER_KIND}",
         f"#define OPERAND_COUNTS {counts}",
+        "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
         f"enum {{ {', '.join(f'{name.upper()}_CODE' for name in CALLS)} }};",
     ]
     return "\n".join([*lines, ""])
@@ -58,38 +50,6 @@ OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | {kind: 3 + 2 *
 """How many operands operations of a kind have."""
 
 
-class Constants:
-    """The constants of all functions of a scene, each once, by their bits."""
-
-    def __init__(self) -> None:
-        self._places: dict[bytes, int] = {}
-
-    def place(self, value: float) -> int:
-        return self._places.setdefault(struct.pack("<d", value), len(self._places))
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-    def packed(self) -> bytes:
-        return b"".join(self._places)
-
-
-@dataclass(frozen=True)
-class Code:
-    """A function of a scene. Places count from the first constant; negative ones, from behind the last."""
-
-    inputs: list[int]
-    """Length of each argument."""
-    outputs: list[int]
-    """Number of entries of each result."""
-    words: NDArray
-    """Runs: number of the operation, how many, and the places of their operands."""
-    results: NDArray
-    """Place of each entry of the results."""
-    values: int
-    """How many numbers the operations give."""
-
-
 def code(f: ca.Function, constants: Constants, scene: str) -> Code:
     """The operations of a function that calls no other."""
     instructions = Instructions.of(f)
@@ -97,34 +57,7 @@ def code(f: ca.Function, constants: Constants, scene: str) -> Code:
     inputs, outputs = (
         [part(i) for i in range(count)] for part, count in ((f.nnz_in, f.n_in()), (f.nnz_out, f.n_out()))
     )
-    return _straight(instructions, constants, inputs, outputs)
-
-
-def _straight(instructions: Instructions, constants: Constants, inputs: list[int], outputs: list[int]) -> Code:
-    """All operations once, each value in a place of its own."""
-    made = arranged(instructions)
-    offsets, begins = np.cumsum([0, *inputs]).tolist(), np.cumsum([0, *outputs]).tolist()
-    place = {k: constants.place(value) for k, value in made.constants.items()}
-    place |= {k: -1 - offsets[which] - entry for k, (which, entry) in made.arguments.items()}
-    words: list[int] = []
-    end = -1 - offsets[-1]
-    for run in made.runs:
-        for part in batched(run, NARROW - 1):
-            words += [part[0].kind, len(part)]
-            for operation in part:
-                words += [place[k] for k in operation.operands]
-                for k in operation.made:
-                    place[k] = end
-                    end -= 1
-    results = [constants.place(0.0)] * sum(outputs)  # what no operation gives is zero
-    for which, entry, k in made.results:
-        results[begins[which] + entry] = place[k]
-    return Code(inputs, outputs, np.array(words, np.int64), np.array(results, np.int64), -1 - offsets[-1] - end)
-
-
-def batched(values: Sequence[Any], size: int) -> Iterator[Sequence[Any]]:
-    """Parts of at most `size`."""
-    return (values[i : i + size] for i in range(0, len(values), size))
+    return written(instructions, constants, inputs, outputs)
 
 
 class Writer:
@@ -159,13 +92,18 @@ class Writer:
         """A function whose places are known now."""
 
         def placed(places: NDArray) -> NDArray:
-            return np.where(places < 0, constants - 1 - places, places)
+            return np.where(places >= BEHIND // 2, places - BEHIND + constants, places)
 
-        top = constants + sum(made.inputs) + made.values
         self.integers(made.inputs)
         self.integers(made.outputs)
-        narrow = top <= NARROW
-        self.integer(int(not narrow))
-        kind = "<u2" if narrow else "<i4"
+        wide = made.looped or constants + sum(made.inputs) + made.values > NARROW
+        self.integer(int(wide))
+        kind = "<i4" if wide else "<u2"
         self.integers(placed(made.words), kind)
-        self.integers(placed(made.results), kind)
+        if wide:
+            self.integers(placed(made.results).ravel())
+            return
+        results = np.zeros(sum(made.outputs), np.int64)
+        for count, entry, entries, place, step in placed(made.results).tolist():
+            results[entry + entries * np.arange(count)] = place + step * np.arange(count)
+        self.integers(results, kind)

@@ -21,21 +21,22 @@ from . import program as program_module
 from . import thresholds
 from .alternatives import OWN
 from .alternatives import formulations as carried
+from .emit import compiled_code
 from .joined import joined
 from .program import CHOICE, FACTOR, LEAST_NORM, LOOP, SOLVE, TIERS, Layout
 from .scene import CALLS, Code, Constants, Writer, code
 from .standalone import passed, standalone
 from .trace import CAREFUL, ROUND_OFF, Watch
 
-__all__ = ["identified", "interface", "known_choices", "layout_header", "packed"]
+__all__ = ["alone", "identified", "interface", "known_choices", "layout_header", "machine_code", "packed"]
 
 VERSION = 2
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
 
-HEAD = 64
-"""Bytes before the body: MAGIC, version, length, check sum, identity."""
+HEAD, IDENTITY = 64, 40
+"""Bytes before the body: MAGIC, version, length, check sum; at their end the identity."""
 
 COUNTS = (
     *("parameters", "choices", "inputs", "switches", "outputs", "own", "starts", "compliances", "solver", "held"),
@@ -141,9 +142,25 @@ def layout_header() -> str:
     return "\n".join([head, "", "#ifndef ALFMU_LAYOUT_H", "#define ALFMU_LAYOUT_H", "", *lines, "", "#endif", ""])
 
 
+def alone(equations: Equations) -> Equations:
+    """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
+    e = joined(standalone(equations), HOT)
+    used = dict.fromkeys(name for each in e.kernel.values() for name in program_module.called(each["calls"]))
+    names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
+    functions, signatures = ({name: table[name] for name in names} for table in (e.functions, e.signatures))
+    return replace(e, functions=functions, signatures=signatures)
+
+
+def machine_code(equations: Equations, scene: bytes) -> list[str]:
+    """C files with the functions of a scene file of these equations, for `scene_compiled` of the runtime."""
+    e = alone(equations)
+    kept = {name: dict(enumerate(e.signatures[name]["inputs"])) for name in FUNCTIONS.values() if name in e.signatures}
+    return compiled_code(e, kept, scene[HEAD - IDENTITY : HEAD].rstrip(b"\0").decode())
+
+
 def packed(equations: Equations) -> bytes:
     """The scene file of traced equations."""
-    e = joined(standalone(equations), HOT)
+    e = alone(equations)
     w = Writer()
     w.text(e.name)
     table = _Table(equations, e)
@@ -159,16 +176,16 @@ def packed(equations: Equations) -> bytes:
 
 def identified(scene: bytes, identity: str) -> bytes:
     """The same scene with another identity: the GUID of the FMU that it is in."""
-    rest = identity.encode().ljust(HEAD - 24, b"\0") + scene[HEAD:]
+    rest = identity.encode().ljust(IDENTITY, b"\0") + scene[HEAD:]
     return MAGIC + struct.pack("<IIQ", VERSION, len(scene), zlib.crc32(rest)) + rest
 
 
 class _Table:
     """What stands in the file of a scene."""
 
-    def __init__(self, scene: Equations, alone: Equations):
-        self.scene, self.e = scene, alone
-        self.layout = Layout(alone)
+    def __init__(self, scene: Equations, own: Equations):
+        self.scene, self.e = scene, own
+        self.layout = Layout(own)
         self.places: dict[str, tuple[int, int]] = {}
         """Where values stand in the workspace that programs hand on, and their lengths."""
         self.workspace = 0
@@ -179,12 +196,9 @@ class _Table:
         for name, length in {**dict.fromkeys(HANDED.values(), 0), **passed(e)}.items():
             if length:
                 self._place(name, length)
-        used = dict.fromkeys(name for each in e.kernel.values() for name in program_module.called(each["calls"]))
-        wanted = [name for name in FUNCTIONS.values() if name in e.signatures]
-        self.names = list(dict.fromkeys([*wanted, *used]))
         self.constants = Constants()
-        self.functions: list[Code] = [code(e.functions[name], self.constants, e.name) for name in self.names]
-        self.number = {name: i for i, name in enumerate(self.names)}
+        self.functions: list[Code] = [code(each, self.constants, e.name) for each in e.functions.values()]
+        self.number = {name: i for i, name in enumerate(e.functions)}
         self.program_names = list(e.kernel)
         self.programs = [self._program(e.kernel[name]["calls"]) for name in self.program_names]
 

@@ -126,6 +126,10 @@ typedef struct {
 /* A scene from the bytes of its file; NULL, and why, where it is damaged. */
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size);
 void scene_free(Scene *s);
+
+/* Compiled functions in place of the interpreted ones, before there is an instance: all of them in their order, and the
+   numbers that the hungriest needs as workspace; 0 where they were made for another scene. */
+int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity);
 int settings_length(const Scene *s);
 size_t state_length(const Scene *s);
 

@@ -11,18 +11,18 @@
 #include "operations.h"
 
 /* Runs of equal operations: the kind, how many there are, the places of their operands. The same text serves places of 16
-   and of 32 bits, and passes of a loop, where each place is followed by its step from one pass to the next; OPERAND(k) is
-   the operand k, WIDTH(n) how many words n operands take. */
+   and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an operation
+   in all passes. OPERAND(k) is the operand k; NEXT(n) goes on to the next operation behind one of n operands. */
 #define BINARY(kind, value) \
     case kind: \
-        for (; count; count--, at += WIDTH(2)) { \
+        for (; count; count--, NEXT(2)) { \
             const double a = OPERAND(0), b = OPERAND(1); \
             *d++ = value; \
         } \
         break;
 #define UNARY(kind, value) \
     case kind: \
-        for (; count; count--, at += WIDTH(1)) { \
+        for (; count; count--, NEXT(1)) { \
             const double a = OPERAND(0); \
             *d++ = value; \
         } \
@@ -32,22 +32,22 @@
     case kind: \
         for (; count >= 4; count -= 4, d += 4) { \
             d[0] = OPERAND(0) + products; \
-            at += WIDTH(operands); \
+            NEXT(operands); \
             d[1] = OPERAND(0) + products; \
-            at += WIDTH(operands); \
+            NEXT(operands); \
             d[2] = OPERAND(0) + products; \
-            at += WIDTH(operands); \
+            NEXT(operands); \
             d[3] = OPERAND(0) + products; \
-            at += WIDTH(operands); \
+            NEXT(operands); \
         } \
-        for (; count; count--, at += WIDTH(operands)) \
+        for (; count; count--, NEXT(operands)) \
             *d++ = OPERAND(0) + products; \
         break;
 #define RUN \
     SUM(SUM1_KIND, 3, PRODUCT(1)) \
     SUM(SUM2_KIND, 5, PRODUCT(1) + PRODUCT(3)) \
     case SINE_COSINE_KIND: \
-        for (; count; count--, at += WIDTH(1)) { \
+        for (; count; count--, NEXT(1)) { \
             const double a = OPERAND(0); \
             *d++ = sin(a); \
             *d++ = cos(a); \
@@ -56,44 +56,61 @@
         BINARY_OPERATIONS(BINARY) \
         UNARY_OPERATIONS(UNARY)
 
-#define WIDTH(n) (2 * (n))
 #define OPERAND(k) r[at[2 * (k)] + pass * at[2 * (k) + 1]]
+#define NEXT(n) at += 2 * (n)
 
-static void one_pass(const int32_t *at, const int32_t *end, const int32_t *tables, long pass, const double *r, double *d)
+static void one_pass(const int32_t *at, const int32_t *end, long pass, const double *r, double *d)
 {
     while (at < end) {
         const int32_t kind = *at++;
         int32_t count = *at++;
         switch (kind) {
             RUN
-        case GATHER_KIND:
-            for (; count; count--)
-                *d++ = r[tables[*at++ + pass]];
-            break;
         }
     }
 }
 
-#undef WIDTH
+#undef NEXT
+#define NEXT(n) pass++
+
+static void all_passes(const int32_t *at, int32_t kind, int32_t count, const double *r, double *d)
+{
+    long pass = 0;
+    switch (kind) {
+        RUN
+    }
+}
+
 #undef OPERAND
-#define WIDTH(n) (n)
+#undef NEXT
 #define OPERAND(k) r[at[k]]
+#define NEXT(n) at += (n)
 
 static void wide_runs(const int32_t *at, const int32_t *end, const double *r, double *d)
 {
+    static const unsigned char operands[] = {OPERAND_COUNTS};
     while (at < end) {
         const int32_t kind = *at++;
         int32_t count = *at++;
         switch (kind) {
             RUN
-        case LOOP_KIND: { /* how many values a pass gives, how many words the body has, and how many the tables */
-            const int32_t values = at[0], body = at[1], tables = at[2];
-            at += 3;
+        case LOOP_KIND: { /* how many values a pass gives, and how many words the body has */
+            const int32_t values = at[0], body = at[1];
+            at += 2;
             for (int32_t pass = 0; pass < count; pass++, d += values)
-                one_pass(at, at + body, at + body, pass, r, d);
-            at += body + tables;
+                one_pass(at, at + body, pass, r, d);
+            at += body;
             break;
         }
+        case EACH_KIND: /* the kind of the operation */
+            all_passes(at + 1, at[0], count, r, d);
+            d += count * VALUES_OF(at[0]);
+            at += 1 + 2 * operands[at[0]];
+            break;
+        case GATHER_KIND:
+            for (; count; count--)
+                *d++ = r[*at++];
+            break;
         }
     }
 }

@@ -49,6 +49,8 @@
 #define SINE_COSINE_KIND 3
 #define KIND_COUNT 43
 #define LOOP_KIND 43
-#define GATHER_KIND 44
+#define EACH_KIND 44
+#define GATHER_KIND 45
 #define OPERAND_COUNTS 3, 5, 2, 1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1
+#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)
 enum { CALL_CODE, CHOICE_CODE, LOOP_CODE, FACTOR_CODE, SOLVE_CODE, LEAST_NORM_CODE };

@@ -320,53 +320,84 @@ static int operands_of(int64_t kind)
     return counts[kind];
 }
 
-static int values_of(int64_t kind)
+/* Whether an operation of `count` passes uses what is known before it; `more` are values that each pass adds. */
+static int within_passes(int64_t first, int64_t step, int64_t known, int64_t passes, int64_t more)
 {
-    return kind == SINE_COSINE_KIND ? 2 : 1;
+    const int64_t last = first + (passes - 1) * step;
+    /* Between them both sides change evenly, so that the ends tell. */
+    return first >= 0 && last >= 0 && first < known && last < known + (passes - 1) * more;
 }
 
-/* One pass of a loop, of which there are `passes`, from `at` to `end`. */
-static void checked_body(Checked *c, size_t end, int64_t passes, int64_t values, const int32_t *tables, int64_t entries)
+/* The operands of an operation in passes, from where the check is. */
+static void checked_passes(Checked *c, int64_t kind, int64_t known, int64_t passes, int64_t more)
+{
+    for (int k = 0; k < operands_of(kind); k++, c->at += 2)
+        if (!within_passes(word(c, c->at), word(c, c->at + 1), known, passes, more))
+            spoil(c->reader, "a loop uses what is not known yet");
+}
+
+/* One pass of a loop, of which there are `passes`, up to `end`. */
+static void checked_body(Checked *c, size_t end, int64_t passes, int64_t values)
 {
     int64_t made = 0;
-    while (c->at < end && !c->reader->bad) {
-        int64_t operation, count, each, gives;
-        if (end - c->at < 2)
-            break;
-        operation = word(c, c->at);
-        count = word(c, c->at + 1);
+    while (end - c->at >= 2 && !c->reader->bad) {
+        const int64_t kind = word(c, c->at);
+        int64_t count = word(c, c->at + 1);
         c->at += 2;
-        if (operation < 0 || operation > GATHER_KIND || operation == LOOP_KIND) {
-            spoil(c->reader, "there is no operation %d in a loop", (int)operation);
+        if (kind < 0 || kind >= KIND_COUNT) {
+            spoil(c->reader, "there is no operation %d in a loop", (int)kind);
             return;
         }
-        gives = operation == GATHER_KIND ? 1 : values_of(operation);
-        each = operation == GATHER_KIND ? 1 : 2 * operands_of(operation);
-        if (count < 0 || (uint64_t)count > (end - c->at) / (uint64_t)each) {
+        if (count < 0 || (uint64_t)count > (end - c->at) / (2 * (unsigned)operands_of(kind))) {
             spoil(c->reader, "a loop of a function is damaged");
             return;
         }
-        for (; count > 0; count--, made += gives, c->at += (size_t)each) {
-            if (operation == GATHER_KIND) {
-                const int64_t table = word(c, c->at);
-                if (table < 0 || table > entries - passes)
-                    spoil(c->reader, "a table of a loop is damaged");
-                for (int64_t pass = 0; pass < passes && !c->reader->bad; pass++)
-                    if (tables[table + pass] < 0 || tables[table + pass] >= c->known + made + pass * values)
-                        spoil(c->reader, "a loop uses what is not known yet");
-                continue;
-            }
-            for (int64_t k = 0; k < each; k += 2) {
-                const int64_t first = word(c, c->at + (size_t)k), step = word(c, c->at + (size_t)k + 1);
-                const int64_t last = first + (passes - 1) * step;
-                /* Between them both sides change evenly, so that the ends tell. */
-                if (first < 0 || last < 0 || first >= c->known + made || last >= c->known + made + (passes - 1) * values)
-                    spoil(c->reader, "a loop uses what is not known yet");
-            }
-        }
+        for (; count > 0; count--, made += VALUES_OF(kind))
+            checked_passes(c, kind, c->known + made, passes, values);
     }
     if (c->at != end || made != values)
         spoil(c->reader, "a loop of a function is damaged");
+}
+
+/* What stands in wide functions alone; 0 where it is none of it. */
+static int checked_loop(Checked *c, int64_t kind, int64_t count)
+{
+    const size_t left = c->f->words - c->at;
+    if (!c->f->wide || (kind != LOOP_KIND && kind != EACH_KIND && kind != GATHER_KIND))
+        return 0;
+    if (count < 1 || left < 2) {
+        spoil(c->reader, "a loop of a function is damaged");
+    } else if (kind == GATHER_KIND) {
+        if ((uint64_t)count > left) {
+            spoil(c->reader, "a function is damaged");
+            return 1;
+        }
+        for (int64_t k = 0; k < count; k++, c->at++)
+            if (word(c, c->at) < 0 || word(c, c->at) >= c->known)
+                spoil(c->reader, "a function copies what is not known yet");
+        c->known += count;
+    } else if (kind == EACH_KIND) {
+        const int64_t each = word(c, c->at);
+        if (each < 0 || each >= KIND_COUNT || left - 1 < 2 * (size_t)operands_of(each)) {
+            spoil(c->reader, "a loop of a function is damaged");
+            return 1;
+        }
+        c->at++;
+        checked_passes(c, each, c->known, count, 0);
+        c->known += count * VALUES_OF(each);
+    } else {
+        const int64_t values = word(c, c->at), body = word(c, c->at + 1);
+        if (values < 1 || values > MOST_NUMBERS / count || body < 0 || (uint64_t)body > left - 2) {
+            spoil(c->reader, "a loop of a function is damaged");
+            return 1;
+        }
+        c->at += 2;
+        checked_body(c, c->at + (size_t)body, count, values);
+        c->known += count * values;
+    }
+    if (c->known > MOST_NUMBERS)
+        spoil(c->reader, "a function is too long");
+    return 1;
 }
 
 static void checked_function(Reader *r, const Function *f)
@@ -384,21 +415,8 @@ static void checked_function(Reader *r, const Function *f)
         operation = word(&c, c.at);
         count = word(&c, c.at + 1);
         c.at += 2;
-        if (operation == LOOP_KIND && f->wide && f->words - c.at >= 3) {
-            const int64_t values = word(&c, c.at), body = word(&c, c.at + 1), tables = word(&c, c.at + 2);
-            c.at += 3;
-            if (count < 1 || values < 1 || body < 0 || tables < 0 || (uint64_t)(body + tables) > f->words - c.at
-                || values > MOST_NUMBERS / count) {
-                spoil(r, "a loop of a function is damaged");
-                return;
-            }
-            checked_body(&c, c.at + (size_t)body, count, values, f->wide + c.at + body, tables);
-            c.at += (size_t)tables;
-            c.known += count * values;
-            if (c.known > MOST_NUMBERS)
-                spoil(r, "a function is too long");
+        if (checked_loop(&c, operation, count))
             continue;
-        }
         if (operation < 0 || operation >= KIND_COUNT) {
             spoil(r, "there is no operation %d", (int)operation);
             return;
@@ -408,7 +426,7 @@ static void checked_function(Reader *r, const Function *f)
             spoil(r, "a function is damaged");
             return;
         }
-        for (; count > 0; count--, c.known += values_of(operation))
+        for (; count > 0; count--, c.known += VALUES_OF(operation))
             for (int k = 0; k < operands; k++, c.at++)
                 if (word(&c, c.at) < 0 || word(&c, c.at) >= c.known)
                     spoil(r, "an operation uses what is not known yet");
@@ -445,12 +463,26 @@ static void function(Reader *r, Function *f)
     f->lengths = lengths;
     /* Words and results stand behind each other. */
     if (wide) {
-        const int32_t *first = integers(r, -1, &words), *then = integers(r, -1, &results);
-        int32_t *both = r->bad ? NULL : room(r, words + results + 1, sizeof *both);
+        size_t rows = 0;
+        int64_t spare = 2 * all; /* entries that are said twice at most */
+        const int32_t *first = integers(r, -1, &words), *then = integers(r, -1, &rows);
+        int32_t *both = r->bad ? NULL : room(r, words + (size_t)all + 1, sizeof *both);
         if (!both)
             return;
         memcpy(both, first, words * sizeof *both);
-        memcpy(both + words, then, results * sizeof *both);
+        for (int64_t k = 0; k < all; k++)
+            both[words + (size_t)k] = -1;
+        /* How many, the first entry and the step to the next, the place of the first and the step. */
+        for (const int32_t *row = then; row + 5 <= then + rows; row += 5) {
+            const int64_t count = row[0], last = row[1] + (count - 1) * row[2];
+            if (count < 1 || (spare -= count) < 0 || row[1] < 0 || row[1] >= all || last < 0 || last >= all) {
+                spoil(r, "the results of a function are damaged");
+                return;
+            }
+            for (int64_t each = 0; each < count; each++)
+                both[words + (size_t)(row[1] + each * row[2])] = (int32_t)(row[3] + each * row[4]);
+        }
+        results = (size_t)all;
         f->wide = both;
     } else {
         const uint16_t *first = narrow_integers(r, &words), *then = narrow_integers(r, &results);
@@ -770,6 +802,17 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
         return NULL;
     }
     return s;
+}
+
+int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+{
+    Function *own = (Function *)s->functions; /* which the scene itself has made */
+    if (count != s->function_count || !between(spare, 0, MOST_NUMBERS) || strcmp(identity, s->guid))
+        return 0;
+    for (int k = 0; k < count; k++)
+        own[k].compiled = functions[k];
+    s->spare = spare;
+    return 1;
 }
 
 void scene_free(Scene *s)
