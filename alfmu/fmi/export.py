@@ -14,7 +14,6 @@ import uuid
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,12 +24,13 @@ from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.specialisation import specialised
 from ..kernel import DEFAULT
+from ..kernel.build import compiled_scene, verified
 from ..kernel.tables import identified, interface, known_choices, packed
-from ..kernel.trace import untraced
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..runtime import Instance
+from ..runtime.build import HERE
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native
@@ -43,7 +43,7 @@ from .description import (
     model_description3,
 )
 from .experiment import reference_results
-from .slave import OPTIONS, SCENE
+from .slave import COMPILED, OPTIONS, SCENE
 from .terminals import document, terminals
 
 __all__ = ["KINDS", "RUN_SIDE", "export", "packed_scene"]
@@ -134,6 +134,9 @@ def export(
     package = f"alfmu_{equations.name}_{digest}"
     guid = _guid(generator, digest)
     resources = {SCENE: identified(scene, guid), OPTIONS: _options(equations), **libraries}
+    if equations.library:
+        path = compiled_scene(equations, resources[SCENE])
+        resources[f"{COMPILED}{HERE}{path.suffix}"] = verified(equations.name, path)
 
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)
@@ -179,8 +182,6 @@ def packed_scene(
     if kind == "native":
         native.checked(equations)
     equations = prepared(equations, kernel or DEFAULT)
-    if native.may_brake(equations):
-        equations = prepared(replace(untraced(equations), brakes=True))
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing
     return derived, equations
 

@@ -7,9 +7,6 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
-from .. import oracle
 from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
@@ -19,7 +16,7 @@ from ..model.settings import Settings
 from ..runtime import build
 from ..runtime.build import HERE, PLATFORMS, file_name
 
-__all__ = ["PLATFORMS", "checked", "file_name", "libraries", "may_brake", "platforms", "sources"]
+__all__ = ["PLATFORMS", "checked", "file_name", "libraries", "platforms", "sources"]
 
 MOST = 200
 """Coordinates of a native FMU: the matrices of its start are dense."""
@@ -38,16 +35,6 @@ def checked(equations: Equations) -> None:
     else:
         return
     raise ExportError(f"{e.name}: a native FMU has no {what}, or export it with --kind python")
-
-
-def may_brake(equations: Equations) -> bool:
-    """Whether constraints that come into force may be redundant, so that they would stop the motion beside it."""
-    if not equations.switches:
-        return False
-    probe = oracle.Instance(equations)
-    probe.initialize()
-    everything = np.ones(equations.l, bool)
-    return probe._assembly.mobility(probe.oracle.p, probe.q, everything).redundant > 0
 
 
 def sources() -> dict[str, str]:

@@ -10,6 +10,7 @@ import ctypes
 import logging
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -19,12 +20,15 @@ from pythonfmu.enums import Fmi2Status
 
 from ..runtime.library import DONE, Scene, Unit
 
-__all__ = ["OPTIONS", "SCENE", "Slave"]
+__all__ = ["COMPILED", "OPTIONS", "SCENE", "Slave"]
 
 _LOGGER = logging.getLogger("alfmu")
 
 SCENE = "scene.bin"
 """Name of the scene in the resources of an FMU."""
+
+COMPILED = "compiled-"
+"""Beginning of the name of compiled functions, there too."""
 
 OPTIONS = "options.json"
 """Name of the file with the options of the mechanism, there too."""
@@ -78,6 +82,9 @@ class Slave(Fmi2Slave):
         super().__init__(**kwargs)
         folder = Path(self.resources)
         self.scene = Scene((folder / SCENE).read_bytes(), folder)
+        for path in folder.glob(f"{COMPILED}*"):
+            with suppress(OSError):  # one for another platform
+                self.scene.compiled_by(path)
         self.unit = Unit(self.scene)
         self.modelName = self.scene.name
         self._refused: dict[int, str] = {}

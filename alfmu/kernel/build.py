@@ -17,17 +17,14 @@ import tempfile
 import uuid
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 from ..equations import Equations
 from ..model.errors import ExportError
-from .compiled import Library
-from .emit import sources
 from .program import SUFFIX
 from .tables import machine_code
 
-__all__ = ["FLAGS", "build", "cache", "compiled", "compiled_scene", "compiler", "kept", "version", "whole"]
+__all__ = ["FLAGS", "build", "cache", "compiled_scene", "compiler", "kept", "verified", "version", "whole"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off`: the same operations as in the virtual machine, so the same numbers."""
@@ -52,31 +49,17 @@ def cache() -> Path:
     return user_cache_path("alfmu", appauthor=False)
 
 
-def compiled(equations: Equations) -> Equations:
-    """The same equations with their functions as a library, from the cache or built now.
-
-    Several processes may build the same one at a time: each writes a file of its own, and moves it into place whole.
-    Raises ExportError where there is no compiler, or where it fails.
-    """
-    e, command = equations, compiler()
-    if command is None:
-        raise ExportError(
-            f"{e.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
-            "or use --kernel vm"
-        )
-    files, workspace = sources(e)
-    e = replace(e, workspace=workspace)
-    return replace(e, library=Library(_library(e.name, command, files, "use --kernel vm"), e))
-
-
 def compiled_scene(equations: Equations, scene: bytes) -> Path:
     """The functions of a scene file of these equations as a library, from the cache or built now.
 
     Raises ExportError where there is no compiler, or where it fails.
     """
     if (command := compiler()) is None:
-        raise ExportError(f"{equations.name}: no C compiler found; install one (or `pip install ziglang`)")
-    return _library(equations.name, command, machine_code(equations, scene), "run the scene without")
+        raise ExportError(
+            f"{equations.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
+            "or use --kernel vm"
+        )
+    return _library(equations.name, command, machine_code(equations, scene), "use --kernel vm")
 
 
 def _library(scene: str, command: list[str], files: list[str], otherwise: str) -> Path:
@@ -109,6 +92,13 @@ def whole(path: Path) -> bytes | None:
     except OSError:
         return None
     return content if path.stem.rpartition("_")[2] == _hash(content) else None
+
+
+def verified(scene: str, path: Path) -> bytes:
+    """The content of a library in the cache; ExportError where it is not what was written there."""
+    if (content := whole(path)) is None:
+        raise ExportError(f"{scene}: the library {path} was damaged a moment ago; try again")
+    return content
 
 
 def _hash(content: bytes) -> str:

@@ -70,7 +70,7 @@ class Instance:
         self._switch = {v.name: i for i, v in enumerate(self.topology.inputs)}
         self._output = {v.name: i for i, v in enumerate(self.outputs)}
         self._wrapped = [(self._output[name], start) for name, start in e.wrapped.items()]
-        backend: Backend = e.library or _portable(e)
+        backend: Backend = _portable(e)
         self.oracle, self._assembly = Oracle(e, backend), Assembly(e, backend)
         self.layout = Layout(e)
         self.memory = backend.memory(self.layout)
@@ -597,6 +597,10 @@ class Instance:
         for lam in self._assembly.redundancy(oracle.p, self.q, oracle.active).T:
             found = np.maximum(found, np.abs(read(lam) - nothing))
         return [v.name for v, size in zip(e.outputs, found, strict=True) if size > 1e-7]
+
+    def redundant_with_all(self) -> int:
+        """Redundant constraints where all of them are in force."""
+        return self._assembly.mobility(self.oracle.p, self.q, np.ones(self.equations.l, bool)).redundant
 
     def _mobility(self, q: NDArray) -> Mobility:
         return self._assembly.mobility(self.oracle.p, q, self.oracle.active)

@@ -144,7 +144,9 @@ typedef enum {
     DONE,
     REFUSED, /* a value or a call; nothing has changed */
     OPEN,    /* a step after which constraints cannot be closed */
-    FAILED
+    FAILED,
+    UNHELD, /* a massless body that nothing holds */
+    BRAKES  /* redundant constraints that the scene is not traced for */
 } Outcome;
 
 typedef struct {

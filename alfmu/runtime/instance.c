@@ -540,7 +540,7 @@ static Outcome knowledge(Instance *i, const double *q, const double *v)
     if (s->l)
         know(i, q, v, held, usual(i));
     if (i->flags.brakes && !s->brakes)
-        outcome = say(i, FAILED,
+        outcome = say(i, BRAKES,
             "%s: redundant constraints would brake the motion with these parameters; export it with them (--set), or "
             "with --kind python",
             s->name);

@@ -6,7 +6,7 @@ What happens while time passes is in the C library; this is its binding for NumP
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,13 +17,14 @@ from ..equations import Equations, Mobility
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
 from ..kernel.program import TIERS, Layout
+from ..kernel.trace import untraced
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED, Settings
-from .library import DONE, FAILED, INTERRUPTED, OPEN, REFUSED, Unit
-from .prepare import loaded, retraced
+from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
+from .prepare import loaded, prepared, retraced
 
 __all__ = ["Instance"]
 
@@ -153,14 +154,19 @@ class Instance:
         value = int(value) if name == "input_order" else value
         if getattr(self._given, name) == value:
             return
-        before, known = self._given, [*self._references][: self._scene.first_output]
-        values, time = {each: self._unit.get(self._references[each]) for each in known}, self.time
+        before = self._given
         self._given = replace(before, **{name: value})
         try:
-            self._take(self.equations)
+            self._rebuild(self.equations)
         except AlfmuError:
             self._given = before
             raise
+
+    def _rebuild(self, equations: Equations) -> None:
+        """Run other equations of this mechanism, with the values that are set."""
+        known = [*self._references][: self._scene.first_output]
+        values, time = {each: self._unit.get(self._references[each]) for each in known}, self.time
+        self._take(equations)
         for each, old in values.items():
             if setting(each) not in ("method", "input_order"):
                 self._unit.set(self._references[each], old)
@@ -181,9 +187,18 @@ class Instance:
         """Assemble the mechanism from its start values at `time`; parameters are fixed from here on."""
         self._unit.run_on(False)
         outcome = self._unit.initialize()
+        if outcome == BRAKES:
+            self._rebuild(prepared(replace(untraced(self.equations), brakes=True)))
+            outcome = self._unit.initialize()
         if outcome != DONE:
             raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, AssemblyError)(self._unit.text)
         self._unit.run_on(True)
+
+    def initialize_with(self, inputs: Mapping[str, float]) -> None:
+        """Initialise with these inputs."""
+        for name, value in inputs.items():
+            self.set(name, value)
+        self.initialize()
 
     def step(self, communication_step: float, time: float | None = None) -> None:
         """Cover one communication step [s] with internal steps no longer than solver.step_size.
@@ -201,7 +216,8 @@ class Instance:
 
     def _judged(self, outcome: int) -> None:
         if outcome != DONE:
-            raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, StepError)(self._unit.text)
+            kinds = {REFUSED: InputError, OPEN: OpenError, UNHELD: AssemblyError}
+            raise kinds.get(outcome, StepError)(self._unit.text)
 
     def _read(self) -> int:
         if not self.initialized:
@@ -241,6 +257,7 @@ class Instance:
         values = np.empty((len(times), len(wanted)))
         places = [[self._references[name] for name in names] for names in (inputs, wanted)]
         self.time = float(times[0])
+        self.initialize_with(dict(zip(inputs, table[0], strict=True)))
         addresses = (x.ctypes.data for x in (times, table, values))
         begin, rows, into = addresses
         raised: list[BaseException] = []
@@ -259,7 +276,7 @@ class Instance:
         error = None
         if outcome not in (DONE, INTERRUPTED):
             kinds = {REFUSED: InputError, OPEN: OpenError, FAILED: StepError if self.initialized else AssemblyError}
-            error = kinds[outcome](self._unit.text)
+            error = kinds.get(outcome, AssemblyError)(self._unit.text)
         return values[:made], error
 
     # Topology ----------------------------------------------------------------------------------------------------

@@ -35,6 +35,12 @@ API Scene *alfmu_scene_load(const unsigned char *bytes, size_t size, char *why, 
     return scene_load(bytes, size, why, why_size);
 }
 
+/* The functions of the scene as compiled code in place of interpreted ones; zero where they are of another scene. */
+API int alfmu_scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+{
+    return scene_compiled(s, functions, count, spare, identity);
+}
+
 API void alfmu_scene_free(Scene *s)
 {
     scene_free(s);

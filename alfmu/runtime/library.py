@@ -12,10 +12,11 @@ from ctypes import POINTER, c_char_p, c_double, c_int, c_long, c_size_t, c_void_
 from functools import cache
 from pathlib import Path
 
-__all__ = ["DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "Scene", "Unit", "library"]
+__all__ = ["BRAKES", "DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD", "Scene", "Unit", "library"]
 
-DONE, REFUSED, OPEN, FAILED = range(4)
-"""What a call comes to: done; refused, nothing has changed; constraints cannot be closed; failed."""
+DONE, REFUSED, OPEN, FAILED, UNHELD, BRAKES = range(6)
+"""What a call comes to: done; refused, nothing has changed; constraints cannot be closed; failed; a massless body that
+nothing holds; redundant constraints that a scene must be traced for."""
 
 INTERRUPTED = -1
 """What a run comes to that its callback ended."""
@@ -44,6 +45,7 @@ class _Run(ctypes.Structure):
 _SIGNATURES = {
     "scene_version": (c_int,),
     "scene_load": (c_void_p, c_char_p, c_size_t, c_char_p, c_size_t),
+    "scene_compiled": (c_int, c_void_p, c_void_p, c_int, c_int, c_char_p),
     "scene_free": (None, c_void_p),
     "new": (c_void_p, c_void_p),
     "free": (None, c_void_p),
@@ -120,6 +122,16 @@ class Scene:
             self.kinds.append(_KINDS[kind.value])
         self.references = {name: reference for reference, name in enumerate(self.names)}
         self.first_output = self.kinds.index("output") if "output" in self.kinds else len(self.kinds)
+
+    def compiled_by(self, path: Path) -> None:
+        """Run compiled functions in place of interpreted ones; ValueError where they are of another scene."""
+        code = ctypes.CDLL(str(path))
+        count, spare = (c_int.in_dll(code, f"alfmu_{name}").value for name in ("function_count", "spare"))
+        table = (c_void_p * count).in_dll(code, "alfmu_functions")
+        identity = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(code, "alfmu_scene")))
+        if not self.library.alfmu_scene_compiled(self.address, ctypes.addressof(table), count, spare, identity):
+            raise ValueError(f"{self.name}: {path.name} has the functions of another scene; export it again")
+        self.code = code  # as long as the scene calls into it
 
     def __del__(self) -> None:
         if getattr(self, "address", None):

@@ -13,7 +13,7 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import CHOICES, checked, setting, variables_of
 from ..kernel import DEFAULT, KERNELS
-from ..kernel.build import compiled, compiler
+from ..kernel.build import compiled_scene, compiler
 from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
@@ -45,7 +45,7 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
         return replace(untraced(equations), library=None)
     e = equations if equations.kernel else _traced(equations, probe)
     if kernel == "compiled" or (kernel == "auto" and compiler()):
-        return e if e.library else compiled(e)
+        return e if e.library else replace(e, library=compiled_scene(e, packed(e)))
     return replace(e, library=None) if e.library else e
 
 
@@ -97,7 +97,13 @@ def _surveyed(equations: Equations, probe: oracle.Instance | None) -> Equations:
     note = "; not unique: of all that redundant constraints allow, that of least norm"
     outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
     uneven = len(set(probe.oracle.units)) > 1
-    return replace(equations, outputs=outputs, shared=shared, brakes=probe.oracle.brakes, uneven=uneven)
+    brakes = probe.oracle.brakes or _may_brake(probe)
+    return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=uneven)
+
+
+def _may_brake(probe: oracle.Instance) -> bool:
+    """Whether constraints that come into force may be redundant, so that they would stop the motion beside it."""
+    return bool(probe.equations.switches) and probe.redundant_with_all() > 0
 
 
 def _traced(equations: Equations, probe: oracle.Instance | None) -> Equations:
@@ -150,5 +156,7 @@ _TRACED = ("method", "input_order")
 def loaded(equations: Equations) -> Scene:
     """The scene of traced equations, packed and loaded once for all their instances."""
     if "scene" not in equations.programs:
-        equations.programs["scene"] = Scene(packed(equations))
+        scene = equations.programs["scene"] = Scene(packed(equations))
+        if equations.library:
+            scene.compiled_by(equations.library)
     return equations.programs["scene"]

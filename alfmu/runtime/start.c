@@ -308,7 +308,7 @@ Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
                 strcat(free, *free ? ", " : "");
                 strncat(free, s->coordinates[c].name, 80);
             }
-        outcome = say(i, FAILED,
+        outcome = say(i, UNHELD,
             "%s: the motion along %s has no mass and no constraint that holds it (singular value %.0e of [M; C] at the "
             "start); a massless body must be held by constraints at both ends: never the last body of an open chain, "
             "never one placed by a joint coordinate alone",
