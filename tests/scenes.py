@@ -140,6 +140,11 @@ def made(equations: alfmu.Equations, kernel: str, settings: alfmu.Settings | Non
     return make(prepared(equations, kernel), settings)
 
 
+def parameters(i: alfmu.Instance | oracle.Instance) -> np.ndarray:
+    """Parameters p of an instance that is initialised, with what locks keep."""
+    return i.oracle.p if isinstance(i, oracle.Instance) else i.memory["p"].copy()
+
+
 def by_the_oracle(
     equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings
 ) -> oracle.Instance:

@@ -10,7 +10,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import derived
+from scenes import derived, made
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -204,7 +204,7 @@ def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
     m.output("place", x, "m")
     arrival = (13**1.5 - 8) / 27 / np.hypot(1.0, 1.5)
     for kernel in ("oracle", "vm"):
-        i = alfmu.Instance(prepared(alfmu.derive(m), kernel))
+        i = made(alfmu.derive(m), kernel)
         i.set("solver.step_size", 0.005)
         i.initialize()
         with pytest.raises(alfmu.StepError, match=r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no"):

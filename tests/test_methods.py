@@ -10,7 +10,7 @@ from oracles import flyball, ode
 from oracles.end_stop import EndStop
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import derived, sampled
+from scenes import derived, made, sampled
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -25,7 +25,7 @@ GOVERNOR = np.loadtxt(Path(flyball.__file__).with_suffix(".csv"), delimiter=",",
 def chosen(name: str, method: str, kernel: str = "oracle", **given: float | str) -> alfmu.Instance:
     """An initialised instance with a method."""
     given = {key.replace("__", "."): value for key, value in given.items()}
-    i = alfmu.Instance(prepared(with_defaults(derived(name), {"solver.method": method, **given}), kernel))
+    i = made(with_defaults(derived(name), {"solver.method": method, **given}), kernel)
     i.initialize()
     return i
 

@@ -178,9 +178,9 @@ class Layout:
 class Memory:
     """The numbers of one instance: `memory["z"]` is a view into one array, `block`."""
 
-    def __init__(self, layout: Layout, workspace: int = 0):
+    def __init__(self, layout: Layout, block: NDArray | None = None):
         self.layout = layout
-        self.block = np.zeros(layout.size + workspace)
+        self.block = np.zeros(layout.size) if block is None else block
 
     def __getitem__(self, name: str) -> NDArray:
         offset, length = self.layout.fields[name]

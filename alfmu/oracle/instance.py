@@ -598,6 +598,12 @@ class Instance:
             found = np.maximum(found, np.abs(read(lam) - nothing))
         return [v.name for v, size in zip(e.outputs, found, strict=True) if size > 1e-7]
 
+    def take(self, p: NDArray, state: NDArray, penalty: NDArray) -> None:
+        """Stand where another instance of the same equations does: parameters, state (q, v, angles, work, time), alpha."""
+        self.oracle.prepare(self._settings(), np.array(p), state[: self.layout.n])
+        self.state[: len(state)] = state
+        self.oracle.penalty = penalty
+
     def redundant_with_all(self) -> int:
         """Redundant constraints where all of them are in force."""
         return self._assembly.mobility(self.oracle.p, self.q, np.ones(self.equations.l, bool)).redundant

@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import oracle
 from ..equations import Equations, Mobility
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
-from ..kernel.program import TIERS, Layout
+from ..kernel.program import TIERS, Layout, Memory
 from ..kernel.trace import untraced
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
@@ -72,32 +73,34 @@ class Instance:
         self._judged(self._scene.library.alfmu_stabilise(self._unit.address, given.zeta, given.omega, projection))
         if np.ndim(given.penalty):
             self._penalize(np.asarray(given.penalty, float))
-        layout = Layout(e)
-        address = self._scene.library.alfmu_state(self._unit.address)
-        self.state = np.ctypeslib.as_array((ctypes.c_double * (layout.time + 1)).from_address(address))
-        self._layout, self._alive = layout, self._unit
+        self.layout = layout = Layout(e)
+        address = self._scene.library.alfmu_state(self._unit.address) - 8 * layout.fields["z"][0]
+        block = np.ctypeslib.as_array((ctypes.c_double * layout.size).from_address(address))
+        self.memory = Memory(layout, block=block)
+        """Named fields of the numbers that evolve (`alfmu.kernel.program.Layout`), as views."""
+        self.state = self.memory["z"][: layout.time + 1]
 
     # State -------------------------------------------------------------------------------------------------------
 
     @property
     def q(self) -> NDArray:
         """Coordinates (n,), a view."""
-        return self.state[: self._layout.n]
+        return self.state[: self.layout.n]
 
     @property
     def v(self) -> NDArray:
         """Velocities (n,), a view."""
-        return self.state[self._layout.n : 2 * self._layout.n]
+        return self.state[self.layout.n : 2 * self.layout.n]
 
     @property
     def angles(self) -> NDArray:
         """Computed angles, whole turns counted, a view."""
-        return self.state[2 * self._layout.n : self._layout.work]
+        return self.state[2 * self.layout.n : self.layout.work]
 
     @property
     def work(self) -> float:
         """Work of inputs, loads and dampers since the start [J]."""
-        return float(self.state[self._layout.work])
+        return float(self.state[self.layout.work])
 
     @property
     def time(self) -> float:
@@ -290,7 +293,9 @@ class Instance:
 
     def shared(self) -> list[str]:
         """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
-        return list(self.equations.shared or [])
+        probe = oracle.Instance(self.equations)
+        probe.take(self.memory["p"], self.state, self.penalty)
+        return probe.shared()
 
     @property
     def penalty(self) -> NDArray:
