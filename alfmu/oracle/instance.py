@@ -599,7 +599,7 @@ class Instance:
         return [v.name for v, size in zip(e.outputs, found, strict=True) if size > 1e-7]
 
     def take(self, p: NDArray, state: NDArray, penalty: NDArray) -> None:
-        """Stand where another instance of the same equations does: parameters, state (q, v, angles, work, time), alpha."""
+        """Stand where another instance does: parameters, state (q, v, angles, work, time), alpha."""
         self.oracle.prepare(self._settings(), np.array(p), state[: self.layout.n])
         self.state[: len(state)] = state
         self.oracle.penalty = penalty
