@@ -1,7 +1,7 @@
 /* Calls every function of a native FMU in legal and illegal order, with values, references, sizes, times and states that
    make sense or none, and compares each status with what it must be. Linked with the FMU's sources, under sanitizers;
    FUZZ_FMI is 2 or 3. argv: GUID, seed, calls, threads, number of variables, first and number of the Real inputs, first
-   and number of the Real outputs, and any number of settings, reference=value, that half of the instances begin with.
+   and number of the Real outputs.
    Says the seed, how many calls there were, how many of each status, the longest one, and what went wrong; returns 1
    where anything did. The same arguments make the same calls.
 
@@ -47,11 +47,6 @@ typedef struct Fuzz {
 
 static const char *guid;
 static unsigned total, first_input, inputs, first_output, outputs;
-static unsigned setting_count;
-static struct {
-    unsigned reference;
-    double value;
-} settings[20];
 
 /* Chance ----------------------------------------------------------------------------------------------------------- */
 
@@ -557,9 +552,6 @@ static void begin_again(Fuzz *f, Unit *u)
         wrong(f, "an instance, or none");
     u->phase = u->handle ? BORN : NONE;
     u->time = 0.0;
-    if (u->handle && one_in(f, 2))
-        for (unsigned k = 0; k < setting_count; k++)
-            CALLED(SET_FLOATS, ONLY(OK), u->handle, &settings[k].reference, 1, &settings[k].value, 1);
 }
 
 /* The next phase of life, or another. */
@@ -896,12 +888,12 @@ static void *fuzzed(void *given)
 
 int main(int count, char **argv)
 {
-    enum { THREADS = 8, FIXED = 10 };
+    enum { THREADS = 8 };
     static Fuzz fuzzes[THREADS];
     static pthread_t threads[THREADS];
     long calls = 0, steps = 0, counts[STATUSES] = {0};
     int failures = 0, number, slowest = 0;
-    if (count < FIXED)
+    if (count != 10)
         return 2;
     guid = argv[1];
     number = atoi(argv[4]);
@@ -910,8 +902,6 @@ int main(int count, char **argv)
     inputs = (unsigned)atoi(argv[7]);
     first_output = (unsigned)atoi(argv[8]);
     outputs = (unsigned)atoi(argv[9]);
-    for (int k = FIXED; k < count && setting_count < 20; k++)
-        setting_count += sscanf(argv[k], "%u=%lf", &settings[setting_count].reference, &settings[setting_count].value) == 2;
     number = number < 1 ? 1 : number > THREADS ? THREADS : number;
     for (int k = 0; k < number; k++) {
         fuzzes[k].random = (uint64_t)atoll(argv[2]) * 0x9e3779b97f4a7c15u + (uint64_t)k + 1;
