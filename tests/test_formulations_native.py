@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from alfmu.kernel import alternatives as traced
 from alfmu.kernel.alternatives import SYSTEMS, alternatives, formulations
 from alfmu.kernel.program import Layout
 from alfmu.kernel.tables import known_choices
+from alfmu.kernel.trace import Tracer
 from alfmu.model.settings import FORMULATIONS
 from alfmu.runtime import Instance
 from alfmu.simulation import prepared, run, with_defaults
@@ -34,8 +36,8 @@ def built(tmp_path_factory) -> Callable[..., Path]:
     """`built("five_bar")`: the path of that native FMU, made on first use."""
     folder, made = tmp_path_factory.mktemp("formulations"), {}
 
-    def get(mechanism: str | alfmu.Mechanism, **given) -> Path:
-        name = getattr(mechanism, "name", mechanism)
+    def get(mechanism: str | alfmu.Mechanism, key: str = "", **given) -> Path:
+        name = getattr(mechanism, "name", mechanism) + key
         if name not in made:
             made[name] = alfmu.export(mechanism, folder / f"{name}.fmu", kind="native", reference=False, **given)
         return made[name]
@@ -101,11 +103,12 @@ def test_inputs_and_switched_constraints(built):
     """A lock that comes and goes leaves zero rows in (9)."""
     m = alfmu.load("slider_crank")
     m.lock("B")
+    path = built(m, "locked")
     inputs = {"A.torque": lambda t: np.sin(5 * t), "B.locked": lambda t: 0.2 < t < 0.5}
     for formulation in ("dae", "penalty"):
         values = {"solver.formulation": formulation}
         library = alfmu.simulate(alfmu.derive(m), 1.0, 0.02, inputs=inputs, parameters=values, kernel="oracle")
-        with Fmu(built(m)) as fmu:
+        with Fmu(path) as fmu:
             got = run(fmu, 1.0, 0.02, inputs, values)
         assert unlike(got, library, motion=True) <= LIMITS[formulation][0]
 
@@ -288,3 +291,13 @@ def test_large_scenes_leave_the_dense_system_out(tmp_path, monkeypatch):
         fmu.set("solver.formulation", "penalty")
         fmu.initialize()
         fmu.step(0.02, 0.0)
+
+
+def test_two_meanings_of_a_name_are_refused():
+    """Programs share functions and memory by name: by these two once, implicit methods lost their numbers."""
+    e = prepared(with_defaults(derived("particle_on_circle"), {"solver.method": "stiff"}))
+    tracer = Tracer(e)
+    calls, x = traced.Calls(tracer), ca.SX.sym("x", 2)
+    calls("twice", {"x": x}, lambda: {"y": 2 * x}, ["y"])
+    with pytest.raises(ValueError, match="two functions are called twice"):
+        calls("twice", {"x": ca.SX.sym("x", 3)}, lambda: {"y": x}, ["y"])

@@ -66,7 +66,7 @@ class Alternatives(Tracer):
         self._stabilised(calls, scene, names)
         known = {"k": self.known["k"], **{x: matrices[x] for x in ("C", "F", "D", "L")}}
         known |= {"stabilised": matrices["xi"], names["watch"]: watch}
-        calls("penalty", known, lambda: penalty(scene, matrices, watch), [names[x] for x in ("a", "lam", "watch")])
+        calls("by_penalty", known, lambda: penalty(scene, matrices, watch), [names[x] for x in ("a", "lam", "watch")])
 
     def _stiffness(self, calls: Calls, scene: Scene, names: Mapping[str, str]) -> None:
         """(5)."""
@@ -76,7 +76,7 @@ class Alternatives(Tracer):
         known = {"k": self.known["k"], **{x: matrices[x] for x in ("M", "C", "F")}}
         known |= {"Phi": Phi, "stabilisation": numbers, names["watch"]: watch}
         results = [names[x] for x in ("a", "lam", "watch")]
-        calls("stiffness", known, lambda: stiffness(scene, matrices, Phi, numbers, watch), results)
+        calls("by_stiffness", known, lambda: stiffness(scene, matrices, Phi, numbers, watch), results)
 
     def _system(self, calls: Calls, scene: Scene, names: Mapping[str, str]) -> None:
         """(9), with Baumgarte's stabilisation or without."""
@@ -87,10 +87,10 @@ class Alternatives(Tracer):
             self._stabilised(calls, scene, names)
             right = "stabilised"
         terms, both = {x: matrices[x] for x in ("M", "C", "F")}, _System(scene, matrices, solution)
-        calls("system", {"k": k, **terms, right: matrices["xi"]}, both.system, ["K", "right"])
-        calls.made.append([LEAST_NORM, ["K", "right"], ["solution"], e.n + e.l])
-        known = {"k": k, "solution": solution, names["watch"]: watch}
-        calls("solved", known, lambda: both.solved(watch), [names[x] for x in ("a", "lam", "watch")])
+        calls("by_system", {"k": k, **terms, right: matrices["xi"]}, both.system, ["system", "system_right"])
+        calls.made.append([LEAST_NORM, ["system", "system_right"], ["system_solution"], e.n + e.l])
+        known = {"k": k, "system_solution": solution, names["watch"]: watch}
+        calls("by_solution", known, lambda: both.solved(watch), [names[x] for x in ("a", "lam", "watch")])
 
     def _stabilised(self, calls: Calls, scene: Scene, names: Mapping[str, str]) -> None:
         """xi with damping and frequency."""
@@ -99,11 +99,13 @@ class Alternatives(Tracer):
         self._residues(calls, names)
         known = {"xi": xi, "Phi": Phi, "Cv": Cv, "stabilisation": numbers}
         values = xi, Cv, Phi, *ca.vertsplit(numbers)
-        calls("stabilised", known, lambda: {"xi": method.stabilised(*values)}, ["stabilised"])
+        calls("by_stabilised", known, lambda: {"xi": method.stabilised(*values)}, ["stabilised"])
 
     def _residues(self, calls: Calls, names: Mapping[str, str]) -> None:
         """Phi and C v, by a function that the start needs anyway."""
-        calls.made.append(["constraints", [names["q"], names["v"], "p"], ["mass", "constraint", "Phi", "Cv"]])
+        calls.made.append(
+            ["constraints", [names["q"], names["v"], "p"], ["residue_mass", "residue_matrix", "Phi", "Cv"]]
+        )
 
 
 def classic(scene: Scene, nonzeros: dict[str, ca.SX], a: ca.SX, lam: ca.SX, watch: ca.SX) -> dict[str, ca.SX]:

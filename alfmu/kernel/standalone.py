@@ -114,7 +114,7 @@ class _Patient(Alternatives):
         """The state that q and v after `move` make as they are."""
         calls, end = Calls(self), self.e.kernel["careful"]["calls"][-1]
         nothing = {"pivot": ca.SX(math.inf), "left": ca.SX.zeros(2)}
-        calls("kept", {"k": self.known["k"]}, lambda: nothing, list(nothing))
+        calls("unprojected", {"k": self.known["k"]}, lambda: nothing, list(nothing))
         return {"calls": [*calls.made, end]}
 
     def impact(self, plan: Plan) -> Program:

@@ -207,6 +207,10 @@ class _Table:
         self.workspace += length
         return self.places[name][0]
 
+    def _length(self, name: str) -> int:
+        fields = self.layout.fields
+        return fields[name][1] if name in fields else self.places[name][1]
+
     def _at(self, name: str) -> int:
         """Place in the memory; the workspace stands behind the fields."""
         fields = self.layout.fields
@@ -234,6 +238,8 @@ class _Table:
                 for each, length in zip(outputs, lengths, strict=True):
                     if each not in self.layout.fields and each not in self.places:
                         self._place(each, length)
+                    if self._length(each) != length:
+                        raise ValueError(f"{each} has {self._length(each)} entries, and {name} gives {length}")
                 at = [self._at(each) for each in (*inputs, *outputs)]
                 if name == FACTOR:
                     terms = (len(inputs) - 1) // sizes[1]

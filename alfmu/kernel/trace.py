@@ -512,6 +512,9 @@ class Calls:
             # In a large scene little is left to share, and the search takes longer than all the rest.
             make = shared if self._tracer.e.n <= DENSE else ca.Function
             functions[name] = make(name, list(arguments.values()), values)
+        known, sizes = functions[name], [x.numel() for x in arguments.values()]
+        if sizes != [known.numel_in(i) for i in range(known.n_in())] or known.n_out() != len(outputs):
+            raise ValueError(f"two functions are called {name}")
         self.made.append([name, list(arguments), outputs])
 
 
