@@ -14,9 +14,10 @@ from scenes import derived
 
 import alfmu
 from alfmu.cli import main
+from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu, validate
 from alfmu.kernel import build, emit, stream
-from alfmu.kernel.program import LIBRARY
+from alfmu.kernel.program import LIBRARY, SUFFIX
 from alfmu.simulation import prepared, run
 
 START = {"start.angle": 0.4, "m2": 0.5}
@@ -106,6 +107,60 @@ def test_a_library_is_built_once_and_kept(own_cache, monkeypatch):
     monkeypatch.setattr(build, "build", None)  # would fail
     assert prepared(derived("particle_on_circle"), "compiled").library.path == path
     assert path.stat().st_mtime_ns == made
+
+
+def spoiled(path: Path, how: str) -> bytes:
+    """Damages a library; another process may have the old one loaded, so it is a new file."""
+    content = path.read_bytes()
+    path.unlink()
+    middle = len(content) // 2
+    path.write_bytes(
+        {
+            "a bit": content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :],
+            "an end": content[:middle],
+            "nothing": b"",
+            "more": content + b"\0",
+        }[how]
+    )
+    return content
+
+
+damages = pytest.mark.parametrize("how", ["a bit", "an end", "nothing", "more"])
+
+
+@damages
+def test_a_damaged_library_is_built_again_and_never_loaded(own_cache, how):
+    expected = alfmu.simulate("particle_on_circle", 0.1, 0.02, kernel="compiled").values
+    (path,) = own_cache.iterdir()
+    content = spoiled(path, how)
+    e = prepared(derived("particle_on_circle"), "compiled")
+    assert e.library.path.read_bytes() == content
+    assert list(own_cache.iterdir()) == [e.library.path]
+    assert np.array_equal(alfmu.simulate(e, 0.1, 0.02).values, expected)
+
+
+@damages
+@pytest.mark.parametrize("kind", ["python", "native"])
+def test_a_damaged_library_is_never_in_an_fmu(own_cache, tmp_path, kind, how):
+    """Export builds it again, and says that all went well only then."""
+    command = ["export", "particle_on_circle", "--kind", kind, *["--kernel", "compiled"] * (kind == "python")]
+    found = []
+    for name in ("one", "two"):
+        assert main([*command, "--output", str(tmp_path / f"{name}.fmu")]) == 0
+        with zipfile.ZipFile(tmp_path / f"{name}.fmu") as archive:
+            libraries = [x for x in archive.namelist() if x.endswith((LIBRARY, f"particle_on_circle{SUFFIX}"))]
+            found.append({x: archive.read(x) for x in libraries if kind == "native" or x.endswith(LIBRARY)})
+        for path in own_cache.iterdir():
+            spoiled(path, how)
+    assert len(found[0]) == 1
+    assert list(found[0].values()) == list(found[1].values())
+
+
+def test_a_library_that_is_damaged_once_it_is_loaded_is_not_exported(own_cache):
+    e = prepared(derived("particle_on_circle"), "compiled")
+    spoiled(e.library.path, "a bit")
+    with pytest.raises(alfmu.ExportError, match=r"particle_on_circle: the library .* was damaged"):
+        native.content(e.name, e.library.path)
 
 
 def test_several_processes_may_build_at_once(own_cache):

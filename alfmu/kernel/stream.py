@@ -52,7 +52,7 @@ UNARY = {
     ca.OP_SQ: "{0} * {0}",
     ca.OP_TWICE: "2.0 * {}",
     ca.OP_INV: "1.0 / {}",
-    ca.OP_SIGN: "({0} > 0.0) - ({0} < 0.0)",
+    ca.OP_SIGN: "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
     **{getattr(ca, f"OP_{name.upper()}"): f"{name}({{}})" for name in _FUNCTIONS},
 }
 

@@ -21,7 +21,7 @@
 
 #define UNARY_OPERATIONS(X) \
     X(20, !a) \
-    X(21, (a > 0.0) - (a < 0.0)) \
+    X(21, a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : a) \
     X(22, fabs(a)) \
     X(23, floor(a)) \
     X(24, ceil(a)) \

@@ -16,6 +16,7 @@
 #define DEEPEST 16 /* choices and loops within each other */
 #define MOST_NUMBERS (1 << 28) /* in the memory or the registers of an instance */
 #define MOST_UNKNOWNS 10000 /* of a dense system */
+#define MOST_RESULTS (1 << 26) /* of all functions */
 
 typedef struct {
     const unsigned char *at, *end;
@@ -23,6 +24,7 @@ typedef struct {
     char *why;
     size_t why_size;
     int bad;
+    int64_t results; /* of all functions so far */
 } Reader;
 
 struct Block {
@@ -59,6 +61,14 @@ static uint64_t little(const unsigned char *at, int bytes)
     for (int k = bytes; k--;)
         value = value << 8 | at[k];
     return value;
+}
+
+/* Whether there can be so many that have at least so many bytes each; what is not there takes no memory. */
+static int enough(Reader *r, size_t count, size_t bytes)
+{
+    if (count > (size_t)(r->end - r->at) / bytes)
+        spoil(r, "it ends too early");
+    return !r->bad;
 }
 
 /* The next bytes; NULL where there are fewer. */
@@ -197,6 +207,8 @@ static void numbers(Reader *r)
     if (!between(s->branch, 0, s->choices) || !between(s->method_choice, 0, s->choices)
         || !between(s->formulation, 0, s->choices) || s->choices != CHOICES)
         spoil(r, "its choices contradict each other");
+    if (s->brakes && s->l > 10000)
+        spoil(r, "it has %d constraints that would brake", s->l);
     if (!between(s->method, 0, 3) || s->freedom > s->n)
         spoil(r, "its method contradicts itself");
 }
@@ -206,7 +218,7 @@ static void variables(Reader *r)
     Scene *s = r->scene;
     const int kinds[] = {s->parameters, s->choices, s->inputs, s->switches, s->outputs};
     const int count = s->parameters + s->choices + s->inputs + s->switches + s->outputs;
-    Variable *made = room(r, (size_t)count + 1, sizeof *made);
+    Variable *made = enough(r, (size_t)count, 40) ? room(r, (size_t)count + 1, sizeof *made) : NULL;
     int k = 0;
     for (int kind = 0; kind < 5; kind++)
         for (int each = 0; each < kinds[kind] && !r->bad; each++, k++) {
@@ -227,7 +239,7 @@ static void variables(Reader *r)
 static void choices(Reader *r)
 {
     Scene *s = r->scene;
-    Choice *made = room(r, (size_t)s->choices + 1, sizeof *made);
+    Choice *made = enough(r, (size_t)s->choices, 8) ? room(r, (size_t)s->choices + 1, sizeof *made) : NULL;
     for (int k = 0; k < s->choices && !r->bad; k++) {
         const char **values;
         made[k].start = integer(r);
@@ -247,7 +259,7 @@ static void choices(Reader *r)
 static void switches(Reader *r)
 {
     Scene *s = r->scene;
-    Switch *made = room(r, (size_t)s->switches + 1, sizeof *made);
+    Switch *made = enough(r, (size_t)s->switches, 20) ? room(r, (size_t)s->switches + 1, sizeof *made) : NULL;
     for (int k = 0; k < s->switches && !r->bad; k++) {
         made[k].holds = integer(r) != 0;
         made[k].value = integer(r);
@@ -263,8 +275,9 @@ static void switches(Reader *r)
 static void names(Reader *r)
 {
     Scene *s = r->scene;
-    Coordinate *coordinates = room(r, (size_t)s->n, sizeof *coordinates);
-    Row *rows = room(r, (size_t)s->l + 1, sizeof *rows);
+    const int there = enough(r, 8 * (size_t)s->n + 12 * (size_t)s->l, 1);
+    Coordinate *coordinates = there ? room(r, (size_t)s->n, sizeof *coordinates) : NULL;
+    Row *rows = there ? room(r, (size_t)s->l + 1, sizeof *rows) : NULL;
     for (int k = 0; k < s->n && !r->bad; k++) {
         coordinates[k].name = text(r);
         coordinates[k].unit = text(r);
@@ -283,11 +296,14 @@ static void pattern(Reader *r, Pattern *made, int rows, int columns)
     const int sparse = integer(r);
     made->rows = rows;
     made->columns = columns;
-    made->entries = rows * columns;
-    if ((size_t)rows * (size_t)columns > MOST_NUMBERS && !sparse)
+    if (!sparse && (int64_t)rows * columns > MOST_NUMBERS)
         spoil(r, "a matrix of %d by %d is dense", rows, columns);
-    if (!sparse || r->bad)
+    if (r->bad)
         return;
+    if (!sparse) {
+        made->entries = rows * columns;
+        return;
+    }
     made->offsets = places(r, columns + 1, 0, INT32_MAX, "the beginning of a column");
     if (r->bad)
         return;
@@ -458,6 +474,8 @@ static void function(Reader *r, Function *f)
             spoil(r, "an argument of a function has %d numbers", (int)lengths[k]);
         all += k < inputs ? 0 : lengths[k];
     }
+    if ((r->results += all) > MOST_RESULTS)
+        spoil(r, "its functions give too many numbers");
     f->inputs = (int)inputs;
     f->outputs = (int)outputs;
     f->lengths = lengths;
@@ -537,7 +555,7 @@ static void functions(Reader *r)
     s->constant_count = (int)count;
     s->registers = s->constant_count;
     count = length(r);
-    made = room(r, count + 1, sizeof *made);
+    made = enough(r, count, 20) ? room(r, count + 1, sizeof *made) : NULL;
     for (size_t k = 0; k < count && !r->bad; k++)
         function(r, made + k);
     s->functions = made;
@@ -657,7 +675,7 @@ static void programs(Reader *r)
 {
     Scene *s = r->scene;
     const size_t count = length(r);
-    Program *made = room(r, count + 1, sizeof *made);
+    Program *made = enough(r, count, 4) ? room(r, count + 1, sizeof *made) : NULL;
     for (size_t k = 0; k < count && !r->bad; k++) {
         made[k].code = integers(r, -1, &made[k].words);
         if (!r->bad)
@@ -704,8 +722,7 @@ static void memory(Reader *r)
           {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
           {s->watch4, WATCH}, {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n},
           {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->dy, s->readings}, {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}};
-    if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS)
-        || (s->brakes && s->l > 10000))
+    if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS))
         spoil(r, "its memory has %d numbers", s->size);
     if (s->work != 2 * s->n + s->angles || s->time != s->work + 1 || s->trouble != s->work + 2 || s->near != s->work + 5)
         spoil(r, "its state contradicts itself");
@@ -715,7 +732,7 @@ static void memory(Reader *r)
         spoil(r, "its monitors contradict each other");
     if (s->seen_size < 3 + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
         spoil(r, "its outputs contradict each other");
-    if (s->pace > s->past || s->tally + TIERS + 5 > s->pace || s->dt > s->tally)
+    if (s->pace > s->past || (int64_t)s->tally + TIERS + 5 > s->pace || s->dt > s->tally)
         spoil(r, "its fields are not in order");
     for (size_t k = 0; k < sizeof fields / sizeof *fields; k++)
         if (fields[k].place < 0 || fields[k].place + (int64_t)fields[k].length > s->size)
@@ -778,7 +795,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
 {
     static const unsigned char magic[8] = "ALFMU\r\n\x1a";
     Scene *s = calloc(1, sizeof *s);
-    Reader r = {bytes, bytes + size, s, why, why_size, 0};
+    Reader r = {bytes, bytes + size, s, why, why_size, 0, 0};
     if (!s) {
         snprintf(why, why_size, "there is no memory for it");
         return NULL;
