@@ -34,7 +34,6 @@ __all__ = [
     "Backend",
     "Call",
     "Layout",
-    "Machine",
     "Memory",
     "Program",
     "Signature",
@@ -191,22 +190,6 @@ class Memory:
         return self.layout.fields[name][0] + index
 
 
-class Machine(Protocol):
-    """The kernel of a scene at work on a memory; what a call could not do has changed nothing in it."""
-
-    def communicate(self, start: float, h: float) -> bool:
-        """A whole communication step from `start` [s] over `h` [s]; False where the slower way must look at it."""
-
-    def advance(self, steps: int, dt: float) -> int:
-        """Internal steps of dt [s], until one cannot be made; returns how many were."""
-
-    def cover(self, end: float, tries: int) -> bool:
-        """Steps by the method of the scene up to `end` [s], or so many tries; False where one could not be judged."""
-
-    def read(self) -> bool:
-        """Compute `seen`; False where the unrolled loops were not enough."""
-
-
 class Backend(Protocol):
     """A way to run the functions of a scene."""
 
@@ -214,8 +197,6 @@ class Backend(Protocol):
         """The function bound to arrays for its arguments and the nonzeros of its results."""
 
     def memory(self, layout: Layout) -> Memory: ...
-
-    def machine(self, memory: Memory) -> Machine: ...
 
 
 class Call:

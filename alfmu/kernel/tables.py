@@ -28,7 +28,16 @@ from .scene import CALLS, Code, Constants, Writer, code
 from .standalone import passed, standalone
 from .trace import CAREFUL, ROUND_OFF, Watch
 
-__all__ = ["alone", "identified", "interface", "known_choices", "layout_header", "machine_code", "packed"]
+__all__ = [
+    "alone",
+    "function_sizes",
+    "identified",
+    "interface",
+    "known_choices",
+    "layout_header",
+    "machine_code",
+    "packed",
+]
 
 VERSION = 2
 """Of scene files; raised whenever their content changes meaning."""
@@ -156,6 +165,16 @@ def machine_code(equations: Equations, scene: bytes) -> list[str]:
     e = alone(equations)
     kept = {name: dict(enumerate(e.signatures[name]["inputs"])) for name in FUNCTIONS.values() if name in e.signatures}
     return compiled_code(e, kept, scene[HEAD - IDENTITY : HEAD].rstrip(b"\0").decode())
+
+
+def function_sizes(equations: Equations) -> dict[str, int]:
+    """Bytes of each function in a scene file."""
+    e, constants, found = alone(equations), Constants(), {}
+    for name in e.signatures:
+        w = Writer()
+        w.code(code(e.functions[name], constants, e.name), len(constants))
+        found[name] = sum(map(len, w.parts))
+    return found
 
 
 def packed(equations: Equations) -> bytes:

@@ -27,11 +27,11 @@ from ..equations.interface import (
     setting,
     variables_of,
 )
-from ..kernel.program import GROSS, PACE, TIERS, TURN, Backend, Layout, Machine, called
+from ..kernel.program import GROSS, PACE, TURN, Backend, Layout
 from ..kernel.thresholds import SAID, SHORTEST, TORN
 from ..method.inputs import Past
 from ..method.integrators import rk4
-from ..method.singular import MEAN, SPACING
+from ..method.singular import SPACING
 from ..model.errors import AlfmuError, InputError, OpenError, StepError
 from ..model.settings import FIXED, Settings
 from .assembly import Assembly
@@ -81,14 +81,9 @@ class Instance:
         self._adaptive: Any = None
         self.inputs[:] = [v.start for v in e.inputs]
         self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
-        self._seen = self.memory["seen"]
         self._turns = np.array([c.unit == "rad" for c in e.coordinates])
         self._events = bool(events(e))
-        self.machine: Machine | None = backend.machine(self.memory) if e.kernel else None
-        instant = e.kernel.get("instant", {"calls": []})
-        evaluated = any(name.endswith("_evaluate") for name in called(instant["calls"]))
-        self._iterations_read = instant["iterations"] if evaluated else 0
-        self._fast = self._direct = self._covers = self._whole = self._scaled = self._pending = self._near = False
+        self._pending = self._near = False
         self.initialized = self._known = False
 
     # State -------------------------------------------------------------------------------------------------------
@@ -192,9 +187,6 @@ class Instance:
         oracle = self.oracle
         oracle.prepare(settings, p, q)
         self._comply()
-        # Whether the penalty is the one for which the quick step of the kernel is known to be enough.
-        weighted = e.kernel.get("quick", {}).get("weighted", False)
-        self._scaled = alpha.ndim == 0 and alpha == 0 and (weighted or len(set(oracle.penalty)) <= 1)
         self._full = oracle.penalty
         oracle.penalty = self._full * held
         if oracle.settings.projects:
@@ -210,7 +202,6 @@ class Instance:
         """Go on from q, v, angles and work."""
         self.state[: self.layout.time] = state
         self.state[self.layout.time + 1 :] = 0.0
-        self.memory["tally"][:] = 0.0
         self.energy_start = energy
         self._known, self.initialized = False, True
         self._past.numbers[:] = 0.0
@@ -226,56 +217,8 @@ class Instance:
             oracle.know(q, v, self._mobility(q).freedom if freedom is None else freedom)
 
     def _choose(self) -> None:
-        """Take the kernel where it does what the settings ask for, otherwise the oracle."""
-        oracle, memory, programs = self.oracle, self.memory, self.equations.kernel
-        settings, alpha = oracle.settings, oracle.penalty
-        self._continues = settings.continues and self.equations.l > 0
-        self._fast = bool(
-            self.machine is not None
-            and settings.formulation == "residual"
-            and settings.projects
-            and (self.equations.brakes or not oracle.brakes)
-            and settings.max_iterations >= programs["careful"]["iterations"]
-            and (not len(alpha) or alpha.max() > 0)
-            and ("branch" in programs or not self._continues)
-        )
-        if self._fast:
-            largest = alpha.max(initial=1e-300)
-            memory["p"][:] = oracle.p
-            memory["dt"][:] = settings.step_size
-            freedoms = oracle.freedom, oracle.masses, math.exp(oracle.regular)
-            watched = *freedoms, oracle.nothing, oracle.least_distance, self._continues
-            control = (self._adaptive.relative, self._adaptive.absolute) if self._adaptive else (0.0, 0.0)
-            first = largest if len(alpha) else 1.0, settings.tolerance, *watched, *control
-            shares = oracle.stiffnesses if self.equations.compliances else ()
-            self._largest = largest
-            memory["k"][: memory["k"].size - self.equations.brakes * len(alpha) ** 2] = [
-                *first,
-                *(alpha / largest),
-                *(1 / oracle.units),
-                *(largest / oracle.scales),
-                *shares,
-            ]
-            if self.equations.brakes:
-                self._hold()
-            # The quick step is known to be enough for the penalty scaled with the masses alone.
-            careful = not (self._scaled or programs["quick"] == programs["careful"])
-            kind = 0 if settings.method == "rk4" else 1 + (settings.method in FIXED)
-            memory["control"][:] = settings.step_size, careful, kind
-        # Whether the kernel makes the steps too, beside what is read, by RK4 or by the method of the scene; and all of
-        # a communication step in one call.
-        otherwise = settings.input_order != (self.equations.solver.get("input_order", 0) if "reach" in programs else 0)
-        self._direct = self._fast and settings.method == "rk4" and not otherwise
-        traced = programs.get("method")
-        self._covers = bool(
-            self._fast and self._adaptive and traced and traced["rule"] == self._adaptive.rule.name and not otherwise
-        )
-        self._whole = (self._direct or self._covers) and not self.equations.brakes
-
-    def _hold(self) -> None:
-        """Hand the constraints that are independent here on to the kernel, where redundant ones would brake."""
-        self.oracle.hold(self.q)
-        self.memory["k"][-(self.equations.l**2) :] = self.oracle.alpha.ravel() / self._largest
+        """Whether the branch of the motion is followed through singular positions."""
+        self._continues = self.oracle.settings.continues and self.equations.l > 0
 
     def _start_values(self) -> list[NDArray]:
         """Parameters with what locks keep, start values and start rates."""
@@ -314,7 +257,7 @@ class Instance:
         start = self.time if time is None else time
         if self._pending:
             self._step_after_event(h, start)
-        elif not (self._whole and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
+        else:
             self._step(h, start)
         self._known = False
 
@@ -329,7 +272,7 @@ class Instance:
             raise
 
     def _step(self, h: float, start: float) -> None:
-        """A communication step that the kernel cannot make in one go: everything is looked at."""
+        """A communication step; where it cannot be taken, nothing has changed."""
         e = self.equations
         if not self.initialized:
             raise InputError(f"{e.name}: initialise before the first step")
@@ -348,18 +291,10 @@ class Instance:
                 self._advance(start, h, n)
                 done = n
             while done < n:
-                if self._direct:
-                    self.time = start + done * dt
-                    if self.equations.brakes:
-                        self._hold()
-                    made = self.machine.advance(n - done if self._whole else 1, dt)
-                    self._known, done = self._known and not made, done + made
-                if done < n:
-                    self._watched_step(start + done * dt, dt)
-                    self._known, done = False, done + 1
+                self._watched_step(start + done * dt, dt)
+                self._known, done = False, done + 1
         except AlfmuError:
             self.state[:], self._past.numbers[:] = before, past
-            self.memory["tally"][:], self.memory["passes"][:] = 0.0, 0.0
             self.oracle.counters = counters
             raise
         self.time = start + h
@@ -392,7 +327,7 @@ class Instance:
 
     def _advance(self, start: float, h: float, n: int) -> None:
         """A communication step by a method other than RK4; n steps where they have a given length."""
-        a, pace, end, brakes = self._adaptive, self.memory["pace"], start + h, self.equations.brakes
+        a, pace, end = self._adaptive, self.memory["pace"], start + h
         before, refused = pace.copy(), a.counts["refused"]
         a.fixed = h / n if self.oracle.settings.method in FIXED else None
         pace[PACE.index("fixed")], pace[PACE.index("last")] = a.fixed or 0.0, 0.0
@@ -400,15 +335,7 @@ class Instance:
         a.place(start, self.q, self.v, self.work)
         try:
             while self.time < end:
-                if not self._covers:
-                    a.advance(end, self._taken)
-                    continue
-                if brakes:
-                    self._hold()
-                if not self.machine.cover(end, 1 if brakes else -1):
-                    a.place(self.time, self.q, self.v, self.work)
-                    a.advance(end, self._taken, 1)
-                    pace[PACE.index("last")] = 0.0
+                a.advance(end, self._taken)
         except AlfmuError:
             pace[:] = before
             raise
@@ -528,18 +455,7 @@ class Instance:
         if not self.initialized:
             raise InputError(f"{self.equations.name}: outputs are known after initialising")
         if not self._known:
-            if self._fast and self.equations.brakes:
-                self._hold()
-            if self._fast and self.machine.read():
-                self._y = self._seen[:-3].copy()
-                if self._events:
-                    self._y = np.concatenate([self._y, self.topology.read()])
-                self._accelerations = None
-                acceleration, used = float(self._seen[-3]), self._iterations_read
-                self.oracle.counters.evaluations += used > 0
-                self.oracle.counters.multiplier_iterations += used
-            else:
-                acceleration = self._read_by_oracle()
+            acceleration = self._read_by_oracle()
             self._known = True
             self._watch(acceleration)
         return self._y
@@ -626,7 +542,7 @@ class Instance:
         replace(self.oracle.settings, penalty=full).checked(e.name, e.l)
         full = np.broadcast_to(full, (e.l,)).copy()
         self._change(full * self.topology.force(self.topology.on))
-        self._full, self._scaled = full, False
+        self._full = full
         self._choose()
 
     def _take_effect(self) -> None:
@@ -676,38 +592,13 @@ class Instance:
     @property
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
-        c, tally = self.oracle.counters, self.memory["tally"]
-        *steps, limits, covered, refused, beside, beside_limits = map(int, tally)
-        first = TIERS[int(self.memory["control"][1])]
-        for made, tier in zip(steps, TIERS, strict=True):
-            if made:
-                program = self.equations.kernel[tier]
-                tried = 1 + (tier != first)  # at least: a step begins with the first tier
-                evaluations = 4 * tried * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
-                c.steps += made
-                c.evaluations += evaluations
-                c.multiplier_iterations += evaluations * program["iterations"]
-                c.projection_iterations += 2 * made * program["corrections"]
-        if tried := covered + refused + beside:
-            program = self.equations.kernel["method"]
-            passes = int(self.memory["passes"].sum())
-            evaluations = tried * program["evaluations"] + passes * program.get("nodes", 0)
-            evaluations += beside_limits * (2 * self.equations.kernel["beside"]["side"] - 1) if beside else 0
-            c.steps += covered
-            c.refused += refused
-            c.evaluations += evaluations
-            c.multiplier_iterations += evaluations * program["iterations"]
-            c.projection_iterations += 2 * tried * program["corrections"]
-        tally[:] = 0.0
-        self.memory["passes"][:] = 0.0
-        return c
+        return self.oracle.counters
 
     def save(self) -> bytes:
         """The complete state, from which `restore` continues to the last bit."""
         head = {
             "initialized": self.initialized,
             "choices": self.choices,
-            "scaled": bool(self._scaled),
             "counters": asdict(self.counters) if self.initialized else None,
         }
         numbers = [self.values, self.inputs, self.state]
@@ -747,7 +638,6 @@ class Instance:
             self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
             self._comply()
             self.oracle.penalty, self._full = penalty, full
-            self._scaled = head["scaled"]
             self.oracle.known, self.oracle.units = known, units
             self._begin(state[: self.layout.time], float(energy[0]))
             self._past.numbers[:] = past
@@ -755,8 +645,6 @@ class Instance:
                 self._adaptive.control.numbers[:] = control
             self.state[:] = state
             self.oracle.counters = Counters(**head["counters"])
-        else:
-            self._fast = self._direct = self._whole = False
 
     def _check_inputs(self) -> None:
         if not np.isfinite(self.inputs).all():
