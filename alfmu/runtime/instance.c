@@ -1119,8 +1119,10 @@ Outcome instance_read(Instance *i)
         return DONE;
     if (instant_by(s, formulation(i)) != s->instant)
         outcome = explained(i, z, z + s->n, z[s->time], i->workspace[s->watch0 + WATCH_PIVOT]);
-    return outcome != DONE ? outcome : say(i, FAILED, "%s, t = %.6g s: accelerations and reactions cannot be computed here", s->name,
-        *instance_time(i));
+    if (outcome == DONE)
+        outcome = say(i, FAILED, "%s, t = %.6g s: accelerations and reactions cannot be computed here", s->name,
+            *instance_time(i));
+    return outcome;
 }
 
 /* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
@@ -1161,7 +1163,8 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     if (s->l && formulation(i) > CLASSIC_FORMULATION)
         differences(i, w + s->du, w + s->dy);
     else /* Where a limit is read, its derivative is. */
-        run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity : s->sensitivity);
+        run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
+                                                                                    : s->sensitivity);
     for (size_t k = 0; k < unknown_count; k++)
         if ((int)unknowns[k] - outputs < s->readings)
             changes[k] = w[s->dy + (int)unknowns[k] - outputs];
