@@ -1306,7 +1306,8 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     if (s->l && formulation(i) > CLASSIC_FORMULATION)
         differences(i, w + s->du, w + s->dy);
     else /* Where a limit is read, its derivative is. */
-        run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity : s->sensitivity);
+        run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
+                                                                                    : s->sensitivity);
     for (size_t k = 0; k < unknown_count; k++)
         if ((int)unknowns[k] - outputs < s->readings)
             changes[k] = w[s->dy + (int)unknowns[k] - outputs];

@@ -196,7 +196,7 @@ static void call_at(Instance *i, const Function *f, const int32_t *at)
     }
 }
 
-/* Least-squares solution of least norm of a square system, as NumPy's lstsq has it; not finite where the matrix is not. */
+/* Least-squares solution of least norm of a square system, as NumPy's lstsq has it; NaN where the matrix is not finite. */
 static void solve_dense(Instance *i, int size, const double *matrix, const double *right, double *solution)
 {
     if (isfinite(largest(matrix, size * size)))
