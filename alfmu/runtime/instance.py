@@ -189,6 +189,7 @@ class Instance:
     def initialize(self) -> None:
         """Assemble the mechanism from its start values at `time`; parameters are fixed from here on."""
         self._unit.run_on(False)
+        self.memory["passes"][:] = 0.0
         outcome = self._unit.initialize()
         if outcome == BRAKES:
             self._rebuild(prepared(replace(untraced(self.equations), brakes=True)))
@@ -340,7 +341,7 @@ class Instance:
                 c.projection_iterations += 2 * made * kernel[tier]["corrections"]
         if tried := covered + refused + beside:
             program = kernel["method"]
-            evaluations = tried * program["evaluations"]
+            evaluations = tried * program["evaluations"] + int(self.memory["passes"].sum()) * program.get("nodes", 0)
             evaluations += beside_limits * (2 * kernel["beside"]["side"] - 1) if beside else 0
             c.steps += covered
             c.refused += refused
