@@ -283,6 +283,7 @@ def chain(length: int) -> ca.Function:
 def shapes() -> dict[str, Callable[[ca.SX, ca.SX], list]]:
     """Ways in which passes depend on each other, and on what is elsewhere."""
     order = np.random.default_rng(0).permutation(N).tolist()
+    back = np.random.default_rng(0).integers(1, 4, N).tolist()
 
     def each(x, p):
         return [ca.sin(x[i]) * p + x[i] for i in range(N)]
@@ -331,11 +332,18 @@ def shapes() -> dict[str, Callable[[ca.SX, ca.SX], list]]:
             made.append(made[(i - 1) // 2] * 0.5 + ca.sin(x[i]) * x[i])
         return made
 
+    def uneven(x, p):
+        """Values of passes before, not always as many."""
+        made = [p, p + 1, p + 2, p + 3]
+        for i in range(4, N):
+            made.append(ca.cos(made[-back[i]]) * x[i] + x[i - 1])
+        return made
+
     def nothing_computed(x, p):
         return [x[N - 1 - i] for i in range(N)]
 
     return {f.__name__: f for f in (each, constants, out_of_line, sums, two_back, two_chains)} | {
-        f.__name__: f for f in (backwards, far_back, tree, nothing_computed)
+        f.__name__: f for f in (backwards, far_back, tree, uneven, nothing_computed)
     }
 
 
@@ -344,7 +352,7 @@ def test_loops_give_the_bits_of_casadi(host, packed, short, shape):
     x, p = ca.SX.sym("x", N), ca.SX.sym("p")
     results = shapes()[shape](x, p)
     f = ca.Function("f", [x, p], [ca.vertcat(*results), ca.vertcat(*results[::-3], 0.0)])
-    assert code(f).looped == (shape != "tree")
+    assert code(f).looped == (shape not in ("tree", "uneven"))
     check(host, packed, f)
 
 
