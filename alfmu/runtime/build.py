@@ -93,18 +93,13 @@ def build(name: str, path: Path) -> None:
         made = Path(folder) / file_name(name)
         files = [str(each) for each in sources() if each.suffix == ".c"]
         libraries = ["-lm", *["-ldl"] * name.endswith(("linux64", "-linux"))] if name != "win64" else []
-        arguments = [*command, *FLAGS, *_headers(), "-shared", "-s", *files, "-o", str(made), *libraries]
+        arguments = [*command, *FLAGS, "-shared", "-s", *files, "-o", str(made), *libraries]
         done = subprocess.run(arguments, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"the C compiler {command[0]} failed: {done.stderr.strip()[:2000]}")
         partial = path.with_name(f".{path.name}.{os.getpid()}")
         shutil.copyfile(made, partial)
         partial.replace(path)
-
-
-def _headers() -> list[str]:
-    found = importlib.util.find_spec("fmpy")
-    return [f"-I{Path(found.origin).parent / 'c-code'}"] if found else []
 
 
 if __name__ == "__main__":

@@ -6,8 +6,7 @@
 
 #include "component.h"
 
-/* The headers of FMI export what they declare. */
-#include "fmi2Functions.h"
+#include "fmi.h"
 
 /* What FMI hands over beside the component. */
 typedef struct {
@@ -24,17 +23,17 @@ static void logged(void *host, const char *name, Category category, const char *
 
 /* Life ------------------------------------------------------------------------------------------------------------- */
 
-const char *fmi2GetTypesPlatform(void)
+API const char *fmi2GetTypesPlatform(void)
 {
     return fmi2TypesPlatform;
 }
 
-const char *fmi2GetVersion(void)
+API const char *fmi2GetVersion(void)
 {
     return fmi2Version;
 }
 
-fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
 {
     char why[500] = "it is for co-simulation alone";
@@ -59,17 +58,17 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     return c;
 }
 
-void fmi2FreeInstance(fmi2Component c)
+API void fmi2FreeInstance(fmi2Component c)
 {
     component_free(c);
 }
 
-fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count, const fmi2String categories[])
+API fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count, const fmi2String categories[])
 {
     return (fmi2Status)component_logging(c, on, count, categories, "fmi2SetDebugLogging");
 }
 
-fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
+API fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
     fmi2Boolean has_stop, fmi2Real stop)
 {
     (void)has_stop;
@@ -77,22 +76,22 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2R
     return (fmi2Status)component_begin(c, start, has_tolerance ? tolerance : 0.0, "fmi2SetupExperiment");
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component c)
+API fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 {
     return (fmi2Status)component_enter(c, "fmi2EnterInitializationMode");
 }
 
-fmi2Status fmi2ExitInitializationMode(fmi2Component c)
+API fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
     return (fmi2Status)component_initialized(c, "fmi2ExitInitializationMode");
 }
 
-fmi2Status fmi2Terminate(fmi2Component c)
+API fmi2Status fmi2Terminate(fmi2Component c)
 {
     return (fmi2Status)component_terminated(c, "fmi2Terminate");
 }
 
-fmi2Status fmi2Reset(fmi2Component c)
+API fmi2Status fmi2Reset(fmi2Component c)
 {
     return (fmi2Status)component_reset(c, "fmi2Reset");
 }
@@ -100,12 +99,12 @@ fmi2Status fmi2Reset(fmi2Component c)
 /* Values ----------------------------------------------------------------------------------------------------------- */
 
 #define VALUES(TYPE, FORM) \
-    fmi2Status fmi2Get##TYPE( \
+    API fmi2Status fmi2Get##TYPE( \
         fmi2Component c, const fmi2ValueReference references[], size_t count, fmi2##TYPE values[]) \
     { \
         return (fmi2Status)component_get(c, references, count, values, count, FORM, "fmi2Get" #TYPE); \
     } \
-    fmi2Status fmi2Set##TYPE( \
+    API fmi2Status fmi2Set##TYPE( \
         fmi2Component c, const fmi2ValueReference references[], size_t count, const fmi2##TYPE values[]) \
     { \
         return (fmi2Status)component_set(c, references, count, values, count, FORM, "fmi2Set" #TYPE); \
@@ -123,7 +122,7 @@ static fmi2Status none(Component *c, int phases, size_t count, const char *call)
     return count ? (fmi2Status)component_refuse(c, ERROR_, call, "no variable is a string") : fmi2OK;
 }
 
-fmi2Status fmi2GetString(
+API fmi2Status fmi2GetString(
     fmi2Component c, const fmi2ValueReference references[], size_t count, fmi2String values[])
 {
     (void)references;
@@ -131,7 +130,7 @@ fmi2Status fmi2GetString(
     return none(c, KNOWN, count, "fmi2GetString");
 }
 
-fmi2Status fmi2SetString(
+API fmi2Status fmi2SetString(
     fmi2Component c, const fmi2ValueReference references[], size_t count, const fmi2String values[])
 {
     (void)references;
@@ -141,20 +140,20 @@ fmi2Status fmi2SetString(
 
 /* Derivatives ------------------------------------------------------------------------------------------------------ */
 
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t unknown_count,
+API fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t unknown_count,
     const fmi2ValueReference knowns[], size_t known_count, const fmi2Real directions[], fmi2Real changes[])
 {
     return (fmi2Status)component_derivative(c, unknowns, unknown_count, knowns, known_count, directions, known_count,
         changes, unknown_count, "fmi2GetDirectionalDerivative");
 }
 
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
+API fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
     const fmi2Integer orders[], const fmi2Real values[])
 {
     return (fmi2Status)component_slopes(c, references, count, orders, values, "fmi2SetRealInputDerivatives");
 }
 
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
+API fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
     const fmi2Integer orders[], fmi2Real values[])
 {
     return (fmi2Status)component_output_derivatives(
@@ -163,13 +162,13 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 
 /* Steps ------------------------------------------------------------------------------------------------------------ */
 
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolean no_way_back)
+API fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolean no_way_back)
 {
     (void)no_way_back;
     return (fmi2Status)component_step(c, point, step, NULL, "fmi2DoStep");
 }
 
-fmi2Status fmi2CancelStep(fmi2Component c)
+API fmi2Status fmi2CancelStep(fmi2Component c)
 {
     return component_in(c, ANY, "fmi2CancelStep")
         ? (fmi2Status)component_refuse(c, ERROR_, "fmi2CancelStep", "no step is ever pending")
@@ -184,14 +183,14 @@ static fmi2Status status_of(Component *c, int found, const char *call)
     return found ? fmi2OK : (fmi2Status)component_refuse(c, DISCARD, call, "no step is ever pending");
 }
 
-fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
+API fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
 {
     (void)kind;
     (void)value;
     return status_of(c, 0, "fmi2GetStatus");
 }
 
-fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value)
+API fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value)
 {
     Component *c = component;
     const fmi2Status status = status_of(c, kind == fmi2LastSuccessfulTime && value, "fmi2GetRealStatus");
@@ -200,14 +199,14 @@ fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind,
     return status;
 }
 
-fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
+API fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
 {
     (void)kind;
     (void)value;
     return status_of(c, 0, "fmi2GetIntegerStatus");
 }
 
-fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
+API fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
 {
     const fmi2Status status = status_of(c, kind == fmi2Terminated && value, "fmi2GetBooleanStatus");
     if (status == fmi2OK)
@@ -215,7 +214,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
     return status;
 }
 
-fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
+API fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
 {
     (void)kind;
     (void)value;
@@ -224,32 +223,32 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
 
 /* State ------------------------------------------------------------------------------------------------------------ */
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
+API fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     return (fmi2Status)component_save(c, state, "fmi2GetFMUstate");
 }
 
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
+API fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
     return (fmi2Status)component_restore(c, state, "fmi2SetFMUstate");
 }
 
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
+API fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     return (fmi2Status)component_forget(c, state, "fmi2FreeFMUstate");
 }
 
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
+API fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
 {
     return (fmi2Status)component_state_size(c, state, size, "fmi2SerializedFMUstateSize");
 }
 
-fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
+API fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
     return (fmi2Status)component_write(c, state, bytes, size, "fmi2SerializeFMUstate");
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
+API fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
     return (fmi2Status)component_read(c, bytes, size, state, "fmi2DeSerializeFMUstate");
 }

@@ -5,8 +5,7 @@
 
 #include "component.h"
 
-/* The headers of FMI export what they declare. */
-#include "fmi3Functions.h"
+#include "fmi.h"
 
 /* What FMI hands over beside the component. */
 typedef struct {
@@ -49,7 +48,7 @@ static fmi3Status none(Component *c, size_t count, const char *call, ...)
 
 /* Life ------------------------------------------------------------------------------------------------------------- */
 
-const char *fmi3GetVersion(void)
+API const char *fmi3GetVersion(void)
 {
     return fmi3Version;
 }
@@ -63,7 +62,7 @@ static fmi3Instance not_made(fmi3InstanceEnvironment environment, fmi3LogMessage
     return NULL;
 }
 
-fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
     fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean may_return, const fmi3ValueReference intermediate[],
     size_t intermediate_count, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
     fmi3IntermediateUpdateCallback update)
@@ -85,13 +84,13 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     return c;
 }
 
-fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+API fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
     fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
 {
     return not_made(environment, log, "it is for co-simulation alone", name, token, resources, visible, logging);
 }
 
-fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
+API fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
     fmi3Boolean visible, fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
     fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
 {
@@ -99,17 +98,17 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
         lock, unlock);
 }
 
-void fmi3FreeInstance(fmi3Instance c)
+API void fmi3FreeInstance(fmi3Instance c)
 {
     component_free(c);
 }
 
-fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t count, const fmi3String categories[])
+API fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t count, const fmi3String categories[])
 {
     return (fmi3Status)component_logging(c, on, count, categories, "fmi3SetDebugLogging");
 }
 
-fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance, fmi3Float64 tolerance,
+API fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance, fmi3Float64 tolerance,
     fmi3Float64 start, fmi3Boolean has_stop, fmi3Float64 stop)
 {
     static const char call[] = "fmi3EnterInitializationMode";
@@ -121,17 +120,17 @@ fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance
     return (fmi3Status)begun;
 }
 
-fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
+API fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
 {
     return (fmi3Status)component_initialized(c, "fmi3ExitInitializationMode");
 }
 
-fmi3Status fmi3Terminate(fmi3Instance c)
+API fmi3Status fmi3Terminate(fmi3Instance c)
 {
     return (fmi3Status)component_terminated(c, "fmi3Terminate");
 }
 
-fmi3Status fmi3Reset(fmi3Instance c)
+API fmi3Status fmi3Reset(fmi3Instance c)
 {
     return (fmi3Status)component_reset(c, "fmi3Reset");
 }
@@ -139,10 +138,10 @@ fmi3Status fmi3Reset(fmi3Instance c)
 /* Values ----------------------------------------------------------------------------------------------------------- */
 
 #define GET(TYPE) \
-    fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3##TYPE values[], \
+    API fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3##TYPE values[], \
         size_t value_count)
 #define SET(TYPE) \
-    fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, \
+    API fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, \
         const fmi3##TYPE values[], size_t value_count)
 
 #define VALUES(TYPE, FORM) \
@@ -180,13 +179,13 @@ NO_VALUES(UInt32)
 NO_VALUES(UInt64)
 NO_VALUES(String)
 
-fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference references[], size_t count, size_t sizes[],
+API fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference references[], size_t count, size_t sizes[],
     fmi3Binary values[], size_t value_count)
 {
     return none(c, count + value_count, "fmi3GetBinary", references, sizes, values);
 }
 
-fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference references[], size_t count, const size_t sizes[],
+API fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference references[], size_t count, const size_t sizes[],
     const fmi3Binary values[], size_t value_count)
 {
     return none(c, count + value_count, "fmi3SetBinary", references, sizes, values);
@@ -194,7 +193,7 @@ fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference references[], 
 
 /* Steps and derivatives -------------------------------------------------------------------------------------------- */
 
-fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 point, fmi3Float64 step, fmi3Boolean no_way_back,
+API fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 point, fmi3Float64 step, fmi3Boolean no_way_back,
     fmi3Boolean *events, fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *reached)
 {
     Component *c = instance;
@@ -214,7 +213,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 point, fmi3Float64 step
     return (fmi3Status)status;
 }
 
-fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
+API fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
     const fmi3ValueReference knowns[], size_t known_count, const fmi3Float64 seed[], size_t seed_count,
     fmi3Float64 sensitivity[], size_t sensitivity_count)
 {
@@ -222,7 +221,7 @@ fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference
         sensitivity, sensitivity_count, "fmi3GetDirectionalDerivative");
 }
 
-fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
+API fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
     const fmi3ValueReference knowns[], size_t known_count, const fmi3Float64 seed[], size_t seed_count,
     fmi3Float64 sensitivity[], size_t sensitivity_count)
 {
@@ -230,7 +229,7 @@ fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unk
         knowns, seed, sensitivity);
 }
 
-fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+API fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference references[], size_t count,
     const fmi3Int32 orders[], fmi3Float64 values[], size_t value_count)
 {
     return (fmi3Status)component_output_derivatives(
@@ -239,32 +238,32 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference ref
 
 /* State ------------------------------------------------------------------------------------------------------------ */
 
-fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state)
+API fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state)
 {
     return (fmi3Status)component_save(c, state, "fmi3GetFMUState");
 }
 
-fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state)
+API fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state)
 {
     return (fmi3Status)component_restore(c, state, "fmi3SetFMUState");
 }
 
-fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state)
+API fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state)
 {
     return (fmi3Status)component_forget(c, state, "fmi3FreeFMUState");
 }
 
-fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size)
+API fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size)
 {
     return (fmi3Status)component_state_size(c, state, size, "fmi3SerializedFMUStateSize");
 }
 
-fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
+API fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
     return (fmi3Status)component_write(c, state, bytes, size, "fmi3SerializeFMUState");
 }
 
-fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
+API fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
 {
     return (fmi3Status)component_read(c, bytes, size, state, "fmi3DeserializeFMUState");
 }
@@ -273,7 +272,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_
 
 /* A call without arguments. */
 #define UNKNOWN(NAME) \
-    fmi3Status NAME(fmi3Instance c) \
+    API fmi3Status NAME(fmi3Instance c) \
     { \
         return unknown(c, #NAME); \
     }
@@ -285,129 +284,129 @@ UNKNOWN(fmi3ExitConfigurationMode)
 UNKNOWN(fmi3EnterContinuousTimeMode)
 UNKNOWN(fmi3EvaluateDiscreteStates)
 
-fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference reference, size_t *count)
+API fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference reference, size_t *count)
 {
     return unknown(c, "fmi3GetNumberOfVariableDependencies", reference, count);
 }
 
-fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference dependent, size_t elements[],
+API fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference dependent, size_t elements[],
     fmi3ValueReference independents[], size_t independent_elements[], fmi3DependencyKind kinds[], size_t count)
 {
     return unknown(c, "fmi3GetVariableDependencies", dependent, elements, independents, independent_elements, kinds,
         count);
 }
 
-fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3Clock values[])
+API fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3Clock values[])
 {
     return none(c, count, "fmi3GetClock", references, values);
 }
 
-fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Clock values[])
+API fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Clock values[])
 {
     return none(c, count, "fmi3SetClock", references, values);
 }
 
-fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+API fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference references[], size_t count,
     fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
 {
     return none(c, count, "fmi3GetIntervalDecimal", references, intervals, qualifiers);
 }
 
-fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+API fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
     fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
 {
     return none(c, count, "fmi3GetIntervalFraction", references, counters, resolutions, qualifiers);
 }
 
-fmi3Status fmi3GetShiftDecimal(
+API fmi3Status fmi3GetShiftDecimal(
     fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3Float64 shifts[])
 {
     return none(c, count, "fmi3GetShiftDecimal", references, shifts);
 }
 
-fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+API fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
     fmi3UInt64 counters[], fmi3UInt64 resolutions[])
 {
     return none(c, count, "fmi3GetShiftFraction", references, counters, resolutions);
 }
 
-fmi3Status fmi3SetIntervalDecimal(
+API fmi3Status fmi3SetIntervalDecimal(
     fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Float64 intervals[])
 {
     return none(c, count, "fmi3SetIntervalDecimal", references, intervals);
 }
 
-fmi3Status fmi3SetIntervalFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+API fmi3Status fmi3SetIntervalFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
     const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 {
     return none(c, count, "fmi3SetIntervalFraction", references, counters, resolutions);
 }
 
-fmi3Status fmi3SetShiftDecimal(
+API fmi3Status fmi3SetShiftDecimal(
     fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Float64 shifts[])
 {
     return none(c, count, "fmi3SetShiftDecimal", references, shifts);
 }
 
-fmi3Status fmi3SetShiftFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+API fmi3Status fmi3SetShiftFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
     const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
 {
     return none(c, count, "fmi3SetShiftFraction", references, counters, resolutions);
 }
 
-fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
+API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
     fmi3Boolean *values, fmi3Boolean *has_next, fmi3Float64 *next)
 {
     return unknown(c, "fmi3UpdateDiscreteStates", again, terminate, nominals, values, has_next, next);
 }
 
-fmi3Status fmi3CompletedIntegratorStep(
+API fmi3Status fmi3CompletedIntegratorStep(
     fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *enter, fmi3Boolean *terminate)
 {
     return unknown(c, "fmi3CompletedIntegratorStep", no_way_back, enter, terminate);
 }
 
-fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)
+API fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)
 {
     return unknown(c, "fmi3SetTime", time);
 }
 
-fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 states[], size_t count)
+API fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 states[], size_t count)
 {
     return unknown(c, "fmi3SetContinuousStates", states, count);
 }
 
-fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 derivatives[], size_t count)
+API fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 derivatives[], size_t count)
 {
     return unknown(c, "fmi3GetContinuousStateDerivatives", derivatives, count);
 }
 
-fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 indicators[], size_t count)
+API fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 indicators[], size_t count)
 {
     return unknown(c, "fmi3GetEventIndicators", indicators, count);
 }
 
-fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 states[], size_t count)
+API fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 states[], size_t count)
 {
     return unknown(c, "fmi3GetContinuousStates", states, count);
 }
 
-fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominals[], size_t count)
+API fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominals[], size_t count)
 {
     return unknown(c, "fmi3GetNominalsOfContinuousStates", nominals, count);
 }
 
-fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *count)
+API fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *count)
 {
     return unknown(c, "fmi3GetNumberOfEventIndicators", count);
 }
 
-fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *count)
+API fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *count)
 {
     return unknown(c, "fmi3GetNumberOfContinuousStates", count);
 }
 
-fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)
+API fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)
 {
     return unknown(c, "fmi3ActivateModelPartition", clock, time);
 }

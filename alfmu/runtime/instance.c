@@ -372,14 +372,6 @@ const char *row_label(const Instance *i, int row, char *label, size_t size)
 
 /* Formulations ----------------------------------------------------------------------------------------------------- */
 
-int move_by(const Scene *s, int formulation)
-{
-#define OF(name) , s->move_##name
-    const int programs[] = {s->move SCENE_OTHERS(OF)};
-#undef OF
-    return programs[formulation];
-}
-
 /* Reads by loops that stop on convergence, where accelerations are read at all. */
 static int instant_by(const Scene *s, int formulation)
 {

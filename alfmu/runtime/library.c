@@ -5,12 +5,7 @@
 #include <time.h>
 
 #include "alfmu.h"
-
-#if defined(_WIN32)
-#define API __declspec(dllexport)
-#else
-#define API __attribute__((visibility("default")))
-#endif
+#include "fmi.h"
 
 /* A run in one call: a grid of communication points, inputs at each, the variables that are wanted at each. */
 typedef struct {
