@@ -1,6 +1,7 @@
 """Builds the C library of the runtime with the package; everything else about it is in pyproject.toml."""
 
 import importlib.util
+import sys
 from pathlib import Path
 
 from setuptools import Extension, setup
@@ -12,7 +13,7 @@ RUNTIME = Path(__file__).parent / "alfmu" / "runtime"
 def _builder():
     """alfmu/runtime/build.py, which needs nothing of alfmu."""
     spec = importlib.util.spec_from_file_location("alfmu_runtime_build", RUNTIME / "build.py")
-    module = importlib.util.module_from_spec(spec)
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
