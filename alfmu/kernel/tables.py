@@ -204,7 +204,7 @@ class _Table:
 
     def __init__(self, scene: Equations, own: Equations):
         self.scene, self.e = scene, own
-        self.layout = Layout(own)
+        self.layout = Layout(scene)
         self.places: dict[str, tuple[int, int]] = {}
         """Where values stand in the workspace that programs hand on, and their lengths."""
         self.workspace = 0

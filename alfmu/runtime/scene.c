@@ -671,6 +671,14 @@ static void checked_program(Reader *r, const int32_t *code, size_t words, int de
     }
 }
 
+int move_by(const Scene *s, int formulation)
+{
+#define OF(name) , s->move_##name
+    const int programs[] = {s->move SCENE_OTHERS(OF)};
+#undef OF
+    return programs[formulation];
+}
+
 static void programs(Reader *r)
 {
     Scene *s = r->scene;
