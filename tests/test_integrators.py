@@ -6,7 +6,7 @@ import pytest
 from oracles.parallelogram import Parallelogram
 from scenes import derived
 
-import alfmu
+from alfmu import oracle
 from alfmu.equations.evaluation import with_tangents
 from alfmu.method import implicit
 from alfmu.method.stepping import (
@@ -309,7 +309,7 @@ def test_the_error_follows_the_tolerance_and_steps_are_few(method, every):
 
 
 def adaptive(name, rule, run, parameters=(), inputs=(), fixed=None) -> Adaptive:
-    i = alfmu.Instance(with_tangents(derived(name)))
+    i = oracle.Instance(with_tangents(derived(name)))
     for key, value in [*dict(parameters).items(), *dict(inputs).items()]:
         i.set(key, value)
     i.initialize()

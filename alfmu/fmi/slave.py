@@ -68,8 +68,8 @@ class Slave(Fmi2Slave):
     """One mechanism behind FMI 2.0; an FMU entry subclasses it under the name of its mechanism.
 
     A step that cannot be taken is discarded and the state before it kept. A value that is refused leaves the one before
-    it in force and discards the next step, unless a good one follows; at the initialisation it is reported alone. A
-    mechanism that cannot be assembled ends the initialisation (fatal in FMI). The reason goes to the FMI log and, as
+    it in force and, as pythonfmu has no status for it, discards the next step or ends the initialisation, unless a good
+    one follows. A mechanism that cannot be assembled ends the initialisation (fatal in FMI). The reason goes to the FMI log and, as
     hosts often have that switched off, to the Python logger `alfmu`.
     """
 
@@ -98,9 +98,9 @@ class Slave(Fmi2Slave):
 
     @_called_from_fmi
     def exit_initialization_mode(self) -> None:
-        for why in self._refused.values():
-            self._say(why, Fmi2Status.warning)
-        self._refused.clear()
+        refused, self._refused = self._refused, {}
+        if refused:
+            raise RuntimeError("; ".join(refused.values()))
         self._initialize()
         self.unit.run_on(True)
 

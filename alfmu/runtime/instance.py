@@ -98,6 +98,11 @@ class Instance:
         return self.state[2 * self.layout.n : self.layout.work]
 
     @property
+    def inputs(self) -> NDArray:
+        """Inputs that are numbers, a view; `set` checks what is given."""
+        return self.memory["u"]
+
+    @property
     def work(self) -> float:
         """Work of inputs, loads and dampers since the start [J]."""
         return float(self.state[self.layout.work])
