@@ -69,7 +69,8 @@ def test_ten_million_steps_do_not_drift():
     i = alfmu.Instance(prepared(derived("particle_on_circle"), "compiled"))
     i.set("solver.step_size", 1e-3)
     i.initialize()
-    i.step(1e4)
+    for _ in range(10):
+        i.step(1e3)  # as many as one call makes
     assert i.counters.steps == 10_000_000
     assert abs(np.hypot(*i.q) - 1.0) <= 4e-16
     assert abs(np.hypot(*i.v) - 1.0) <= 1e-11

@@ -49,8 +49,8 @@ from .terminals import document, terminals
 __all__ = ["KINDS", "RUN_SIDE", "export", "packed_scene"]
 
 KINDS = {
-    "python": "runs in Python, in hosts that have it: nothing to compile, for every platform of pythonfmu",
-    "native": "C and nothing else: for every host, on the platforms it is compiled for",
+    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
+    "native": "a C library and nothing else: for every host, on the platforms that it carries",
 }
 """Kinds of FMUs."""
 
@@ -85,7 +85,6 @@ def export(
     outputs: Sequence[str] | None = None,
     freeze: Sequence[str] | None = None,
     kernel: str | None = None,
-    portable: bool = True,
     kind: str = "python",
     platforms: Sequence[str] = (),
     fmi: int = 2,
@@ -96,14 +95,16 @@ def export(
     `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
     variables. Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are there, None for all; the
     parameters in `freeze` become constants, `["all"]` for every one. `kind` is one of `KINDS`. `kernel` is what runs in
-    one that runs in Python (`alfmu.kernel.KERNELS`); beside a compiled one travels the portable form, for other
-    platforms, unless `portable` is False. A native one is compiled for `platforms` (`alfmu.fmi.native.PLATFORMS`, or
+    one that runs in Python (`alfmu.kernel.KERNELS`, but for `oracle`): one with compiled functions runs without them on
+    other platforms. A native one is for `platforms` (`alfmu.fmi.native.PLATFORMS`, or
     `all`), this one by default, and may be of FMI 3 (`fmi`). Reference results (`alfmu.fmi.experiment`) are inside
     unless `reference` is False. The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot
     start from the defaults, and ExportError where the file cannot be written or compiled.
     """
     if kind not in KINDS:
         raise ExportError(f"there is no kind {kind!r} of FMU; use one of {', '.join(KINDS)}")
+    if kernel == "oracle":
+        raise ExportError("no FMU carries the oracle, which is for comparison in the library; leave --kernel out")
     if kind == "native" and kernel is not None:
         raise ExportError("a native FMU has a kernel of its own; leave --kernel out")
     if kind == "python" and platforms:

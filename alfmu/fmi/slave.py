@@ -69,8 +69,8 @@ class Slave(Fmi2Slave):
 
     A step that cannot be taken is discarded and the state before it kept. A value that is refused leaves the one before
     it in force and, as pythonfmu has no status for it, discards the next step or ends the initialisation, unless a good
-    one follows. A mechanism that cannot be assembled ends the initialisation (fatal in FMI). The reason goes to the FMI log and, as
-    hosts often have that switched off, to the Python logger `alfmu`.
+    one follows. A mechanism that cannot be assembled ends the initialisation (fatal in FMI). The reason goes to the FMI
+    log and, as hosts often have that switched off, to the Python logger `alfmu`.
     """
 
     def __init_subclass__(cls) -> None:

@@ -117,6 +117,11 @@ class Instance:
         self._unit.time = value
 
     @property
+    def energy_start(self) -> float:
+        """Kinetic and potential energy at the start [J]."""
+        return self._counted()["energy_start"]
+
+    @property
     def initialized(self) -> bool:
         return self._unit.initialized
 
@@ -329,9 +334,7 @@ class Instance:
     @property
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
-        raw = np.empty(len(_COUNTED) + len(TIERS) + 5)
-        self._scene.library.alfmu_counts(self._unit.address, raw.ctypes.data)
-        counted, tally = dict(zip(_COUNTED, raw, strict=False)), raw[len(_COUNTED) :].astype(int).tolist()
+        counted, tally = self._counted(), self.memory["tally"].astype(int).tolist()
         kernel, c = self.equations.kernel, Counters()
         *steps, limits, covered, refused, beside, beside_limits = tally
         errors = ("position_error", "velocity_error", "acceleration_error", "energy_error")
@@ -359,6 +362,11 @@ class Instance:
         c.multiplier_iterations += reads * kernel["instant"].get("iterations", 0)
         c.unconverged = int(counted["unconverged"])
         return c
+
+    def _counted(self) -> dict[str, float]:
+        raw = np.empty(len(_COUNTED) + len(TIERS) + 5)
+        self._scene.library.alfmu_counts(self._unit.address, raw.ctypes.data)
+        return dict(zip(_COUNTED, raw.tolist(), strict=False))
 
     def save(self) -> bytes:
         """The complete state, from which `restore` continues to the last bit."""
