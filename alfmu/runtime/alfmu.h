@@ -12,6 +12,11 @@
 
 #include "layout.h"
 
+/* Also where an importer compiles this: other libraries have such names too (glibc: advance). */
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
+
 #define MOST_ARGUMENTS 160 /* of a function, results included */
 /* Most internal steps, or tries of them, in one communication step, so that every call comes back: the five-bar makes a
    million in 4 s, the flexible four-bar by a stiff method in 17 s. */
@@ -238,5 +243,9 @@ long advance(Instance *i, long steps, double dt);
 int cover(Instance *i, double end, long tries);
 int communicate(Instance *i, double start, double h);
 int read_quickly(Instance *i);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif

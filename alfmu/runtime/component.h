@@ -6,6 +6,11 @@
 
 #include "alfmu.h"
 
+/* Also where an importer compiles this: other libraries have such names too (glibc: advance). */
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
+
 /* Phases of life, as bits, so that a call can name all in which it is legal. */
 typedef enum {
     INSTANTIATED = 1,
@@ -102,5 +107,9 @@ Status component_forget(Component *c, void **state, const char *call);
 Status component_state_size(Component *c, void *state, size_t *size, const char *call);
 Status component_write(Component *c, void *state, void *bytes, size_t size, const char *call);
 Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif
