@@ -96,8 +96,8 @@ API int alfmu_choose(Instance *i, int reference, const char *value)
             strcat(known, choice->values[k]);
         }
     }
-    return (int)say(i, REFUSED, "%s: %s is '%.60s'; this scene knows %s", s->name, s->variables[reference].name, value,
-        known);
+    return (int)say(i, REFUSED, "%s: %s is '%.60s'; use one of %s, or make the scene with it (export with --set %s=%.60s)",
+        s->name, s->variables[reference].name, value, known, s->variables[reference].name, value);
 }
 
 API const char *alfmu_chosen(const Instance *i, int reference)
