@@ -11,6 +11,7 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..kernel.alternatives import formulations
+from ..kernel.thresholds import LARGE
 from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
@@ -18,16 +19,13 @@ from ..runtime.build import HERE, PLATFORMS, file_name
 
 __all__ = ["PLATFORMS", "checked", "file_name", "libraries", "platforms", "sources"]
 
-MOST = 200
-"""Coordinates of a native FMU: the matrices of its start are dense."""
-
 
 def checked(equations: Equations) -> None:
     """ExportError where a scene asks for what native FMUs do not have."""
     e, chosen = equations, default_settings(equations)
     known = formulations(e)
-    if e.n > MOST:
-        what = f"more than {MOST} coordinates (here {e.n}; its start would take minutes); use fewer"
+    if e.n > LARGE:
+        what = f"more than {LARGE} coordinates (here {e.n}; its start would take minutes); use fewer"
     elif chosen.formulation not in known:
         what = f"solver.formulation {chosen.formulation} of more than {DENSE} coordinates; use {', '.join(known)}"
     elif e.l and chosen.formulation != Settings.formulation and chosen.method != Settings.method:

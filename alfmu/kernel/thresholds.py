@@ -30,6 +30,9 @@ HARDLY = 1e-3
 SAME = 1e-11
 """Relative difference of coefficients that are the same at all places beside the start."""
 
+LARGE = 300
+"""Coordinates up to which the start is found by dense matrices, in seconds; larger ones are begun by the library."""
+
 TOLERANCE = 1e-12
 """Residue of an assembly, over the coordinates, at which it is closed."""
 

@@ -514,6 +514,20 @@ class Instance:
             found = np.maximum(found, np.abs(read(lam) - nothing))
         return [v.name for v, size in zip(e.outputs, found, strict=True) if size > 1e-7]
 
+    @property
+    def known(self) -> list[NDArray]:
+        """What another way to run needs to begin here: q, v, penalties and those in force, units, scales, and the rest."""
+        o = self.oracle
+        return [
+            self.q,
+            self.v,
+            self._full,
+            o.penalty,
+            o.units,
+            o.scales,
+            np.array([o.freedom, o.masses, o.regular, o.rank]),
+        ]
+
     def take(self, p: NDArray, state: NDArray, penalty: NDArray) -> None:
         """Stand where another instance does: parameters, state (q, v, angles, work, time), alpha."""
         self.oracle.prepare(self._settings(), np.array(p), state[: self.layout.n])

@@ -202,6 +202,8 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);
+void instance_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
+    const double *units, const double *scales, const double known[4]);
 Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here);
 Outcome instance_penalize(Instance *i, const double *penalties);
 

@@ -95,7 +95,9 @@ Instance *instance_new(const Scene *s)
         return NULL;
     i->scene = s;
     i->count = divided(i, NULL);
-    i->room = 12 * side * side + (size_t)64 * side + 4 * (size_t)(s->inputs + s->outputs)
+    /* The matrices of the start are dense; a larger scene is begun with what is known of it. */
+    i->room = (s->n <= LARGE ? 12 * side * side : 0) + (size_t)64 * side
+        + (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries) + 4 * (size_t)(s->inputs + s->outputs)
         + (size_t)(s->past + s->past_size - s->pace);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
@@ -702,11 +704,32 @@ static Outcome comply(Instance *i)
                 s->name, s->variables[first + k].name);
 }
 
+/* The motion begins at q and v; nothing has been counted. */
+static void begin_at(Instance *i, const double *q, const double *v, double time)
+{
+    const Scene *s = i->scene;
+    double *z = field(i, s->z);
+    memset(z, 0, state_length(s) * sizeof *z);
+    memcpy(z, q, (size_t)s->n * sizeof *q);
+    memcpy(z + s->n, v, (size_t)s->n * sizeof *v);
+    for (int k = 0; k < s->angles; k++)
+        z[2 * s->n + k] = s->angle_starts[k] < 0 ? 0.0 : i->values[s->own + s->angle_starts[k]];
+    z[s->time] = time;
+    memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
+    *i->lost = 0.0;
+    memset(field(i, s->pace), 0, PACE * sizeof(double));
+    field(i, s->pace)[0] = FIRST_STEP;
+    field(i, s->pace)[1] = LEAST_BEFORE;
+    memset(i->counts, 0, COUNTED * sizeof *i->counts);
+    memset(field(i, s->tally), 0, (TIERS + 5) * sizeof(double));
+    i->counts[ENERGY_START] = energy(i);
+}
+
 static Outcome started(Instance *i)
 {
     const Scene *s = i->scene;
     const size_t l = (size_t)s->l, n = (size_t)s->n;
-    double *q = take(i, n), *v = take(i, n), *z = field(i, s->z), alpha = i->values[s->penalty];
+    double *q = take(i, n), *v = take(i, n), alpha = i->values[s->penalty];
     unsigned char *held = (unsigned char *)take(i, l);
     const double time = *instance_time(i);
     Outcome outcome;
@@ -739,25 +762,39 @@ static Outcome started(Instance *i)
         outcome = knowledge(i, q, v);
     if (outcome != DONE)
         return outcome;
-    memset(z, 0, state_length(s) * sizeof *z);
-    memcpy(z, q, n * sizeof *q);
-    memcpy(z + n, v, n * sizeof *v);
-    for (int k = 0; k < s->angles; k++)
-        z[2 * s->n + k] = s->angle_starts[k] < 0 ? 0.0 : i->values[s->own + s->angle_starts[k]];
-    z[s->time] = time;
-    memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
-    *i->lost = i->counts[UNCONVERGED] = 0.0;
-    memset(field(i, s->pace), 0, PACE * sizeof(double));
-    field(i, s->pace)[0] = FIRST_STEP;
-    field(i, s->pace)[1] = LEAST_BEFORE;
-    memset(i->counts, 0, COUNTED * sizeof *i->counts);
-    memset(field(i, s->tally), 0, (TIERS + 5) * sizeof(double));
-    i->counts[ENERGY_START] = energy(i);
+    begin_at(i, q, v, time);
     settle_kernel(i);
     for (int k = 0; k < s->switches; k++)
         if (i->wanted[k] != i->on[k])
             return take_effect(i);
     return DONE;
+}
+
+/* Begins at q and v, which keep the constraints, with what somebody else found out there: penalties, all of them and those
+   in force, units of rows, scales of pivots; degrees of freedom, logarithms of products of pivots (masses, regular), rank. */
+void instance_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
+    const double *units, const double *scales, const double known[4])
+{
+    const Scene *s = i->scene;
+    const size_t rows = (size_t)s->l * sizeof(double);
+    i->used = 0;
+    memcpy(i->full, full, rows);
+    memcpy(i->penalty, penalty, rows);
+    memcpy(i->units, units, rows);
+    memcpy(i->scales, scales, (size_t)s->n * sizeof(double));
+    *i->freedom = known[0];
+    *i->masses = known[1];
+    *i->regular = known[2];
+    *i->rank = known[3];
+    i->flags.brakes = i->flags.pending = i->flags.known = 0;
+    i->flags.scaled = i->values[s->penalty] == 0.0 && !i->flags.given;
+    for (int k = 0; k < s->switches; k++)
+        i->on[k] = i->wanted[k];
+    parameters(i);
+    hand_over(i);
+    begin_at(i, q, v, *instance_time(i));
+    settle_kernel(i);
+    i->flags.initialized = 1;
 }
 
 /* The tolerance of a run that the host wants, where the method controls its error. */
@@ -775,6 +812,10 @@ Outcome instance_initialize(Instance *i)
             "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
             "solver.method rk4",
             s->name, s->choice[s->method_choice].values[0]);
+    if (s->n > LARGE)
+        return say(i, REFUSED, "%s: %d coordinates are more than the %d whose start this runtime finds by itself; run it by "
+                               "alfmu.simulate",
+            s->name, s->n, LARGE);
     i->used = 0;
     i->flags.initialized = i->flags.known = i->flags.pending = 0;
     hand_over(i);

@@ -52,6 +52,7 @@
 #define ALIKE 10.0
 #define HARDLY 0.001
 #define SAME 1e-11
+#define LARGE 300
 #define TOLERANCE 1e-12
 #define ROUGH 1e-09
 #define MOST 200
