@@ -136,8 +136,8 @@ def export(
     guid = _guid(generator, digest)
     resources = {SCENE: identified(scene, guid), OPTIONS: _options(equations), **libraries}
     if equations.library:
-        path = compiled_scene(equations, resources[SCENE])
-        resources[f"{COMPILED}{HERE}{path.suffix}"] = verified(equations.name, path)
+        library = compiled_scene(equations, resources[SCENE])
+        resources[f"{COMPILED}{HERE}{library.suffix}"] = verified(equations.name, library)
 
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)

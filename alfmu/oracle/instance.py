@@ -516,7 +516,7 @@ class Instance:
 
     @property
     def known(self) -> list[NDArray]:
-        """What another way to run needs to begin here: q, v, penalties and those in force, units, scales, and the rest."""
+        """What another way to run needs to begin here: q, v, penalties, those in force, units, scales, and the rest."""
         o = self.oracle
         return [
             self.q,

@@ -19,14 +19,13 @@ from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
 from ..kernel.program import TIERS, Layout, Memory
 from ..kernel.thresholds import LARGE
-from ..kernel.trace import untraced
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED, Settings
 from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
-from .prepare import loaded, prepared, retraced
+from .prepare import again, loaded, retraced
 
 __all__ = ["Instance"]
 
@@ -203,7 +202,7 @@ class Instance:
         self.memory["passes"][:] = 0.0
         outcome = self._begun() if self.equations.n > LARGE else self._unit.initialize()
         if outcome == BRAKES:
-            self._rebuild(prepared(replace(untraced(self.equations), brakes=True)))
+            self._rebuild(again(replace(self.equations, brakes=True)))
             outcome = self._unit.initialize()
         if outcome != DONE:
             raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, AssemblyError)(self._unit.text)

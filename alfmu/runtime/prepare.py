@@ -22,7 +22,7 @@ from ..model.errors import AlfmuError, InputError
 from ..model.settings import Settings
 from .library import Scene
 
-__all__ = ["loaded", "prepared", "retraced", "with_defaults"]
+__all__ = ["again", "loaded", "prepared", "retraced", "with_defaults"]
 
 STIFF = 20.0
 """Ratio of the fastest small motion to the slowest that lasts, above which a scene is stiff if the fastest does not:
@@ -146,7 +146,12 @@ def retraced(equations: Equations, settings: Settings) -> Equations:
     default = {name: getattr(Settings, name) for name in _TRACED}
     if e.kernel and all(e.solver.get(name, default[name]) == value for name, value in wanted.items()):
         return e
-    return prepared(replace(untraced(e), solver={**e.solver, **wanted}, reason=""))
+    return again(replace(e, solver={**e.solver, **wanted}, reason=""))
+
+
+def again(equations: Equations) -> Equations:
+    """The same equations traced again, for the kernel that they were prepared for."""
+    return prepared(untraced(equations), "compiled" if equations.library else DEFAULT)
 
 
 _TRACED = ("method", "input_order")
