@@ -5,11 +5,11 @@ The start is the paper's: the singular position th = 0, 2 rad/s, gravity alone.
 
 import numpy as np
 import pytest
-from alfmu.branch import READ_DISTANCE
 from oracles.parallelogram import Parallelogram
 from scenes import derived, readings, started
 
 import alfmu
+from alfmu.method.singular import READ_DISTANCE
 
 EPS = np.finfo(float).eps
 
