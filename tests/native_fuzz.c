@@ -1,11 +1,11 @@
 /* Calls every function of a native FMU in legal and illegal order, with values, references, sizes, times and states that
    make sense or none, and compares each status with what it must be. Linked with the FMU's sources, under sanitizers;
    FUZZ_FMI is 2 or 3. argv: GUID, seed, calls, threads, number of variables, first and number of the Real inputs, first
-   and number of the Real outputs.
+   and number of the Real outputs. The unpacked FMU lies beside the program, in a folder of its name but for the suffix.
    Says the seed, how many calls there were, how many of each status, the longest one, and what went wrong; returns 1
    where anything did. The same arguments make the same calls.
 
-   What a host hands over beside calls (the file of a scene, once there is one) belongs into `nonsense_bytes`. */
+   Files of scenes that are damaged are those of tests/test_scene.py. */
 
 #include <math.h>
 #include <pthread.h>
@@ -16,6 +16,8 @@
 #include <string.h>
 #include <time.h>
 #include <unistd.h>
+
+#define LONGEST_PATH 4096
 
 #define SLOTS 3
 #define MOST_VALUES 6
@@ -46,6 +48,7 @@ typedef struct Fuzz {
 } Fuzz;
 
 static const char *guid;
+static char resources[LONGEST_PATH + 64]; /* a URI, as FMI 2 has it, or a path as FMI 3 */
 static unsigned total, first_input, inputs, first_output, outputs;
 
 /* Chance ----------------------------------------------------------------------------------------------------------- */
@@ -206,7 +209,7 @@ static void *made(Fuzz *f, int bad)
     void *c;
     alarm(PATIENCE);
     c = fmi2Instantiate(bad == 1 ? NULL : bad == 2 ? "" : "one", bad == 3 ? fmi2ModelExchange : fmi2CoSimulation,
-        bad == 4 ? "other" : bad == 5 ? NULL : guid, "", one_in(f, 8) ? NULL : &functions, fmi2False,
+        bad == 4 ? "other" : bad == 5 ? NULL : guid, resources, one_in(f, 8) ? NULL : &functions, fmi2False,
         (fmi2Boolean)below(f, 2));
     f->made++;
     return c;
@@ -378,7 +381,7 @@ static void *made(Fuzz *f, int bad)
         return NULL;
     }
     c = fmi3InstantiateCoSimulation(bad == 1 ? NULL : bad == 2 ? "" : "one", bad == 4 ? "other" : bad == 5 ? NULL : guid,
-        "", fmi3False, one_in(f, 2), bad == 6, one_in(f, 2), NULL, 0, f, one_in(f, 8) ? NULL : logged,
+        resources, fmi3False, one_in(f, 2), bad == 6, one_in(f, 2), NULL, 0, f, one_in(f, 8) ? NULL : logged,
         one_in(f, 2) ? looked : NULL);
     f->made++;
     return c;
@@ -895,6 +898,10 @@ int main(int count, char **argv)
     int failures = 0, number, slowest = 0;
     if (count != 10)
         return 2;
+    if (strlen(argv[0]) >= LONGEST_PATH || !strrchr(argv[0], '.'))
+        return 2;
+    snprintf(resources, sizeof resources, "%s%.*s/resources/", FUZZ_FMI == 2 ? "file://" : "",
+        (int)(strrchr(argv[0], '.') - argv[0]), argv[0]);
     guid = argv[1];
     number = atoi(argv[4]);
     total = (unsigned)atoi(argv[5]);

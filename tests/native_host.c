@@ -1,7 +1,7 @@
 /* A host that treats a native FMU (FMI 2.0) badly: illegal orders, bad handles, references and values, many instances,
    threads. Linked with the FMU's sources; references HOST_REAL_INPUT, HOST_REAL_OUTPUT, HOST_PARAMETER, HOST_TEXT and
-   HOST_SWITCH, the identity HOST_GUID and the mechanism HOST_SCENE are given when it is compiled. Says what went wrong,
-   and returns how often. */
+   HOST_SWITCH, the identity HOST_GUID, the mechanism HOST_SCENE and the URI HOST_RESOURCES of the folder with its scene
+   are given when it is compiled. Says what went wrong, and returns how often. */
 
 #include <math.h>
 #include <pthread.h>
@@ -13,7 +13,7 @@
 #include "fmi2Functions.h"
 
 #ifndef INSTANCES
-#define INSTANCES 100000
+#define INSTANCES 10000 /* each reads its scene from the file */
 #endif
 #define THREADS 4
 #define STEPS 300
@@ -54,12 +54,12 @@ static const fmi2CallbackFunctions quiet = {ignore, calloc, free, NULL, NULL};
 
 static fmi2Component made(void)
 {
-    return fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, "", &talking, fmi2False, fmi2False);
+    return fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False);
 }
 
 static fmi2Component running(const fmi2CallbackFunctions *functions)
 {
-    fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, "", functions, fmi2False, fmi2False);
+    fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, functions, fmi2False, fmi2False);
     fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0);
     fmi2EnterInitializationMode(c);
     if (fmi2ExitInitializationMode(c) != fmi2OK)
@@ -82,20 +82,25 @@ static void instantiation(void)
 {
     CHECK(!strcmp(fmi2GetVersion(), "2.0"));
     CHECK(!strcmp(fmi2GetTypesPlatform(), "default"));
-    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another", "", &talking, fmi2False, fmi2False));
+    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another", HOST_RESOURCES, &talking, fmi2False, fmi2False));
     CHECK(strstr(said, "another GUID"));
-    CHECK(!fmi2Instantiate("one", fmi2ModelExchange, HOST_GUID, "", &talking, fmi2False, fmi2False));
+    CHECK(!fmi2Instantiate("one", fmi2ModelExchange, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
     CHECK(strstr(said, "for co-simulation alone"));
-    CHECK(!fmi2Instantiate(NULL, fmi2CoSimulation, HOST_GUID, "", &talking, fmi2False, fmi2False));
+    CHECK(!fmi2Instantiate(NULL, fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
     CHECK(strstr(said, "needs a name"));
-    CHECK(!fmi2Instantiate("", fmi2CoSimulation, HOST_GUID, "", &talking, fmi2False, fmi2False));
-    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, NULL, "", &talking, fmi2False, fmi2False));
+    CHECK(!fmi2Instantiate("", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
+    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, NULL, HOST_RESOURCES, &talking, fmi2False, fmi2False));
     CHECK(strstr(said, "needs the GUID"));
     CHECK(!fmi2Instantiate("one", fmi2CoSimulation, NULL, "", NULL, fmi2False, fmi2False));
     {
-        fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, NULL, NULL, fmi2False, fmi2True);
+        fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, NULL, fmi2False, fmi2True);
         CHECK(c && fmi2DoStep(c, 0.0, 0.1, fmi2True) == fmi2Error); /* nobody to tell */
         fmi2FreeInstance(c);
+    }
+    for (int k = 0; k < 4; k++) { /* folders without a scene */
+        static const char *const folders[] = {NULL, "", "file:///nowhere/at%20all", "%s%n%"};
+        CHECK(!fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, folders[k], &talking, fmi2False, fmi2False));
+        CHECK(strstr(said, "there is no scene.bin in its resources"));
     }
     fmi2FreeInstance(NULL);
 }

@@ -16,25 +16,24 @@ import pytest
 from test_native import summed
 
 import alfmu
-from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu
+from alfmu.model.settings import FORMULATIONS
+from alfmu.runtime import build
 
-pytestmark = pytest.mark.skipif(not native.compiler(), reason="there is no C compiler")
+by_a_compiler = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Callable[..., Path]:
-    """`made("five_bar", ...)`: the path of that native FMU, made on first use, its C not optimised to save time."""
+    """`made("five_bar", ...)`: the path of that native FMU, made on first use."""
     folder, known = tmp_path_factory.mktemp("native"), {}
 
     def get(mechanism, fmi=2, **parameters):
         name = "_".join([getattr(mechanism, "name", mechanism), str(fmi), *map(str, parameters.values())])
         if name not in known:
             given = {f"solver.{key}": value for key, value in parameters.items()}
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(native, "LEVELS", ("-O0", "-O0"))
-                path = folder / f"{name}.fmu"
-                known[name] = alfmu.export(mechanism, path, kind="native", fmi=fmi, parameters=given, reference=False)
+            path = folder / f"{name}.fmu"
+            known[name] = alfmu.export(mechanism, path, kind="native", fmi=fmi, parameters=given, reference=False)
         return known[name]
 
     return get
@@ -47,7 +46,7 @@ def rebuilt(path: Path, folder: Path, *flags: str) -> Path:
         names = archive.namelist()
     library = next(folder / name for name in names if name.startswith("binaries/"))
     sources = [str(folder / name) for name in names if name.endswith(".c")]
-    command = [*native.compiler(), "-shared", "-fPIC", *flags, f"-I{native.headers()}", *sources, "-lm"]
+    command = [*build.compiler(), "-shared", "-fPIC", *flags, *sources, "-lm"]
     subprocess.run([*command, "-o", str(library)], check=True)
     again = folder / "again.fmu"
     with zipfile.ZipFile(again, "w") as archive:
@@ -95,7 +94,7 @@ def test_choices_are_enumerations_of_what_the_fmu_has(made, fmi):
     choices = {v.name: v for v in described.modelVariables if v.type == "Enumeration"}
     found = {name: [item.name for item in v.declaredType.items] for name, v in choices.items()}
     assert found == {
-        "solver.formulation": ["residual"],
+        "solver.formulation": [*FORMULATIONS],
         "solver.branch": ["continue", "paper"],
         "solver.method": ["rk4"],
     }
@@ -153,6 +152,7 @@ def test_outputs_that_are_not_finite_are_never_read_as_if_they_were_good(made):
 # Steps ------------------------------------------------------------------------------------------------------------
 
 
+@by_a_compiler
 @pytest.mark.parametrize(("method", "said"), [("rk4", "internal steps, more than 50"), ("explicit", "more than 50")])
 def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
     path = rebuilt(made("four_bar", method=method), tmp_path, "-DMOST_STEPS=50")
@@ -173,6 +173,7 @@ def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
         assert np.array_equal(fmu.read(), after)
 
 
+@by_a_compiler
 def test_tries_of_error_control_are_bounded_too(made, tmp_path):
     """A tolerance of 1e-13 takes more tries than the largest step would."""
     path = rebuilt(made("four_bar", method="explicit"), tmp_path, "-DMOST_STEPS=50")
