@@ -19,9 +19,12 @@ from pathlib import Path
 import fmpy
 
 import alfmu
-from alfmu.fmi import native
+from alfmu.runtime import build
 
 SOURCE = Path(__file__).parents[1] / "tests" / "native_fuzz.c"
+
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+"""FMI's own."""
 
 CHECKS = {
     "address": ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"),
@@ -69,16 +72,12 @@ def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
     """The command that runs the fuzzer on a scene, but for seed, calls and threads: program and what it is told."""
     case = CASES[name]
     path = folder / f"{name}_{fmi}.fmu"
-    levels, native.LEVELS = native.LEVELS, ("-O0", "-O0")
-    try:
-        alfmu.export(case.mechanism(), path, kind="native", fmi=fmi, parameters=case.parameters, reference=False)
-    finally:
-        native.LEVELS = levels
+    alfmu.export(case.mechanism(), path, kind="native", fmi=fmi, parameters=case.parameters, reference=False)
     place, program = path.with_suffix(""), path.with_suffix(f".{watched}")
     with zipfile.ZipFile(path) as archive:
         archive.extractall(place)
-    command = [*native.compiler(), "-std=gnu99", "-g", "-O0", "-Wall", "-Wextra", "-Werror", *CHECKS[watched]]
-    command += [f"-DFUZZ_FMI={fmi}", f"-DMOST_STEPS={MOST_STEPS}", f"-I{native.headers()}", f"-I{place / 'sources'}"]
+    command = [*build.compiler(), "-std=gnu99", "-g", "-O0", "-Wall", "-Wextra", "-Werror", *CHECKS[watched]]
+    command += [f"-DFUZZ_FMI={fmi}", f"-DMOST_STEPS={MOST_STEPS}", f"-I{HEADERS}", f"-I{place / 'sources'}"]
     sources = [str(each) for each in sorted((place / "sources").glob("*.c"))]
     subprocess.run([*command, str(SOURCE), *sources, "-lm", "-pthread", "-o", str(program)], check=True)
     described = fmpy.read_model_description(str(path))

@@ -26,6 +26,7 @@ ROOMS: dict[str, set[str]] = {
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 
+
 def modules() -> dict[str, Path]:
     """Every module of every room by name, a room itself by that of the room."""
     found = {}

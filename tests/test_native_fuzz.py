@@ -2,10 +2,8 @@
 
 from pathlib import Path
 
-import fmpy
 import pytest
 
-from alfmu.fmi import native
 from alfmu.runtime import build
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
@@ -20,10 +18,6 @@ def fuzz():
         patch.syspath_prepend(str(SCRIPTS))
         import fuzz
 
-        # What the script asks `native` for, which is elsewhere now; nothing here where it asks no more.
-        patch.setattr(native, "LEVELS", (), raising=False)
-        patch.setattr(native, "compiler", build.compiler, raising=False)
-        patch.setattr(native, "headers", lambda: Path(fmpy.__file__).parent / "c-code", raising=False)
         yield fuzz
 
 
