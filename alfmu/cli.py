@@ -7,6 +7,7 @@ import json
 import os
 import re
 import sys
+import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -89,15 +90,10 @@ def _parser() -> argparse.ArgumentParser:
         metavar="all|NAMES",
         type=_names,
         default=[],
-        help="what a native FMU is compiled for, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as "
-        "linux64,win64 (default: this platform); others than this one take ziglang (pip install ziglang)",
+        help="what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
+        "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang)",
     )
     _add_kernel(sub)
-    sub.add_argument(
-        "--no-portable",
-        action="store_true",
-        help="leave out the portable form beside a compiled kernel: smaller, and for this platform alone",
-    )
     sub.add_argument("--no-reference", action="store_true", help="leave out the reference results: smaller")
     _add_scene(sub)
 
@@ -253,8 +249,8 @@ def _list(chosen: argparse.Namespace) -> None:
 
 def _info(chosen: argparse.Namespace) -> None:
     from .equations.derivation import derive
+    from .equations.interface import variables_of
     from .equations.specialisation import specialised
-    from .fmi.slave import interface
     from .model.registry import choices
     from .runtime import Instance
     from .simulation import prepared, with_defaults
@@ -279,7 +275,10 @@ def _info(chosen: argparse.Namespace) -> None:
         each = _merged((name,) for name in shared)
         print(f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}")
     for title, variables in (
-        ("parameters and start values", [v for causality, v in interface(instance) if causality == "parameter"]),
+        (
+            "parameters and start values",
+            variables_of(instance.equations).causal("parameter"),
+        ),
         ("inputs", instance.input_variables),
         ("outputs", instance.outputs),
     ):
@@ -324,10 +323,13 @@ def _export(chosen: argparse.Namespace) -> None:
 
     given = {"parameters": dict(chosen.set), "outputs": chosen.outputs, "freeze": chosen.freeze}
     mechanism = _declared(chosen, chosen.mechanism)
-    form = {"fmi": chosen.fmi, "kernel": chosen.kernel, "portable": not chosen.no_portable}
+    form = {"fmi": chosen.fmi, "kernel": chosen.kernel}
     form["reference"] = not chosen.no_reference
     path = export(mechanism, chosen.output, **given, **form, kind=chosen.kind, platforms=chosen.platform)
-    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
+    with zipfile.ZipFile(path) as archive:
+        platforms = sorted({name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/")})
+    where = "every host" if chosen.kind == "native" else "hosts with Python (use --kind native for others)"
+    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB), kind {chosen.kind}: {where} on {', '.join(platforms)}")
 
 
 def _simulate(chosen: argparse.Namespace) -> None:

@@ -5,28 +5,25 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from . import oracle
 from .equations import Equations, Variable
 from .equations.derivation import derive
-from .equations.evaluation import DENSE, with_tangents
+from .equations.interface import Counters
 from .equations.specialisation import specialised
 from .kernel import DEFAULT, KERNELS
-from .kernel.build import compiled, compiler
-from .kernel.controlled import controlled
-from .kernel.trace import traced, untraced
-from .model.errors import AlfmuError, InputError
+from .model.errors import InputError
 from .model.mechanism import Mechanism
 from .model.registry import load
 from .model.settings import Settings
-from .runtime import CHOICES, SOLVER_VARIABLES, Instance
-from .runtime.adaptive import TANGENTS
-from .runtime.oracle import Counters
+from .runtime import Instance
+from .runtime.prepare import prepared, with_defaults
 
 __all__ = [
     "KERNELS",
@@ -39,14 +36,6 @@ __all__ = [
     "simulate",
     "with_defaults",
 ]
-
-STIFF = 20.0
-"""Ratio of the fastest small motion to the slowest that lasts, above which a scene is stiff if the fastest does not:
-stability limits explicit steps to some 4 over the one, accuracy all steps to 0.3 over the other, and an implicit step
-costs two or three explicit ones."""
-
-LASTS = 30.0
-"""Time constants in a run up to which a small motion lasts; one with more is gone after a tenth of it."""
 
 Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
@@ -128,7 +117,8 @@ def simulate(
     equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
     if freeze is not None or "solver.method" in (parameters or {}):
         equations, parameters = with_defaults(equations, parameters or {}), {}
-    instance = Instance(prepared(specialised(equations, outputs, freeze), kernel), settings)
+    make = oracle.Instance if kernel == "oracle" else Instance
+    instance = make(prepared(specialised(equations, outputs, freeze), kernel), settings)
     stop_time = equations.stop_time if stop_time is None else stop_time
     step = equations.interval if step is None else step
     return run(instance, stop_time, step, inputs, parameters, progress)
@@ -143,30 +133,74 @@ def run(
     progress: Progress = iter,
 ) -> Result:
     """Drive a unit that is not yet initialised as `simulate` does."""
-    times = communication_points(unit.name, stop_time, step)
     for name, value in (parameters or {}).items():
         unit.set(name, value)
+    times = communication_points(unit.name, stop_time, step)
     signals = {name: _signal(signal) for name, signal in (inputs or {}).items()}
     variables = [*unit.outputs, *unit.input_variables]
-    table = np.empty((len(times), len(variables)))
-
+    names, units = [v.name for v in variables], {v.name: v.unit for v in variables}
     switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
 
-    def apply(t: float) -> None:
-        for name, signal in signals.items():
-            value = signal(t)
-            # A table between 0 and 1 switches half-way.
-            unit.set(name, value >= 0.5 if name in switches and 0 <= value <= 1 else value)
+    def at(name: str, t: float) -> float:
+        value = signals[name](t)
+        # A table between 0 and 1 switches half-way.
+        return value >= 0.5 if name in switches and 0 <= value <= 1 else value
 
-    apply(0.0)
+    if isinstance(unit, Instance):
+        values = _in_one_call(unit, times, list(signals), at, names, progress)
+    else:
+        values = _step_by_step(unit, times, list(signals), at, progress)
+    return Result(unit.name, times, names, units, values, getattr(unit, "counters", None))
+
+
+def _in_one_call(
+    unit: Instance,
+    times: NDArray,
+    inputs: list[str],
+    at: Callable[[str, float], float],
+    names: list[str],
+    progress: Progress,
+) -> NDArray:
+    """The values of a run that is one call of the runtime."""
+    for name in inputs:
+        unit.set(name, at(name, times[0]))
+    table = np.array([[at(name, t) for name in inputs] for t in times], float).reshape(len(times), len(inputs))
+    shown = iter(progress(times[:-1]))
+    passed = 0
+
+    def show(done: int) -> bool:
+        nonlocal passed
+        for _ in range(done - passed):
+            next(shown, None)
+        passed = done
+        return True
+
+    values, error = unit.run(times, inputs, table, names, show)
+    if error is not None:
+        raise error
+    for _ in shown:
+        pass
+    return values
+
+
+def _step_by_step(
+    unit: Unit, times: NDArray, inputs: list[str], at: Callable[[str, float], float], progress: Progress
+) -> NDArray:
+    """The values of a run of a unit that makes one communication step after the other."""
+    table = np.empty((len(times), len(unit.outputs) + len(unit.input_variables)))
+
+    def apply(t: float) -> None:
+        for name in inputs:
+            unit.set(name, at(name, t))
+
+    apply(times[0])
     unit.initialize()
     table[0] = np.concatenate([unit.read(), unit.read_inputs()])
     for i, t in enumerate(progress(times[:-1])):
         unit.step(times[i + 1] - t, t)
         apply(times[i + 1])
         table[i + 1] = np.concatenate([unit.read(), unit.read_inputs()])
-    names = [v.name for v in variables]
-    return Result(unit.name, times, names, {v.name: v.unit for v in variables}, table, getattr(unit, "counters", None))
+    return table
 
 
 def communication_points(name: str, stop_time: float, step: float) -> NDArray:
@@ -210,99 +244,3 @@ def _signal(signal: Signal) -> Callable[[float], float]:
         times, values = signal
         return lambda t: float(np.interp(t, times, values))
     return lambda t: signal
-
-
-def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
-    """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
-    if kernel not in KERNELS:
-        raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
-    equations, probe = _with_method(equations), None
-    if not equations.kernel or equations.shared is None:
-        probe = _started(equations)
-        equations = _surveyed(equations, probe)
-    if kernel == "oracle":
-        return replace(untraced(equations), library=None)
-    e = equations if equations.kernel else _traced(equations, probe)
-    if kernel == "compiled" or (kernel == "auto" and compiler()):
-        return e if e.library else compiled(e)
-    return replace(e, library=None) if e.library else e
-
-
-def _started(equations: Equations) -> Instance | None:
-    """An instance at the start, None where the defaults have none, so that nothing is known of its freedoms."""
-    probe = Instance(equations)
-    try:
-        probe.initialize()
-    except AlfmuError:
-        return None
-    return probe
-
-
-def _with_method(equations: Equations) -> Equations:
-    """The same equations with what their method of integration needs, and `auto` decided."""
-    chosen, reason = equations.solver.get("method", "rk4"), equations.reason
-    if chosen == "auto":
-        chosen, reason = _chosen(equations)
-    if chosen in TANGENTS and equations.n > DENSE:
-        raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
-    e = with_tangents(equations) if chosen in TANGENTS else equations
-    same = reason == equations.reason
-    return e if same else replace(e, solver={**e.solver, "method": chosen}, reason=reason)
-
-
-def _chosen(equations: Equations) -> tuple[str, str]:
-    """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
-    if equations.n > DENSE:
-        return "explicit", f"explicit: more than {DENSE} coordinates"
-    solver = {**equations.solver, "method": "stiff"}
-    probe = _started(replace(with_tangents(equations), kernel={}, solver=solver))
-    if probe is None:
-        return "explicit", "explicit: the defaults have no start"
-    values = probe.spectrum()
-    fastest = values[np.argmax(np.abs(values))]
-    lasting = values[-values.real * equations.stop_time < LASTS]
-    slow = max(2 * math.pi / equations.stop_time, min((abs(x) for x in lasting if abs(x) > 1e-3), default=0.0))
-    seen = f"the fastest small motion at the start has {abs(fastest):.3g} 1/s, the slowest that lasts {slow:.3g}"
-    if abs(fastest) > STIFF * slow and fastest not in lasting:
-        return "stiff", f"stiff: {seen}, and it decays"
-    return "explicit", f"explicit: {seen}"
-
-
-def _surveyed(equations: Equations, probe: Instance | None) -> Equations:
-    """The same equations with what redundant constraints share said of each output that it concerns."""
-    if equations.shared is not None or probe is None:
-        return equations
-    shared = probe.shared()
-    note = "; not unique: of all that redundant constraints allow, that of least norm"
-    outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
-    oracle = probe.oracle
-    uneven = len(set(oracle.units)) > 1
-    return replace(equations, outputs=outputs, shared=shared, brakes=oracle.brakes, uneven=uneven)
-
-
-def _traced(equations: Equations, probe: Instance | None) -> Equations:
-    if probe is None:
-        return traced(equations, None, controlled=controlled)
-    mobility = probe.mobility()
-    if mobility.freedom_here > mobility.freedom:
-        return traced(equations, mobility, controlled=controlled)  # a singular start says nothing of other positions
-    needed = probe.oracle.iterations_needed(probe.q, probe.v, probe.inputs, 0.0)
-    return traced(equations, mobility, needed, controlled)
-
-
-def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
-    """The same equations with other defaults for parameters, start values, inputs and solver variables.
-
-    Raises InputError where a name is unknown or a value out of bounds.
-    """
-    probe = Instance(equations)
-    for name, value in values.items():
-        probe.set(name, value)
-    changed = {
-        field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
-        for field in ("parameters", "starts", "start_rates", "compliances", "inputs")
-    }
-    solver = {v.name for v in SOLVER_VARIABLES} | set(CHOICES)
-    changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]
-    own = {name.removeprefix("solver."): probe.get(name) for name in values if name in solver}
-    return replace(equations, **changed, solver={**equations.solver, **own})

@@ -7,10 +7,12 @@ NumPy oracle, an FMU that does nothing; costs of many loops beside those of ten.
 
 from __future__ import annotations
 
+import gc
 import math
 import os
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 import zipfile
@@ -31,22 +33,29 @@ import fmpy
 import numpy as np
 from _report import Call, Laps, Target, in_turns, judged, parser, times, written
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 from pythonfmu import FmuBuilder
 from tqdm import tqdm
 
 import alfmu
+from alfmu import oracle
 from alfmu.equations.specialisation import specialised
-from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu
-from alfmu.kernel.fusion import program_function
+from alfmu.kernel.joined import joined
 from alfmu.kernel.program import TIERS as KINDS
 from alfmu.kernel.trace import parts
 from alfmu.kernel.vm import Vm
+from alfmu.model.registry import mechanisms
+from alfmu.runtime.build import HERE, PLATFORMS, compiler
 from alfmu.simulation import prepared
 from alfmu.studies.cost import cost, operations
 from alfmu.studies.tables import Chapter, Row, environment, rounded
 
 KERNELS = ("vm", "compiled")
+"""Functions of a scene interpreted by the runtime, and compiled for it."""
+
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+"""Of FMI, for hosts."""
 
 SCRIPTS = Path(__file__).parent
 
@@ -72,10 +81,16 @@ class Effort:
     loops: tuple[int, ...]
     coordinates: tuple[str, ...]
     """Of the N-four-bars."""
+    horizon: float
+    """Longest motion of which every single step is timed [s]."""
+    passes: int
+    """How often it is."""
+    mechanisms: tuple[str, ...] = ()
+    """Whose steps are; all where there is none."""
 
 
-QUICK = Effort(rounds=7, lap=1e-3, runs=3, builds=1, loops=(1, 10), coordinates=("natural",))
-USUAL = Effort(40, 2e-3, runs=15, builds=3, loops=(1, 10, 40, 200), coordinates=("natural", "absolute"))
+QUICK = Effort(7, 1e-3, runs=3, builds=1, loops=(1, 10), coordinates=("natural",), horizon=1.0, passes=3)
+USUAL = Effort(40, 2e-3, 15, 3, (1, 10, 40, 200), ("natural", "absolute"), horizon=math.inf, passes=5)
 FULL = replace(USUAL, loops=(*USUAL.loops, 1000))
 
 
@@ -89,16 +104,36 @@ def solve_call() -> Call:
     return Call(Timer(partial(np.linalg.solve, A, b)))
 
 
+AnyInstance = alfmu.Instance | oracle.Instance
+
+
 def begun(equations: alfmu.Equations, step_size: float = SHORT, **settings: float) -> alfmu.Instance:
     """An instance at the regular position, with internal steps of `step_size` [s]."""
     instance = alfmu.Instance(equations, alfmu.Settings(step_size=step_size, **settings))
-    for name, value in START.items():
-        instance.set(name, value)
-    instance.initialize()
+    start(instance)
     return instance
 
 
-def stepping(instance: alfmu.Instance, dt: float = SHORT, steps: int = 1, once: bool = False) -> Call:
+def start(instance: AnyInstance) -> None:
+    """Initialise at the regular position."""
+    for name, value in START.items():
+        instance.set(name, value)
+    instance.initialize()
+
+
+def reading(instance: alfmu.Instance) -> Call:
+    """Reading all outputs anew, as an input has been set."""
+    name = instance.input_variables[0].name
+    value = instance.get(name)
+
+    def read() -> None:
+        instance.set(name, value)
+        instance.read()
+
+    return Call(Timer(read))
+
+
+def stepping(instance: AnyInstance, dt: float = SHORT, steps: int = 1, once: bool = False) -> Call:
     """A communication step of so many internal ones of dt [s]; every lap begins from the instance's present state."""
     return Call(Timer(partial(instance.step, steps * dt), partial(instance.restore, instance.save())), steps, once)
 
@@ -123,6 +158,9 @@ MANY = 64
 
 STEPS = ("step", f"step of {MANY}")
 
+INTERPRETED = "interpreted / compiled"
+"""What a step by interpreted functions takes over one by compiled ones."""
+
 ONCE = ("empty call", "model", "model and factors", "accelerations")
 PARTS = ("model", "factorisation", "iterations")
 REST = "integration, projection, checks"
@@ -137,7 +175,9 @@ def step_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
         if scene.endswith("frozen"):
             derived = specialised(derived, None, ["all"])
         traced, dt = prepared(derived), derived.step_size
-        calls = {"solve": solve_call(), "oracle step": stepping(begun(derived, dt), dt, once=True)}
+        by_oracle = oracle.Instance(derived, alfmu.Settings(step_size=dt))
+        start(by_oracle)
+        calls = {"solve": solve_call(), "oracle step": stepping(by_oracle, dt, once=True)}
         calls |= functions(begun(traced))
         quick = {kernel: begun(prepared(traced, kernel)) for kernel in kernels}
         for kernel, instance in quick.items():
@@ -147,11 +187,13 @@ def step_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
                 f"{kernel} step": stepping(instance),
                 f"{kernel} step of {MANY}": stepping(instance, steps=MANY),
                 f"{kernel} careful step": stepping(careful),
-                f"{kernel} outputs": Call(Timer(instance.machine.read)),
+                f"{kernel} outputs": reading(instance),
             }
         row = {"scene": scene, **times(in_turns(calls, effort.rounds, effort.lap), "solve")}
         for name in (f"{kernel} {step}" for kernel in kernels for step in STEPS):
             row[f"oracle / {name}"] = row["oracle step [us]"] / row[f"{name} [us]"]
+        if "compiled" in kernels:
+            row |= {f"{INTERPRETED} {step}": row[f"vm {step} [us]"] / row[f"compiled {step} [us]"] for step in STEPS}
         row |= {f"{kernel} quick steps [%]": quick_share(instance) for kernel, instance in quick.items()}
         counted = cost(traced)
         whole = {"step": counted.step, "careful": counted.careful, "outputs": counted.outputs}
@@ -161,32 +203,90 @@ def step_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
 
 
 def functions(instance: alfmu.Instance) -> dict[str, Call]:
-    """The quick step as one function of CasADi's virtual machine, and what an evaluation in it is made of."""
+    """The quick step as one function of CasADi's virtual machine, and what an evaluation in it is made of.
+
+    The runtime has no way to time parts; CasADi makes the same operations in the same order.
+    """
     e, memory, program = instance.equations, instance.memory, instance.equations.kernel["quick"]
     memory["dt"][:] = SHORT
     state = [instance.q, instance.v, memory["u"], memory["p"], [instance.time], memory["k"]]
     x = ca.SX.sym("x")
     bound = {"empty call": (ca.Function("empty", [x], [x]), [[0.0]])}
     bound |= {name: (f, state) for name, f in zip(ONCE[1:], parts(e, program)[0].values(), strict=True)}
-    whole = [memory[name] for name in ("z", "u", "p", "k", "dt")]
-    bound["step, function alone"] = program_function(e, "quick"), whole
+    together = joined(e, ["quick"])
+    [[step, given, _]] = together.kernel["quick"]["calls"]
+    bound["step, function alone"] = together.functions[step], [memory[name] for name in given]
     calls = {}
     for name, (function, arguments) in bound.items():
         vm, x = Vm(e), [np.array(each, float) for each in arguments]
         y = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         run = vm.bound(function, x, y)
         run.alive = vm, x, y  # as long as the call, which knows their addresses
-        calls[f"vm {name}"] = Call(Timer(run))
+        calls[f"CasADi {name}"] = Call(Timer(run))
     return calls
 
 
 def part_shares(row: Row) -> Row:
     """Shares of the parts in the time of the step as one function, the empty call taken off [%]."""
-    once = [row[f"vm {name} [us]"] for name in ONCE]
-    whole = row["vm step, function alone [us]"] - once[0]
+    once = [row[f"CasADi {name} [us]"] for name in ONCE]
+    whole = row["CasADi step, function alone [us]"] - once[0]
     # A step of RK4 has four evaluations.
     shares = [100 * 4 * (once[i + 1] - once[i]) / whole for i in range(len(PARTS))]
     return dict(zip((f"time: {part} [%]" for part in (*PARTS, REST)), [*shares, 100 - sum(shares)], strict=True))
+
+
+# Every single step ------------------------------------------------------------------------------------------------
+
+FINER = 20
+"""By what the shorter steps are shorter."""
+
+SPREAD = ("slowest / median", f"slowest / median at 1/{FINER}")
+"""The slowest internal step over the median one, at the default step and at a shorter one."""
+
+
+def spread_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+    """Rows of spread.csv: what the slowest internal step of a mechanism's own motion takes over the median one."""
+    rows: list[Row] = []
+    for name in tqdm(effort.mechanisms or mechanisms(), "spread", unit="mechanism"):
+        traced = prepared(alfmu.derive(alfmu.load(name)))
+        for kernel in kernels:
+            row: Row = {"mechanism": name, "kernel": kernel, "method": traced.solver.get("method", "rk4")}
+            for ratio, dt in zip(SPREAD, (traced.step_size, traced.step_size / FINER), strict=True):
+                spent, note = single_steps(prepared(traced, kernel), dt, effort)
+                median, what = float(np.median(spent)), ratio.removeprefix("slowest / median")
+                row |= {f"steps{what}": len(spent), f"median{what} [us]": median, f"slowest{what} [us]": spent.max()}
+                row |= {ratio: spent.max() / median, f"slowest step{what} begins at [s]": dt * int(spent.argmax())}
+                row["note"] = " ".join(filter(None, [row.get("note"), note])) or None
+            rows.append(row)
+    return rows
+
+
+def single_steps(equations: alfmu.Equations, dt: float, effort: Effort) -> tuple[NDArray, str | None]:
+    """Time of each step of dt [us] from the start, the least of all passes; and what ended the motion early."""
+    instance = alfmu.Instance(equations)
+    instance.set("solver.step_size", dt)
+    instance.initialize()
+    begin, clock, step = instance.save(), time.perf_counter_ns, instance.step
+    points = [k * dt for k in range(round(min(equations.stop_time, effort.horizon) / dt))]
+    least, note = np.full(len(points), np.inf), None
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        for _ in range(effort.passes):
+            instance.restore(begin)
+            spent = []
+            try:
+                for t in points:
+                    before = clock()
+                    step(dt, t)
+                    spent.append(clock() - before)
+            except alfmu.AlfmuError as error:
+                note = str(error)
+            least = np.minimum(least[: len(spent)], spent)
+    finally:
+        if collects:
+            gc.enable()
+    return least / 1e3, note
 
 
 # doStep through FMI -----------------------------------------------------------------------------------------------
@@ -291,11 +391,11 @@ def native_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
             archive.extractall(top / "native")
         guid = fmpy.read_model_description(str(path)).guid
         ready, stepped, kernel = from_c(top, guid, len(points), 3 * effort.runs)
-        empty = top / "empty" / "binaries" / "linux64"
+        empty = top / "empty" / "binaries" / fmpy.platform
         empty.mkdir(parents=True)
-        library = empty / f"five_bar{native.PLATFORMS[native.OWN].suffix}"
+        library = empty / f"five_bar{PLATFORMS[HERE].suffix}"
         flags = ["-w", "-O2", "-shared", "-fPIC"]
-        subprocess.run([*native.compiler(), *flags, str(SCRIPTS / "empty_fmu.c"), "-o", str(library)], check=True)
+        subprocess.run([*compiler(), *flags, str(SCRIPTS / "empty_fmu.c"), "-o", str(library)], check=True)
         calls = {name: slave_of(top / name, guid, points) for name in ("empty", "native")}
         measured = times(in_turns(calls, effort.runs, 0.0), "empty")
         size = path.stat().st_size / 1000
@@ -317,12 +417,15 @@ def native_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
 
 
 def from_c(top: Path, guid: str, steps: int, rounds: int) -> list[float]:
-    """Medians [s] of an initialisation, a doStep, a step of the kernel, in turns."""
-    sources = sorted(map(str, (top / "native" / "sources").glob("*.c")))
-    flags = ["-O2", "-fno-math-errno", "-ffp-contract=off", f'-DGUID="{guid}"', f"-I{native.headers()}"]
-    flags += [f"-I{top / 'native' / 'sources'}", str(SCRIPTS / "native_bench.c")]
-    subprocess.run([*native.compiler(), *flags, *sources, "-o", str(top / "host"), "-lm"], check=True)
-    said = subprocess.run([str(top / "host"), str(steps), str(DT), str(rounds)], check=True, capture_output=True)
+    """Medians [s] of an initialisation, a doStep, a step of the kernel with the outputs at its end, in turns."""
+    unpacked = top / "native"
+    sources = sorted(map(str, (unpacked / "sources").glob("*.c")))
+    flags = ["-O2", "-fno-math-errno", "-ffp-contract=off", "-DNDEBUG", f'-DGUID="{guid}"', f"-I{HEADERS}"]
+    flags += [f"-I{unpacked / 'sources'}", str(SCRIPTS / "native_bench.c")]
+    libraries = ["-lm", *["-ldl"] * sys.platform.startswith("linux")]
+    subprocess.run([*compiler(), *flags, *sources, "-o", str(top / "host"), *libraries], check=True)
+    given = [str(steps), str(DT), str(rounds), (unpacked / "resources").as_uri()]
+    said = subprocess.run([str(top / "host"), *given], check=True, capture_output=True)
     return np.median(np.array(said.stdout.split(), float).reshape(-1, 3), axis=0).tolist()
 
 
@@ -494,14 +597,17 @@ CHAPTERS = {
     "step": Chapter(
         "## One internal step",
         f"""Each mechanism at a regular position, {START["start.angle"]:g} rad from its zero. `step` is a call of
-        `Instance.step` from Python, `step of {MANY}` one that makes so many internal steps, by step; `function alone`
-        is the step as a function of CasADi's virtual machine, without an instance around it. Shares of time come from
-        differences between functions that were timed by themselves.""",
+        `Instance.step` from Python, `step of {MANY}` one that makes so many internal steps, by step; either ends with
+        the outputs, without which no communication step is made. `vm` is the runtime's interpreter, `compiled` the same
+        runtime with compiled functions. Outputs are read anew after an input has been set. The runtime does not time
+        its parts: `function alone` is the step as one function of CasADi's virtual machine, which makes the same
+        operations, and shares of time come from differences between such functions that were timed by themselves.""",
         {
             "A quick step": (
-                *("scene", "solve [us]", "oracle step / solve", "vm step, function alone / solve"),
+                *("scene", "solve [us]", "oracle step / solve", "CasADi step, function alone / solve"),
                 *(f"{kernel} {step} / solve" for kernel in KERNELS for step in STEPS),
                 *(f"oracle / {kernel} {step}" for kernel in KERNELS for step in STEPS),
+                *(f"{INTERPRETED} {step}" for step in STEPS),
             ),
             "A careful step, and reading the outputs": (
                 "scene",
@@ -514,19 +620,27 @@ CHAPTERS = {
             "Time of the function alone": ("scene", *(f"time: {part} [%]" for part in (*PARTS, REST))),
         },
     ),
+    "spread": Chapter(
+        "## The slowest internal step",
+        f"""Every step of a mechanism's own motion up to its stop time (`--quick`: one second of some), timed by itself
+        from Python with its outputs, at the default step and at 1/{FINER} of it. Of each step the least time of some
+        passes counts, so that what else the machine does is left out. By a method with error control a step is a
+        communication step of that length.""",
+        {"Slowest over median": ("mechanism", "kernel", "method", "median [us]", "slowest [us]", *SPREAD)},
+    ),
     "dostep": Chapter(
         "## doStep of the five-bar through FMI",
         f"""Called through fmpy every {DT:g} s up to {STOP:g} s, in turns with an FMU of pythonfmu that does nothing:
         from a start in a singular position, through many of them, and about the lowest position, between them. Outputs
-        are not read in between. Steps by what made them were counted in the library.""",
+        are not asked for in between. Steps by what made them were counted in the library.""",
         {"doStep": ("slave", "motion", "doStep [us]", "doStep, minimum [us]", "doStep / empty", *TIERS)},
     ),
     "native": Chapter(
         "## The five-bar as a native FMU",
         f"""The same motion, {STOP:g} s in steps of {DT:g} s. From C the FMU is linked with a host, where its doStep and
-        the bare step of its kernel take turns, in processor time; through fmpy it takes turns with a C library whose
-        functions do nothing. Initialise is an instantiation with all that follows up to the first step; the file is for
-        one platform.""",
+        what the kernel does in it (a step, and the outputs at its end) take turns, in processor time; through fmpy it
+        takes turns with a C library whose functions do nothing. Initialise is an instantiation with all that follows up
+        to the first step; the file is for one platform.""",
         {
             "A native FMU": (
                 *("scene", "doStep in C / kernel", "doStep through fmpy / (empty + kernel)"),
@@ -558,7 +672,7 @@ LIMITS = """\
 - The yardstick `numpy.linalg.solve` is mostly the way from Python to LAPACK and back at this size. It says how many
   such calls a step is worth, not how far a step is from the best that a processor can do.
 - Steps are timed at one regular position. Nearly singular ones take careful steps, or the oracle's; the motion of the
-  doStep study passes some.
+  doStep study passes some, and so do those whose single steps are timed.
 - The oracle iterates until it converges, kernels a fixed number of times; both leave the same errors. Its step has the
   mechanism's own length; those of the kernels cost the same at any, and are so short that the position stays.
 - A doStep is timed from Python, and the empty slave pays for the same way; a host in another language pays less for it
@@ -574,7 +688,13 @@ def report(results: Mapping[str, Sequence[Row]], without: str | None) -> str:
     return "\n\n".join([*text, *["![Cost against the number of loops](scale.png)"] * ("scale" in results), LIMITS])
 
 
-STUDIES = {"step": step_study, "dostep": dostep_study, "native": native_study, "scale": scale_study}
+STUDIES = {
+    "step": step_study,
+    "spread": spread_study,
+    "dostep": dostep_study,
+    "native": native_study,
+    "scale": scale_study,
+}
 
 
 def measure(folder: Path, effort: Effort, studies: Sequence[str], command: str) -> None:

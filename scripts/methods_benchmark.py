@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import alfmu
+from alfmu import oracle
 from alfmu.model.registry import mechanisms
 from alfmu.simulation import prepared, with_defaults
 from alfmu.studies.cases import Case, exactness
@@ -103,7 +104,10 @@ USUAL = Effort(5, 60.0, tuple(SCENES), tuple(mechanisms()))
 # Runs -------------------------------------------------------------------------------------------------------------
 
 
-def runs(instance: alfmu.Instance, times: NDArray, effort: Effort, read: str | None = None) -> tuple[float, NDArray]:
+AnyInstance = alfmu.Instance | oracle.Instance
+
+
+def runs(instance: AnyInstance, times: NDArray, effort: Effort, read: str | None = None) -> tuple[float, NDArray]:
     """Median wall time [s] of a run of an initialised instance over communication points, and an output there."""
     start, spent, found = instance.save(), [], np.zeros(len(times))
     while len(spent) < effort.repeats and sum(spent) < effort.limit / 10:
@@ -118,9 +122,9 @@ def runs(instance: alfmu.Instance, times: NDArray, effort: Effort, read: str | N
     return statistics.median(spent), found
 
 
-def begun(equations: alfmu.Equations, values: Mapping[str, float | str]) -> alfmu.Instance:
+def begun(equations: alfmu.Equations, values: Mapping[str, float | str], kernel: str) -> AnyInstance:
     """An initialised instance."""
-    instance = alfmu.Instance(equations)
+    instance = (oracle.Instance if kernel == "oracle" else alfmu.Instance)(equations)
     for name, value in values.items():
         instance.set(name, value)
     instance.initialize()
@@ -154,13 +158,13 @@ def work_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
 
 def _cases(
     derived: alfmu.Equations, scene: Scene, kernels: Sequence[str]
-) -> Iterator[tuple[str, str, float, alfmu.Instance]]:
+) -> Iterator[tuple[str, str, float, AnyInstance]]:
     """Every way to run a scene, by method, kernel and tolerance or step."""
     for method, values in scene.methods.items():
         for kernel in kernels:
             equations = prepared(with_defaults(derived, {"solver.method": method}), kernel)
             for value in values:
-                yield method, kernel, value, begun(equations, {**scene.start, **exactness(method, value)})
+                yield method, kernel, value, begun(equations, {**scene.start, **exactness(method, value)}, kernel)
 
 
 def equal_study(work: Sequence[Row]) -> list[Row]:
@@ -215,7 +219,7 @@ def auto_study(effort: Effort, kernel: str) -> list[Row]:
             try:
                 equations = prepared(with_defaults(derived, {"solver.method": method}), kernel)
                 times = np.linspace(0.0, min(derived.stop_time, AUTO_STOP), AUTO_POINTS)
-                row[f"{method} [s]"], _ = runs(begun(equations, {}), times, effort)
+                row[f"{method} [s]"], _ = runs(begun(equations, {}, kernel), times, effort)
             except alfmu.AlfmuError as error:
                 row[f"{method} failed"] = str(error)
         known = [row[x] for x in ("explicit [s]", "stiff [s]") if x in row]

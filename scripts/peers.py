@@ -443,7 +443,7 @@ USAGE = {
 LIMITS = """\
 Run times are those of small mechanisms called from Python on a shared machine; only ratios within one run mean
 something. alfmu is measured as a library; through an FMU every step costs more. alfmu's compiled kernel, Exudyn and
-MuJoCo step in compiled code, its vm kernel in CasADi's virtual machine; Pinocchio evaluates in compiled code and is
+MuJoCo step in compiled code, its vm kernel in the runtime's interpreter; Pinocchio evaluates in compiled code and is
 stepped in Python (a loop in C++ would spare it that), SciPy is Python but for the terms of the equations. All use one
 thread. Pinocchio and MuJoCo describe the five-bar by joint angles, in which its parallelogram is a straight line that
 no stage leaves, and so does alfmu's lean setting; alfmu by default, Exudyn and SciPy by coordinates of torn-off

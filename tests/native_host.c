@@ -1,7 +1,7 @@
 /* A host that treats a native FMU (FMI 2.0) badly: illegal orders, bad handles, references and values, many instances,
    threads. Linked with the FMU's sources; references HOST_REAL_INPUT, HOST_REAL_OUTPUT, HOST_PARAMETER, HOST_TEXT and
-   HOST_SWITCH, the identity HOST_GUID and the mechanism HOST_SCENE are given when it is compiled. Says what went wrong,
-   and returns how often. */
+   HOST_SWITCH, the identity HOST_GUID, the mechanism HOST_SCENE and the URI HOST_RESOURCES of the folder with its scene
+   are given when it is compiled. Says what went wrong, and returns how often. */
 
 #include <math.h>
 #include <pthread.h>
@@ -13,7 +13,7 @@
 #include "fmi2Functions.h"
 
 #ifndef INSTANCES
-#define INSTANCES 100000
+#define INSTANCES 10000 /* each reads its scene from the file */
 #endif
 #define THREADS 4
 #define STEPS 300
@@ -54,12 +54,12 @@ static const fmi2CallbackFunctions quiet = {ignore, calloc, free, NULL, NULL};
 
 static fmi2Component made(void)
 {
-    return fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, "", &talking, fmi2False, fmi2False);
+    return fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False);
 }
 
 static fmi2Component running(const fmi2CallbackFunctions *functions)
 {
-    fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, "", functions, fmi2False, fmi2False);
+    fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, functions, fmi2False, fmi2False);
     fmi2SetupExperiment(c, fmi2False, 0.0, 0.0, fmi2False, 0.0);
     fmi2EnterInitializationMode(c);
     if (fmi2ExitInitializationMode(c) != fmi2OK)
@@ -82,16 +82,25 @@ static void instantiation(void)
 {
     CHECK(!strcmp(fmi2GetVersion(), "2.0"));
     CHECK(!strcmp(fmi2GetTypesPlatform(), "default"));
-    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another", "", &talking, fmi2False, fmi2False));
-    CHECK(strstr(said, "GUID"));
-    CHECK(!fmi2Instantiate("one", fmi2ModelExchange, HOST_GUID, "", &talking, fmi2False, fmi2False));
-    CHECK(!fmi2Instantiate(NULL, fmi2CoSimulation, HOST_GUID, "", &talking, fmi2False, fmi2False));
-    CHECK(!fmi2Instantiate("", fmi2CoSimulation, HOST_GUID, "", &talking, fmi2False, fmi2False));
+    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, "another", HOST_RESOURCES, &talking, fmi2False, fmi2False));
+    CHECK(strstr(said, "another GUID"));
+    CHECK(!fmi2Instantiate("one", fmi2ModelExchange, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
+    CHECK(strstr(said, "for co-simulation alone"));
+    CHECK(!fmi2Instantiate(NULL, fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
+    CHECK(strstr(said, "needs a name"));
+    CHECK(!fmi2Instantiate("", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, &talking, fmi2False, fmi2False));
+    CHECK(!fmi2Instantiate("one", fmi2CoSimulation, NULL, HOST_RESOURCES, &talking, fmi2False, fmi2False));
+    CHECK(strstr(said, "needs the GUID"));
     CHECK(!fmi2Instantiate("one", fmi2CoSimulation, NULL, "", NULL, fmi2False, fmi2False));
     {
-        fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, NULL, NULL, fmi2False, fmi2True);
+        fmi2Component c = fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, HOST_RESOURCES, NULL, fmi2False, fmi2True);
         CHECK(c && fmi2DoStep(c, 0.0, 0.1, fmi2True) == fmi2Error); /* nobody to tell */
         fmi2FreeInstance(c);
+    }
+    for (int k = 0; k < 4; k++) { /* folders without a scene */
+        static const char *const folders[] = {NULL, "", "file:///nowhere/at%20all", "%s%n%"};
+        CHECK(!fmi2Instantiate("one", fmi2CoSimulation, HOST_GUID, folders[k], &talking, fmi2False, fmi2False));
+        CHECK(strstr(said, "there is no scene.bin in its resources"));
     }
     fmi2FreeInstance(NULL);
 }
@@ -168,8 +177,12 @@ static void illegal_orders(void)
     CHECK(fmi2ExitInitializationMode(c) == fmi2Error);
     CHECK(fmi2DoStep(c, 0.0, 0.1, fmi2True) == fmi2OK);
     CHECK(fmi2CancelStep(c) == fmi2Error);
-    CHECK(fmi2GetRealOutputDerivatives(c, &output, 1, &first, &value) == fmi2Error);
+    CHECK(fmi2GetRealOutputDerivatives(c, &output, 1, &first, &value) == fmi2OK && isfinite(value));
     CHECK(fmi2GetRealOutputDerivatives(c, NULL, 0, NULL, NULL) == fmi2OK);
+    CHECK(fmi2GetRealOutputDerivatives(c, &output, 1, NULL, &value) == fmi2Error);
+    CHECK(fmi2GetRealOutputDerivatives(c, &input, 1, &first, &value) == fmi2Error);
+    for (int order = -1; order <= 3; order += 4)
+        CHECK(fmi2GetRealOutputDerivatives(c, &output, 1, &order, &value) == fmi2Error);
     CHECK(fmi2Terminate(c) == fmi2OK);
     CHECK(fmi2Terminate(c) == fmi2Error);
     CHECK(fmi2DoStep(c, 0.1, 0.1, fmi2True) == fmi2Error);
@@ -184,19 +197,20 @@ static void bad_values(void)
 {
     const fmi2ValueReference far_off = 1000000, output = HOST_REAL_OUTPUT, text = HOST_TEXT, toggle = HOST_SWITCH;
     const char *unknown = "%s%n";
-    const int second = 2, on = 2;
+    const int second = 2, on = 2, none = 99;
     int whole;
     double value = 1.0, before;
     fmi2Component c = made();
+    fmi2EnterInitializationMode(c);
+    before = got(c, HOST_PARAMETER);
     CHECK(set(c, HOST_PARAMETER, -1.0) == fmi2Discard);
     CHECK(strstr(said, "logStatusDiscard") && strstr(said, "is outside"));
-    CHECK(fmi2SetString(c, &text, 1, &unknown) == fmi2Discard);
-    CHECK(!strchr(said, '%'));
-    unknown = NULL;
-    CHECK(fmi2SetString(c, &text, 1, &unknown) == fmi2Discard);
-    fmi2EnterInitializationMode(c);
-    CHECK(fmi2ExitInitializationMode(c) == fmi2Error); /* nobody took them back */
-    CHECK(set(c, HOST_PARAMETER, 1.0) == fmi2OK);
+    CHECK(fmi2SetString(c, &text, 1, &unknown) == fmi2Error);
+    CHECK(fmi2SetInteger(c, &text, 1, &none) == fmi2Discard);
+    CHECK(strstr(said, "knows 1 (continue), 2 (paper)"));
+    CHECK(fmi2SetInteger(c, &text, 1, &second) == fmi2OK);
+    CHECK(fmi2GetInteger(c, &text, 1, &whole) == fmi2OK && whole == second);
+    CHECK(got(c, HOST_PARAMETER) == before); /* What was refused left the value before it in force. */
     CHECK(fmi2ExitInitializationMode(c) == fmi2OK);
     CHECK(set(c, HOST_PARAMETER, 1.0) == fmi2Error);
     CHECK(strstr(said, "fixed once the run has begun"));
@@ -220,14 +234,17 @@ static void bad_values(void)
     for (int k = 0; k < 3; k++) {
         const double bad[] = {NAN, INFINITY, -INFINITY}, steps[] = {0.0, -0.1, NAN};
         CHECK(set(c, HOST_REAL_INPUT, bad[k]) == fmi2Discard);
-        CHECK(fmi2DoStep(c, 0.0, 0.1, fmi2True) == fmi2Discard);
         CHECK(strstr(said, "finite number in"));
+        CHECK(got(c, HOST_REAL_INPUT) == 0.0);
+        CHECK(fmi2DoStep(c, bad[k], 0.1, fmi2True) == fmi2Discard);
         CHECK(fmi2DoStep(c, 0.0, steps[k], fmi2True) == fmi2Discard);
         CHECK(strstr(said, "above zero"));
     }
     CHECK(fmi2DoStep(c, 0.5, 0.1, fmi2True) == fmi2Discard);
     CHECK(fmi2DoStep(c, 0.0, INFINITY, fmi2True) == fmi2Discard);
     CHECK(fmi2DoStep(c, 0.0, 1e300, fmi2True) == fmi2Discard);
+    CHECK(fmi2DoStep(c, 0.0, 1e5, fmi2True) == fmi2Discard);
+    CHECK(strstr(said, "internal steps, more than 1000000"));
     CHECK(fmi2GetRealStatus(c, fmi2LastSuccessfulTime, &value) == fmi2OK && value == 0.0);
     CHECK(got(c, HOST_REAL_OUTPUT) == before);
     CHECK(set(c, HOST_REAL_INPUT, 1e300) == fmi2OK); /* finite, but no motion bears it */

@@ -9,8 +9,10 @@ from oracles import ode
 from oracles.parallelogram import Parallelogram
 
 import alfmu
+from alfmu import oracle
 from alfmu.kernel.vm import Vm
-from alfmu.runtime.oracle import Oracle
+from alfmu.oracle.oracle import Oracle
+from alfmu.simulation import prepared
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
 """Mass, inertia, centre of mass of the bodies of `arm`."""
@@ -130,6 +132,28 @@ def evaluate(
     y = oracle.outputs(q, v, a, oracle.minimum_norm(q, v, lam, t), u, t)
     names = [x.name for x in equations.outputs]
     return dict(zip(names, y, strict=True)) | {c.name: x for c, x in zip(equations.coordinates, q, strict=True)}
+
+
+def made(equations: alfmu.Equations, kernel: str, settings: alfmu.Settings | None = None) -> alfmu.Instance:
+    """An instance run by a kernel, `oracle` among them."""
+    make = oracle.Instance if kernel == "oracle" else alfmu.Instance
+    return make(prepared(equations, kernel), settings)
+
+
+def parameters(i: alfmu.Instance | oracle.Instance) -> np.ndarray:
+    """Parameters p of an instance that is initialised, with what locks keep."""
+    return i.oracle.p if isinstance(i, oracle.Instance) else i.memory["p"].copy()
+
+
+def by_the_oracle(
+    equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings
+) -> oracle.Instance:
+    """What `started` gives, on NumPy arrays."""
+    instance = oracle.Instance(equations, alfmu.Settings(step_size=equations.step_size, **settings))
+    for name, value in (given or {}).items():
+        instance.set(name, value)
+    instance.initialize()
+    return instance
 
 
 def started(equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings) -> alfmu.Instance:

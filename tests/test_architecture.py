@@ -1,12 +1,13 @@
 """The import graph: every room imports only rooms below it, and the run side no declaration."""
 
 import ast
+import sys
 from pathlib import Path
 
 import pytest
 
 import alfmu
-from alfmu.fmi.export import METHODS, PORTABLE, RUN_SIDE
+from alfmu.fmi.export import RUN_SIDE
 
 PACKAGE = Path(alfmu.__file__).parent
 
@@ -15,20 +16,15 @@ ROOMS: dict[str, set[str]] = {
     "equations": {"model"},
     "method": set(),
     "kernel": {"equations", "method", "model"},
-    "runtime": {"equations", "kernel", "method", "model"},
-    "simulation": {"equations", "kernel", "model", "runtime"},
+    "oracle": {"equations", "kernel", "method", "model"},
+    "runtime": {"equations", "kernel", "method", "model", "oracle"},
+    "simulation": {"equations", "kernel", "model", "oracle", "runtime"},
     "view": {"equations", "model", "runtime", "simulation"},
-    "fmi": {"equations", "kernel", "method", "model", "runtime", "simulation", "view"},
-    "studies": {"equations", "fmi", "kernel", "model", "runtime", "simulation"},
+    "fmi": {"equations", "kernel", "model", "runtime", "simulation", "view"},
+    "studies": {"equations", "fmi", "kernel", "model", "oracle", "runtime", "simulation"},
     "cli": {"equations", "fmi", "kernel", "model", "runtime", "simulation", "studies", "view"},
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
-
-EXCEPTIONS = {
-    # The virtual machine keeps NumPy to one thread; goes with the run side in Python.
-    ("kernel.vm", "runtime.threads"),
-}
-"""Imports of single modules that point up all the same."""
 
 
 def modules() -> dict[str, Path]:
@@ -85,15 +81,14 @@ def test_every_module_is_in_a_room():
 @pytest.mark.parametrize("name", sorted(MODULES))
 def test_imports_point_down(name: str):
     own, foreign = imports(MODULES[name])
-    wrong = {o for o in own if room(o) not in {room(name), *ROOMS[room(name)]} and (name, o) not in EXCEPTIONS}
+    wrong = {o for o in own if room(o) not in {room(name), *ROOMS[room(name)]}}
     assert not wrong, f"{name} imports {sorted(wrong)}, which the table of rooms does not allow"
     assert "alfmu" not in foreign, f"{name} imports alfmu by its own name, which it has not inside an FMU"
 
 
 def test_the_table_allows_nothing_that_is_not_used():
     pairs = {(name, o) for name, path in MODULES.items() for o in imports(path)[0]}
-    assert pairs >= EXCEPTIONS
-    used = {(room(name), room(o)) for name, o in pairs - EXCEPTIONS}
+    used = {(room(name), room(o)) for name, o in pairs}
     assert {(name, below) for name, rooms in ROOMS.items() for below in rooms} <= used
 
 
@@ -127,19 +122,12 @@ def test_the_runtime_knows_no_symbols():
     assert {name for name, path in MODULES.items() if room(name) == "runtime" and "casadi" in imports(path)[1]} == set()
 
 
-def test_the_run_side_is_closed_and_declares_nothing():
-    names, portable, methods = (
-        {file.removesuffix(".py").removesuffix("/__init__").replace("/", ".") for file in side}
-        for side in (RUN_SIDE, PORTABLE, METHODS)
-    )
-    for name in names | methods:
+def test_what_travels_inside_an_fmu_needs_python_alone():
+    names = {file.removesuffix(".py").replace("/", ".") for file in RUN_SIDE}
+    for name in names:
         own, foreign = imports(MODULES[name])
-        # What methods beside RK4 need travels where a scene asks for one, and is loaded there alone.
-        assert own <= names | methods, f"{name} needs {sorted(own - names)} at run time, which an FMU does not carry"
-        assert not foreign & {"fmpy", "markdown", "PIL", "tqdm", "matplotlib"}
-        # SciPy for large scenes alone, CasADi for portable functions alone: loaded where they are needed.
-        at_once = {n.split(".")[0] for n in imported_at_once(MODULES[name])}
-        assert not at_once & ({"scipy"} if name in portable else {"scipy", "casadi"})
+        assert own <= names, f"{name} needs {sorted(own - names)}, which an FMU does not carry"
+        assert foreign <= {*sys.stdlib_module_names, "pythonfmu"}
 
 
 def test_every_public_name_is_there():

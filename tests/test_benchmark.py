@@ -4,9 +4,12 @@ import csv
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+import alfmu
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
@@ -20,7 +23,8 @@ def benchmark():
 
         scenes = ("particle_on_circle", "five_bar", "five_bar, frozen")
         patch.setattr(benchmark, "SCENES", {name: benchmark.SCENES[name] for name in scenes})
-        effort = benchmark.Effort(rounds=2, lap=1e-4, runs=1, builds=2, loops=(1, 10), coordinates=("natural",))
+        effort = replace(benchmark.QUICK, rounds=2, lap=1e-4, runs=1, builds=2)
+        effort = replace(effort, horizon=0.2, mechanisms=("five_bar", "end_stop"))
         patch.setattr(benchmark, "QUICK", effort)
         yield benchmark
 
@@ -62,10 +66,13 @@ def agree(shown: str, exact: str) -> bool:
 
 def test_everything_that_was_promised_is_there(folder):
     names = {path.name for path in folder.iterdir()}
-    studies = ("environment", "targets", "step", "dostep", "native", "scale")
+    studies = ("environment", "targets", "step", "spread", "dostep", "native", "scale")
     assert names == {"benchmark.md", "scale.png", *(f"{name}.csv" for name in studies)}
     assert (folder / "scale.png").stat().st_size > 10_000
     assert [row["scene"] for row in rows(folder, "step")] == ["particle_on_circle", "five_bar", "five_bar, frozen"]
+    assert [(row["mechanism"], row["kernel"]) for row in rows(folder, "spread")] == [
+        (name, kernel) for name in ("five_bar", "end_stop") for kernel in ("vm", "compiled")
+    ]
     assert [row["slave"] for row in rows(folder, "dostep")] == ["empty", "vm", "vm", "compiled", "compiled"]
     assert [(row["coordinates"], row["N"]) for row in rows(folder, "scale")] == [("natural", "1"), ("natural", "10")]
     machine = {row["what"]: row["value"] for row in rows(folder, "environment")}
@@ -75,7 +82,7 @@ def test_everything_that_was_promised_is_there(folder):
 
 def test_every_table_of_the_report_shows_rows_of_its_csv_file(folder):
     tables = shown_tables(folder)
-    assert {name for name, _, _ in tables} == {"environment", "targets", "step", "dostep", "native", "scale"}
+    assert {name for name, _, _ in tables} == {"environment", "targets", "step", "spread", "dostep", "native", "scale"}
     for name, columns, lines in tables:
         kept = rows(folder, name)
         assert len(lines) == len(kept), name
@@ -95,11 +102,13 @@ def test_ratios_follow_from_the_times_beside_them(folder):
                     expected = float(row[f"{match[1]} [us]"]) / float(row["solve [us]"])
                 elif match := re.fullmatch(r"oracle / (.+)", column):
                     expected = float(row["oracle step [us]"]) / float(row[f"{match[1]} [us]"])
+                elif match := re.fullmatch(r"interpreted / compiled (.+)", column):
+                    expected = float(row[f"vm {match[1]} [us]"]) / float(row[f"compiled {match[1]} [us]"])
                 else:
                     continue
                 assert float(row[column]) == pytest.approx(expected, rel=1e-12), (name, column)
                 checked += 1
-    assert checked == 3 * (15 + 4) + 2 * 3
+    assert checked == 3 * (15 + 4 + 2) + 2 * 3
     empty, *others = rows(folder, "dostep")
     for row in (empty, *others):
         ratio = float(row["doStep [us]"]) / float(empty["doStep [us]"])
@@ -130,6 +139,15 @@ def test_numbers_are_those_of_what_they_claim_to_measure(benchmark, folder):
         assert steps[0] > steps[2]
         assert steps[3] == 0
         assert (steps[2] > 0) == (row["motion"] == benchmark.PASSING)
+    for row in rows(folder, "spread"):
+        dt = alfmu.derive(alfmu.load(row["mechanism"])).step_size
+        for what, step in (("", dt), (" at 1/20", dt / 20)):
+            assert int(row[f"steps{what}"]) == round(0.2 / step)
+            slowest, median = float(row[f"slowest{what} [us]"]), float(row[f"median{what} [us]"])
+            assert float(row[f"slowest / median{what}"]) == pytest.approx(slowest / median, rel=1e-12)
+            assert 0 < median <= slowest < 1e6
+            assert 0 <= float(row[f"slowest step{what} begins at [s]"]) < 0.2
+        assert row["note"] == ""
     one, ten = rows(folder, "scale")
     assert float(ten["operations"]) > 5 * float(one["operations"])
     assert [row["builds"] for row in (one, ten)] == ["2", "2"]

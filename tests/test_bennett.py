@@ -75,7 +75,7 @@ def test_multipliers_are_those_of_least_norm():
     """Against a pseudo-inverse of C' from the same equations, to 1e-12 of the largest."""
     i = started(derived("bennett"), {"hinge1.torque": 2.0})
     i.step(0.5)
-    e, p = i.equations, i.oracle.p
+    e, p = i.equations, i.memory["p"]
     q, v, a = i.q, i.v, np.array([i.get(f"hinge{k}.angular_acceleration") for k in range(1, 5)])
     M, C, f, d = (np.array(x) for x in (e.M(q, p), e.C(q, p), e.f(q, v, [2.0], p, i.time), e.d(q, v, p)))
     lam = np.array([i.get(f"multiplier[{k}]") for k in range(1, 7)])
@@ -90,7 +90,7 @@ def test_mobility_and_kernel():
     i = alfmu.Instance(prepared(derived("bennett"), "vm"))
     i.initialize()
     assert (i.mobility().freedom, i.mobility().redundant) == (1, 3)
-    assert i._direct
+    assert i.counters.patient == 0
     other = alfmu.Instance(i.equations)
     other.restore(i.save())
     for each in (i, other):

@@ -10,7 +10,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import derived
+from scenes import derived, made
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -69,7 +69,8 @@ def test_ten_million_steps_do_not_drift():
     i = alfmu.Instance(prepared(derived("particle_on_circle"), "compiled"))
     i.set("solver.step_size", 1e-3)
     i.initialize()
-    i.step(1e4)
+    for _ in range(10):
+        i.step(1e3)  # as many as one call makes
     assert i.counters.steps == 10_000_000
     assert abs(np.hypot(*i.q) - 1.0) <= 4e-16
     assert abs(np.hypot(*i.v) - 1.0) <= 1e-11
@@ -204,7 +205,7 @@ def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
     m.output("place", x, "m")
     arrival = (13**1.5 - 8) / 27 / np.hypot(1.0, 1.5)
     for kernel in ("oracle", "vm"):
-        i = alfmu.Instance(prepared(alfmu.derive(m), kernel))
+        i = made(alfmu.derive(m), kernel)
         i.set("solver.step_size", 0.005)
         i.initialize()
         with pytest.raises(alfmu.StepError, match=r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no"):

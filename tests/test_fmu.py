@@ -193,7 +193,7 @@ def test_a_bad_step_is_discarded(exported, length):
 def test_a_step_from_another_time_is_discarded(exported):
     with Fmu(exported("five_bar")) as fmu:
         fmu.initialize()
-        with pytest.raises(alfmu.StepError, match=r"the state is at t = 0\.0 s"):
+        with pytest.raises(alfmu.StepError, match=r"the state is at t = 0 s"):
             fmu.step(0.1, 5.0)
 
 
@@ -411,7 +411,7 @@ def test_the_archive_is_clean_and_complete(exported):
         assert "<table>" in page
         assert ET.fromstring(archive.read("modelDescription.xml")).get("guid")
         assert b"libraries" not in archive.read("documentation/externalDependencies.txt")
-        assert b"numpy and casadi" in archive.read("documentation/externalDependencies.txt")
+        assert b"no package" in archive.read("documentation/externalDependencies.txt")
 
 
 def test_the_model_says_whose_and_of_when_it_is_and_how_exact_a_run(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ import pytest
 from oracles.parallelogram import Parallelogram
 from scenes import derived
 
-import alfmu
+from alfmu import oracle
 from alfmu.equations.evaluation import with_tangents
 from alfmu.method import implicit
 from alfmu.method.stepping import (
@@ -22,7 +22,7 @@ from alfmu.method.stepping import (
     landing,
     tolerance,
 )
-from alfmu.runtime.adaptive import Adaptive
+from alfmu.oracle.adaptive import Adaptive
 
 EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8}
 RADAUS = {"Radau 9": RADAU9}
@@ -309,7 +309,7 @@ def test_the_error_follows_the_tolerance_and_steps_are_few(method, every):
 
 
 def adaptive(name, rule, run, parameters=(), inputs=(), fixed=None) -> Adaptive:
-    i = alfmu.Instance(with_tangents(derived(name)))
+    i = oracle.Instance(with_tangents(derived(name)))
     for key, value in [*dict(parameters).items(), *dict(inputs).items()]:
         i.set(key, value)
     i.initialize()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import derived
+from scenes import derived, made
 
 import alfmu
 from alfmu.equations import Mobility
@@ -28,13 +28,11 @@ each_kernel = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 def pair(name, options, parameters, kernel="vm") -> tuple[alfmu.Instance, alfmu.Instance]:
     """The same start by the kernel and by the oracle."""
     equations = derived(name, **options)
-    both = alfmu.Instance(prepared(equations, kernel)), alfmu.Instance(equations)
+    both = made(equations, kernel), made(equations, "oracle")
     for i in both:
         for key, value in parameters.items():
             i.set(key, value)
         i.initialize()
-    assert both[0]._fast
-    assert not both[1]._fast
     return both
 
 
@@ -42,12 +40,12 @@ def pair(name, options, parameters, kernel="vm") -> tuple[alfmu.Instance, alfmu.
 @each_scene
 def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, options, parameters, kernel):
     """Equal to round-off: 1e-12 of the largest entry, as both leave up to 1e-13 in each constraint."""
-    random, compared = np.random.default_rng(3), 0
+    random = np.random.default_rng(3)
     equations = derived(name, **options)
     prepared_once = prepared(equations, kernel)
     for _ in range(12):
         start = {"start.angle": random.uniform(0.3, 1.2), "start.angular_velocity": random.uniform(-3.0, 3.0)}
-        fast, oracle = (alfmu.Instance(e) for e in (prepared_once, equations))
+        fast, oracle = made(prepared_once, kernel), made(equations, "oracle")
         for i in (fast, oracle):
             for key, value in {**parameters, **start}.items():
                 i.set(key, value)
@@ -60,12 +58,10 @@ def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, optio
             assert np.abs(a - b).max() <= 1e-12 * np.abs(b).max()
             for i in (fast, oracle):
                 i.step(0.01)
-            compared += fast.memory["tally"].sum()  # by the kernel itself
-            fast.memory["tally"][:] = 0.0
         assert np.abs(fast.q - oracle.q).max() <= 1e-12 * max(1.0, np.abs(oracle.q).max())
         assert np.abs(fast.v - oracle.v).max() <= 1e-12 * max(1.0, np.abs(oracle.v).max())
         assert fast.work == pytest.approx(oracle.work, abs=1e-12)
-    assert compared == 24  # none was left to the oracle
+        assert fast.counters.patient == 0
 
 
 @each_scene
@@ -121,16 +117,18 @@ def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps, 
         i.initialize()
     many.step(steps * dt)
     for _ in range(steps):
-        assert one.machine.advance(1, dt) == 1
+        one.step(dt)
     assert many.counters.steps == one.counters.steps == steps
     assert np.array_equal(one.state, many.state)
 
 
-def test_what_the_unrolled_loops_cannot_do_goes_to_the_oracle_unseen():
-    """A penalty of 100 masses needs more iterations than were unrolled: the same numbers as the oracle's."""
+def test_what_the_unrolled_loops_cannot_do_is_done_by_loops_that_converge():
+    """A penalty of 100 masses needs more iterations than were unrolled: the numbers of the oracle."""
     parameters = {"solver.penalty": 100.0, "solver.max_iterations": 50, "start.angle": 0.4}
     runs = [alfmu.simulate("five_bar", 0.5, 0.02, parameters=parameters, kernel=k) for k in ("vm", "oracle")]
-    assert np.array_equal(runs[0].values, runs[1].values)
+    kept = [n not in ("monitor.iterations", "monitor.distance") for n in runs[0].names]
+    a, b = (r.values[:, kept] for r in runs)
+    assert np.abs(a - b).max() <= 1e-11 * np.abs(b).max()
 
 
 @pytest.mark.parametrize("penalty", [1e4, 1e6, 1e10, 1e12])
@@ -140,11 +138,6 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
     for i in (kernel, oracle):
         i.step(0.1)
 
-    def first(i: alfmu.Instance) -> int:
-        """The tier that each step begins with."""
-        return i.memory["control"][1]
-
-    assert first(kernel) == 1
     kept = [v.name != "monitor.iterations" for v in kernel.outputs]
     a, b = kernel.read()[kept], oracle.read()[kept]
     # A correction of 1e-7 (what one step leaves open) leaks its round-off, times penalty over mass, into the motion.
@@ -152,12 +145,9 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
     default = alfmu.Instance(kernel.equations)
     default.set("start.angle", 0.4)
     default.initialize()
-    assert first(default) == 0
     default.penalty = np.full(8, penalty)
-    assert first(default) == 1
     other = alfmu.Instance(kernel.equations)
     other.restore(default.save())
-    assert first(other) == 1
     for i in (default, other):
         i.step(0.1)
     assert np.array_equal(default.read(), other.read())
@@ -172,17 +162,17 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
     ],
     ids=["classic", "no projection", "one iteration"],
 )
-def test_settings_that_were_not_traced_run_by_the_oracle(settings):
-    i = alfmu.Instance(prepared(derived("five_bar")), settings)
-    i.set("start.angle", 0.4)
-    i.initialize()
-    assert not i._fast
-    other = alfmu.Instance(derived("five_bar"), settings)
-    other.set("start.angle", 0.4)
-    other.initialize()
-    for each in (i, other):
-        each.step(0.1)
-    assert np.array_equal(i.read(), other.read())
+def test_settings_beside_the_usual_ones_run_as_by_the_oracle(settings):
+    both = [made(derived("five_bar"), kernel, settings) for kernel in ("vm", "oracle")]
+    for i in both:
+        i.set("start.angle", 0.4)
+        i.initialize()
+        i.step(0.1)
+    kept = [v.name not in ("monitor.iterations", "monitor.distance") for v in both[0].outputs]
+    a, b = (i.read()[kept] for i in both)
+    # Classic iterations, and the first one of the residual form, lose digits to the penalty (1e8 masses) each stage.
+    lost = 20 * 1e8 * 2.0**-52 if settings.projection is None else 1e-11
+    assert np.abs(a - b).max() <= lost * np.abs(b).max()
 
 
 @each_kernel
@@ -193,13 +183,13 @@ def test_a_penalty_for_each_constraint_runs_by_the_kernel(kernel, off):
     if off is not None:
         alpha[off] = 0.0
     settings = alfmu.Settings(penalty=alpha)
-    both = [alfmu.Instance(e, settings) for e in (prepared(derived("five_bar"), kernel), derived("five_bar"))]
+    both = [made(derived("five_bar"), k, settings) for k in (kernel, "oracle")]
     for i in both:
         i.set("start.angle", 0.4)
         i.initialize()
         for _ in range(20):
             i.step(0.01)
-    assert both[0].memory["tally"][1] == 20  # by the careful step of the kernel
+    assert both[0].counters.patient == 0
     assert np.abs(both[0].state[:17] - both[1].state[:17]).max() < 1e-12
     kept = [v.name != "monitor.iterations" for v in both[0].outputs]
     a, b = (i.read()[kept] for i in both)
@@ -239,7 +229,6 @@ def test_only_what_the_scene_needs_is_traced():
 def test_the_oracle_can_be_had_back_from_traced_equations():
     fast = prepared(derived("four_bar"))
     assert prepared(fast).kernel is fast.kernel
-    assert not alfmu.Instance(prepared(fast, "oracle")).machine
     a, b = (alfmu.simulate(e, 0.2, 0.02, kernel="oracle") for e in (fast, derived("four_bar")))
     assert np.array_equal(a.values, b.values)
 
@@ -253,14 +242,12 @@ def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
     from alfmu.fmi.drive import Fmu
     from alfmu.simulation import run
 
-    slow = alfmu.export("five_bar", tmp_path / "slow.fmu", kernel="oracle")
     fast = alfmu.export("five_bar", tmp_path / "fast.fmu", kernel="compiled")
-    for path, kernel in ((exported("five_bar"), "vm"), (slow, "oracle"), (fast, "compiled")):
+    for path, kernel in ((exported("five_bar"), "vm"), (fast, "compiled")):
         with Fmu(path) as fmu:
             result = run(fmu, 0.5, 0.02, parameters={"start.angle": 0.4})
         library = alfmu.simulate("five_bar", 0.5, 0.02, parameters={"start.angle": 0.4}, kernel=kernel)
         assert np.array_equal(result.values, library.values)
-    assert (exported("five_bar").stat().st_size - slow.stat().st_size) > 10000
 
 
 def test_a_long_communication_step_is_many_short_ones():
@@ -268,7 +255,7 @@ def test_a_long_communication_step_is_many_short_ones():
     ends = []
     for kernel in ("vm", "compiled", "oracle"):
         parts = 1200 if kernel == "oracle" else 1
-        i = alfmu.Instance(prepared(derived("slider_crank", coordinates="mixed"), kernel))
+        i = made(derived("slider_crank", coordinates="mixed"), kernel)
         i.set("solver.step_size", 1 / 1024)
         i.initialize()
         for k in range(parts):

@@ -7,7 +7,7 @@ one pendulum; momentum over each impact by hand.
 import fmpy
 import numpy as np
 import pytest
-from scenes import double_pendulum, readings
+from scenes import double_pendulum, made, readings
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -57,7 +57,7 @@ def test_a_double_pendulum_is_one_pendulum_while_its_elbow_is_locked(kernel):
     exact = swung(swung(y, LOCKED, FREE, locked=True), FREE, END)
     errors = []
     for h in (0.01, 0.005):
-        i = alfmu.Instance(prepared(alfmu.derive(double_pendulum()), kernel))
+        i = made(alfmu.derive(double_pendulum()), kernel)
         i.set("solver.step_size", h)
         i.initialize()
         for t in np.arange(0, END - 1e-9, 0.1):
@@ -80,7 +80,7 @@ def test_every_coordinate_set_stops_alike(coordinates):
     i = alfmu.Instance(prepared(alfmu.derive(m)))
     i.set("start.angle", 0.6)
     i.initialize()
-    kinetic = i.get("monitor.energy") - float(i.equations.potential_energy(i.q, i.oracle.p))
+    kinetic = i.get("monitor.energy") - float(i.equations.potential_energy(i.q, i.memory["p"]))
     v, q = i.v.copy(), i.q.copy()
     i.set("B.locked", True)
     i.step(0.5)
@@ -88,11 +88,11 @@ def test_every_coordinate_set_stops_alike(coordinates):
     assert i.q == pytest.approx(q, abs=1e-13)
     assert i.get("monitor.energy_lost") == pytest.approx(kinetic, rel=1e-12)
     # Virtual work of the weights against that of the lock, along the motion that was possible.
-    ahead, behind = (float(i.equations.displacements(q + k * v, i.oracle.p)) for k in (1e-5, -1e-5))
+    ahead, behind = (float(i.equations.displacements(q + k * v, i.memory["p"])) for k in (1e-5, -1e-5))
     rate = (ahead - behind) / 2e-5
-    power = float(np.array(i.equations.f(q, 0 * v, i.inputs, i.oracle.p, 0.0)).ravel() @ v)
+    power = float(np.array(i.equations.f(q, 0 * v, i.memory["u"], i.memory["p"], 0.0)).ravel() @ v)
     assert i.get("B.locking_torque") * rate == pytest.approx(-power, rel=1e-7)  # of the difference
-    momentum = np.array(i.equations.M(q, i.oracle.p)) @ v
+    momentum = np.array(i.equations.M(q, i.memory["p"])) @ v
     assert i.get("B.impulse") * rate == pytest.approx(-float(momentum @ v), rel=1e-7)
 
 
@@ -107,7 +107,7 @@ def test_redundant_locks_share_the_impulse_and_change_nothing():
         i = alfmu.Instance(equations)
         i.set("start.angle", 0.6)
         i.initialize()
-        momentum = np.array(equations.M(i.q, i.oracle.p)) @ i.v
+        momentum = np.array(equations.M(i.q, i.memory["p"])) @ i.v
         for name in locks:
             i.set(name, True)
         i.step(0.1)
@@ -115,8 +115,8 @@ def test_redundant_locks_share_the_impulse_and_change_nothing():
         torques.append([i.get("B.locking_torque"), i.get("brake.locking_torque")])
         places.append(i.q.copy())
         if len(locks) == 2:
-            forces = np.array(equations.f(i.q, i.v, i.inputs, i.oracle.p, 0.0)).ravel()
-            shares = -np.linalg.pinv(np.array(equations.C(i.q, i.oracle.p)).T) @ np.c_[momentum, forces]
+            forces = np.array(equations.f(i.q, i.v, i.memory["u"], i.memory["p"], 0.0)).ravel()
+            shares = -np.linalg.pinv(np.array(equations.C(i.q, i.memory["p"])).T) @ np.c_[momentum, forces]
             size = i.mobility()
             assert (size.freedom, size.redundant) == (0, 1)
             i.set("B.locked", False)  # the other one still holds

@@ -9,12 +9,13 @@ import pytest
 from mpmath import matrix, mp, mpf, sqrt
 from oracles.parallelogram import DIGITS, Parallelogram, constrained, floats, least_norm
 from oracles.slider_crank import SliderCrank
-from scenes import derived, readings, started
+from scenes import by_the_oracle as started
+from scenes import derived, readings
 
 import alfmu
 from alfmu.kernel.vm import Vm
 from alfmu.method import formulations as method
-from alfmu.runtime.oracle import Oracle
+from alfmu.oracle.oracle import Oracle
 
 EPS = np.finfo(float).eps
 

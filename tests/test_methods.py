@@ -10,7 +10,7 @@ from oracles import flyball, ode
 from oracles.end_stop import EndStop
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import derived, sampled
+from scenes import derived, made, sampled
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -25,7 +25,7 @@ GOVERNOR = np.loadtxt(Path(flyball.__file__).with_suffix(".csv"), delimiter=",",
 def chosen(name: str, method: str, kernel: str = "oracle", **given: float | str) -> alfmu.Instance:
     """An initialised instance with a method."""
     given = {key.replace("__", "."): value for key, value in given.items()}
-    i = alfmu.Instance(prepared(with_defaults(derived(name), {"solver.method": method, **given}), kernel))
+    i = made(with_defaults(derived(name), {"solver.method": method, **given}), kernel)
     i.initialize()
     return i
 
@@ -133,7 +133,7 @@ def test_inputs_extrapolated_inside_a_communication_step_keep_the_order():
 
 @pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
 def test_a_saved_state_goes_on_to_the_last_bit(method):
-    i = chosen("slider_crank", method, solver__input_order=1)
+    i = chosen("slider_crank", method, "vm", solver__input_order=1)
     for k in range(3):
         i.set("A.torque", 0.1 * k)
         i.step(0.05)
@@ -174,11 +174,11 @@ def test_the_tolerance_of_fmi_is_honoured(tmp_path):
 def test_only_a_scene_that_asks_carries_a_method(tmp_path):
     plain = alfmu.export("four_bar", tmp_path / "plain.fmu")
     stiff = alfmu.export("four_bar", tmp_path / "stiff.fmu", parameters={"solver.method": "stiff"})
-    files = [{name.rsplit("/", 1)[-1] for name in zipfile.ZipFile(path).namelist()} for path in (plain, stiff)]
-    assert files[1] - files[0] >= {"adaptive.py", "implicit.py", "stepping.py"}
+    sizes = [zipfile.ZipFile(path).getinfo("resources/scene.bin").file_size for path in (plain, stiff)]
+    assert sizes[1] > 1.2 * sizes[0]
     with Fmu(plain) as fmu:
         fmu.set("solver.method", "explicit")
-        with pytest.raises(alfmu.StepError, match=r"carries rk4 alone; export it with --set solver\.method=explicit"):
+        with pytest.raises(alfmu.StepError, match=r"use one of rk4, .*export with --set solver\.method=explicit"):
             fmu.initialize()
 
 
@@ -198,12 +198,12 @@ def test_auto_says_what_it_chose_and_why(capsys):
 def test_what_cannot_be_is_refused():
     with pytest.raises(alfmu.InputError, match=r"solver\.method is 'euler'; use one of rk4, order8"):
         with_defaults(derived("four_bar"), {"solver.method": "euler"})
-    for more, said in (({"solver.formulation": "dae"}, "takes the augmented Lagrangian"), ({}, "needs the tangents")):
-        i = alfmu.Instance(derived("four_bar"))
-        for name, value in {"solver.method": "stiff", **more}.items():
-            i.set(name, value)
-        with pytest.raises(alfmu.InputError, match=said):
-            i.initialize()
+    i = alfmu.Instance(derived("four_bar"))
+    i.set("solver.method", "stiff")
+    with pytest.raises(alfmu.InputError, match="takes the augmented Lagrangian"):
+        i.set("solver.formulation", "dae")
+    i.initialize()
+    assert i.choices["solver.method"] == "stiff"
     with pytest.raises(alfmu.InputError, match="takes up to 50 coordinates"):
         prepared(with_defaults(derived("n_four_bar", loops=40), {"solver.method": "stiff"}))
     assert set(METHODS) >= {"rk4", "explicit", "stiff", "auto"}

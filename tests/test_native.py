@@ -1,11 +1,11 @@
 """Native FMUs: the numbers of the library, everything a scene asks for, and a host that does all wrong."""
 
-import ctypes
 import os
 import shutil
 import subprocess
 import sys
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -18,12 +18,17 @@ from scenes import derived, double_pendulum, sampled
 
 import alfmu
 from alfmu.cli import main
+from alfmu.equations.interface import CHOICES
 from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu, validate
 from alfmu.kernel.program import Layout
+from alfmu.model.settings import BRANCHES, FIXED, FORMULATIONS
+from alfmu.runtime import build
 from alfmu.simulation import prepared, run, with_defaults
 
 HOST = Path(__file__).with_name("native_host.c")
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+"""Of FMI, for hosts."""
 
 CASES = [
     *(("five_bar", {}), ("four_bar", {}), ("particle_on_circle", {}), ("n_four_bar", {}), ("end_stop", {})),
@@ -33,21 +38,18 @@ CASES = [
 LOADS = {"particle_on_circle": {"force.y": 0.7}, "flexible_four_bar": {"O.torque": 0.3}, "end_stop": {"O.torque": 0.3}}
 each_case = pytest.mark.parametrize(("name", "options"), CASES, ids=["_".join([n, *o.values()]) for n, o in CASES])
 
-pytestmark = pytest.mark.skipif(not native.compiler(), reason="there is no C compiler")
+by_a_compiler = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
 
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory) -> Callable[..., Path]:
-    """`built("five_bar", ...)`: the path of that native FMU, made on first use, its C not optimised to save time."""
+    """`built("five_bar", ...)`: the path of that native FMU, made on first use."""
     folder, made = tmp_path_factory.mktemp("native"), {}
 
     def get(mechanism, key="", options=None, **given):
         name = "_".join([getattr(mechanism, "name", mechanism), key, *(options or {}).values()])
         if name not in made:
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(native, "LEVELS", ("-O0", "-O0"))
-                path = folder / f"{name}.fmu"
-                made[name] = alfmu.export(mechanism, path, options=options, kind="native", **given)
+            made[name] = alfmu.export(mechanism, folder / f"{name}.fmu", options=options, kind="native", **given)
         return made[name]
 
     return get
@@ -58,17 +60,21 @@ def state_of(fmu: Fmu, layout: Layout) -> np.ndarray:
     return np.frombuffer(fmu.save()[-8 * layout.size :]).copy()
 
 
-def like(fmu: Fmu, instance: alfmu.Instance) -> None:
-    """Give an initialised FMU the memory of an instance."""
-    size = 8 * instance.layout.size
-    fmu.restore(fmu.save()[:-size] + instance.memory.block[: instance.layout.size].tobytes())
+def summed(state: bytes) -> bytes:
+    """A state with the check sums of what it says now: CRC-32 of the instance in it, and that of Fowler, Noll and Vo by
+    words of 64 bits of all."""
+    own = state[24:]
+    own = own[:8] + zlib.crc32(own[:8] + bytes(4) + own[12:]).to_bytes(4, "little") + own[12:]
+    words = [int.from_bytes(state[4:8], "little"), *np.frombuffer(own, np.uint64).tolist()]
+    found = 0xCBF29CE484222325
+    for word in words:
+        found = (found ^ word) * 0x100000001B3 % 2**64
+    return state[:16] + found.to_bytes(8, "little") + own
 
 
-def unlike(a, b, *but: str) -> float:
-    """Largest difference of two results, relative to 1 and to the value; iterations that were needed left out."""
-    columns = [i for i, name in enumerate(a.names) if name not in ("monitor.iterations", *but)]
-    a, b = a.values[:, columns], b.values[:, columns]
-    return (np.abs(a - b) / (1 + np.abs(b))).max()
+def same(got, library) -> bool:
+    """Whether two results are the same to the last bit."""
+    return got.names == library.names and got.values.tobytes() == library.values.tobytes()
 
 
 # Numbers --------------------------------------------------------------------------------------------------------------
@@ -76,38 +82,19 @@ def unlike(a, b, *but: str) -> float:
 
 @each_case
 def test_the_numbers_of_the_library(built, name, options):
+    """To the last bit, as both are one: at the start, in all that evolves, and in every output."""
     equations = prepared(derived(name, **options))
     stop, step = (0.5 if name == "flyball_governor" else 10.0), max(equations.step_size, 0.02)
     instance = alfmu.Instance(equations)
     instance.initialize()
-    layout, start = instance.layout, instance.memory.block.copy()
-    library = go_on(instance, stop, step)
-    with Fmu(built(name, options=options)) as fmu:
+    with Fmu(built(name, options=options)) as fmu, Fmu(built(name, options=options)) as other:
         fmu.initialize()
-        got = state_of(fmu, layout)
-        # The same start to a few bits, by another decomposition of the same matrices.
-        assert np.abs(got - start)[: layout.work].max() < 1e-14 * (1 + np.abs(start[: layout.work]).max())
-        k = slice(layout.fields["k"][0], sum(layout.fields["k"]))
-        assert got[k] == pytest.approx(start[k], rel=1e-12, abs=1e-14)
-        instance.memory.block[:] = start
-        like(fmu, instance)
-        got = go_on(fmu, stop, step)
-    if name != "bennett":
-        assert unlike(got, library) <= 1e-12
-        return
-    # The distance comes from a pivot that masses make, of an H that sums n + l products of the size of the penalty: its
-    # round-off is as many roundings of 1 over that pivot, and half of it, for the root, is in either distance.
-    limit = (equations.n + equations.l) * np.finfo(float).eps / instance.oracle.pivot_of_mass
-    distances = got["monitor.distance"], library["monitor.distance"]
-    assert distances[0] == pytest.approx(distances[1], rel=limit, abs=0)
-    # What is redundant is told by a decomposition in each step: no closer than starts a bit apart.
-    apart = []
-    for bits in (-1, 1, 2):
-        other = alfmu.Instance(equations)
-        other.initialize()
-        other.state[: 2 * equations.n] *= 1 + bits * 2.0**-52
-        apart.append(unlike(go_on(other, stop, step), library, "monitor.distance"))
-    assert unlike(got, library, "monitor.distance") < 10 * max(apart) < 1e-6
+        for part in ("z", "p", "k", "control", "tally", "pace"):
+            offset, length = instance.layout.fields[part]
+            found = state_of(fmu, instance.layout)[offset : offset + length]
+            assert found.tobytes() == instance.memory[part].tobytes(), part
+        assert fmu.read().tobytes() == instance.read().tobytes()
+        assert same(run(other, stop, step), alfmu.simulate(equations, stop, step))
 
 
 METHODS = [
@@ -118,13 +105,16 @@ METHODS = [
 
 @pytest.mark.parametrize(("name", "method"), METHODS)
 def test_methods_of_integration_give_the_numbers_of_the_library(built, name, method):
-    """As exact as step control lets two starts be that differ by round-off; FMI's tolerance is heard."""
-    path, stop = built(name, method, parameters={"solver.method": method}), 0.2
-    chosen = {"solver.method": method, "solver.relative_tolerance": 1e-8}
-    library = alfmu.simulate(name, stop, 0.02, parameters=chosen)
-    columns = [n for n in library.names if not n.startswith("monitor.")]
-    found = fmpy.simulate_fmu(str(path), stop_time=stop, output_interval=0.02, relative_tolerance=1e-8, output=columns)
-    assert max(np.abs(found[n] - library[n]).max() / (1 + np.abs(library[n]).max()) for n in columns) <= 1e-7
+    """To the last bit; FMI's tolerance is heard by those that control their error."""
+    path, stop, results = built(name, method, parameters={"solver.method": method}), 0.2, {}
+    for tolerance in (1e-8, 1e-4):
+        chosen = {"solver.method": method, "solver.relative_tolerance": tolerance}
+        library = alfmu.simulate(name, stop, 0.02, parameters=chosen)
+        given = {"stop_time": stop, "output_interval": 0.02, "output": library.names}
+        results[tolerance] = found = fmpy.simulate_fmu(str(path), relative_tolerance=tolerance, **given)
+        assert np.array_equal(found["time"], library.time)
+        assert all(np.array_equal(found[n], library[n]) for n in library.names)
+    assert (results[1e-8].tobytes() == results[1e-4].tobytes()) == (method in FIXED)
     with Fmu(path) as fmu:
         fmu.initialize()
         fmu.step(0.02, 0.0)
@@ -133,15 +123,6 @@ def test_methods_of_integration_give_the_numbers_of_the_library(built, name, met
         fmu.restore(state)
         fmu.step(0.02, 0.02)
         assert fmu.read().tobytes() == first.tobytes()
-
-
-def go_on(unit, stop: float, step: float):
-    """`run` for a unit that is initialised."""
-    initialize, unit.initialize = unit.initialize, lambda: None
-    try:
-        return run(unit, stop, step)
-    finally:
-        unit.initialize = initialize
 
 
 some_cases = pytest.mark.parametrize("name", ["five_bar", "particle_on_circle", "flexible_four_bar", "bennett"])
@@ -161,10 +142,19 @@ def test_variables_are_those_of_the_python_fmu(built, exported, name):
         [
             (v.name, v.valueReference, v.causality, v.type, v.unit, v.start, v.min, v.description)
             for v in d.modelVariables
+            if v.name not in CHOICES
         ]
         for d in described
     ]
     assert kept[0] == kept[1]
+    choices = [[v for v in d.modelVariables if v.name in CHOICES] for d in described]
+    for here, there in zip(*choices, strict=True):
+        items = here.declaredType.items
+        assert (here.name, here.valueReference, here.causality) == (there.name, there.valueReference, there.causality)
+        assert (here.type, items[int(here.start) - 1].name) == ("Enumeration", there.start)
+        assert all(item.description == CHOICES[here.name][item.name] for item in items)
+        carried = {"solver.formulation": [*FORMULATIONS], "solver.branch": [*BRANCHES], "solver.method": ["rk4"]}
+        assert [item.name for item in items] == carried[here.name]
     follow = [{u.variable.name: [v.name for v in u.dependencies] for u in d.outputs} for d in described]
     assert follow[0] == follow[1]
 
@@ -173,22 +163,18 @@ SCENES = {
     "locks": (
         {"B.locked": lambda t: 0.1 < t < 0.3, "E.released": lambda t: t >= 0.5, "F.released": lambda t: t > 0.6},
         {},
-        1e-11,
     ),
-    "compliances": ({}, {"B.compliance.x": 2e-6}, 1e-12),
-    "parameters": ({"A.torque": 0.3}, {"m2": 0.0, "l": 2.0, "g": 1.6, "solver.step_size": 0.005}, 1e-12),
-    "impatient": ({"A.torque": 0.3}, {"solver.max_iterations": 4}, 1e-11),
-    "paper": ({"A.torque": 0.5}, {"solver.branch": "paper"}, 1e-12),
+    "compliances": ({}, {"B.compliance.x": 2e-6}),
+    "parameters": ({"A.torque": 0.3}, {"m2": 0.0, "l": 2.0, "g": 1.6, "solver.step_size": 0.005}),
+    "impatient": ({"A.torque": 0.3}, {"solver.max_iterations": 4}),
+    "paper": ({"A.torque": 0.5}, {"solver.branch": "paper"}),
 }
-"""Of a five-bar that is more than its defaults: inputs, values, and how far it may be from the library.
-
-Where the library's oracle makes steps, or redundant rows are told by a decomposition, each step differs by some bits.
-"""
+"""Of a five-bar that is more than its defaults: inputs and values."""
 
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_everything_that_a_scene_asks_for(built, scene):
-    inputs, values, limit = SCENES[scene]
+    inputs, values = SCENES[scene]
     m = alfmu.load("five_bar")
     values = {"start.angle": 0.7, **values}
     if scene == "locks":
@@ -201,15 +187,7 @@ def test_everything_that_a_scene_asks_for(built, scene):
     with Fmu(built(m, scene if scene in ("locks", "compliances") else "")) as fmu:
         got = run(fmu, 2.0, 0.04, inputs, values)
     library = alfmu.simulate(alfmu.derive(m), 2.0, 0.04, inputs=inputs, parameters=values)
-    assert got.names == library.names
-    assert np.abs(moved(got) - moved(library)).max() < limit
-    # Limits of reactions are known to some 1e-9, and read from other places where the library's oracle takes over.
-    assert unlike(got, library) < 1e-7
-
-
-def moved(result) -> np.ndarray:
-    """Positions and angles."""
-    return np.column_stack([result[f"link{k}.{what}"] for k in (1, 2, 3, 4) for what in ("x", "y", "angle")])
+    assert same(got, library)
 
 
 def test_what_is_left_out_and_frozen(built):
@@ -217,8 +195,7 @@ def test_what_is_left_out_and_frozen(built):
     with Fmu(built("five_bar", "frozen", **given)) as fmu:
         got = run(fmu, 1.0, 0.02)
     assert got.names == [*(f"link{k}.angle" for k in (1, 2, 3, 4)), "monitor.energy", "A.torque", "D.torque"]
-    library = alfmu.simulate("five_bar", 1.0, 0.02, **given)
-    assert unlike(got, library) <= 1e-12
+    assert same(got, alfmu.simulate("five_bar", 1.0, 0.02, **given))
 
 
 # Steps that cannot be made --------------------------------------------------------------------------------------------
@@ -243,7 +220,7 @@ def test_a_step_is_refused_in_the_words_of_the_library_and_nothing_is_lost(built
         for unit in (instance, fmu):
             unit.set("A.torque", 0.0)
             unit.step(0.02, 0.02)
-        assert fmu.read() == pytest.approx(instance.read(), rel=1e-12, abs=1e-12)
+        assert fmu.read().tobytes() == instance.read().tobytes()
 
 
 def test_a_motion_that_ends_is_locked_up(built):
@@ -264,9 +241,9 @@ def test_a_motion_that_ends_is_locked_up(built):
             unit.step(0.77, 0.0)
             with pytest.raises(alfmu.StepError, match="locked up at x = ") as caught:
                 unit.step(0.05, 0.77)
-            said.append(float(str(caught.value).split("t = ")[1].split(" s")[0]))
-        assert said[1] == pytest.approx(said[0], rel=1e-3)
-        assert said[0] == pytest.approx(0.7986, rel=3e-3)
+            said.append(str(caught.value))
+        assert said[0] == said[1]
+        assert float(said[0].split("t = ")[1].split(" s")[0]) == pytest.approx(0.7986, rel=3e-3)
         fmu.step(0.02, 0.77)
 
 
@@ -277,8 +254,7 @@ def test_a_slow_start_in_a_singular_position(built, rate):
     with Fmu(built("four_bar")) as fmu:
         got = run(fmu, 1.0, 0.02, {"A.torque": 4.0}, values)
     library = alfmu.simulate(prepared(derived("four_bar")), 1.0, 0.02, inputs={"A.torque": 4.0}, parameters=values)
-    places = [i for i, name in enumerate(got.names) if name.endswith((".angle", ".x", ".y")) and "force" not in name]
-    assert np.abs(got.values - library.values)[:, places].max() < 1e-9
+    assert same(got, library)
 
 
 # Derivatives ----------------------------------------------------------------------------------------------------------
@@ -347,36 +323,36 @@ DRIVEN = [
 
 
 def driven(unit, steps: range) -> np.ndarray:
-    """Outputs, without iterations that were needed, under an input that swings; units that are initialised."""
+    """Outputs under an input that swings; units that are initialised."""
     name, rows = unit.input_variables[0].name, []
-    kept = [i for i, v in enumerate(unit.outputs) if v.name != "monitor.iterations"]
     for k in steps:
         t = sum(LENGTHS) * (k // 6) + sum(LENGTHS[: k % 6])
         unit.set(name, 2 * np.sin(5 * t))
         unit.step(LENGTHS[k % 6], t)
-        rows.append(unit.read()[kept])
+        rows.append(unit.read())
     return np.array(rows)
 
 
 def past(unit, layout: Layout) -> np.ndarray:
     """Inputs at past communication points."""
-    memory = unit.memory.block if isinstance(unit, alfmu.Instance) else state_of(unit, layout)
+    if isinstance(unit, alfmu.Instance):
+        return unit.memory["past"].copy()
     offset, length = layout.fields["past"]
-    return memory[offset : offset + length].copy()
+    return state_of(unit, layout)[offset : offset + length]
 
 
 @pytest.mark.parametrize(("name", "method", "order"), DRIVEN)
 def test_inputs_are_extrapolated_as_in_the_library(built, name, method, order):
-    """Over 2.8 s, by the library's functions as C, as the virtual machine has other sums in factors of methods."""
+    """Over 2.8 s."""
     given = {"solver.method": method, "solver.input_order": order}
-    library = alfmu.Instance(prepared(with_defaults(derived(name), given), "compiled"))
+    library = alfmu.Instance(prepared(with_defaults(derived(name), given)))
     library.initialize()
     with Fmu(built(name, f"{method}_{order}", parameters=given)) as fmu:
         fmu.initialize()
-        like(fmu, library)
         got, wanted = driven(fmu, range(100)), driven(library, range(100))
         assert np.array_equal(past(fmu, library.layout), past(library, library.layout))
-    assert (np.abs(got - wanted) / (1 + np.abs(wanted))).max() <= 1e-12
+        assert past(fmu, library.layout).any()
+    assert np.array_equal(got, wanted)
 
 
 @pytest.mark.parametrize(("order", "least"), [(1, 1.6), (2, 2.6)])
@@ -418,7 +394,7 @@ def test_past_inputs_through_events_refused_steps_states_and_resets(built):
                 rows[unit].append(driven(unit, range(first, first + 5)))
         got, wanted = (np.concatenate(rows[unit]) for unit in (fmu, library))
         assert np.array_equal(past(fmu, layout), past(library, layout))
-        assert np.abs(got - wanted).max() <= 1e-12
+        assert np.array_equal(got, wanted)
         state = fmu.save()
         expected = driven(fmu, range(20, 25))
         other.restore(state)
@@ -490,12 +466,16 @@ def test_derivatives_by_the_host_come_before_past_inputs(built):
 
 def test_only_a_scene_that_asks_keeps_past_inputs(built):
     found = []
-    for path in (built("slider_crank"), built("slider_crank", "rk4_1", parameters={"solver.input_order": 1})):
-        with zipfile.ZipFile(path) as archive:
-            found.append(archive.read("sources/scene0.c").decode())
-        with Fmu(path) as fmu, pytest.raises(alfmu.StepError, match=r"solver.input_order = 2 1 is outside"):
-            fmu.set("solver.input_order", 2)
-    assert ["run_reach" in text for text in found] == [False, True]
+    for given in ({}, {"solver.input_order": 1}):
+        with Fmu(built("slider_crank", "rk4_1" if given else "", parameters=given)) as fmu:
+            with pytest.raises(alfmu.StepError, match=r"solver.input_order = 2 1 is outside"):
+                fmu.set("solver.input_order", 2)
+            fmu.initialize()
+            found.append(len(fmu.save()))
+    equations = (prepared(with_defaults(derived("slider_crank"), {"solver.input_order": k})) for k in (0, 1))
+    lengths = [Layout(e).fields["past"][1] for e in equations]
+    assert lengths[0] == 0 < lengths[1]
+    assert found[1] - found[0] == 8 * lengths[1]
 
 
 # Life -----------------------------------------------------------------------------------------------------------------
@@ -545,11 +525,12 @@ def test_a_bad_start_is_refused_in_the_words_of_the_library(built):
                 continue
             with pytest.raises(alfmu.StepError) as caught:
                 fmu.initialize()
-            assert str(caught.value)[:60] == said[:60]
+            assert str(caught.value) == said
 
 
+@by_a_compiler
 def test_a_host_that_does_all_wrong(built, tmp_path):
-    """Under AddressSanitizer and UndefinedBehaviorSanitizer; leaks of 1e5 instances would be told."""
+    """Under AddressSanitizer and UndefinedBehaviorSanitizer; leaks of 1e4 instances and scenes would be told."""
     path = built(double_pendulum_with_a_torque())
     description = fmpy.read_model_description(str(path))
     references = {v.name: v.valueReference for v in description.modelVariables}
@@ -563,13 +544,14 @@ def test_a_host_that_does_all_wrong(built, tmp_path):
         "SWITCH": references["elbow.locked"],
         "GUID": f'"{description.guid}"',
         "SCENE": '"double_pendulum"',
+        "RESOURCES": f'"{(tmp_path / "resources").as_uri()}"',
     }
     program = tmp_path / "host"
     sources = [str(p) for p in sorted((tmp_path / "sources").glob("*.c"))]
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"]
-    command = [*native.compiler(), "-O0", "-g", "-Wall", "-Wextra", "-Werror", *checks]
+    command = [*build.compiler(), "-O1", "-g", "-Wall", "-Wextra", "-Werror", *checks]
     command += [f"-DHOST_{name}={value}" for name, value in named.items()]
-    command += [f"-I{native.headers()}", f"-I{tmp_path / 'sources'}", str(HOST), *sources, "-o", str(program)]
+    command += [f"-I{HEADERS}", f"-I{tmp_path / 'sources'}", str(HOST), *sources, "-o", str(program)]
     done = subprocess.run([*command, "-lm", "-pthread"], capture_output=True, text=True, check=False)
     if "sanitize" in done.stderr or "cannot find" in done.stderr:
         pytest.skip("this compiler has no sanitizers")
@@ -587,41 +569,61 @@ def double_pendulum_with_a_torque() -> alfmu.Mechanism:
 # Export ---------------------------------------------------------------------------------------------------------------
 
 
+@by_a_compiler
 def test_the_c_is_free_of_warnings(built, tmp_path):
-    with zipfile.ZipFile(built("five_bar")) as archive:
+    with zipfile.ZipFile(built("particle_on_circle")) as archive:
         archive.extractall(tmp_path)
-    for source in sorted((tmp_path / "sources").glob("*.c")):
-        command = [*native.compiler(), "-Wall", "-Wextra", "-pedantic", "-std=c99", "-fsyntax-only"]
-        done = subprocess.run(
-            [*command, f"-I{native.headers()}", str(source)], capture_output=True, text=True, check=False
-        )
+    sources = sorted((tmp_path / "sources").glob("*.c"))
+    assert sources
+    for source in sources:
+        command = [*build.compiler(), "-Wall", "-Wextra", "-Wpedantic", "-O2", "-std=c99", "-c", "-o", os.devnull]
+        done = subprocess.run([*command, str(source)], capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_an_importer_can_build_it_from_its_sources(built, tmp_path):
-    path = built("particle_on_circle")
+@by_a_compiler
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):
+    """From those that the description names, alone; the library in its place finds its scene and gives the numbers."""
+    path = built("particle_on_circle", f"fmi{fmi}", fmi=fmi)
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)
-    root = ET.parse(tmp_path / "modelDescription.xml").getroot()
-    sources = [file.get("name") for file in root.iter("File")]
+        names = archive.namelist()
+    described = {2: tmp_path / "modelDescription.xml", 3: tmp_path / "sources" / "buildDescription.xml"}[fmi]
+    sources = [f.get("name") for f in ET.parse(described).getroot().iter({2: "File", 3: "SourceFile"}[fmi])]
     assert sources
-    library = tmp_path / "again.so"
-    command = [*native.compiler(), "-shared", "-fPIC", f"-I{native.headers()}", *sources, "-o", str(library), "-lm"]
+    library = next(tmp_path / name for name in names if name.startswith("binaries/"))
+    library.unlink()
+    command = [*build.compiler(), "-O1", "-ffp-contract=off", "-shared", "-fPIC", *sources, "-o", str(library), "-lm"]
     subprocess.run(command, cwd=tmp_path / "sources", check=True)
-    version = ctypes.CDLL(str(library)).fmi2GetVersion
-    version.restype = ctypes.c_char_p
-    assert version() == b"2.0"
+    again = tmp_path / "again.fmu"
+    with zipfile.ZipFile(again, "w") as archive:
+        for name in names:
+            archive.write(tmp_path / name, name)
+    with Fmu(again) as own, Fmu(path) as fmu:
+        assert run(own, 1.0, 0.02).values == pytest.approx(run(fmu, 1.0, 0.02).values, rel=1e-12, abs=1e-12)
 
 
-def test_the_same_mechanism_gives_the_same_bytes(built, tmp_path, monkeypatch):
-    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
+def test_the_sources_are_the_same_in_every_fmu_and_the_scene_is_in_its_resources(built):
+    found, scenes = [], []
+    for path in (built("particle_on_circle"), built("five_bar"), built("five_bar", "fmi3", fmi=3)):
+        with zipfile.ZipFile(path) as archive:
+            names = [n for n in archive.namelist() if n.startswith("sources/") and n.endswith((".c", ".h"))]
+            found.append({Path(n).name: archive.read(n).decode() for n in names})
+            scenes.append(archive.read("resources/scene.bin"))
+    assert found[0] == found[1] == found[2] == native.sources()
+    assert scenes[0] != scenes[1] == scenes[2]
+
+
+def test_the_same_mechanism_gives_the_same_bytes(built, tmp_path):
     again = alfmu.export("particle_on_circle", tmp_path, kind="native")
     assert again.read_bytes() == built("particle_on_circle").read_bytes()
 
 
 def test_what_a_native_fmu_has_not_is_refused(tmp_path):
-    with pytest.raises(alfmu.ExportError, match=r"a native FMU has no solver\.formulation classic"):
-        alfmu.export("five_bar", tmp_path, kind="native", parameters={"solver.formulation": "classic"})
+    given = {"solver.formulation": "classic", "solver.method": "explicit"}
+    with pytest.raises(alfmu.ExportError, match=r"has no solver\.method explicit with solver\.formulation classic"):
+        alfmu.export("five_bar", tmp_path, kind="native", parameters=given)
     with pytest.raises(alfmu.ExportError, match="no kind 'other'"):
         alfmu.export("five_bar", tmp_path, kind="other")
     with pytest.raises(alfmu.ExportError, match="leave --kernel out"):
@@ -632,15 +634,35 @@ def test_what_a_native_fmu_has_not_is_refused(tmp_path):
         alfmu.export("particle_on_circle", tmp_path, kind="native", platforms=["amiga"])
 
 
-def test_without_a_compiler(monkeypatch, tmp_path):
-    monkeypatch.setattr(native, "compiler", lambda: None)
-    monkeypatch.setattr(native.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(alfmu.ExportError, match="no C compiler found for"):
-        alfmu.export("particle_on_circle", tmp_path, kind="native")
+def test_without_a_compiler(monkeypatch, tmp_path, built):
+    """For this platform none is needed; for others it takes zig, and what is missing is said."""
+    monkeypatch.setattr(build, "compiler", lambda: None)
+    monkeypatch.setattr(build, "zig", lambda: None)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    path = alfmu.export("particle_on_circle", tmp_path, kind="native")
+    assert path.read_bytes() == built("particle_on_circle").read_bytes()
+    other = next(name for name in native.PLATFORMS if name not in native.platforms("particle", ()))
+    with pytest.raises(alfmu.ExportError, match=rf"for {other} .*pip install ziglang\); leave the platform out"):
+        alfmu.export("particle_on_circle", tmp_path, kind="native", platforms=[other])
 
 
-def test_from_the_command_line(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
+def test_a_library_in_the_cache_is_kept_and_built_again_where_it_was_damaged(monkeypatch, tmp_path):
+    made = []
+
+    def written(name: str, path: Path) -> None:
+        made.append(name)
+        path.write_bytes(f"library {len(made)}".encode())
+
+    monkeypatch.setattr(build, "build", written)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    other = next(name for name in native.PLATFORMS if name not in native.platforms("particle", ()))
+    assert native.libraries("particle", [other]) == native.libraries("particle", [other]) == {other: b"library 1"}
+    next(tmp_path.rglob(f"runtime_*{native.PLATFORMS[other].suffix}")).write_bytes(b"library of another")
+    assert native.libraries("particle", [other]) == {other: b"library 2"}
+    assert made == [other, other]
+
+
+def test_from_the_command_line(tmp_path, capsys):
     path = tmp_path / "particle.fmu"
     assert main(["export", "particle_on_circle", "--kind", "native", "-o", str(path)]) == 0
     assert main(["validate", str(path)]) == 0
@@ -738,7 +760,6 @@ def test_fmi_3_saves_derives_and_refuses(slave):
     assert other.getFloat64([angle]) == after
     for call in (
         lambda: unit.setFloat64([torque], [float("nan")]),
-        lambda: unit.doStep(0.42, 0.02),
         lambda: unit.doStep(0.42, -1.0),
         lambda: unit.setFloat64([angle], [1.0]),
         lambda: unit.getInt32([angle]),
@@ -775,10 +796,9 @@ def test_fmi_3_returns_early_where_the_host_asks_and_where_a_motion_ends(slave):
 # Other hosts ----------------------------------------------------------------------------------------------------------
 
 
-def test_for_other_platforms(tmp_path, monkeypatch):
+def test_for_other_platforms(tmp_path):
     """Built by zig; where there is wine, the Windows library runs and gives the numbers of this platform."""
     pytest.importorskip("ziglang")
-    monkeypatch.setattr(native, "LEVELS", ("-O0", "-O0"))
     path = alfmu.export("particle_on_circle", tmp_path, kind="native", platforms=["linux64", "win64"])
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)
@@ -788,7 +808,7 @@ def test_for_other_platforms(tmp_path, monkeypatch):
         pytest.skip("there is no wine")
     host = tmp_path / "host.exe"
     command = [sys.executable, "-m", "ziglang", "cc", "-target", native.PLATFORMS["win64"].target]
-    command += [f"-I{native.headers()}", str(Path(__file__).with_name("native_windows.c")), "-o", str(host)]
+    command += [f"-I{HEADERS}", str(Path(__file__).with_name("native_windows.c")), "-o", str(host)]
     subprocess.run(command, check=True, capture_output=True)
     description = fmpy.read_model_description(str(path))
     reference = next(v.valueReference for v in description.modelVariables if v.name == "particle.x")

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from scenes import derived
+from test_compiled import Functions
 
 from alfmu.equations import Equations
 from alfmu.equations.evaluation import elimination, with_functions
@@ -53,9 +54,9 @@ def shapes(signature: dict) -> list:
 
 
 def check(*functions: ca.Function) -> None:
-    """The compiled functions give the numbers of the virtual machine."""
+    """The compiled functions give the numbers of CasADi."""
     e = scene(*functions)
-    compiled, expected = numbers(build.compiled(e).library, e), numbers(Vm(e), e)
+    compiled, expected = numbers(Functions(e), e), numbers(Vm(e), e)
     for name in expected:
         assert np.array_equal(compiled[name], expected[name]), name
 
@@ -156,15 +157,13 @@ def test_where_nothing_repeats_the_code_is_straight():
     check(f)
 
 
-def test_a_result_may_be_written_over_an_argument(monkeypatch):
+def test_a_result_may_be_written_over_an_argument():
     """As the calls of programs do it: both are one array."""
     x = ca.SX.sym("x", N)
     f = ca.Function("f", [x], [ca.vertcat(*(x[i] * x[i - 1] for i in range(N)))])
-    monkeypatch.setattr(emit, "_overwritten", lambda e: {"f": {0: N}})
     values = np.linspace(1, 2, N)
     expected = np.array(f(values)).reshape(-1)
-    library = build.compiled(scene(f)).library
-    library.bind("f", [values], [values])()
+    Functions(scene(f), {"f": {0: N}}).bind("f", [values], [values])()
     assert np.array_equal(values, expected)
 
 
@@ -183,14 +182,15 @@ def chains(request) -> list[Equations]:
 
 
 def test_a_chain_of_loops_gives_the_same_numbers(chains, monkeypatch):
-    """Against the virtual machine and against straight-line code, to the last bit."""
+    """Against CasADi and against straight-line code, to the last bit."""
     e = scene(*(chains[0].functions[name] for name in LONG))
-    rolled = build.compiled(e)
+    rolled = Functions(e)
     monkeypatch.setattr(loops, "repeats", lambda operations: [])
-    straight = build.compiled(e)
-    assert rolled.library.path != straight.library.path
-    assert 0 < rolled.workspace < 2 * straight.workspace
-    found = [numbers(backend, e) for backend in (rolled.library, straight.library, Vm(e))]
+    straight = Functions(e)
+    assert rolled.path != straight.path
+    assert sum(map(len, rolled.files)) < sum(map(len, straight.files)) / 5
+    assert 0 < rolled.spare < 2 * straight.spare
+    found = [numbers(backend, e) for backend in (rolled, straight, Vm(e))]
     for name in LONG:
         assert np.isfinite(found[0][name]).any()
         for other in found[1:]:
@@ -200,7 +200,7 @@ def test_a_chain_of_loops_gives_the_same_numbers(chains, monkeypatch):
 def test_the_c_of_a_chain_is_free_of_warnings(chains, tmp_path):
     if not (command := build.compiler()):
         pytest.skip("no compiler")
-    (text,), _ = emit.sources(scene(*chains[0].functions.values()))
+    (text,) = emit.compiled_code(scene(*chains[0].functions.values()), {}, "chain")
     assert "for (" in text
     (tmp_path / "chain.c").write_text(text)
     flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-fsyntax-only", "chain.c"]

@@ -14,6 +14,7 @@ from scenes import derived
 from studies import prose, rows, tables, untraced
 
 import alfmu
+from alfmu import oracle
 from alfmu.cli import main
 from alfmu.model.registry import mechanisms
 from alfmu.model.settings import FORMULATIONS, METHODS
@@ -69,7 +70,7 @@ def diamond() -> Mechanism:
 
 
 def started(name: str, **values: float) -> alfmu.Instance:
-    instance = alfmu.Instance(prepared(alfmu.derive(alfmu.load(name)), "oracle"))
+    instance = oracle.Instance(prepared(alfmu.derive(alfmu.load(name)), "oracle"))
     for key, value in values.items():
         instance.set(key.replace("__", "."), value)
     instance.initialize()
@@ -261,7 +262,7 @@ def test_what_would_take_too_long_is_skipped_with_its_estimate():
     study = Study("particle_on_circle", SMALL)
     study.times = TIMES
     study.judge = Judge(study.derived, None)
-    unit = alfmu.Instance(prepared(study.derived, "oracle"))
+    unit = oracle.Instance(prepared(study.derived, "oracle"))
     restart = restarting(unit)
 
     def once(value: float, case: Case):

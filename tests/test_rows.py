@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from fmpy import read_model_description
-from scenes import derived, started
+from scenes import by_the_oracle, derived, made
 
 import alfmu
 from alfmu.equations.evaluation import ARGUMENTS, evaluable, shared, symbols
@@ -34,7 +34,7 @@ STEPS = {"oracle": 50, "vm": 200}
 def motion(e: alfmu.Equations, kernel: str, start: dict) -> np.ndarray:
     """Coordinates and reactions over a time."""
     names = [o.name for o in e.outputs if ".force" in o.name]
-    i = alfmu.Instance(prepared(e, kernel))
+    i = made(e, kernel)
     for name, value in start.items():
         i.set(name, value)
     i.initialize()
@@ -93,10 +93,10 @@ def test_the_unit_of_a_row_is_known(name, coordinates, unit):
     """One for all rows, which so cost nothing; that of a row written in another unit follows it to 1e-11."""
     e = derived(name, coordinates=coordinates)
     given = {"l2": 0.8} if name == "slider_crank" else {}
-    units = started(prepared(e), given).oracle.units
+    units = by_the_oracle(prepared(e), given).oracle.units
     assert units == pytest.approx(unit, rel=1e-11)
     assert len(set(units)) == 1
-    other = started(prepared(rewritten(e, MILLI[: e.l], list(range(e.l)))), given).oracle.units
+    other = by_the_oracle(prepared(rewritten(e, MILLI[: e.l], list(range(e.l)))), given).oracle.units
     assert other == pytest.approx(MILLI[: e.l] * units, rel=1e-11)
 
 

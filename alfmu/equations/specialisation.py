@@ -10,7 +10,7 @@ import casadi as ca
 
 from ..model.errors import InputError
 from .evaluation import ARGUMENTS, evaluable, shared, symbols
-from .monitors import MONITORS, events
+from .interface import MONITORS, events
 from .types import Equations
 
 __all__ = ["specialised"]

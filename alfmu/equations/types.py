@@ -154,7 +154,7 @@ class Equations:
     workspace: int = 0
     """Numbers that compiled functions need beside the memory of an instance."""
     library: Any = field(default=None, repr=False)
-    """The functions compiled (`alfmu.kernel.compiled.Library`), where they are."""
+    """Path of the functions of the scene compiled (`alfmu.kernel.build.compiled_scene`), where they are."""
     programs: dict[str, ca.Function] = field(default_factory=dict, init=False, repr=False, compare=False)
     """Programs of the kernel as one function each (`alfmu.kernel.fusion`), as far as they were wanted; shared by all
     instances of these equations, and not by others that are made of them."""

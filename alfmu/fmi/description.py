@@ -4,26 +4,34 @@ from __future__ import annotations
 
 import html
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from xml.etree import ElementTree as ET
 
 import markdown
 
 from ..equations import Equations, Variable
-from ..equations.evaluation import DENSE
-from ..kernel.program import PLATFORM
-from ..model.settings import FIXED, Settings
+from ..equations.interface import default_settings
+from ..equations.interface import variables_of as interface
 from ..model.units import unit
-from ..runtime import Instance
-from .slave import interface
 
-__all__ = ["build_description", "dependencies", "documentation", "model_description", "model_description3"]
+__all__ = [
+    "build_description",
+    "dependencies",
+    "documentation",
+    "enumerated",
+    "model_description",
+    "model_description3",
+]
 
 LICENSE = "MIT"
 
+Choices = Mapping[str, Mapping[str, str]]
+"""Variables of a native FMU that are text: what each can be in it, and what that is."""
+
 _LOG_CATEGORIES = {
-    "logStatusWarning": "A value could not be computed",
-    "logStatusDiscard": "A step was not taken, and why",
+    "logStatusWarning": "Something was left as it was",
+    "logStatusDiscard": "A step or a value was not taken, and why",
     "logStatusError": "Errors of the slave",
     "logStatusFatal": "Errors that end the run",
     "logAll": "All messages",
@@ -38,13 +46,14 @@ def model_description(
     variables: Sequence[tuple[str, Variable]] | None = None,
     sources: Sequence[str] = (),
     credits: Mapping[str, str] = MappingProxyType({}),
+    choices: Choices = MappingProxyType({}),
 ) -> bytes:
     """modelDescription.xml (FMI 2.0, co-simulation) as UTF-8, the same bytes for the same arguments.
 
     `variables` are those of a native FMU, and `sources` its C files; `credits` are further attributes of the model.
     """
     e, native = equations, variables is not None
-    variables = interface(Instance(e)) if variables is None else variables
+    variables = interface(e).causalities if variables is None else enumerated(variables, choices)
     derivatives = str(native and bool(e.inputs)).lower()
     root = ET.Element(
         "fmiModelDescription",
@@ -71,12 +80,16 @@ def model_description(
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
         providesDirectionalDerivative=derivatives,
+        maxOutputDerivativeOrder=str(2 * native),
     )
     if sources:
         files = ET.SubElement(simulation, "SourceFiles")
         for name in sources:
             ET.SubElement(files, "File", name=name)
     _units(root, sorted({v.unit for _, v in variables if v.type == "Real"}))
+    types = ET.SubElement(root, "TypeDefinitions") if choices else root
+    for name, items in choices.items():
+        _items(ET.SubElement(ET.SubElement(types, "SimpleType", name=name), "Enumeration"), items)
     _categories(root)
     _experiment(root, e)
     model_variables = ET.SubElement(root, "ModelVariables")
@@ -95,9 +108,10 @@ def model_description3(
     token: str,
     variables: Sequence[tuple[str, Variable]],
     credits: Mapping[str, str] = MappingProxyType({}),
+    choices: Choices = MappingProxyType({}),
 ) -> bytes:
     """modelDescription.xml (FMI 3.0, co-simulation) of a native FMU."""
-    e = equations
+    e, variables = equations, enumerated(variables, choices)
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="3.0",
@@ -118,11 +132,15 @@ def model_description3(
         canSerializeFMUState="true",
         providesDirectionalDerivatives=str(bool(e.inputs)).lower(),
         canHandleVariableCommunicationStepSize="true",
+        maxOutputDerivativeOrder="2",
         canReturnEarlyAfterIntermediateUpdate="true",
         providesIntermediateUpdate="true",
         mightReturnEarlyFromDoStep="true",
     )
     _units(root, sorted({"s"} | {v.unit for _, v in variables if v.type == "Real"}))
+    types = ET.SubElement(root, "TypeDefinitions") if choices else root
+    for name, items in choices.items():
+        _items(ET.SubElement(types, "EnumerationType", name=name), items)
     _categories(root)
     _experiment(root, e)
     model_variables = ET.SubElement(root, "ModelVariables")
@@ -130,10 +148,7 @@ def model_description3(
         head, kind = _facts(reference, causality, v)
         if causality == "input":
             head.pop("initial", None)
-        start = kind.pop("start", None) if v.type == "String" else None
-        element = ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
-        if start is not None:
-            ET.SubElement(element, "Start", value=start)
+        ET.SubElement(model_variables, _TYPES3[v.type], head | kind)
     time = {"causality": "independent", "variability": "continuous", "unit": "s", "description": "time"}
     ET.SubElement(model_variables, "Float64", {"name": "time", "valueReference": str(len(variables)), **time})
     structure = ET.SubElement(root, "ModelStructure")
@@ -143,14 +158,31 @@ def model_description3(
         on = inputs if v.instant else []
         kinds = " ".join("dependent" for _ in on)
         ET.SubElement(structure, "Output", valueReference=reference, dependencies=" ".join(on), dependenciesKind=kinds)
-    for reference, _ in outputs:
-        ET.SubElement(structure, "InitialUnknown", valueReference=reference)
+    for reference, v in outputs:
+        on = " ".join(str(i) for i in _at_the_start(variables, v))
+        ET.SubElement(structure, "InitialUnknown", valueReference=reference, dependencies=on)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
 
-_TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "String": "String"}
+_TYPES3 = {"Real": "Float64", "Integer": "Int32", "Boolean": "Boolean", "Enumeration": "Enumeration"}
 """Types of FMI 2 and of FMI 3."""
+
+
+def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> list[tuple[str, Variable]]:
+    """The same variables, those that are text as numbers of what this FMU takes, from 1 on."""
+
+    def numbered(v: Variable) -> Variable:
+        items = list(choices[v.name])
+        text = ", ".join(f"{k} {item}" for k, item in enumerate(items, 1))
+        return replace(v, type="Enumeration", start=items.index(v.start) + 1, description=f"what this FMU has: {text}")
+
+    return [(causality, numbered(v) if v.name in choices else v) for causality, v in variables]
+
+
+def _items(element: ET.Element, items: Mapping[str, str]) -> None:
+    for k, (name, text) in enumerate(items.items(), 1):
+        ET.SubElement(element, "Item", name=name, value=str(k), description=text)
 
 
 def build_description(identifier: str, sources: Sequence[str]) -> bytes:
@@ -172,8 +204,7 @@ def _categories(root: ET.Element) -> None:
 
 def _experiment(root: ET.Element, e: Equations) -> None:
     span = {"startTime": "0", "stopTime": _number(e.stop_time)}
-    if e.solver.get("method", Settings.method) not in FIXED:
-        span["tolerance"] = _number(Instance(e).get("solver.relative_tolerance"))
+    span["tolerance"] = _number(default_settings(e).relative_tolerance)
     ET.SubElement(root, "DefaultExperiment", span, stepSize=_number(e.interval))
 
 
@@ -197,11 +228,13 @@ def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str],
     kind: dict[str, str] = {}
     if causality != "output":
         kind["start"] = v.start if isinstance(v.start, str) else _number(v.start, v.type)
+    if v.type == "Enumeration":
+        kind["declaredType"] = v.name
     if v.type == "Real":
         kind["unit"] = v.unit
         if display := _display(v.unit):
             kind["displayUnit"] = display
-    if v.type != "String":
+    if v.type in ("Real", "Integer"):
         kind |= {key: _number(x, v.type) for key, x in (("min", v.minimum), ("max", v.maximum)) if x is not None}
     return head, kind
 
@@ -225,7 +258,26 @@ def _structure(root: ET.Element, causalities: Sequence[str], variables: Sequence
                 dependencies=" ".join(on),
                 dependenciesKind=" ".join("dependent" for _ in on),
             )
-            ET.SubElement(unknowns, "Unknown", index=str(i + 1))
+            known = _at_the_start(list(zip(causalities, variables, strict=True)), v)
+            ET.SubElement(unknowns, "Unknown", index=str(i + 1), dependencies=" ".join(str(k + 1) for k in known))
+
+
+_LATER = ("step_size", "relative_tolerance", "absolute_tolerance", "input_order", "method")
+"""Of the solver: what has no effect before the first step."""
+
+
+def _at_the_start(variables: Sequence[tuple[str, Variable]], output: Variable) -> list[int]:
+    """Places of the variables that an output may depend on when a run begins.
+
+    Those are parameters, Boolean inputs, which take effect at once at the start, and what the output follows later too.
+    """
+    later = {f"solver.{name}" for name in _LATER}
+    return [
+        i
+        for i, (causality, v) in enumerate(variables)
+        if (causality == "parameter" and v.name not in later)
+        or (causality == "input" and (v.type == "Boolean" or output.instant))
+    ]
 
 
 def _display(unit_name: str) -> str | None:
@@ -236,7 +288,7 @@ def _display(unit_name: str) -> str | None:
 def _number(value: float, kind: str = "Real") -> str:
     if kind == "Boolean":
         return "true" if value else "false"
-    return str(int(value)) if kind == "Integer" else f"{value:.17g}"
+    return f"{value:.17g}" if kind == "Real" else str(int(value))
 
 
 def _start(causality: str, v: Variable) -> str:
@@ -259,7 +311,14 @@ th { text-align: left; background: #f5f5f2; } img { max-width: 100%; }
 """
 
 
-def documentation(equations: Equations, sketch: str, readme: str, generator: str, needs: str) -> str:
+def documentation(
+    equations: Equations,
+    sketch: str,
+    readme: str,
+    generator: str,
+    needs: str,
+    variables: Sequence[tuple[str, Variable]] | None = None,
+) -> str:
     """documentation/index.html: picture, sketch, equations, all variables, and what the FMU needs."""
     e = equations
     body = markdown.markdown(readme, extensions=["tables", "fenced_code"]) if readme else f"<h1>{e.name}</h1>"
@@ -268,7 +327,7 @@ def documentation(equations: Equations, sketch: str, readme: str, generator: str
         f"<tr><td><code>{html.escape(v.name)}</code></td><td>{causality}</td><td>{v.unit}</td>"
         f"<td>{_start(causality, v)}</td>"
         f"<td>{html.escape(v.description)}</td></tr>"
-        for causality, v in interface(Instance(e))
+        for causality, v in variables or interface(e).causalities
     )
     options = "".join(f"<li><code>{html.escape(k)}</code> = {html.escape(str(x))}</li>" for k, x in e.options.items())
     return f"""<!DOCTYPE html>
@@ -289,15 +348,9 @@ def documentation(equations: Equations, sketch: str, readme: str, generator: str
 """
 
 
-def dependencies(equations: Equations, portable: bool = True) -> str:
-    """What the FMU needs from outside, in one line."""
-    packages = ["numpy", *(["scipy"] if equations.n > DENSE else [])]
-    need, others = " and ".join(packages), ""
-    if equations.library is None:
-        need = " and ".join([*packages, "casadi"])
-    else:
-        others = f"; on another platform than {PLATFORM} " + ("also casadi" if portable else "it does not run")
+def dependencies() -> str:
+    """What an FMU for Python needs from outside, in one line."""
     return (
-        "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later) whose packages "
-        f"include {need}{others}. Python hosts such as fmpy have an interpreter; other hosts must load libpython first."
+        "This FMU runs in Python: the process that loads it needs a Python interpreter (3.11 or later), and "
+        "no package. Python hosts such as fmpy have an interpreter; other hosts must load libpython first."
     )

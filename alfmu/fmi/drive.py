@@ -21,7 +21,7 @@ from ..equations import Variable
 from ..model.errors import ExportError, InputError, StepError
 from ..simulation import Result, run
 from .experiment import Experiment, unlike
-from .slave import SCENE
+from .slave import OPTIONS
 
 __all__ = ["Fmu", "validate"]
 
@@ -37,7 +37,7 @@ def _logged(*said) -> None:
 _KINDS = {
     **{"Real": "Real", "Float64": "Real", "Float32": "Real", "Integer": "Integer"},
     **{f"{sign}Int{bits}": "Integer" for sign in ("", "U") for bits in (8, 16, 32, 64)},
-    **{"Boolean": "Boolean", "String": "String"},
+    **{"Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration"},
 }
 """Types of variables in FMI 2 and 3, and what they are here."""
 
@@ -76,8 +76,8 @@ class Fmu:
         }
         """Defaults of the numbers that can be set before the run."""
         self._folder = extract(str(path))
-        scene = Path(self._folder, "resources", SCENE)
-        self.options = json.loads(scene.read_text())["options"] if scene.is_file() else {}
+        options = Path(self._folder, "resources", OPTIONS)
+        self.options = json.loads(options.read_text())["options"] if options.is_file() else {}
         """Options that the mechanism was exported with, if alfmu exported it."""
         try:
             self.slave = instantiate_fmu(
@@ -102,16 +102,24 @@ class Fmu:
         self._clean()
 
     def set(self, name: str, value: float | str) -> None:
-        """Set a variable by name; the FMU itself refuses a bad value at the next step or at initialisation."""
+        """Set a variable by name, and one of an enumeration to the name or number of an item of it.
+
+        The FMU itself refuses a bad value: a native one at once, one in Python at the next step or at initialisation.
+        """
         variable = self._by_name.get(name)
         if variable is None or variable.causality not in ("parameter", "input"):
             settable = [v.name for v in self._by_name.values() if v.causality in ("parameter", "input")]
             raise InputError(f"{self.name} has no input or parameter {name!r}; it has {', '.join(settable)}")
         try:
-            value = {"Real": float, "Integer": int, "Boolean": _truth, "String": str}[_KINDS[variable.type]](value)
+            kinds = {"Real": float, "Integer": int, "Boolean": _truth, "String": str}
+            kinds["Enumeration"] = lambda given: _item(variable, given)
+            value = kinds[_KINDS[variable.type]](value)
         except (KeyError, TypeError, ValueError):
             raise InputError(f"{self.name}: {name} is {value!r}; it must be a {variable.type} value") from None
-        self._call(f"set{variable.type}", [variable.valueReference], [value])
+        kind = variable.type
+        if kind == "Enumeration":
+            kind = "Integer" if self._version == "2" else "Int64"
+        self._call(f"set{kind}", [variable.valueReference], [value])
 
     def initialize(self) -> None:
         if self._version == "2":
@@ -254,6 +262,12 @@ def _truth(value: float | str) -> bool:
     if (text := str(value).lower()) not in known:
         raise ValueError(value)
     return known[text]
+
+
+def _item(v: ModelVariable, value: float | str) -> int:
+    """The number of an item of an enumeration, by its name or as it is."""
+    numbers = {item.name: int(item.value) for item in v.declaredType.items}
+    return numbers[value] if value in numbers else int(value)
 
 
 def _variable(v: ModelVariable) -> Variable:

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..equations import Equations
 from ..equations.evaluation import DENSE
-from ..equations.monitors import MONITORS
+from ..equations.interface import MONITORS
 from ..model.errors import StepError
 from ..runtime import Instance
 from ..simulation import Result, run

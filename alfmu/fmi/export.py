@@ -14,7 +14,6 @@ import uuid
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -23,67 +22,46 @@ from pythonfmu.builder import FmuBuilder
 
 from ..equations import Equations
 from ..equations.derivation import derive
-from ..equations.evaluation import EVALUATED
 from ..equations.specialisation import specialised
 from ..kernel import DEFAULT
-from ..kernel.program import LIBRARY
-from ..kernel.trace import untraced
-from ..kernel.vm import serialized
+from ..kernel.build import compiled_scene, verified
+from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..runtime import Instance
+from ..runtime.build import HERE
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native
-from .description import build_description, dependencies, documentation, model_description, model_description3
+from .description import (
+    build_description,
+    dependencies,
+    documentation,
+    enumerated,
+    model_description,
+    model_description3,
+)
 from .experiment import reference_results
-from .slave import FUNCTIONS, SCENE
-from .table import interface
+from .slave import COMPILED, OPTIONS, SCENE
 from .terminals import document, terminals
 
 __all__ = ["KINDS", "RUN_SIDE", "export", "packed_scene"]
 
 KINDS = {
-    "python": "runs in Python, in hosts that have it: nothing to compile, for every platform of pythonfmu",
-    "native": "C and nothing else: for every host, on the platforms it is compiled for",
+    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
+    "native": "a C library and nothing else: for every host, on the platforms that it carries",
 }
 """Kinds of FMUs."""
 
 GROUP = "alfmu.fmus"
 """Entry-point group of modules with a pythonfmu class for the mechanism of the same name."""
 
-RUN_SIDE = (
-    "model/errors.py",
-    "model/settings.py",
-    "equations/__init__.py",
-    "equations/types.py",
-    "equations/monitors.py",
-    "method/formulations.py",
-    "method/integrators.py",
-    "method/singular.py",
-    "method/inputs.py",
-    "kernel/program.py",
-    "kernel/stream.py",
-    "kernel/order.py",
-    "kernel/fusion.py",
-    "kernel/vm.py",
-    "kernel/compiled.py",
-    "runtime/__init__.py",
-    "runtime/oracle.py",
-    "runtime/assembly.py",
-    "runtime/scaling.py",
-    "runtime/topology.py",
-    "runtime/instance.py",
-    "fmi/slave.py",
-)
-"""Modules of alfmu that travel inside an FMU, those that its kernel does not need left out."""
+RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
+"""Modules of alfmu that travel inside an FMU for Python, beside the C library."""
 
-METHODS = ("runtime/adaptive.py", "method/implicit.py", "method/stepping.py", "runtime/threads.py")
-"""Those that methods beside RK4 need."""
-
-PORTABLE = ("kernel/stream.py", "kernel/order.py", "kernel/fusion.py", "kernel/vm.py")
-"""Those that run the portable form, and need CasADi."""
+HOSTS = ("linux64", "win64")
+"""Platforms that pythonfmu has a library for."""
 
 _ENTRY = '''"""FMU entry of a mechanism that has none of its own."""
 
@@ -107,7 +85,6 @@ def export(
     outputs: Sequence[str] | None = None,
     freeze: Sequence[str] | None = None,
     kernel: str | None = None,
-    portable: bool = True,
     kind: str = "python",
     platforms: Sequence[str] = (),
     fmi: int = 2,
@@ -118,14 +95,16 @@ def export(
     `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
     variables. Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are there, None for all; the
     parameters in `freeze` become constants, `["all"]` for every one. `kind` is one of `KINDS`. `kernel` is what runs in
-    one that runs in Python (`alfmu.kernel.KERNELS`); beside a compiled one travels the portable form, for other
-    platforms, unless `portable` is False. A native one is compiled for `platforms` (`alfmu.fmi.native.PLATFORMS`, or
+    one that runs in Python (`alfmu.kernel.KERNELS`, but for `oracle`): one with compiled functions runs without them on
+    other platforms. A native one is for `platforms` (`alfmu.fmi.native.PLATFORMS`, or
     `all`), this one by default, and may be of FMI 3 (`fmi`). Reference results (`alfmu.fmi.experiment`) are inside
     unless `reference` is False. The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot
     start from the defaults, and ExportError where the file cannot be written or compiled.
     """
     if kind not in KINDS:
         raise ExportError(f"there is no kind {kind!r} of FMU; use one of {', '.join(KINDS)}")
+    if kernel == "oracle":
+        raise ExportError("no FMU carries the oracle, which is for comparison in the library; leave --kernel out")
     if kind == "native" and kernel is not None:
         raise ExportError("a native FMU has a kernel of its own; leave --kernel out")
     if kind == "python" and platforms:
@@ -148,20 +127,17 @@ def export(
         _archive(path, {**results, **_native(equations, declared, version, picture, platforms, fmi)})
         return path
     generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
-    library = equations.library
-    unneeded = ("kernel/compiled.py",) if library is None else () if portable else PORTABLE
-    methods = METHODS if equations.solver.get("method", "rk4") != "rk4" else ()
-    sources = {name: _source(name) for name in (*RUN_SIDE, *methods) if name not in unneeded}
-    resources = {SCENE: equations.to_json().encode()}
-    if library is None or portable:
-        resources[FUNCTIONS] = serialized(equations, EVALUATED).encode()
-    if library is not None:
-        resources[LIBRARY] = library.path.read_bytes()
-    entry = _entry(equations.name)
-    content = [entry.encode(), *(text.encode() for text in sources.values()), *resources.values()]
+    sources, scene, entry = {name: _source(name) for name in RUN_SIDE}, packed(equations), _entry(equations.name)
+    hosts = [name for name in native.platforms(equations.name, ()) if name in HOSTS]
+    libraries = {native.file_name(name): data for name, data in native.libraries(equations.name, hosts).items()}
+    content = [entry.encode(), *(text.encode() for text in sources.values()), scene]
     digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]
     package = f"alfmu_{equations.name}_{digest}"
     guid = _guid(generator, digest)
+    resources = {SCENE: identified(scene, guid), OPTIONS: _options(equations), **libraries}
+    if equations.library:
+        library = compiled_scene(equations, resources[SCENE])
+        resources[f"{COMPILED}{HERE}{library.suffix}"] = verified(equations.name, library)
 
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)
@@ -173,21 +149,21 @@ def export(
             _write(top / package / name, text)
         for name, data in resources.items():
             (top / name).write_bytes(data)
-        documents, needs = top / "documentation", dependencies(equations, portable)
+        documents, needs = top / "documentation", dependencies()
         page = documentation(equations, declared.sketch, declared.documentation, generator, needs)
         _write(documents / "index.html", page)
         _write(documents / "externalDependencies.txt", needs + "\n")
         for name in ("alfmu", "pythonfmu"):
             _write(documents / "licenses" / f"{name}.txt", _license(name))
         (documents / "model.png").write_bytes(picture)
-        packed = top / f"{equations.name}.fmu"
+        made = top / f"{equations.name}.fmu"
         with _imports_undone(package, script.stem):
-            FmuBuilder.build_FMU(script, packed, [top / package, *(top / name for name in resources)], documents)
+            FmuBuilder.build_FMU(script, made, [top / package, *(top / name for name in resources)], documents)
         described = {
             "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
             "model.png": picture,
         }
-        with zipfile.ZipFile(packed) as archive:
+        with zipfile.ZipFile(made) as archive:
             files = {info.filename: archive.read(info) for info in archive.infolist() if not info.is_dir()}
         _archive(path, {**files, **described, **results})
     return path
@@ -207,10 +183,7 @@ def packed_scene(
     if kind == "native":
         native.checked(equations)
     equations = prepared(equations, kernel or DEFAULT)
-    instance = Instance(equations)
-    instance.initialize()  # an FMU that cannot start is not worth writing
-    if kind == "native" and native.may_brake(instance):
-        equations = prepared(replace(untraced(equations), brakes=True))
+    Instance(equations).initialize()  # an FMU that cannot start is not worth writing
     return derived, equations
 
 
@@ -220,29 +193,28 @@ def _native(
     """The files of a native FMU."""
     e = equations
     chosen = native.platforms(e.name, platforms)
-    files, digest = native.written(e, fmi)
+    files, scene = native.sources(), packed(e)
     generator = f"alfmu {version}"
-    guid = _guid(generator, digest)
-    files = {name: text.replace(native.GUID, guid) for name, text in files.items()}
+    guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     compiled = [name for name in files if name.endswith(".c")]
     needs = "This FMU needs nothing but the C library."
-    page = documentation(e, declared.sketch, declared.documentation, generator, needs)
-    variables = interface(e)
+    variables, choices = interface(e).causalities, known_choices(e)
+    page = documentation(e, declared.sketch, declared.documentation, generator, needs, enumerated(variables, choices))
     found = terminals(declared, [v.name for _, v in variables])
     if fmi == 2:
-        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared))
+        described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices)
         form = {}
     else:
-        described = model_description3(e, version, generator, guid, variables, _credits(declared))
+        described = model_description3(e, version, generator, guid, variables, _credits(declared), choices)
         form = {
             "sources/buildDescription.xml": build_description(e.name, compiled),
             "terminalsAndIcons/terminalsAndIcons.xml": document(found),
         }
     libraries = {}
-    for each in chosen:
+    for each, data in native.libraries(e.name, chosen).items():
         platform = native.PLATFORMS[each]
         folder = each if fmi == 2 else platform.fmi3
-        libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = native.library(e.name, files, each)
+        libraries[f"binaries/{folder}/{e.name}{platform.suffix}"] = data
     return {
         "modelDescription.xml": described,
         **form,
@@ -250,7 +222,8 @@ def _native(
         "documentation/index.html": page.encode(),
         "documentation/model.png": picture,
         "documentation/licenses/alfmu.txt": _license("alfmu").encode(),
-        f"resources/{SCENE}": json.dumps({"options": e.options}, indent=1).encode(),
+        f"resources/{SCENE}": identified(scene, guid),
+        f"resources/{OPTIONS}": _options(e),
         **{f"sources/{name}": text.encode() for name, text in files.items()},
         **libraries,
     }
@@ -270,6 +243,10 @@ def _credits(declared: Mechanism) -> dict[str, str]:
         date = datetime.fromtimestamp(int(epoch), UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
     found = {"author": declared.author, "copyright": rights, "generationDateAndTime": date}
     return {name: value for name, value in found.items() if value}
+
+
+def _options(equations: Equations) -> bytes:
+    return json.dumps({"options": equations.options}, indent=1).encode()
 
 
 def _guid(generator: str, digest: str) -> str:

@@ -1,118 +1,48 @@
-"""What is inside a native FMU: the C of the scene and the runtime, compiled for one platform or several."""
+"""The C library of the runtime inside FMUs: those that alfmu came with, others by zig."""
 
 from __future__ import annotations
 
 import hashlib
-import importlib.util
-import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+import os
+from collections.abc import Iterable
 from pathlib import Path
 
-import numpy as np
-
 from ..equations import Equations
-from ..kernel.build import FLAGS, build, cache, compiler, version
+from ..equations.evaluation import DENSE
+from ..equations.interface import default_settings
+from ..kernel.alternatives import formulations
+from ..kernel.thresholds import LARGE
 from ..model.errors import ExportError
-from ..runtime import Instance
-from .table import constants, sources
+from ..model.settings import Settings
+from ..runtime import build
+from ..runtime.build import HERE, PLATFORMS, file_name
 
-__all__ = ["GUID", "OWN", "PLATFORMS", "checked", "headers", "library", "may_brake", "platforms", "written"]
-
-
-@dataclass(frozen=True)
-class Platform:
-    """What a library is made for."""
-
-    target: str
-    """As zig names it."""
-    suffix: str
-    fmi3: str
-    """Its folder in an FMU of FMI 3; that of FMI 2 is its name here."""
-
-
-PLATFORMS = {
-    "linux64": Platform("x86_64-linux-gnu.2.17", ".so", "x86_64-linux"),
-    "win64": Platform("x86_64-windows-gnu", ".dll", "x86_64-windows"),
-    "darwin64": Platform("x86_64-macos.11.0", ".dylib", "x86_64-darwin"),
-    "aarch64-darwin": Platform("aarch64-macos.11.0", ".dylib", "aarch64-darwin"),
-    "aarch64-linux": Platform("aarch64-linux-gnu.2.17", ".so", "aarch64-linux"),
-}
-"""Platforms that native FMUs can be compiled for."""
-
-_HERE = {
-    ("linux", "x86_64"): "linux64",
-    ("linux", "aarch64"): "aarch64-linux",
-    ("win32", "amd64"): "win64",
-    ("darwin", "x86_64"): "darwin64",
-    ("darwin", "arm64"): "aarch64-darwin",
-}
-
-
-def _own() -> str:
-    import platform
-
-    return _HERE.get((sys.platform, platform.machine().lower()), "")
-
-
-OWN = _own()
-"""This platform; empty where it is none of them."""
-
-GUID = "GUID of the description"
-"""Stands for it in C files until it is known."""
-
-LEVELS = "-O2", "-O1"
-"""Of optimisation; on long straight-line code the higher one takes twice the time and gains nothing."""
-
-_RUNTIME = ("alfmu.h", "component.h", "linear.h", "linear.c", "start.c", "instance.c", "component.c")
-
-MOST = 200
-"""Coordinates of a native FMU: the matrices of its start are dense."""
+__all__ = ["PLATFORMS", "checked", "file_name", "libraries", "platforms", "sources"]
 
 
 def checked(equations: Equations) -> None:
     """ExportError where a scene asks for what native FMUs do not have."""
-    e, solver = equations, {"formulation": "residual", **equations.solver}
-    if solver["formulation"] != "residual":
-        what = f"solver.formulation {solver['formulation']}"
-    elif e.n > MOST:
-        what = f"more than {MOST} coordinates (here {e.n}; its start would take minutes)"
+    e, chosen = equations, default_settings(equations)
+    known = formulations(e)
+    if e.n > LARGE:
+        what = f"more than {LARGE} coordinates (here {e.n}; its start would take minutes); use fewer"
+    elif chosen.formulation not in known:
+        what = f"solver.formulation {chosen.formulation} of more than {DENSE} coordinates; use {', '.join(known)}"
+    elif e.l and chosen.formulation != Settings.formulation and chosen.method != Settings.method:
+        what = f"solver.method {chosen.method} with solver.formulation {chosen.formulation}; use solver.method rk4"
     else:
         return
-    raise ExportError(f"{e.name}: a native FMU has no {what}; export it with --kind python, or without")
+    raise ExportError(f"{e.name}: a native FMU has no {what}, or export it with --kind python")
 
 
-def may_brake(instance: Instance) -> bool:
-    """Whether constraints that come into force may be redundant, so that they would stop the motion beside it."""
-    e = instance.equations
-    everything = np.ones(e.l, bool)
-    return bool(e.switches) and instance._assembly.mobility(instance.oracle.p, instance.q, everything).redundant > 0
-
-
-def written(equations: Equations, fmi: int) -> tuple[dict[str, str], str]:
-    """The C files of a traced scene by name, with `GUID` in place of the identity, and a hash of their content."""
-    folder = Path(__file__).parents[1] / "runtime"
-    files = {name: (folder / name).read_text(encoding="ascii") for name in (*_RUNTIME, f"fmi{fmi}.c")}
-    files["constants.h"] = constants()
-    files |= {f"scene{i}.c": text for i, text in enumerate(sources(equations, GUID))}
-    return files, hashlib.sha256("\0".join(files.values()).encode()).hexdigest()
-
-
-def library(scene: str, files: Mapping[str, str], platform: str) -> bytes:
-    """The compiled library for a platform, from the user's cache where it has been built before."""
-    command = _command(scene, platform)
-    flags = [LEVELS["scene1.c" in files], *FLAGS, "-std=c99", "-fvisibility=hidden", "-DNDEBUG"]
-    identity = "\0".join([*files, *files.values(), *command, version(command), *flags])
-    name = f"native_{hashlib.sha256(identity.encode()).hexdigest()[:32]}{PLATFORMS[platform].suffix}"
-    path = cache() / name
-    if not path.is_file():
-        build(scene, [*command, *flags, f"-I{headers()}"], files, path, "use --kind python")
-    return path.read_bytes()
+def sources() -> dict[str, str]:
+    """The C files of the runtime by name, the same in every FMU."""
+    return {path.name: path.read_text(encoding="ascii") for path in build.sources()}
 
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:
-    """Names of platforms; `all` stands for every one, none for this one."""
-    names = list(names) or [OWN]
+    """Names of platforms: those that alfmu came with where none is asked for; `all` stands for every one."""
+    names = list(names) or [name for name in PLATFORMS if _there(name).is_file()]
     names = list(PLATFORMS) if names == ["all"] else names
     if unknown := [name for name in names if name not in PLATFORMS]:
         raise ExportError(
@@ -121,21 +51,31 @@ def platforms(scene: str, names: Iterable[str]) -> list[str]:
     return names
 
 
-def _command(scene: str, platform: str) -> list[str]:
-    """The compiler: the system's where the platform is this one, zig for the others."""
-    found = compiler() if platform == OWN else None
-    if found is None and importlib.util.find_spec("ziglang"):
-        found = [sys.executable, "-m", "ziglang", "cc"]
-    if found is None:
-        raise ExportError(
-            f"{scene}: no C compiler found for {platform}; pip install ziglang"
-            + (", or a C compiler" if platform == OWN else "")
-        )
-    return [*found, "-target", PLATFORMS[platform].target] if "ziglang" in found else found
+def libraries(scene: str, names: Iterable[str]) -> dict[str, bytes]:
+    """The library of each platform, with which alfmu came or which zig builds now."""
+    return {name: (_there(name) if _there(name).is_file() else _built(scene, name)).read_bytes() for name in names}
 
 
-def headers() -> Path:
-    """Where the headers of FMI are."""
-    import fmpy
+def _there(name: str) -> Path:
+    return Path(build.__file__).with_name(file_name(name))
 
-    return Path(fmpy.__file__).parent / "c-code"
+
+def _built(scene: str, name: str) -> Path:
+    """The library of another platform, kept in the user's cache under a hash of its sources and one of its own."""
+    from platformdirs import user_cache_path
+
+    identity = hashlib.sha256("\0".join([name, *build.FLAGS, *sources().values()]).encode()).hexdigest()[:32]
+    path = user_cache_path("alfmu", appauthor=False) / f"runtime_{identity}{PLATFORMS[name].suffix}"
+    proof = path.with_suffix(".sha256")
+    if path.is_file() and proof.is_file() and proof.read_text() == hashlib.sha256(path.read_bytes()).hexdigest():
+        return path
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        build.build(name, path)
+        partial = proof.with_name(f".{proof.name}.{os.getpid()}")
+        partial.write_text(hashlib.sha256(path.read_bytes()).hexdigest())
+        partial.replace(proof)
+    except (OSError, RuntimeError) as error:
+        where = "" if name == HERE else f" for {name}"
+        raise ExportError(f"{scene}: the runtime{where} cannot be built ({error}); leave the platform out") from error
+    return path

@@ -8,9 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..equations import Equations
-from ..kernel.emit import lengths
 from ..kernel.program import called
-from ..kernel.standalone import standalone
+from ..kernel.tables import alone, function_sizes, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
 from . import native
@@ -41,7 +40,7 @@ _PARTS = {
     "impacts of locks": ("impact",),
     "directional derivatives": ("sensitivity", "limit_sensitivity"),
 }
-"""Programs of a native FMU by what they are for."""
+"""Programs of a scene by what they are for."""
 
 
 def sizes(
@@ -59,7 +58,7 @@ def sizes(
         except ExportError as error:
             text += [f"no FMU of kind {kind}: {error}", ""]
             continue
-        where = f" for {native.OWN}" if kind == "native" else ""
+        where = f" for {', '.join(native.platforms(mechanism.name, ()))}" if kind == "native" else ""
         text += [f"{f'FMU of kind {kind}{where}, kB':66} {'packed':>8} {'unpacked':>8}"]
         text += [f"  {what:64} {_kB(size)} {_kB(whole)}" for what, (size, whole) in found.items()]
         size, whole = map(sum, zip(*found.values(), strict=True))
@@ -68,7 +67,7 @@ def sizes(
         _, equations = packed_scene(mechanism, **given, kernel=None, kind="native")
     except ExportError:
         return text[:-1]
-    text += [f"{'C of a native FMU by what it is for, kB; what parts share, at the first':66} {'':8} {'unpacked':>8}"]
+    text += [f"{'the scene by what it is for, kB; what parts share, at the first':66} {'':8} {'unpacked':>8}"]
     return text + [f"  {what:64} {'':8} {_kB(size)}" for what, size in _parts(equations).items() if size]
 
 
@@ -87,19 +86,14 @@ def _contents(mechanism: Mechanism, given: Mapping, kind: str) -> dict[str, tupl
 
 
 def _parts(equations: Equations) -> dict[str, int]:
-    """Bytes of C by what it is for."""
-    alone = standalone(equations)
-    left, found = lengths(alone), {}
+    """Bytes of a scene file by what it is for."""
+    left, found, kernel = function_sizes(equations), {}, alone(equations).kernel
+    whole = len(packed(equations))
     for what, programs in _PARTS.items():
-        names = {
-            name for program in programs if program in alone.kernel for name in called(alone.kernel[program]["calls"])
-        }
+        names = {name for program in programs if program in kernel for name in called(kernel[program]["calls"])}
         found[what] = sum(left.pop(name, 0) for name in names)
-    found["what the start takes"] = sum(left.values())
-    files, _ = native.written(equations, 2)
-    scene = sum(len(text) for name, text in files.items() if name.startswith("scene"))
-    found["calls of these in programs, variables"] = scene - sum(found.values())
-    found["runtime, the same for every scene"] = sum(map(len, files.values())) - scene
+    found["what the start takes, other formulations"] = sum(left.values())
+    found["calls of these in programs, variables"] = whole - sum(found.values())
     return found
 
 

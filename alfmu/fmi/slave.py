@@ -1,6 +1,7 @@
-"""The slave that pythonfmu runs inside an FMU: FMI calls by value reference on one `Instance`.
+"""The slave that pythonfmu runs inside an FMU: FMI calls by value reference on one unit of the runtime.
 
-This module and everything it imports travel inside the FMU, under a package name of their own.
+This module and `alfmu.runtime.library` travel inside the FMU under a package name of their own, beside the C library;
+they need Python alone.
 """
 
 from __future__ import annotations
@@ -8,74 +9,29 @@ from __future__ import annotations
 import ctypes
 import logging
 import sys
-from collections.abc import Callable
-from dataclasses import replace
-from functools import lru_cache, wraps
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
 from pythonfmu import Fmi2Slave
 from pythonfmu.enums import Fmi2Status
 
-from ..equations import Equations, Variable
-from ..kernel.program import LIBRARY, PLATFORM
-from ..model.errors import AlfmuError, ExportError, InputError
-from ..runtime import CHOICES, Instance, choices
+from ..runtime.library import DONE, Scene, Unit
 
-__all__ = ["FUNCTIONS", "SCENE", "Slave", "interface", "loaded"]
+__all__ = ["COMPILED", "OPTIONS", "SCENE", "Slave"]
 
 _LOGGER = logging.getLogger("alfmu")
 
-SCENE = "scene.json"
-"""Name of the file with the equations, in the resources of the FMU."""
+SCENE = "scene.bin"
+"""Name of the scene in the resources of an FMU."""
 
-FUNCTIONS = "functions.json"
-"""Name of the file with their functions in portable form, there too."""
+COMPILED = "compiled-"
+"""Beginning of the name of compiled functions, there too."""
 
-
-def interface(instance: Instance) -> list[tuple[str, Variable]]:
-    """Every variable of the FMU with its causality; the place in the list is the value reference."""
-    return [
-        *(("parameter", v) for v in instance.parameters),
-        *(("parameter", v) for v in choices(instance.choices)),
-        *(("input", v) for v in instance.input_variables),
-        *(("output", v) for v in instance.outputs),
-    ]
-
-
-def loaded(folder: Path) -> tuple[Equations, str]:
-    """The scene in the resources of an FMU, and one line on what runs it.
-
-    Compiled functions where there are some for this platform, otherwise the portable ones; ExportError where there are
-    neither, or where these need a package that is missing.
-    """
-    scene = (folder / SCENE).read_text(encoding="utf-8")
-    equations = Equations.from_json(scene)
-    name = equations.name
-    kernel = "kernel" if equations.kernel else "oracle"
-    if equations.workspace:
-        from ..kernel.compiled import Library
-
-        if (folder / LIBRARY).is_file():
-            library = Library(folder / LIBRARY, equations)
-            return replace(equations, library=library), f"{name}: compiled {kernel} for {PLATFORM}"
-    if not (folder / FUNCTIONS).is_file():
-        there = ", ".join(sorted(path.name for path in folder.glob("kernel-*")))
-        raise ExportError(f"{name}: this FMU has {there}, nothing for {PLATFORM}; export it without --no-portable")
-    try:
-        equations = _portable(scene, (folder / FUNCTIONS).read_text(encoding="utf-8"))
-    except ImportError as error:
-        missing = f"{name}: the portable {kernel} needs the Python package {error.name}; install it"
-        raise ExportError(missing) from None
-    return equations, f"{name}: portable {kernel}"
-
-
-@lru_cache(maxsize=1)
-def _portable(scene: str, functions: str) -> Equations:
-    """A scene with its functions in portable form: kept, as instances and resets of an FMU share it."""
-    from ..kernel.vm import with_serialized
-
-    return with_serialized(Equations.from_json(scene), functions)
+OPTIONS = "options.json"
+"""Name of the file with the options of the mechanism, there too."""
 
 
 def _kept(*objects: object) -> None:
@@ -111,10 +67,10 @@ def _fatal(slave: Slave, error: Exception) -> None:
 class Slave(Fmi2Slave):
     """One mechanism behind FMI 2.0; an FMU entry subclasses it under the name of its mechanism.
 
-    A step that cannot be taken is discarded and the state before it kept; a value that is refused discards the next
-    step, or ends the initialisation, unless a good one follows; a mechanism that cannot be assembled ends the
-    initialisation (fatal in FMI). The reason goes to the FMI log and, as hosts often have that switched off, to the
-    Python logger `alfmu`.
+    A step that cannot be taken is discarded and the state before it kept. A value that is refused leaves the one before
+    it in force and, as pythonfmu has no status for it, discards the next step or ends the initialisation, unless a good
+    one follows. A mechanism that cannot be assembled ends the initialisation (fatal in FMI). The reason goes to the FMI
+    log and, as hosts often have that switched off, to the Python logger `alfmu`.
     """
 
     def __init_subclass__(cls) -> None:
@@ -124,120 +80,91 @@ class Slave(Fmi2Slave):
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
-        equations, self._kernel = loaded(Path(self.resources))
-        if equations.reason:
-            self._kernel += f", {equations.reason}"
-        _LOGGER.info("%s", self._kernel)
-        self.modelName = equations.name
-        self.instance = Instance(equations)
-        self._names = [v.name for _, v in interface(self.instance)]
-        causalities = [causality for causality, _ in interface(self.instance)]
-        self._first_input = len(self.instance.parameters) + len(CHOICES)
-        self._first_output = causalities.index("output")
-        self._running = False
-        self._refused: dict[str, str] = {}
+        folder = Path(self.resources)
+        self.scene = Scene((folder / SCENE).read_bytes(), folder)
+        for path in folder.glob(f"{COMPILED}*"):
+            with suppress(OSError):  # one for another platform
+                self.scene.compiled_by(path)
+        self.unit = Unit(self.scene)
+        self.modelName = self.scene.name
+        self._refused: dict[int, str] = {}
 
     # Life --------------------------------------------------------------------------------------------------------
 
     def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
-        self.instance.time = start_time
-        if tolerance and self.instance.adapts:
-            self._set(self._names.index("solver.relative_tolerance"), tolerance)
-        self.log(self._kernel, Fmi2Status.ok, "logAll")
+        self.unit.time = start_time
+        if tolerance and self.unit.tolerate(tolerance) != DONE:
+            self._say(self.unit.text, Fmi2Status.warning)
 
     @_called_from_fmi
     def exit_initialization_mode(self) -> None:
-        self._no_refusals()
-        if not self.instance.initialized:
-            self.instance.initialize()
-        self._running = True
-
-    def do_step(self, current_time: float, step_size: float) -> bool:
-        try:
-            if self._refused:
-                self._no_refusals()
-            self.instance.step(step_size, current_time)
-        except AlfmuError as error:
-            self._say(error, Fmi2Status.discard)
-            return False
-        except Exception as error:  # As in `_called_from_fmi`, whose wrapper would cost every step.
-            _fatal(self, error)
-            raise
-        return True
-
-    def _no_refusals(self) -> None:
         refused, self._refused = self._refused, {}
         if refused:
-            raise InputError("; ".join(refused.values()))
+            raise RuntimeError("; ".join(refused.values()))
+        self._initialize()
+        self.unit.run_on(True)
 
-    def _say(self, error: AlfmuError, status: Fmi2Status) -> None:
-        _LOGGER.warning("%s", error)
-        self.log(str(error), status)
+    def do_step(self, current_time: float, step_size: float) -> bool:
+        if self._refused:
+            self._say("; ".join(self._refused.values()), Fmi2Status.discard)
+            self._refused.clear()
+            return False
+        if self.unit.step(current_time, step_size) != DONE:
+            self._say(self.unit.text, Fmi2Status.discard)
+            return False
+        return True
+
+    def _initialize(self) -> None:
+        if not self.unit.initialized and self.unit.initialize() != DONE:
+            raise RuntimeError(self.unit.text)
+
+    def _say(self, text: str, status: Fmi2Status) -> None:
+        _LOGGER.warning("%s", text)
+        self.log(text, status)
 
     # Values ------------------------------------------------------------------------------------------------------
 
     @_called_from_fmi
-    def get_real(self, vrs: list[int]) -> list[float]:
-        first_output = self._first_output
-        if vrs and min(vrs) >= first_output:  # What is asked for in every step.
-            y = self._read().tolist()
-            return [y[i - first_output] for i in vrs]
-        inputs, values = self.instance.read_inputs().tolist(), self.instance.values.tolist()
-        y = self._read().tolist() if vrs and max(vrs) >= first_output else []
-        known = [*values, *self.instance.choices.values(), *inputs, *y]
-        return [known[i] for i in vrs]
+    def get_real(self, vrs: Sequence[int]) -> list[float]:
+        if vrs and max(vrs) >= self.scene.first_output:
+            self._initialize()
+        outcome, values = self.unit.get_many(vrs)
+        if outcome != DONE:
+            self._say(self.unit.text, Fmi2Status.warning)
+        return values
 
     @_called_from_fmi
-    def get_integer(self, vrs: list[int]) -> list[int]:
+    def get_integer(self, vrs: Sequence[int]) -> list[int]:
         return [int(value) for value in self.get_real(vrs)]
 
     @_called_from_fmi
-    def get_boolean(self, vrs: list[int]) -> list[bool]:
+    def get_boolean(self, vrs: Sequence[int]) -> list[bool]:
         return [value != 0.0 for value in self.get_real(vrs)]
 
     @_called_from_fmi
-    def get_string(self, vrs: list[int]) -> list[str]:
-        return [str(self.instance.get(self._names[vr])) for vr in vrs]
+    def get_string(self, vrs: Sequence[int]) -> list[str]:
+        return [str(self.unit.get(vr)) for vr in vrs]
 
     @_called_from_fmi
-    def set_real(self, vrs: list[int], values: list[float]) -> None:
+    def set_real(self, vrs: Sequence[int], values: Sequence[float | str]) -> None:
         for vr, value in zip(vrs, values, strict=True):
-            self._set(vr, value)
+            self._refused.pop(vr, None)
+            if self.unit.set(vr, value) != DONE:
+                self._refused[vr] = self.unit.text
 
     set_integer = set_boolean = set_string = set_real
-
-    def _set(self, vr: int, value: float | str) -> None:
-        name = self._names[vr]
-        self._refused.pop(name, None)
-        try:
-            if vr >= self._first_output:
-                raise InputError(f"{self.modelName}: {name} is an output and cannot be set")
-            if vr < self._first_input and not self._running:
-                self.instance.initialized = False
-            self.instance.set(name, value)
-        except AlfmuError as error:
-            self._refused[name] = str(error)
-
-    def _read(self):
-        instance = self.instance
-        if not instance.initialized:
-            instance.initialize()
-        try:
-            return instance.read()
-        except AlfmuError as error:
-            self._say(error, Fmi2Status.warning)
-            return instance.read_state()
 
     # State -------------------------------------------------------------------------------------------------------
 
     @_called_from_fmi
     def _get_fmu_state(self) -> bytes:
-        return bytes([self._running]) + self.instance.save()
+        return self.unit.save()
 
     @_called_from_fmi
     def _set_fmu_state(self, state: bytes) -> None:
-        self.instance.restore(state[1:])
-        self._running, self._refused = bool(state[0]), {}
+        if self.unit.restore(state) != DONE:
+            raise ValueError(self.unit.text)
+        self._refused.clear()
 
     @staticmethod
     def _fmu_state_to_bytes(state: bytes) -> bytes:

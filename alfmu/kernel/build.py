@@ -1,7 +1,11 @@
-"""Compile a scene's C into a shared library, kept in the user's cache folder under the hash of its content."""
+"""Compile a scene's C into a shared library, kept in the user's cache folder.
+
+Its name there is the hash of what it is made of, and that of its content: one that was damaged is built again.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
 import os
@@ -13,16 +17,14 @@ import tempfile
 import uuid
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 from ..equations import Equations
 from ..model.errors import ExportError
-from .compiled import Library
-from .emit import sources
 from .program import SUFFIX
+from .tables import machine_code
 
-__all__ = ["FLAGS", "build", "cache", "compiled", "compiler", "version"]
+__all__ = ["FLAGS", "build", "cache", "compiled_scene", "compiler", "kept", "verified", "version", "whole"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off`: the same operations as in the virtual machine, so the same numbers."""
@@ -47,51 +49,86 @@ def cache() -> Path:
     return user_cache_path("alfmu", appauthor=False)
 
 
-def compiled(equations: Equations) -> Equations:
-    """The same equations with their functions as a library, from the cache or built now.
+def compiled_scene(equations: Equations, scene: bytes) -> Path:
+    """The functions of a scene file of these equations as a library, from the cache or built now.
 
-    Several processes may build the same one at a time: each writes a file of its own, and moves it into place whole.
     Raises ExportError where there is no compiler, or where it fails.
     """
-    e, command = equations, compiler()
-    if command is None:
+    if (command := compiler()) is None:
         raise ExportError(
-            f"{e.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
+            f"{equations.name}: no C compiler found for a compiled kernel; install one (or `pip install ziglang`), "
             "or use --kernel vm"
         )
-    files, workspace = sources(e)
+    return _library(equations.name, command, machine_code(equations, scene), "use --kernel vm")
+
+
+def _library(scene: str, command: list[str], files: list[str], otherwise: str) -> Path:
+    """C of a scene as a library in the cache."""
     # On long straight-line code the higher level takes twice the time and gains nothing.
     flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS]
     identity = "\0".join([*files, *command, version(command), *flags])
     name = f"kernel_{hashlib.sha256(identity.encode()).hexdigest()[:32]}"
-    path = cache() / (name + SUFFIX)
-    if not path.is_file():
-        named = {f"kernel{i}.c": text for i, text in enumerate(files)}
-        build(e.name, [*command, *flags], named, path, "use --kernel vm")
-    e = replace(e, workspace=workspace)
-    return replace(e, library=Library(path, e))
+    named = {f"kernel{i}.c": text for i, text in enumerate(files)}
+    return kept(name, SUFFIX) or build(scene, [*command, *flags], named, name, SUFFIX, otherwise)
 
 
-def build(scene: str, command: list[str], files: Mapping[str, str], path: Path, otherwise: str) -> None:
-    """Compile files (headers among them) into the shared library at `path`; `otherwise` says what else can be done."""
+def kept(name: str, suffix: str) -> Path | None:
+    """The library of this name in the cache, if there is one that is whole; damaged ones are removed.
+
+    Behind its name stands the hash of its content.
+    """
+    for path in sorted(cache().glob(f"{name}_*{suffix}")):
+        if whole(path):
+            return path
+        with contextlib.suppress(OSError):
+            path.unlink()
+    return None
+
+
+def whole(path: Path) -> bytes | None:
+    """The content of a library in the cache; None where it is not what was written there."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
-            for name, text in files.items():
-                (Path(folder) / name).write_text(text, encoding="ascii")
+        content = path.read_bytes()
+    except OSError:
+        return None
+    return content if path.stem.rpartition("_")[2] == _hash(content) else None
 
-            def compile_one(name: str) -> str:
-                _run(scene, [*command, "-c", name, "-o", f"{name}.o"], folder, otherwise)
-                return f"{name}.o"
+
+def verified(scene: str, path: Path) -> bytes:
+    """The content of a library in the cache; ExportError where it is not what was written there."""
+    if (content := whole(path)) is None:
+        raise ExportError(f"{scene}: the library {path} was damaged a moment ago; try again")
+    return content
+
+
+def _hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def build(scene: str, command: list[str], files: Mapping[str, str], name: str, suffix: str, otherwise: str) -> Path:
+    """Compile files (headers among them) into a shared library in the cache; `otherwise` says what else can be done."""
+    place = cache()
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+            for each, text in files.items():
+                (Path(folder) / each).write_text(text, encoding="ascii")
+
+            def compile_one(each: str) -> str:
+                _run(scene, [*command, "-c", each, "-o", f"{each}.o"], folder, otherwise)
+                return f"{each}.o"
 
             with ThreadPoolExecutor(os.cpu_count()) as pool:
-                objects = list(pool.map(compile_one, (name for name in files if name.endswith(".c"))))
+                objects = list(pool.map(compile_one, (each for each in files if each.endswith(".c"))))
             _run(scene, [*command, "-shared", "-s", *objects, "-o", "kernel", "-lm"], folder, otherwise)
+            content = (Path(folder) / "kernel").read_bytes()
+            path = place / f"{name}_{_hash(content)}{suffix}"
             partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-            shutil.copyfile(Path(folder) / "kernel", partial)
+            partial.write_bytes(content)
             partial.replace(path)
+            return path
     except OSError as error:
-        raise ExportError(f"{scene}: cannot build the kernel at {path} ({error.strerror}); {otherwise}") from error
+        raise ExportError(f"{scene}: cannot build the kernel in {place} ({error.strerror}); {otherwise}") from error
 
 
 def _run(scene: str, command: list[str], folder: str, otherwise: str) -> None:

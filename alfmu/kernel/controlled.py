@@ -58,16 +58,22 @@ def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
     solver = tracer.e.solver
     name = solver.get("method", "rk4")
     plan = replace(plan, weighted=True, margins=bool(tracer.e.l))
-    if rule := explicit_rule(name, solver.get("relative_tolerance", Settings.relative_tolerance)):
-        programs = {"method": _Explicit(tracer, plan).program(rule)}
-        if tracer.e.l:
-            beside = Plan(BESIDE, 3, weighted=True, branch=True, spacing=LONG_SPACING, side=len(LONG_MEAN) // 2)
-            programs["beside"] = _Explicit(tracer, beside).program(rule)
-        return programs
-    rule = implicit.RULES.get(name)
-    if rule is None:
+    tolerance = solver.get("relative_tolerance", Settings.relative_tolerance)
+    rule, explicit_one = implicit.RULES.get(name), explicit_rule(name, tolerance)
+    if rule is None and explicit_one is None:
         return {}
-    return {"method": (_Collocation if isinstance(rule, Collocation) else _Newmark)(tracer, plan, rule).program()}
+    if explicit_one:
+        programs = {"method": _Explicit(tracer, plan).program(explicit_one)}
+    else:
+        kind = _Collocation if isinstance(rule, Collocation) else _Newmark
+        programs = {"method": kind(tracer, plan, rule).program()}
+    if tracer.e.l:
+        # Implicit methods have no limits at singular positions: an explicit one passes them.
+        beside = Plan(BESIDE, 3, weighted=True, branch=True, spacing=LONG_SPACING, side=len(LONG_MEAN) // 2)
+        step = _Explicit(tracer, beside)
+        step.mark = "method" if explicit_one else "beside"
+        programs["beside"] = step.program(explicit_one or explicit_rule("explicit", tolerance))
+    return programs
 
 
 class _Step:
@@ -138,7 +144,9 @@ class _Step:
 
 
 class _Explicit(_Step):
-    """A step of an explicit method with projection."""
+    """A step of an explicit method with projection; functions of stages have the mark in their names."""
+
+    mark = "method"
 
     def program(self, rule: Explicit) -> Program:
         e, layout, z, dt, calls, scene = self.e, self.layout, self.z, self.dt, self.calls, self.scene
@@ -149,12 +157,12 @@ class _Explicit(_Step):
 
         def settle(y: ca.SX) -> ca.SX:
             after = {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]}
-            calls("method_sum", {"z": z, "step": dt, **rates}, lambda: after, list(after))
+            calls(f"{self.mark}_sum", {"z": z, "step": dt, **rates}, lambda: after, list(after))
             self.project(q, v)
             settled.update({"q": q, "v": v, "work": work})
             return ca.vertcat(q, v, work)
 
-        rate = self.tracer.rate(calls, scene, self.plan, "method_stage", rates, settled, "step")
+        rate = self.tracer.rate(calls, scene, self.plan, f"{self.mark}_stage", rates, settled, "step")
         start = ca.vertcat(z[: 2 * e.n], z[layout.work])
         _, [error], _ = explicit(rule, rate, z[layout.time], start, dt, None, settle)
         known = {"z": z, "step": dt, **rates, "q": q, "v": v, "p": self.p, "k": self.k}

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .places import Places, line
-from .repeat import Repeat, repeats
+from .repeat import Repeat, pieces, repeats
 from .stream import BINARY, CONSTANT, INPUT, UNARY, VALUE, Operations, number
 
 __all__ = ["blocks", "c_function"]
@@ -24,15 +24,15 @@ def blocks(name: str, operations: Operations, kept: dict[int, int], most: int) -
 
     `kept` are the lengths of arguments that are copied first, since results may be written over them.
     """
-    pieces = list(_pieces(len(operations), repeats(operations), most))
-    code = _Code(operations, pieces, kept)
+    parts = list(pieces(len(operations), repeats(operations), most))
+    code = _Code(operations, parts, kept)
     names: list[str] = []
     lines = code.copies()
     size = 0
-    for i, piece in enumerate(pieces):
+    for i, piece in enumerate(parts):
         lines += code.piece(i)
         size += piece.period
-        if i + 1 == len(pieces) or size + pieces[i + 1].period > most:
+        if i + 1 == len(parts) or size + parts[i + 1].period > most:
             names.append(f"{name}_{len(names)}")
             yield c_function(names[-1], lines), code.workspace
             lines, size = [], 0
@@ -45,16 +45,6 @@ def c_function(name: str, lines: Iterable[str]) -> str:
     body = "".join(f"    {line}\n" for line in lines)
     head = f"__attribute__((noinline)) void {name}(Arguments x, Results y, double *w)"
     return f"extern Function {name};\n{head}\n{{\n    (void)x, (void)y, (void)w;\n{body}}}\n\n"
-
-
-def _pieces(count: int, found: list[Repeat], most: int) -> Iterator[Repeat]:
-    """Loops, and between them straight code, which is what does not repeat."""
-    ends = [0, *(each.end for each in found)]
-    for end, loop in zip(ends, [*found, None], strict=True):
-        stop = loop.start if loop else count
-        yield from (Repeat(i, min(most, stop - i), 1) for i in range(end, stop, most))
-        if loop:
-            yield loop
 
 
 class _Code:

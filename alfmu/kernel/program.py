@@ -20,6 +20,7 @@ __all__ = [
     "CHOICE",
     "FACTOR",
     "GROSS",
+    "LEAST_NORM",
     "LIBRARY",
     "LOOP",
     "PACE",
@@ -33,7 +34,6 @@ __all__ = [
     "Backend",
     "Call",
     "Layout",
-    "Machine",
     "Memory",
     "Program",
     "Signature",
@@ -50,7 +50,8 @@ names of its arguments, names of its results]; or [CHOICE, name of a number, cal
 to make where it is]. Programs of a method (STAGED), and of native FMUs, may also have [LOOP, name of a number, times,
 calls to make while it is not zero], at most so many times or as often as a number of that name says; [FACTOR, [weights,
 parts], [factors, order], n, m], which factorises the matrix of m times m blocks (n, n) that are sums of the parts of
-their row, by weights of row and column; and [SOLVE, [factors, order, m vectors], [solution], n, m].
+their row, by weights of row and column; and [SOLVE, [factors, order, m vectors], [solution], n, m]. Native FMUs alone
+have [LEAST_NORM, [matrix (n, n), vector], [solution], n], the least-squares solution of least norm.
 """
 
 CHOICE = "?"
@@ -59,7 +60,7 @@ CHOICE = "?"
 STAGED = ("method", "beside")
 """A step by the method of the scene; the same on the branch of the motion, beside singular positions."""
 
-LOOP, FACTOR, SOLVE = "*", "factor", "solve"
+LOOP, FACTOR, SOLVE, LEAST_NORM = "*", "factor", "solve", "least_norm"
 """Marks loops, and what is done by routines that all scenes share."""
 
 TIERS = ("quick", "careful", "branch")
@@ -110,7 +111,7 @@ def called(calls: list[list]) -> Iterator[str]:
             yield from called(rest[2])
         elif name == LOOP:
             yield from called(rest[2])
-        elif name not in (FACTOR, SOLVE):
+        elif name not in (FACTOR, SOLVE, LEAST_NORM):
             yield name
 
 
@@ -176,9 +177,9 @@ class Layout:
 class Memory:
     """The numbers of one instance: `memory["z"]` is a view into one array, `block`."""
 
-    def __init__(self, layout: Layout, workspace: int = 0):
+    def __init__(self, layout: Layout, block: NDArray | None = None):
         self.layout = layout
-        self.block = np.zeros(layout.size + workspace)
+        self.block = np.zeros(layout.size) if block is None else block
 
     def __getitem__(self, name: str) -> NDArray:
         offset, length = self.layout.fields[name]
@@ -189,22 +190,6 @@ class Memory:
         return self.layout.fields[name][0] + index
 
 
-class Machine(Protocol):
-    """The kernel of a scene at work on a memory; what a call could not do has changed nothing in it."""
-
-    def communicate(self, start: float, h: float) -> bool:
-        """A whole communication step from `start` [s] over `h` [s]; False where the slower way must look at it."""
-
-    def advance(self, steps: int, dt: float) -> int:
-        """Internal steps of dt [s], until one cannot be made; returns how many were."""
-
-    def cover(self, end: float, tries: int) -> bool:
-        """Steps by the method of the scene up to `end` [s], or so many tries; False where one could not be judged."""
-
-    def read(self) -> bool:
-        """Compute `seen`; False where the unrolled loops were not enough."""
-
-
 class Backend(Protocol):
     """A way to run the functions of a scene."""
 
@@ -212,8 +197,6 @@ class Backend(Protocol):
         """The function bound to arrays for its arguments and the nonzeros of its results."""
 
     def memory(self, layout: Layout) -> Memory: ...
-
-    def machine(self, memory: Memory) -> Machine: ...
 
 
 class Call:

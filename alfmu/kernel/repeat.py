@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .stream import INPUT, VALUE, Operations
 
-__all__ = ["Repeat", "repeats"]
+__all__ = ["Repeat", "pieces", "repeats"]
 
 FEWEST = 4
 """Repetitions that are worth a loop."""
@@ -68,6 +68,16 @@ class Repeat(NamedTuple):
         """Numbers of all operations, by operation of the period; plain lists where there is but one of each."""
         columns = numbers[self.start : self.end].reshape(self.count, self.period).T
         return columns.tolist() if self.count == 1 else columns
+
+
+def pieces(count: int, found: list[Repeat], most: int) -> Iterator[Repeat]:
+    """Loops, and between them straight code, which is what does not repeat."""
+    ends = [0, *(each.end for each in found)]
+    for end, loop in zip(ends, [*found, None], strict=True):
+        stop = loop.start if loop else count
+        yield from (Repeat(i, min(most, stop - i), 1) for i in range(end, stop, most))
+        if loop:
+            yield loop
 
 
 class _Candidate(NamedTuple):

@@ -3,11 +3,13 @@
 The tiers of `alfmu.kernel.trace` stay as they are. After them comes a patient one, whose loops stop on convergence:
 `move` and `move_on_branch` lead to the end of a step, `close` brings it back to the constraints, `instant_patient` and
 `limit_patient` read. `impact` makes the velocity consistent, `sensitivity` and `limit_sensitivity` derive what is read
-by the inputs.
+by the inputs. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an `instant` of their own, and `keep`
+ends a step without projections.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -19,8 +21,9 @@ from ..method import formulations as method
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.singular import LONGER
+from .alternatives import OWN, Alternatives, alternatives, classic
 from .program import CHOICE, LOOP, Program, called
-from .trace import CAREFUL, Calls, Plan, Scene, Tracer, Watch, _factors
+from .trace import CAREFUL, Calls, Plan, Scene, Watch, _factors
 
 __all__ = ["passed", "standalone"]
 
@@ -28,10 +31,12 @@ __all__ = ["passed", "standalone"]
 def passed(equations: Equations) -> dict[str, int]:
     """What the C runtime hands to programs, and its length: how often the multiplier iteration is repeated at most, and
     where the motion may end; a direction of the inputs; the communication point and the time derivatives of the inputs
-    there; where past inputs are kept, whether the communication step under way began before."""
+    there; iterations of (8) as printed after the first one; zeta and omega; whether steps end with projections; where
+    past inputs are kept, whether the communication step under way began before."""
     inputs = len(equations.inputs)
     within = {"within": 1} if "reach" in equations.kernel else {}
-    return {"most": 1, "patient": 1, "du": inputs, "slopes": 1 + inputs, **within}
+    others = {"again": 1, "stabilisation": 2, "projects": 1}
+    return {"most": 1, "patient": 1, "du": inputs, "slopes": 1 + inputs, **others, **within}
 
 
 def standalone(equations: Equations) -> Equations:
@@ -47,12 +52,18 @@ def standalone(equations: Equations) -> Equations:
         for name, plan in {"move": careful, "move_on_branch": replace(careful, branch=True)}.items():
             kernel[name] = _extrapolating(tracer, tracer.move(plan))
         kernel["close"] = tracer.close(careful)
-        if "limit" in e.kernel:
-            redundant = tracer.redundant
+        kernel["keep"] = tracer.keep()
+        read, redundant = len(e.kernel["instant"]["calls"]) > 1, tracer.redundant
+        if read:
             kernel["instant_patient"] = tracer.instant(careful, redundant)
+        if "limit" in e.kernel:
             kernel["limit_patient"] = tracer.limit(careful, redundant)
-        if e.switches:
-            kernel["impact"] = tracer.impact(careful)
+        kernel["impact"] = tracer.impact(careful)
+        for name in alternatives(e):
+            other = tracer.by(name)
+            kernel[f"move_{name}"] = _extrapolating(other, other.move(careful))
+            if read:
+                kernel[f"instant_{name}"] = other.instant(careful, redundant)
         tracer.pivots(careful)
     if e.inputs and any(v.instant for v in e.outputs):
         plan = Plan(CAREFUL, 3, weighted=e.l > 0)
@@ -71,7 +82,7 @@ def _extrapolating(tracer: _Patient, program: Program) -> Program:
     return {**program, "calls": tracer.extrapolated(program["calls"])}
 
 
-class _Patient(Tracer):
+class _Patient(Alternatives):
     """Programs with loops that stop on convergence; `most` is a number of the instance."""
 
     def __init__(self, equations: Equations):
@@ -98,6 +109,13 @@ class _Patient(Tracer):
         repeated = Calls(self)
         self._repeat(repeated, "more", CORRECTIONS, calls.made)
         return {"calls": [*repeated.made, end]}
+
+    def keep(self) -> Program:
+        """The state that q and v after `move` make as they are."""
+        calls, end = Calls(self), self.e.kernel["careful"]["calls"][-1]
+        nothing = {"pivot": ca.SX(math.inf), "left": ca.SX.zeros(2)}
+        calls("unprojected", {"k": self.known["k"]}, lambda: nothing, list(nothing))
+        return {"calls": [*calls.made, end]}
 
     def impact(self, plan: Plan) -> Program:
         """The velocity after constraints came into force, the impulses of all, and the energy that was lost."""
@@ -268,7 +286,13 @@ class _Patient(Tracer):
         times: str = "most",
     ) -> None:
         super().evaluation(calls, scene, replace(plan, iterations=1), i, names)
-        self._iterate(calls, scene, plan, tuple(names.get(x + i, x + i) for x in ("a", "lam", "watch")), times)
+        own = {x: names.get(x + i, x + i) for x in ("q", "v", "a", "lam", "watch")}
+        if self.formulation == OWN:
+            self._iterate(calls, scene, plan, (own["a"], own["lam"], own["watch"]), times)
+        elif self.formulation == "classic":
+            self._iterate(calls, scene, plan, (own["a"], own["lam"], own["watch"]), "again")
+        else:
+            self.once(calls, scene, own)
 
     def _iterate(
         self, calls: Calls, scene: Scene, plan: Plan, names: tuple[str, str, str], times: str = "most"
@@ -282,7 +306,10 @@ class _Patient(Tracer):
         )
         again = Calls(self)
         known = {"k": k, **matrices, **dict(zip(names, (a, lam, watch), strict=True))}
-        again(f"{scene.kind}_iterate", known, lambda: scene.iterated_again(matrices, a, lam, watch), list(names))
+        if self.formulation == OWN:
+            again(f"{scene.kind}_iterate", known, lambda: scene.iterated_again(matrices, a, lam, watch), list(names))
+        else:
+            again("classic_iterate", known, lambda: classic(scene, matrices, a, lam, watch), list(names))
         done = {"k": k, names[2]: watch}
         again("unconverged", done, lambda: {"more": scene.unconverged(plan, [Watch(watch)])}, ["more"])
         self._repeat(calls, "more", times, again.made)
@@ -323,9 +350,25 @@ class _Patient(Tracer):
         again("longer_places", {"stretched": stretched, places[0]: first}, longer, ["stretched", "slow"])
         self._repeat(calls, "slow", LONGER, again.made)
 
+    def _least_by_loop(self, calls: Calls, scene: Scene, name: str) -> None:
+        """Multipliers of least norm by passes until they change no more."""
+        matrices, lam, z = self.matrices(scene), ca.SX.sym("lam", self.e.l), ca.SX.sym("z", self.e.n)
+        some = {each: matrices[each] for each in ("C", "D", "L")}
+        calls("least_begin", {"k": self.known["k"]}, lambda: {"z": ca.SX(self.e.n, 1)}, ["least_z"])
+        again, known = Calls(self), {"k": self.known["k"], **some, name: lam, "least_z": z}
+        again("least_again", known, lambda: scene.least_again(some, lam, z), ["least_z", "least_norm", "more"])
+        self._repeat(calls, "more", CORRECTIONS, again.made)
+        calls("least_end", {"least_norm": lam}, lambda: {"lam": lam}, [name])
+
     def _least(self, calls: Calls, scene: Scene, name: str) -> None:
+        """By other formulations where steps end with projections, as in the oracle."""
+        if self.formulation != OWN:
+            made = Calls(self)
+            self.by(OWN)._least(made, scene, name)
+            calls.made.append([CHOICE, "projects", made.made, []])
+            return
         if not self.e.compliances:
-            super()._least(calls, scene, name)
+            self._least_by_loop(calls, scene, name)
             return
         matrices, lam = self.matrices(scene), ca.SX.sym("lam", self.e.l)
         some = {each: matrices[each] for each in ("M", "C")}

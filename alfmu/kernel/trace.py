@@ -52,6 +52,9 @@ MONITORED = tuple(
 )
 """Monitors that `instant` computes, in this order."""
 
+_LEFT = 2.0**-50
+"""Last change of what multipliers of least norm are made of, over what it is."""
+
 _TOLD = 4.0
 """Margin that can be told from nothing, over it."""
 
@@ -509,6 +512,9 @@ class Calls:
             # In a large scene little is left to share, and the search takes longer than all the rest.
             make = shared if self._tracer.e.n <= DENSE else ca.Function
             functions[name] = make(name, list(arguments.values()), values)
+        known, sizes = functions[name], [x.numel() for x in arguments.values()]
+        if sizes != [known.numel_in(i) for i in range(known.n_in())] or known.n_out() != len(outputs):
+            raise ValueError(f"two functions are called {name}")
         self.made.append([name, list(arguments), outputs])
 
 
@@ -719,9 +725,24 @@ class Scene:
         return found, watch
 
     def least(self, nonzeros: dict[str, ca.SX], lam: ca.SX) -> ca.SX:
-        """lam of least norm."""
+        """lam of least norm; not finite where the passes were too few, as they are with small penalties."""
         C, D, L = (self.matrix(name, nonzeros) for name in ("C", "D", "L"))
-        return method.minimum_norm(C, self.weights, _solver(D, L, self._order), lam, 2, lambda change, value: False)
+        left: list[ca.SX] = []
+
+        def done(change: ca.SX, value: ca.SX) -> bool:
+            left[:] = [1 - (ca.sumsqr(change) <= _LEFT**2 * ca.sumsqr(value))]
+            return False
+
+        lam = method.minimum_norm(C, self.weights, _solver(D, L, self._order), lam, 2, done)
+        return ca.if_else(left[0], math.nan, lam)
+
+    def least_again(self, nonzeros: dict[str, ca.SX], lam: ca.SX, z: ca.SX) -> dict[str, ca.SX]:
+        """One more pass: z, lam by it, and whether another one is needed."""
+        C, D, L = (self.matrix(name, nonzeros) for name in ("C", "D", "L"))
+        change = method.nearer_norm(C, self.weights, _solver(D, L, self._order), lam, z)
+        z = z + change
+        more = 1 - (ca.sumsqr(C @ change) <= _LEFT**2 * ca.sumsqr(C @ z))
+        return {"z": z, "least": self.weights @ (C @ z), "more": more}
 
     def distributed(self, nonzeros: dict[str, ca.SX], lam: ca.SX, passes: int = SHARES) -> ca.SX:
         """lam as constraints of the given compliances share it; not finite where the passes were too few."""

@@ -19,6 +19,7 @@ __all__ = [
     "classic",
     "dae",
     "minimum_norm",
+    "nearer_norm",
     "penalty",
     "project",
     "residual",
@@ -74,11 +75,16 @@ def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, most: int, do
     """
     z = solve(C.T @ lam)
     for _ in range(most):
-        dz = solve(C.T @ (lam - alpha @ (C @ z)))
+        dz = nearer_norm(C, alpha, solve, lam, z)
         z = z + dz
         if done(C @ dz, C @ z):
             break
     return alpha @ (C @ z)
+
+
+def nearer_norm(C: Array, alpha: Array, solve: Solve, lam: Array, z: Array) -> Array:
+    """The change of z in one pass of `minimum_norm`."""
+    return solve(C.T @ (lam - alpha @ (C @ z)))
 
 
 def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: float, omega: float) -> Array:

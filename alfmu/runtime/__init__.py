@@ -1,5 +1,5 @@
-"""What moves a scene: an instance in Python, and the same in C for native FMUs."""
+"""What moves a scene: the C library, what builds it, and instances that it drives."""
 
-from .instance import CHOICES, SOLVER_VARIABLES, Instance, choices
+from .instance import Instance
 
-__all__ = ["CHOICES", "SOLVER_VARIABLES", "Instance", "choices"]
+__all__ = ["Instance"]

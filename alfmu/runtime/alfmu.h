@@ -1,22 +1,44 @@
 /* A mechanism in motion, as instance.py has it: values by reference, start, communication steps, outputs, state.
 
    Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. What a scene
-   is comes from generated code: its functions and programs work on the memory `m` laid out by `Layout` in
+   is comes from its file: its functions and programs work on the memory `m` laid out by `Layout` in
    alfmu/kernel/program.py, and on the workspace behind it. */
 
 #ifndef ALFMU_H
 #define ALFMU_H
 
 #include <stddef.h>
+#include <stdint.h>
 
-#include "constants.h"
+#include "layout.h"
 
-#if !defined(EXPORT) /* in generated code, which has these */
-typedef const double *const *Arguments;
-typedef double *const *Results;
-typedef void Function(Arguments, Results, double *);
+/* Also where an importer compiles this: other libraries have such names too (glibc: advance). */
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
 #endif
-typedef void Program(double *m, double *w);
+
+#define MOST_ARGUMENTS 160 /* of a function, results included */
+/* Most internal steps, or tries of them, in one communication step, so that every call comes back: the five-bar makes a
+   million in 4 s, the flexible four-bar by a stiff method in 17 s. */
+#ifndef MOST_STEPS
+#define MOST_STEPS 1000000
+#endif
+
+/* What an instance counts beside the tally of its memory, and the largest errors that it has seen. */
+enum {
+    PATIENT_STEPS,
+    READS,
+    UNCONVERGED,
+    POSITION_ERROR,
+    VELOCITY_ERROR,
+    ACCELERATION_ERROR,
+    ENERGY_ERROR,
+    ENERGY_START,
+    COUNTED
+};
+
+/* A function of the scene as compiled code: arguments, results, and a workspace. */
+typedef void Compiled(const double *const *x, double *const *y, double *w);
 
 typedef enum { REAL, INTEGER, BOOLEAN, STRING } Type;
 typedef enum { PARAMETER, CHOICE, INPUT, SWITCH, OUTPUT } Kind;
@@ -52,64 +74,89 @@ typedef struct {
 
 /* Where the nonzeros of a matrix stand, by columns; without `offsets` it is dense. */
 typedef struct {
-    int rows, columns;
+    int rows, columns, entries;
     const int *offsets, *indices;
 } Pattern;
 
+/* A function: runs of operations over places among the constants, the arguments, and what came before; behind them the
+   places of its results. Places have 16 bits (narrow) or 32 (wide). */
 typedef struct {
-    const char *name, *guid;
-    /* Variables in the order of their references: parameters, choices, inputs, switches, outputs. */
+    int inputs, outputs, results;
+    const int32_t *lengths; /* of arguments, then of results */
+    const uint16_t *narrow;
+    const int32_t *wide;
+    size_t words;
+    Compiled *compiled; /* in its place, where there is one */
+} Function;
+
+/* Calls of functions on the memory of an instance, choices, loops. */
+typedef struct {
+    const int32_t *code;
+    size_t words;
+} Program;
+
+/* What alfmu/kernel/tables.py writes; numbers that are places stand for functions, programs, or where in the memory or the
+   workspace something is (-1 for none). */
+typedef struct {
+    const char *name;
+    char guid[40];
+#define NUMBER(name) int name;
+    SCENE_NUMBERS(NUMBER)
+#undef NUMBER
+#define NUMBER(name) double name;
+    SCENE_REALS(NUMBER)
+#undef NUMBER
+    /* Variables in the order of their references: parameters, choices, inputs, switches, outputs. The first parameters
+       are those of the mechanism, then start values, start rates, compliances, the solver's. */
     const Variable *variables;
-    int parameters, choices, inputs, switches, outputs;
     const Choice *choice;
-    /* The first parameters are those of the mechanism, then start values, start rates, compliances, the solver's. */
-    int own, starts, compliances, solver;
-    /* Places among the parameters. */
-    int step_size, penalty, tolerance, max_iterations, relative_tolerance, absolute_tolerance;
-    int branch, continues, method_choice; /* places of choices, and of a value of the first */
-    double no_slope; /* of an input whose derivative is not given: 0, held; infinite, extrapolated from the past */
     const Switch *switched;
-    int held;                  /* displacements that locks keep */
-    int impulses, event_count; /* of all impacts; outputs that say something of them */
     const int *impulse_rows, *event_places;
-    int n, l, angles, readings;
     const Coordinate *coordinates;
     const Row *rows;
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
-    int ties;
-    const int *tied; /* start values that are kept */
-    int freedom;     /* of the usual constraints, -1 where it is not known */
-    int brakes, weighted, same_tiers, careful_iterations;
-    int method;             /* 0 RK4, 1 one with error control, 2 another in steps of one length */
-    double share, exponent; /* that make the tolerance of a run that of a step */
-    const double *normal; /* standard normal numbers, TRIES x n */
-    /* Memory: offsets of fields, entries of the state, lengths. */
-    int z, after, begin, u, p, k, dt, control, pace, past, past_size, seen, seen_size;
-    int time, work, trouble, size, workspace;
-    /* Workspace: what programs hand on. */
-    int most, patient, du, slopes, within, q, v, watch[4], near, dy, struck, impulse, lost;
+    const int *tied;         /* start values that are kept */
+    const double *normal;    /* standard normal numbers, TRIES x n */
     Pattern mass, constraint, gaps, tie_rows;
-    Function *dynamics, *constraints, *energy, *closure, *guesses, *displacements;
-    Function *pivots, *place, *bring, *settle;
-    Program *move, *move_on_branch, *close, *instant, *limit, *impact, *sensitivity, *limit_sensitivity, *reach;
-    long (*advance)(double *m, long steps, double dt);
-    int (*communicate)(double *m, double start, double h);
-    int (*cover)(double *m, double end, long tries);
-    int (*read)(double *m);
+    const double *constants;
+    const Function *functions;
+    const Program *programs;
+    int constant_count, function_count, program_count;
+    int registers; /* numbers that the longest function works on, constants included */
+    int spare;     /* workspace of compiled functions */
+    int dense;     /* unknowns of the largest dense system */
+    struct Block *blocks;
 } Scene;
 
-extern const Scene alfmu_scene;
+/* A scene from the bytes of its file; NULL, and why, where it is damaged. */
+Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size);
+void scene_free(Scene *s);
+
+/* Compiled functions in place of the interpreted ones, before there is an instance: all of them in their order, and the
+   numbers that the hungriest needs as workspace; 0 where they were made for another scene. */
+int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity);
+int settings_length(const Scene *s);
+size_t state_length(const Scene *s);
+
+/* CRC-32 of bytes that follow others; it begins with CHECK_BEGIN, and its complement is the check sum. */
+#define CHECK_BEGIN 0xffffffffu
+uint32_t check_sum_from(uint32_t sum, const unsigned char *bytes, size_t count);
+
+/* The scene among the resources of an FMU, which the host names by a URI or a path. */
+Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
 
 typedef enum {
     DONE,
     REFUSED, /* a value or a call; nothing has changed */
     OPEN,    /* a step after which constraints cannot be closed */
-    FAILED
+    FAILED,
+    UNHELD, /* a massless body that nothing holds */
+    BRAKES  /* redundant constraints that the scene is not traced for */
 } Outcome;
 
 typedef struct {
-    int initialized, running, known, scaled, fast, whole, pending, brakes;
-    int choice[3];
+    int initialized, running, known, scaled, fast, whole, pending, brakes, given;
+    int choice[CHOICES];
 } Flags;
 
 typedef struct {
@@ -121,15 +168,18 @@ typedef struct {
     double *values, *wanted, *on, *kept, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty;
+    double *given;         /* penalties of each constraint, where `flags.given` says so */
+    double *counts;        /* COUNTED */
+    double *stabilisation; /* zeta and omega [1/s] of (6), (5) and Baumgarte's form of (9) */
+    double *projection;    /* whether steps end with projections (10); below zero as the formulation has it */
     double *m;
     /* Beside them. */
-    double *workspace, *before, *scratch;
+    double *workspace, *before, *scratch, *registers, *spare, *past_before, *dense;
     Flags flags_before;
     int within; /* whether the next step goes on in a communication step that began before */
+    long left;  /* internal steps that this communication step may still take */
     size_t used, room; /* of scratch */
-    int refused_count;
-    unsigned char *refused; /* variables whose last value was not taken */
-    char text[1024];        /* what happened last */
+    char text[1024];   /* what happened last */
 } Instance;
 
 Instance *instance_new(const Scene *scene);
@@ -138,22 +188,28 @@ void instance_reset(Instance *i);
 int variable_count(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);
-Outcome instance_choose(Instance *i, int reference, const char *value);
 double instance_get(const Instance *i, int reference);
-const char *instance_chosen(const Instance *i, int reference);
+Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection);
 Outcome instance_set_slope(Instance *i, int reference, double value);
 
 Outcome instance_tolerate(Instance *i, double tolerance);
 Outcome instance_initialize(Instance *i);
+Outcome instance_can_step(Instance *i, double start, double h);
 Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_read(Instance *i);
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *directions, double *changes);
-Outcome instance_refusals(Instance *i);
+Outcome instance_output_derivatives(
+    Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);
+void instance_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
+    const double *units, const double *scales, const double known[4]);
+Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here);
+Outcome instance_penalize(Instance *i, const double *penalties);
 
 size_t state_size(const Instance *i);
 void state_save(const Instance *i, unsigned char *state);
+int state_running(const unsigned char *state);
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size);
 
 /* Between the parts of the runtime. */
@@ -164,7 +220,6 @@ Outcome say(Instance *i, Outcome outcome, const char *format, ...)
     ;
 double *take(Instance *i, size_t count);
 void spread(const Pattern *pattern, const double *nonzeros, double *dense);
-int nonzeros(const Pattern *pattern);
 const char *row_label(const Instance *i, int row, char *label, size_t size);
 double *field(const Instance *i, int offset);
 void constraints_at(
@@ -178,5 +233,21 @@ void default_penalties(Instance *i, const double *q, double *penalties);
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
 void hold(Instance *i);
 void hand_over(Instance *i);
+
+/* The program that leads to the end of a step by a formulation. */
+int move_by(const Scene *s, int formulation);
+
+/* A function of the scene on arrays; a program on the memory. */
+void call(Instance *i, int which, const double *const *x, double *const *y);
+void run(Instance *i, int program);
+
+long advance(Instance *i, long steps, double dt);
+int cover(Instance *i, double end, long tries);
+int communicate(Instance *i, double start, double h);
+int read_quickly(Instance *i);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif

@@ -1,6 +1,8 @@
 #include "component.h"
 
 #include <math.h>
+#include <stdbool.h>
+#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,20 +16,37 @@
 const char *const category_names[CATEGORIES] = {
     "logAll", "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal"};
 
-Component *component_new(const char *name, const char *guid)
+/* Life ------------------------------------------------------------------------------------------------------------- */
+
+Component *component_new(
+    const char *name, const char *guid, const char *resources, size_t host, char *why, size_t why_size)
 {
     Component *c;
-    if (!name || !*name || !guid || strcmp(guid, alfmu_scene.guid) != 0)
+    snprintf(why, why_size, "%s",
+        !name || !*name ? "it needs a name"
+            : !guid     ? "it needs the GUID, or instantiation token, of its description"
+                        : "there is not enough memory");
+    if (!name || !*name || !guid)
         return NULL;
     c = calloc(1, sizeof *c);
     if (!c)
         return NULL;
+    c->scene = scene_of_fmu(resources, why, why_size);
+    if (!c->scene || strcmp(guid, c->scene->guid) != 0) {
+        if (c->scene)
+            snprintf(why, why_size,
+                "its description has another GUID, or instantiation token; scene and description must be of one FMU");
+        scene_free(c->scene);
+        free(c);
+        return NULL;
+    }
     c->magic = HANDLE;
     c->phase = INSTANTIATED;
     c->logged = ALWAYS;
     c->name = malloc(strlen(name) + 1);
-    c->instance = instance_new(&alfmu_scene);
-    if (!c->name || !c->instance) {
+    c->host = calloc(1, host);
+    c->instance = instance_new(c->scene);
+    if (!c->name || !c->host || !c->instance) {
         component_free(c);
         return NULL;
     }
@@ -37,8 +56,17 @@ Component *component_new(const char *name, const char *guid)
 
 void component_free(Component *c)
 {
+    if (!component_good(c))
+        return;
+    if (c->phase == LOOKING) {
+        component_refuse(c, ERROR_, "FreeInstance", "not while a step is made");
+        return;
+    }
     c->magic = 0;
     instance_free(c->instance);
+    scene_free(c->scene);
+    free(c->before);
+    free(c->host);
     free(c->name);
     free(c);
 }
@@ -59,11 +87,19 @@ void component_say(Component *c, Category category, const char *text)
     c->log(c->host, c->name, category, safe);
 }
 
-void component_refuse(Component *c, Category category, const char *call, const char *why)
+Status component_refuse(Component *c, Category category, const char *call, const char *why)
 {
     char text[256];
     snprintf(text, sizeof text, "%s: %s: %s", c->instance->scene->name, call, why);
     component_say(c, category, text);
+    return category == DISCARD ? DISCARDED : WRONG;
+}
+
+/* What the instance said when it refused something. */
+static Status refused(Component *c, Status status)
+{
+    component_say(c, status == DISCARDED ? DISCARD : status == WARNED ? WARNING : ERROR_, c->instance->text);
+    return status;
 }
 
 int component_in(Component *c, int phases, const char *call)
@@ -76,14 +112,17 @@ int component_in(Component *c, int phases, const char *call)
         c->phase == INSTANTIATED       ? "not before initialisation has begun"
             : c->phase == INITIALIZING ? "not during initialisation"
             : c->phase == STEPPING     ? "not after initialisation"
+            : c->phase == LOOKING      ? "not while a step is made"
                                        : "not after the run has ended");
     return 0;
 }
 
-/* Whether all categories were known; those that were are logged from now on. */
-int component_logging(Component *c, int on, size_t count, const char *const categories[])
+/* Those of the categories that are known are logged from now on, where all are. */
+Status component_logging(Component *c, int on, size_t count, const char *const categories[], const char *call)
 {
     unsigned logged = 0;
+    if (!component_in(c, ANY | LOOKING, call))
+        return WRONG;
     for (size_t k = 0; k < count; k++) {
         int known = 0;
         for (int each = 0; categories && categories[k] && each < CATEGORIES; each++)
@@ -91,68 +130,30 @@ int component_logging(Component *c, int on, size_t count, const char *const cate
                 logged |= each == ALL ? ~0u : 1u << each;
                 known = 1;
             }
-        if (!known) {
-            component_refuse(c, ERROR_, "log categories", "there is no such category");
-            return 0;
-        }
+        if (!known)
+            return component_refuse(c, ERROR_, call, "there is no such category");
     }
     c->logged = !on ? ALWAYS : count ? logged : ~0u;
-    return 1;
-}
-
-/* Whether there is a variable of this type. */
-static int known_variable(Component *c, unsigned reference, Type type, const char *call)
-{
-    const Scene *s = c->instance->scene;
-    if (reference < (unsigned)variable_count(s) && s->variables[reference].type == type)
-        return 1;
-    component_refuse(c, ERROR_, call, "no variable of this type has this value reference");
-    return 0;
-}
-
-static int settable(Component *c, unsigned reference, const char *call)
-{
-    const Kind kind = c->instance->scene->variables[reference].kind;
-    if (kind == OUTPUT)
-        component_refuse(c, ERROR_, call, "an output cannot be set");
-    else if ((kind == PARAMETER || kind == CHOICE) && c->phase == STEPPING)
-        component_refuse(c, ERROR_, call, "a parameter is fixed once the run has begun");
-    else
-        return 1;
-    return 0;
-}
-
-/* Makes sure that outputs are known, and says so where not all are. */
-static Status known_outputs(Component *c)
-{
-    Instance *i = c->instance;
-    if (!i->flags.initialized && (c->phase != INITIALIZING || instance_initialize(i) != DONE)) {
-        component_say(c, ERROR_, c->phase == INITIALIZING ? i->text : "outputs are known after initialising");
-        return WRONG;
-    }
-    if (instance_read(i) == DONE)
-        return FINE;
-    component_say(c, WARNING, i->text);
-    return WARNED;
-}
-
-static Status refused(Component *c, Status status)
-{
-    component_say(c, status == DISCARDED ? DISCARD : ERROR_, c->instance->text);
-    return status;
+    return FINE;
 }
 
 Status component_begin(Component *c, double start, double tolerance, const char *call)
 {
     if (!component_in(c, INSTANTIATED, call))
         return WRONG;
-    if (!isfinite(start)) {
-        component_refuse(c, ERROR_, call, "the start time must be a finite number");
-        return WRONG;
-    }
+    if (!isfinite(start))
+        return component_refuse(c, ERROR_, call, "the start time must be a finite number");
     *instance_time(c->instance) = start;
-    if (tolerance != 0.0)
-        return component_set(c, FINE, instance_tolerate(c->instance, tolerance));
+    if (tolerance != 0.0 && instance_tolerate(c->instance, tolerance) != DONE)
+        return refused(c, WARNED);
+    return FINE;
+}
+
+Status component_enter(Component *c, const char *call)
+{
+    if (!component_in(c, INSTANTIATED, call))
+        return WRONG;
+    c->phase = INITIALIZING;
     return FINE;
 }
 
@@ -162,7 +163,7 @@ Status component_initialized(Component *c, const char *call)
     if (!component_in(c, INITIALIZING, call))
         return WRONG;
     i = c->instance;
-    if (instance_refusals(i) != DONE || (!i->flags.initialized && instance_initialize(i) != DONE))
+    if ((!i->flags.initialized && instance_initialize(i) != DONE) || instance_read(i) != DONE)
         return refused(c, WRONG);
     i->flags.running = 1;
     c->phase = STEPPING;
@@ -186,76 +187,253 @@ Status component_reset(Component *c, const char *call)
     return FINE;
 }
 
-static int arrays(Component *c, const unsigned *references, size_t count, const void *values, const char *call)
+/* Values ----------------------------------------------------------------------------------------------------------- */
+
+static int is_time(const Component *c, unsigned reference)
 {
-    if (!count || (references && values))
-        return 1;
-    component_refuse(c, ERROR_, call, "there is no array");
-    return 0;
+    return c->has_time && reference == (unsigned)variable_count(c->instance->scene);
 }
 
-Status component_readable(
-    Component *c, const unsigned *references, size_t count, const void *values, Type type, const char *call)
+/* Whether a variable has values of a form. */
+static int has_form(const Variable *v, Form form)
 {
-    int outputs = 0;
-    if (!component_in(c, KNOWN, call) || !arrays(c, references, count, values, call))
+    static const unsigned kept[FORMS] = {
+        1u << REAL, 1u << INTEGER, 1u << INTEGER | 1u << STRING, 1u << STRING, 1u << BOOLEAN, 1u << BOOLEAN};
+    return (kept[form] >> (v->kind == CHOICE ? STRING : v->type)) & 1u;
+}
+
+/* Whether arrays can be looked at, and hold references of variables that have values of a form. */
+static int addressed(Component *c, const unsigned *references, size_t count, const void *values, size_t value_count,
+    Form form, const char *call)
+{
+    const Scene *s = c->instance->scene;
+    const char *why = count != value_count ? "every variable is a scalar: as many values as references"
+        : count && (!references || !values) ? "there is no array"
+                                            : NULL;
+    for (size_t k = 0; !why && k < count; k++)
+        if (!(form == FLOATS && is_time(c, references[k]))
+            && (references[k] >= (unsigned)variable_count(s) || !has_form(s->variables + references[k], form)))
+            why = "no variable of this type has this value reference";
+    if (why)
+        component_refuse(c, ERROR_, call, why);
+    return !why;
+}
+
+/* The same, where all are of a kind. */
+static int addressed_kind(Component *c, const unsigned *references, size_t count, const void *values,
+    size_t value_count, Kind kind, const char *call)
+{
+    if (!addressed(c, references, count, values, value_count, FLOATS, call))
+        return 0;
+    for (size_t k = 0; k < count; k++)
+        if (is_time(c, references[k]) || c->instance->scene->variables[references[k]].kind != kind) {
+            component_refuse(c, ERROR_, call, kind == INPUT ? "inputs alone have such" : "outputs alone have such");
+            return 0;
+        }
+    return 1;
+}
+
+static void put(void *values, size_t k, Form form, double value)
+{
+    const int whole = fabs(value) <= 2147483647.0 ? (int)value : 0;
+    switch (form) {
+    case FLOATS:
+        ((double *)values)[k] = value;
+        break;
+    case LONGS:
+        ((int64_t *)values)[k] = whole;
+        break;
+    case FLAGS:
+        ((int *)values)[k] = value != 0.0;
+        break;
+    case TRUTHS:
+        ((bool *)values)[k] = value != 0.0;
+        break;
+    default:
+        ((int *)values)[k] = whole;
+    }
+}
+
+static double taken(const void *values, size_t k, Form form)
+{
+    switch (form) {
+    case FLOATS:
+        return ((const double *)values)[k];
+    case LONGS:
+        return (double)((const int64_t *)values)[k];
+    case FLAGS:
+        return ((const int *)values)[k] != 0;
+    case TRUTHS: /* A byte of a host may be neither. */
+        return ((const unsigned char *)values)[k * sizeof(bool)] != 0;
+    default:
+        return ((const int *)values)[k];
+    }
+}
+
+Status component_get(Component *c, const unsigned *references, size_t count, void *values, size_t value_count,
+    Form form, const char *call)
+{
+    Instance *i;
+    int outputs = 0, finite = 1;
+    if (!component_in(c, KNOWN, call) || !addressed(c, references, count, values, value_count, form, call))
+        return WRONG;
+    i = c->instance;
+    for (size_t k = 0; k < count; k++)
+        outputs |= !is_time(c, references[k]) && i->scene->variables[references[k]].kind == OUTPUT;
+    if (outputs && !i->flags.initialized) {
+        if (c->phase != INITIALIZING)
+            return component_refuse(c, ERROR_, call, "outputs are known after initialising");
+        if (instance_initialize(i) != DONE)
+            return refused(c, WRONG);
+    }
+    if (outputs)
+        instance_read(i);
+    for (size_t k = 0; k < count; k++) {
+        const double value = is_time(c, references[k]) ? *instance_time(i) : instance_get(i, (int)references[k]);
+        put(values, k, form, value);
+        finite &= isfinite(value) != 0;
+    }
+    return finite ? FINE : refused(c, DISCARDED);
+}
+
+/* Values that are refused leave those before them in force; the others are taken. */
+Status component_set(Component *c, const unsigned *references, size_t count, const void *values, size_t value_count,
+    Form form, const char *call)
+{
+    Status status = FINE;
+    if (!component_in(c, BORN, call) || !addressed(c, references, count, values, value_count, form, call))
         return WRONG;
     for (size_t k = 0; k < count; k++) {
-        if (!known_variable(c, references[k], type, call))
-            return WRONG;
-        outputs |= c->instance->scene->variables[references[k]].kind == OUTPUT;
+        const Kind kind = is_time(c, references[k]) ? OUTPUT : c->instance->scene->variables[references[k]].kind;
+        if (kind == OUTPUT)
+            return component_refuse(c, ERROR_, call, "an output cannot be set");
+        if ((kind == PARAMETER || kind == CHOICE) && c->phase == STEPPING)
+            return component_refuse(c, ERROR_, call, "a parameter is fixed once the run has begun");
     }
-    return outputs ? known_outputs(c) : FINE;
+    for (size_t k = 0; k < count; k++)
+        if (instance_set(c->instance, (int)references[k], taken(values, k, form)) != DONE)
+            status = refused(c, DISCARDED);
+    return status;
 }
 
-Status component_writable(
-    Component *c, const unsigned *references, size_t count, const void *values, Type type, const char *call)
+/* Derivatives ------------------------------------------------------------------------------------------------------ */
+
+Status component_slopes(Component *c, const unsigned *references, size_t count, const int *orders,
+    const double *values, const char *call)
 {
-    if (!component_in(c, BORN, call) || !arrays(c, references, count, values, call))
+    Status status = FINE;
+    if (!component_in(c, BORN, call) || !addressed_kind(c, references, count, values, count, INPUT, call))
         return WRONG;
     for (size_t k = 0; k < count; k++)
-        if (!known_variable(c, references[k], type, call) || !settable(c, references[k], call))
-            return WRONG;
-    return FINE;
+        if (!orders || orders[k] != 1)
+            return component_refuse(c, ERROR_, call, "there are first derivatives of inputs alone");
+    for (size_t k = 0; k < count; k++)
+        if (instance_set_slope(c->instance, (int)references[k], values[k]) != DONE)
+            status = refused(c, DISCARDED);
+    return status;
 }
 
-Status component_set(Component *c, Status status, Outcome outcome)
+Status component_output_derivatives(Component *c, const unsigned *references, size_t count, const int *orders,
+    double *values, size_t value_count, const char *call)
 {
-    return outcome == DONE ? status : refused(c, DISCARDED);
-}
-
-Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
-    size_t known_count, const double *directions, double *changes, const char *call)
-{
-    Status status = component_readable(c, unknowns, unknown_count, changes, REAL, call);
-    const Variable *variables;
-    if (status != FINE)
-        return status;
-    if (!arrays(c, knowns, known_count, directions, call))
+    if (!component_in(c, RUN, call) || !addressed_kind(c, references, count, values, value_count, OUTPUT, call))
         return WRONG;
-    variables = c->instance->scene->variables;
-    for (size_t k = 0; k < known_count; k++)
-        if (!known_variable(c, knowns[k], REAL, call) || variables[knowns[k]].kind != INPUT) {
-            component_refuse(c, ERROR_, call, "derivatives are by inputs alone");
-            return WRONG;
-        }
-    for (size_t k = 0; k < unknown_count; k++)
-        if (variables[unknowns[k]].kind != OUTPUT) {
-            component_refuse(c, ERROR_, call, "derivatives are of outputs alone");
-            return WRONG;
-        }
-    return component_set(c, FINE,
-        instance_derivative(c->instance, unknowns, unknown_count, knowns, known_count, directions, changes));
-}
-
-Status component_step(Component *c, double point, double step)
-{
-    if (instance_refusals(c->instance) != DONE || instance_step(c->instance, point, step) != DONE)
+    for (size_t k = 0; k < count; k++)
+        if (!orders || orders[k] < 1 || orders[k] > 2)
+            return component_refuse(c, ERROR_, call, "outputs have derivatives of orders 1 and 2");
+    if (count && instance_output_derivatives(c->instance, references, orders, count, values) != DONE)
         return refused(c, DISCARDED);
     return FINE;
 }
 
-static State *state_new(const Component *c)
+Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *directions, size_t direction_count, double *changes, size_t change_count,
+    const char *call)
+{
+    Instance *i;
+    if (!component_in(c, KNOWN, call)
+        || !addressed_kind(c, unknowns, unknown_count, changes, change_count, OUTPUT, call)
+        || !addressed_kind(c, knowns, known_count, directions, direction_count, INPUT, call))
+        return WRONG;
+    i = c->instance;
+    if (!i->flags.initialized && (c->phase != INITIALIZING || instance_initialize(i) != DONE))
+        return component_refuse(c, ERROR_, call, "outputs are known after initialising");
+    if (instance_read(i) != DONE
+        || instance_derivative(i, unknowns, unknown_count, knowns, known_count, directions, changes) != DONE)
+        return refused(c, DISCARDED);
+    return FINE;
+}
+
+/* Steps ------------------------------------------------------------------------------------------------------------ */
+
+static State *saved(Component *c, State *state);
+
+/* A communication step made of internal ones, after each of which the host may look. It may end the step there, and then
+   has what was reached before one that fails; otherwise the whole step is taken back. */
+static Status watched(Component *c, double point, double step, int *early)
+{
+    const int may_return = *early;
+    Instance *i = c->instance;
+    const double count = fmax(1.0, ceil(step / i->values[i->scene->step_size] * (1 - 1e-12)));
+    double until = INFINITY;
+    *early = 0;
+    if (instance_can_step(i, point, step) != DONE)
+        return refused(c, DISCARDED);
+    c->before = saved(c, c->before);
+    if (!c->before)
+        return component_refuse(c, ERROR_, "DoStep", "there is not enough memory");
+    for (double k = 1.0; k <= count; k += 1.0) {
+        Outcome outcome;
+        i->within = k > 1.0;
+        outcome = instance_step(i, k > 1.0 ? *instance_time(i) : point, step / count);
+        i->within = 0;
+        *early = may_return && k > 1.0;
+        if (outcome != DONE && *early)
+            return FINE; /* The next step says what is wrong. */
+        if (outcome != DONE) {
+            refused(c, DISCARDED);
+            state_restore(i, c->before->bytes, c->before->size);
+            return DISCARDED;
+        }
+        *early = may_return && k < count;
+        if (k == count)
+            *instance_time(i) = point + step;
+        c->phase = LOOKING;
+        c->look(c->host, *instance_time(i), *early, &until);
+        c->phase = STEPPING;
+        if (*early && *instance_time(i) >= until)
+            return FINE;
+    }
+    return FINE;
+}
+
+/* `early` says whether the host takes an early return, and then whether there was one. */
+Status component_step(Component *c, double point, double step, int *early, const char *call)
+{
+    if (!component_in(c, STEPPING, call))
+        return WRONG;
+    if (early && c->look)
+        return watched(c, point, step, early);
+    if (early)
+        *early = 0;
+    return instance_step(c->instance, point, step) == DONE ? FINE : refused(c, DISCARDED);
+}
+
+/* State ------------------------------------------------------------------------------------------------------------ */
+
+/* Fowler, Noll and Vo's hash of what is in a state beside it, by words of 64 bits: no change of one word escapes it. */
+static unsigned long long check_sum(const State *state)
+{
+    unsigned long long sum = 0xcbf29ce484222325u, word;
+    sum = (sum ^ state->phase) * 0x100000001b3u;
+    for (size_t k = 0; k + sizeof word <= state->size; k += sizeof word) {
+        memcpy(&word, state->bytes + k, sizeof word);
+        sum = (sum ^ word) * 0x100000001b3u;
+    }
+    return sum;
+}
+
+static State *new_state(const Component *c)
 {
     const size_t size = state_size(c->instance);
     State *state = calloc(1, sizeof *state + size);
@@ -266,26 +444,25 @@ static State *state_new(const Component *c)
     return state;
 }
 
+/* The state of a component, in place of one that is given; NULL where there is no memory. */
+static State *saved(Component *c, State *state)
+{
+    if (!state)
+        state = new_state(c);
+    if (state) {
+        state->phase = c->phase;
+        state_save(c->instance, state->bytes);
+        state->sum = check_sum(state);
+    }
+    return state;
+}
+
 static int state_good(const Component *c, const State *state)
 {
     return state && state->magic == SAVED && state->size == state_size(c->instance);
 }
 
-/* The state of an instance, in place of one that is given; NULL where that is none. */
-State *state_of(Component *c, State *state, const char *call)
-{
-    if (!state)
-        state = state_new(c);
-    if (!state_good(c, state)) {
-        component_refuse(c, ERROR_, call, "there is no memory, or the state is not one of this FMU");
-        return NULL;
-    }
-    state->phase = c->phase;
-    state_save(c->instance, state->bytes);
-    return state;
-}
-
-int state_known(Component *c, const State *state, const char *call)
+static int state_known(Component *c, const State *state, const char *call)
 {
     if (!component_in(c, ANY, call))
         return 0;
@@ -295,40 +472,77 @@ int state_known(Component *c, const State *state, const char *call)
     return 0;
 }
 
-int state_apply(Component *c, const State *state)
+Status component_save(Component *c, void **state, const char *call)
 {
-    if (state_restore(c->instance, state->bytes, state->size) != DONE) {
-        component_say(c, ERROR_, c->instance->text);
-        return 0;
+    if (!component_in(c, ANY, call) || !state || (*state && !state_known(c, *state, call)))
+        return WRONG;
+    *state = saved(c, *state);
+    return *state ? FINE : component_refuse(c, ERROR_, call, "there is not enough memory");
+}
+
+Status component_restore(Component *c, void *state, const char *call)
+{
+    const State *s = state;
+    int running;
+    if (!state_known(c, s, call))
+        return WRONG;
+    if (s->sum != check_sum(s))
+        return component_refuse(c, ERROR_, call, "the state has changed since it was saved (check sum); save it again");
+    running = state_running(s->bytes);
+    if (!(s->phase & ANY) || (s->phase & (s->phase - 1)) || running != ((s->phase & RUN) != 0))
+        return component_refuse(c, ERROR_, call, "the state is of no phase of a run; save it again");
+    if (state_restore(c->instance, s->bytes, s->size) != DONE)
+        return refused(c, WRONG);
+    c->phase = s->phase;
+    return FINE;
+}
+
+Status component_forget(Component *c, void **state, const char *call)
+{
+    if (!component_in(c, ANY, call) || !state || (*state && !state_known(c, *state, call)))
+        return WRONG;
+    free(*state);
+    *state = NULL;
+    return FINE;
+}
+
+Status component_state_size(Component *c, void *state, size_t *size, const char *call)
+{
+    const State *s = state;
+    if (!state_known(c, s, call) || !size)
+        return WRONG;
+    *size = sizeof *s + s->size;
+    return FINE;
+}
+
+Status component_write(Component *c, void *state, void *bytes, size_t size, const char *call)
+{
+    const State *s = state;
+    if (!state_known(c, s, call))
+        return WRONG;
+    if (!bytes || size < sizeof *s + s->size)
+        return component_refuse(c, ERROR_, call, "there is no room for the state");
+    memcpy(bytes, s, sizeof *s + s->size);
+    return FINE;
+}
+
+/* A state of its own, even where the bytes are not: it is looked at when it is restored, but for what is compared here. */
+Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call)
+{
+    State *made;
+    if (!component_in(c, ANY, call) || !bytes || !state)
+        return WRONG;
+    made = new_state(c);
+    if (!made)
+        return component_refuse(c, ERROR_, call, "there is not enough memory");
+    if (size == sizeof *made + made->size) {
+        memcpy(made, bytes, size);
+        if (state_good(c, made) && made->sum == check_sum(made)) {
+            *state = made;
+            return FINE;
+        }
     }
-    c->phase = state->phase;
-    return 1;
-}
-
-size_t serialized_size(const State *state)
-{
-    return sizeof *state + state->size;
-}
-
-void serialize(const State *state, unsigned char *bytes)
-{
-    memcpy(bytes, state, serialized_size(state));
-}
-
-State *deserialized(Component *c, const unsigned char *bytes, size_t size)
-{
-    State *state = state_new(c);
-    Phase phase;
-    if (!state)
-        return NULL;
-    if (size == serialized_size(state)) {
-        memcpy(state, bytes, size);
-        phase = state->phase;
-        if (state_good(c, state)
-            && (phase == INSTANTIATED || phase == INITIALIZING || phase == STEPPING || phase == TERMINATED))
-            return state;
-    }
-    free(state);
-    component_refuse(c, ERROR_, "deserialise", "the saved state is not one of this mechanism; save it again");
-    return NULL;
+    free(made);
+    return component_refuse(c, ERROR_, call,
+        "the saved state is not one of this mechanism, or has changed since (check sum); save it again");
 }

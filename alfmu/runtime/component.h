@@ -1,9 +1,15 @@
-/* What the layers of FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, and what it logs. */
+/* What FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, what it logs, and every function that the
+   two have in common. Functions that end in an argument `call` answer the function of FMI of that name. */
 
 #ifndef ALFMU_COMPONENT_H
 #define ALFMU_COMPONENT_H
 
 #include "alfmu.h"
+
+/* Also where an importer compiles this: other libraries have such names too (glibc: advance). */
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
 
 /* Phases of life, as bits, so that a call can name all in which it is legal. */
 typedef enum {
@@ -11,9 +17,11 @@ typedef enum {
     INITIALIZING = 2,
     STEPPING = 4,
     TERMINATED = 8,
+    LOOKING = 16, /* the host reads between internal steps */
     BORN = INSTANTIATED | INITIALIZING | STEPPING,
-    KNOWN = INITIALIZING | STEPPING | TERMINATED,
-    ANY = BORN | TERMINATED
+    RUN = STEPPING | TERMINATED,
+    ANY = BORN | TERMINATED,
+    KNOWN = INITIALIZING | STEPPING | TERMINATED | LOOKING
 } Phase;
 
 /* What a call comes to, with the numbers of fmi2Status and fmi3Status. */
@@ -21,57 +29,87 @@ typedef enum { FINE, WARNED, DISCARDED, WRONG } Status;
 
 typedef enum { ALL, WARNING, DISCARD, ERROR_, FATAL, CATEGORIES } Category;
 
-typedef struct {
-    unsigned magic;
-    Phase phase;
-    Instance *instance;
-    char *name;
-    void (*log)(void *host, const char *name, Category category, const char *text);
-    void *host;
-    unsigned logged; /* categories, as bits */
-} Component;
+/* What values are in the host's arrays, and which variables have such. */
+typedef enum {
+    FLOATS,  /* double: real ones, and time in FMI 3 */
+    INTS,    /* int: whole ones */
+    NUMBERS, /* int: whole ones and choices, as in FMI 2 */
+    LONGS,   /* int64_t: choices, as in FMI 3 */
+    FLAGS,   /* int: Boolean ones, as in FMI 2 */
+    TRUTHS,  /* bool: Boolean ones, as in FMI 3 */
+    FORMS
+} Form;
 
-/* A saved state. */
+/* Lets the host look after an internal step that ends at a time. Where the host wants to return early, `until` becomes
+   the time from which on. */
+typedef void Look(void *host, double time, int can_return, double *until);
+
+/* A saved state; its numbers follow. */
 typedef struct {
     unsigned magic;
     Phase phase;
     size_t size;
+    unsigned long long sum;
     unsigned char bytes[];
 } State;
 
+typedef struct {
+    unsigned magic;
+    Phase phase;
+    Scene *scene;
+    Instance *instance;
+    char *name;
+    void (*log)(void *host, const char *name, Category category, const char *text);
+    Look *look;
+    void *host;
+    State *before;   /* a step that the host looks into */
+    unsigned logged; /* categories, as bits */
+    int has_time;    /* whether time is a variable, behind all others */
+} Component;
+
 extern const char *const category_names[CATEGORIES];
 
-Component *component_new(const char *name, const char *guid);
+/* NULL where there can be no component, and why; a host of so many bytes comes with it. */
+Component *component_new(
+    const char *name, const char *guid, const char *resources, size_t host, char *why, size_t why_size);
 void component_free(Component *c);
 int component_good(const Component *c);
 int component_in(Component *c, int phases, const char *call);
 void component_say(Component *c, Category category, const char *text);
-void component_refuse(Component *c, Category category, const char *call, const char *why);
-int component_logging(Component *c, int on, size_t count, const char *const categories[]);
+Status component_refuse(Component *c, Category category, const char *call, const char *why);
+Status component_logging(Component *c, int on, size_t count, const char *const categories[], const char *call);
+
 /* `tolerance` is 0 where the host asks for none. */
 Status component_begin(Component *c, double start, double tolerance, const char *call);
+Status component_enter(Component *c, const char *call);
 Status component_initialized(Component *c, const char *call);
 Status component_terminated(Component *c, const char *call);
 Status component_reset(Component *c, const char *call);
 
-/* Whether the arrays can be looked at and hold references of variables of a type; outputs are then known. */
-Status component_readable(
-    Component *c, const unsigned *references, size_t count, const void *values, Type type, const char *call);
-/* The same for values that are to be set. */
-Status component_writable(
-    Component *c, const unsigned *references, size_t count, const void *values, Type type, const char *call);
-/* The worse of a status and of what setting a value came to. */
-Status component_set(Component *c, Status status, Outcome outcome);
+Status component_get(Component *c, const unsigned *references, size_t count, void *values, size_t value_count,
+    Form form, const char *call);
+Status component_set(Component *c, const unsigned *references, size_t count, const void *values, size_t value_count,
+    Form form, const char *call);
+Status component_slopes(Component *c, const unsigned *references, size_t count, const int *orders,
+    const double *values, const char *call);
+Status component_output_derivatives(Component *c, const unsigned *references, size_t count, const int *orders,
+    double *values, size_t value_count, const char *call);
 Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
-    size_t known_count, const double *directions, double *changes, const char *call);
-Status component_step(Component *c, double point, double step);
+    size_t known_count, const double *directions, size_t direction_count, double *changes, size_t change_count,
+    const char *call);
 
-State *state_of(Component *c, State *state, const char *call);
-int state_known(Component *c, const State *state, const char *call);
+/* `early` may be NULL where the host cannot be asked. */
+Status component_step(Component *c, double point, double step, int *early, const char *call);
 
-int state_apply(Component *c, const State *state);
-size_t serialized_size(const State *state);
-void serialize(const State *state, unsigned char *bytes);
-State *deserialized(Component *c, const unsigned char *bytes, size_t size);
+Status component_save(Component *c, void **state, const char *call);
+Status component_restore(Component *c, void *state, const char *call);
+Status component_forget(Component *c, void **state, const char *call);
+Status component_state_size(Component *c, void *state, size_t *size, const char *call);
+Status component_write(Component *c, void *state, void *bytes, size_t size, const char *call);
+Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif

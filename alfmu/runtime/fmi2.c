@@ -1,12 +1,12 @@
 /* FMI 2.0 for co-simulation. */
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "component.h"
 
-/* The headers of FMI export what they declare. */
-#include "fmi2Functions.h"
+#include "fmi.h"
 
 /* What FMI hands over beside the component. */
 typedef struct {
@@ -23,353 +23,232 @@ static void logged(void *host, const char *name, Category category, const char *
 
 /* Life ------------------------------------------------------------------------------------------------------------- */
 
-const char *fmi2GetTypesPlatform(void)
+API const char *fmi2GetTypesPlatform(void)
 {
     return fmi2TypesPlatform;
 }
 
-const char *fmi2GetVersion(void)
+API const char *fmi2GetVersion(void)
 {
     return fmi2Version;
 }
 
-fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
 {
-    Component *c = type == fmi2CoSimulation ? component_new(name, guid) : NULL;
+    char why[500] = "it is for co-simulation alone";
+    Component *c
+        = type == fmi2CoSimulation ? component_new(name, guid, resources, sizeof(Host), why, sizeof why) : NULL;
     Host *host;
-    (void)resources;
     (void)visible;
     if (!c) {
+        char text[600] = "cannot be instantiated: ";
+        strncat(text, why, sizeof text - strlen(text) - 1);
         if (functions && functions->logger)
-            functions->logger(functions->componentEnvironment, name ? name : "", fmi2Error, "logStatusError",
-                "cannot be instantiated: it is for co-simulation, needs a name, and the GUID of its description");
+            functions->logger(functions->componentEnvironment, name ? name : "", fmi2Error, "logStatusError", text);
         return NULL;
     }
-    host = calloc(1, sizeof *host);
-    if (!host) {
-        component_free(c);
-        return NULL;
-    }
+    host = c->host;
     if (functions && functions->logger) {
         host->logger = functions->logger;
         host->environment = functions->componentEnvironment;
         c->log = logged;
     }
-    c->host = host;
-    component_logging(c, logging, 0, NULL);
+    component_logging(c, logging, 0, NULL, "fmi2Instantiate");
     return c;
 }
 
-void fmi2FreeInstance(fmi2Component component)
+API void fmi2FreeInstance(fmi2Component c)
 {
-    Component *c = component;
-    if (component_good(c)) {
-        free(c->host);
-        component_free(c);
-    }
+    component_free(c);
 }
 
-fmi2Status fmi2SetDebugLogging(
-    fmi2Component component, fmi2Boolean on, size_t count, const fmi2String categories[])
+API fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count, const fmi2String categories[])
 {
-    Component *c = component;
-    return component_in(c, ANY, "fmi2SetDebugLogging") && component_logging(c, on, count, categories) ? fmi2OK
-                                                                                                      : fmi2Error;
+    return (fmi2Status)component_logging(c, on, count, categories, "fmi2SetDebugLogging");
 }
 
-fmi2Status fmi2SetupExperiment(fmi2Component component, fmi2Boolean has_tolerance, fmi2Real tolerance,
-    fmi2Real start, fmi2Boolean has_stop, fmi2Real stop)
+API fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
+    fmi2Boolean has_stop, fmi2Real stop)
 {
-    Component *c = component;
     (void)has_stop;
     (void)stop;
     return (fmi2Status)component_begin(c, start, has_tolerance ? tolerance : 0.0, "fmi2SetupExperiment");
 }
 
-fmi2Status fmi2EnterInitializationMode(fmi2Component component)
+API fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 {
-    Component *c = component;
-    if (!component_in(c, INSTANTIATED, "fmi2EnterInitializationMode"))
-        return fmi2Error;
-    c->phase = INITIALIZING;
-    return fmi2OK;
+    return (fmi2Status)component_enter(c, "fmi2EnterInitializationMode");
 }
 
-fmi2Status fmi2ExitInitializationMode(fmi2Component component)
+API fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
-    return (fmi2Status)component_initialized(component, "fmi2ExitInitializationMode");
+    return (fmi2Status)component_initialized(c, "fmi2ExitInitializationMode");
 }
 
-fmi2Status fmi2Terminate(fmi2Component component)
+API fmi2Status fmi2Terminate(fmi2Component c)
 {
-    return (fmi2Status)component_terminated(component, "fmi2Terminate");
+    return (fmi2Status)component_terminated(c, "fmi2Terminate");
 }
 
-fmi2Status fmi2Reset(fmi2Component component)
+API fmi2Status fmi2Reset(fmi2Component c)
 {
-    return (fmi2Status)component_reset(component, "fmi2Reset");
+    return (fmi2Status)component_reset(c, "fmi2Reset");
 }
 
 /* Values ----------------------------------------------------------------------------------------------------------- */
 
-fmi2Status fmi2GetReal(
-    fmi2Component component, const fmi2ValueReference references[], size_t count, fmi2Real values[])
-{
-    Component *c = component;
-    const Status status = component_readable(c, references, count, values, REAL, "fmi2GetReal");
-    for (size_t k = 0; status <= WARNED && k < count; k++)
-        values[k] = instance_get(c->instance, (int)references[k]);
-    return (fmi2Status)status;
-}
-
-fmi2Status fmi2GetInteger(
-    fmi2Component component, const fmi2ValueReference references[], size_t count, fmi2Integer values[])
-{
-    Component *c = component;
-    const Status status = component_readable(c, references, count, values, INTEGER, "fmi2GetInteger");
-    for (size_t k = 0; status <= WARNED && k < count; k++) {
-        const double value = instance_get(c->instance, (int)references[k]);
-        values[k] = value - value == 0.0 ? (fmi2Integer)value : 0;
+#define VALUES(TYPE, FORM) \
+    API fmi2Status fmi2Get##TYPE( \
+        fmi2Component c, const fmi2ValueReference references[], size_t count, fmi2##TYPE values[]) \
+    { \
+        return (fmi2Status)component_get(c, references, count, values, count, FORM, "fmi2Get" #TYPE); \
+    } \
+    API fmi2Status fmi2Set##TYPE( \
+        fmi2Component c, const fmi2ValueReference references[], size_t count, const fmi2##TYPE values[]) \
+    { \
+        return (fmi2Status)component_set(c, references, count, values, count, FORM, "fmi2Set" #TYPE); \
     }
-    return (fmi2Status)status;
+
+VALUES(Real, FLOATS)
+VALUES(Integer, NUMBERS)
+VALUES(Boolean, FLAGS)
+
+/* A call for variables of which there are none. */
+static fmi2Status none(Component *c, int phases, size_t count, const char *call)
+{
+    if (!component_in(c, phases, call))
+        return fmi2Error;
+    return count ? (fmi2Status)component_refuse(c, ERROR_, call, "no variable is a string") : fmi2OK;
 }
 
-fmi2Status fmi2GetBoolean(
-    fmi2Component component, const fmi2ValueReference references[], size_t count, fmi2Boolean values[])
+API fmi2Status fmi2GetString(
+    fmi2Component c, const fmi2ValueReference references[], size_t count, fmi2String values[])
 {
-    Component *c = component;
-    const Status status = component_readable(c, references, count, values, BOOLEAN, "fmi2GetBoolean");
-    for (size_t k = 0; status <= WARNED && k < count; k++)
-        values[k] = instance_get(c->instance, (int)references[k]) != 0.0;
-    return (fmi2Status)status;
+    (void)references;
+    (void)values;
+    return none(c, KNOWN, count, "fmi2GetString");
 }
 
-fmi2Status fmi2GetString(
-    fmi2Component component, const fmi2ValueReference references[], size_t count, fmi2String values[])
+API fmi2Status fmi2SetString(
+    fmi2Component c, const fmi2ValueReference references[], size_t count, const fmi2String values[])
 {
-    Component *c = component;
-    const Status status = component_readable(c, references, count, values, STRING, "fmi2GetString");
-    for (size_t k = 0; status <= WARNED && k < count; k++)
-        values[k] = instance_chosen(c->instance, (int)references[k]);
-    return (fmi2Status)status;
-}
-
-fmi2Status fmi2SetReal(
-    fmi2Component component, const fmi2ValueReference references[], size_t count, const fmi2Real values[])
-{
-    Component *c = component;
-    Status status = component_writable(c, references, count, values, REAL, "fmi2SetReal");
-    for (size_t k = 0; status != WRONG && k < count; k++)
-        status = component_set(c, status, instance_set(c->instance, (int)references[k], values[k]));
-    return (fmi2Status)status;
-}
-
-fmi2Status fmi2SetInteger(
-    fmi2Component component, const fmi2ValueReference references[], size_t count, const fmi2Integer values[])
-{
-    Component *c = component;
-    Status status = component_writable(c, references, count, values, INTEGER, "fmi2SetInteger");
-    for (size_t k = 0; status != WRONG && k < count; k++)
-        status = component_set(c, status, instance_set(c->instance, (int)references[k], values[k]));
-    return (fmi2Status)status;
-}
-
-fmi2Status fmi2SetBoolean(
-    fmi2Component component, const fmi2ValueReference references[], size_t count, const fmi2Boolean values[])
-{
-    Component *c = component;
-    Status status = component_writable(c, references, count, values, BOOLEAN, "fmi2SetBoolean");
-    for (size_t k = 0; status != WRONG && k < count; k++)
-        status = component_set(c, status, instance_set(c->instance, (int)references[k], values[k] != fmi2False));
-    return (fmi2Status)status;
-}
-
-fmi2Status fmi2SetString(
-    fmi2Component component, const fmi2ValueReference references[], size_t count, const fmi2String values[])
-{
-    Component *c = component;
-    Status status = component_writable(c, references, count, values, STRING, "fmi2SetString");
-    for (size_t k = 0; status != WRONG && k < count; k++)
-        status = component_set(c, status, instance_choose(c->instance, (int)references[k], values[k]));
-    return (fmi2Status)status;
+    (void)references;
+    (void)values;
+    return none(c, BORN, count, "fmi2SetString");
 }
 
 /* Derivatives ------------------------------------------------------------------------------------------------------ */
 
-fmi2Status fmi2GetDirectionalDerivative(fmi2Component component, const fmi2ValueReference unknowns[],
-    size_t unknown_count, const fmi2ValueReference knowns[], size_t known_count, const fmi2Real directions[],
-    fmi2Real changes[])
+API fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t unknown_count,
+    const fmi2ValueReference knowns[], size_t known_count, const fmi2Real directions[], fmi2Real changes[])
 {
-    return (fmi2Status)component_derivative(component, unknowns, unknown_count, knowns, known_count, directions,
-        changes, "fmi2GetDirectionalDerivative");
+    return (fmi2Status)component_derivative(c, unknowns, unknown_count, knowns, known_count, directions, known_count,
+        changes, unknown_count, "fmi2GetDirectionalDerivative");
 }
 
-fmi2Status fmi2SetRealInputDerivatives(fmi2Component component, const fmi2ValueReference references[], size_t count,
+API fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
     const fmi2Integer orders[], const fmi2Real values[])
 {
-    static const char call[] = "fmi2SetRealInputDerivatives";
-    Component *c = component;
-    Status status = component_writable(c, references, count, values, REAL, call);
-    if (status != FINE)
-        return (fmi2Status)status;
-    for (size_t k = 0; k < count; k++)
-        if (!orders || orders[k] != 1 || c->instance->scene->variables[references[k]].kind != INPUT) {
-            component_refuse(c, ERROR_, call, "there are first derivatives of inputs alone");
-            return fmi2Error;
-        }
-    for (size_t k = 0; k < count; k++)
-        status = component_set(c, status, instance_set_slope(c->instance, (int)references[k], values[k]));
-    return (fmi2Status)status;
+    return (fmi2Status)component_slopes(c, references, count, orders, values, "fmi2SetRealInputDerivatives");
 }
 
-fmi2Status fmi2GetRealOutputDerivatives(fmi2Component component, const fmi2ValueReference references[], size_t count,
+API fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
     const fmi2Integer orders[], fmi2Real values[])
 {
-    Component *c = component;
-    (void)references;
-    (void)orders;
-    (void)values;
-    if (!component_in(c, KNOWN, "fmi2GetRealOutputDerivatives"))
-        return fmi2Error;
-    if (!count)
-        return fmi2OK;
-    component_refuse(c, ERROR_, "fmi2GetRealOutputDerivatives", "there are none (maxOutputDerivativeOrder is 0)");
-    return fmi2Error;
+    return (fmi2Status)component_output_derivatives(
+        c, references, count, orders, values, count, "fmi2GetRealOutputDerivatives");
 }
 
 /* Steps ------------------------------------------------------------------------------------------------------------ */
 
-fmi2Status fmi2DoStep(fmi2Component component, fmi2Real point, fmi2Real step, fmi2Boolean no_way_back)
+API fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolean no_way_back)
 {
-    Component *c = component;
     (void)no_way_back;
-    if (!component_in(c, STEPPING, "fmi2DoStep"))
+    return (fmi2Status)component_step(c, point, step, NULL, "fmi2DoStep");
+}
+
+API fmi2Status fmi2CancelStep(fmi2Component c)
+{
+    return component_in(c, ANY, "fmi2CancelStep")
+        ? (fmi2Status)component_refuse(c, ERROR_, "fmi2CancelStep", "no step is ever pending")
+        : fmi2Error;
+}
+
+/* What is asked for is in `found`, 1 where there is such a status; all other ones are of pending steps. */
+static fmi2Status status_of(Component *c, int found, const char *call)
+{
+    if (!component_in(c, RUN, call))
         return fmi2Error;
-    return (fmi2Status)component_step(c, point, step);
+    return found ? fmi2OK : (fmi2Status)component_refuse(c, DISCARD, call, "no step is ever pending");
 }
 
-fmi2Status fmi2CancelStep(fmi2Component component)
-{
-    Component *c = component;
-    if (component_good(c))
-        component_refuse(c, ERROR_, "fmi2CancelStep", "no step is ever pending");
-    return fmi2Error;
-}
-
-static fmi2Status no_status(Component *c, const char *call)
-{
-    if (component_in(c, STEPPING | TERMINATED, call))
-        component_refuse(c, DISCARD, call, "no step is ever pending");
-    return component_good(c) ? fmi2Discard : fmi2Error;
-}
-
-fmi2Status fmi2GetStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Status *value)
+API fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
 {
     (void)kind;
     (void)value;
-    return no_status(component, "fmi2GetStatus");
+    return status_of(c, 0, "fmi2GetStatus");
 }
 
-fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value)
+API fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value)
 {
     Component *c = component;
-    if (!component_in(c, STEPPING | TERMINATED, "fmi2GetRealStatus"))
-        return fmi2Error;
-    if (kind != fmi2LastSuccessfulTime || !value)
-        return no_status(c, "fmi2GetRealStatus");
-    *value = *instance_time(c->instance);
-    return fmi2OK;
+    const fmi2Status status = status_of(c, kind == fmi2LastSuccessfulTime && value, "fmi2GetRealStatus");
+    if (status == fmi2OK)
+        *value = *instance_time(c->instance);
+    return status;
 }
 
-fmi2Status fmi2GetIntegerStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Integer *value)
+API fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
 {
     (void)kind;
     (void)value;
-    return no_status(component, "fmi2GetIntegerStatus");
+    return status_of(c, 0, "fmi2GetIntegerStatus");
 }
 
-fmi2Status fmi2GetBooleanStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Boolean *value)
+API fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
 {
-    Component *c = component;
-    if (!component_in(c, STEPPING | TERMINATED, "fmi2GetBooleanStatus"))
-        return fmi2Error;
-    if (kind != fmi2Terminated || !value)
-        return no_status(c, "fmi2GetBooleanStatus");
-    *value = fmi2False; /* A run never ends by itself. */
-    return fmi2OK;
+    const fmi2Status status = status_of(c, kind == fmi2Terminated && value, "fmi2GetBooleanStatus");
+    if (status == fmi2OK)
+        *value = fmi2False; /* A run never ends by itself. */
+    return status;
 }
 
-fmi2Status fmi2GetStringStatus(fmi2Component component, const fmi2StatusKind kind, fmi2String *value)
+API fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
 {
     (void)kind;
     (void)value;
-    return no_status(component, "fmi2GetStringStatus");
+    return status_of(c, 0, "fmi2GetStringStatus");
 }
 
 /* State ------------------------------------------------------------------------------------------------------------ */
 
-fmi2Status fmi2GetFMUstate(fmi2Component component, fmi2FMUstate *state)
+API fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
-    Component *c = component;
-    State *made;
-    if (!component_in(c, ANY, "fmi2GetFMUstate") || !state)
-        return fmi2Error;
-    made = state_of(c, *state, "fmi2GetFMUstate");
-    if (!made)
-        return fmi2Error;
-    *state = made;
-    return fmi2OK;
+    return (fmi2Status)component_save(c, state, "fmi2GetFMUstate");
 }
 
-fmi2Status fmi2SetFMUstate(fmi2Component component, fmi2FMUstate state)
+API fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
-    Component *c = component;
-    return state_known(c, state, "fmi2SetFMUstate") && state_apply(c, state) ? fmi2OK : fmi2Error;
+    return (fmi2Status)component_restore(c, state, "fmi2SetFMUstate");
 }
 
-fmi2Status fmi2FreeFMUstate(fmi2Component component, fmi2FMUstate *state)
+API fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
-    Component *c = component;
-    if (!component_in(c, ANY, "fmi2FreeFMUstate") || !state)
-        return fmi2Error;
-    if (!*state)
-        return fmi2OK;
-    if (!state_known(c, *state, "fmi2FreeFMUstate"))
-        return fmi2Error;
-    free(*state);
-    *state = NULL;
-    return fmi2OK;
+    return (fmi2Status)component_forget(c, state, "fmi2FreeFMUstate");
 }
 
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component component, fmi2FMUstate state, size_t *size)
+API fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
 {
-    Component *c = component;
-    if (!state_known(c, state, "fmi2SerializedFMUstateSize") || !size)
-        return fmi2Error;
-    *size = serialized_size(state);
-    return fmi2OK;
+    return (fmi2Status)component_state_size(c, state, size, "fmi2SerializedFMUstateSize");
 }
 
-fmi2Status fmi2SerializeFMUstate(fmi2Component component, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
+API fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
-    Component *c = component;
-    if (!state_known(c, state, "fmi2SerializeFMUstate") || !bytes || size < serialized_size(state))
-        return fmi2Error;
-    serialize(state, (unsigned char *)bytes);
-    return fmi2OK;
+    return (fmi2Status)component_write(c, state, bytes, size, "fmi2SerializeFMUstate");
 }
 
-fmi2Status fmi2DeSerializeFMUstate(
-    fmi2Component component, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
+API fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
-    Component *c = component;
-    State *made;
-    if (!component_in(c, ANY, "fmi2DeSerializeFMUstate") || !bytes || !state)
-        return fmi2Error;
-    made = deserialized(c, (const unsigned char *)bytes, size);
-    if (!made)
-        return fmi2Error;
-    *state = made;
-    return fmi2OK;
+    return (fmi2Status)component_read(c, bytes, size, state, "fmi2DeSerializeFMUstate");
 }

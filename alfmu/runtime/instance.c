@@ -3,6 +3,7 @@
 #include "alfmu.h"
 
 #include <assert.h>
+#include <float.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -11,8 +12,14 @@
 
 #include "linear.h"
 
-#define FORMAT 1
+#define FORMAT 2
 #define MAGIC 0x464d4c41u /* "ALMF" */
+
+/* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
+#define PATIENT_STEP 10
+
+/* Inputs above this are tried before they are taken: some outputs may not be finite with them. */
+#define TRIED 1e30
 
 /* Memory ----------------------------------------------------------------------------------------------------------- */
 
@@ -65,6 +72,10 @@ static size_t divided(Instance *i, double *numbers)
         {&i->regular, 1},
         {&i->rank, 1},
         {&i->largest_penalty, 1},
+        {&i->given, s->l},
+        {&i->counts, COUNTED},
+        {&i->stabilisation, 2},
+        {&i->projection, 1},
         {&i->m, s->size},
     };
     for (size_t k = 0; k < sizeof parts / sizeof *parts; k++) {
@@ -84,13 +95,15 @@ Instance *instance_new(const Scene *s)
         return NULL;
     i->scene = s;
     i->count = divided(i, NULL);
-    i->room = 12 * side * side + (size_t)64 * side + 4 * (size_t)(s->inputs + s->outputs);
+    /* The matrices of the start are dense; a larger scene is begun with what is known of it. */
+    i->room = (s->n <= LARGE ? 12 * side * side : 0) + (size_t)64 * side
+        + (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries) + 4 * (size_t)(s->inputs + s->outputs)
+        + (size_t)(s->past + s->past_size - s->pace);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
-    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room, sizeof *numbers);
-    i->refused = calloc((size_t)variable_count(s), 1);
-    if (!numbers || !i->refused) {
-        free(numbers);
-        free(i->refused);
+    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
+            + (size_t)s->past_size + least_norm_work(s->dense, s->dense),
+        sizeof *numbers);
+    if (!numbers) {
         free(i);
         return NULL;
     }
@@ -99,6 +112,11 @@ Instance *instance_new(const Scene *s)
     i->workspace = numbers + i->count;
     i->before = i->workspace + s->workspace;
     i->scratch = i->before + i->count;
+    i->registers = i->scratch + i->room;
+    i->spare = i->registers + s->registers;
+    i->past_before = i->spare + s->spare;
+    i->dense = i->past_before + s->past_size;
+    memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *numbers);
     instance_reset(i);
     return i;
 }
@@ -107,7 +125,6 @@ void instance_free(Instance *i)
 {
     if (i) {
         free(i->numbers);
-        free(i->refused);
         free(i);
     }
 }
@@ -118,8 +135,9 @@ void instance_reset(Instance *i)
     const Variable *v = s->variables;
     memset(i->numbers, 0, i->count * sizeof *i->numbers);
     memset(&i->flags, 0, sizeof i->flags);
-    memset(i->refused, 0, (size_t)variable_count(s));
-    i->refused_count = 0;
+    i->stabilisation[0] = ZETA;
+    i->stabilisation[1] = OMEGA;
+    *i->projection = -1.0;
     for (int k = 0; k < s->parameters; k++)
         i->values[k] = v[k].start;
     v += s->parameters;
@@ -168,14 +186,6 @@ static Outcome checked(Instance *i, const Variable *v, double value)
     return say(i, REFUSED, "%s: %s = %g %s is outside [%s, %s]", name, v->name, value, v->unit, low, high);
 }
 
-/* Takes note of whether a variable's last value was taken. */
-static Outcome noted(Instance *i, int reference, Outcome outcome)
-{
-    i->refused_count += (outcome != DONE) - i->refused[reference];
-    i->refused[reference] = outcome != DONE;
-    return outcome;
-}
-
 /* Whether a parameter can still be changed. */
 static Outcome open_to_change(Instance *i, const Variable *v)
 {
@@ -186,63 +196,99 @@ static Outcome open_to_change(Instance *i, const Variable *v)
     return DONE;
 }
 
-Outcome instance_set(Instance *i, int reference, double value)
-{
-    const Scene *s = i->scene;
-    const Variable *v = s->variables + reference;
-    Outcome outcome = checked(i, v, value);
-    if (v->kind == OUTPUT)
-        outcome = say(i, REFUSED, "%s: %s is an output and cannot be set", s->name, v->name);
-    else if (outcome == DONE && v->kind == PARAMETER)
-        outcome = open_to_change(i, v);
-    if (outcome == DONE) {
-        if (v->kind == PARAMETER)
-            i->values[reference] = value;
-        reference -= s->parameters + s->choices;
-        if (v->kind == INPUT) {
-            i->m[s->u + reference] = value;
-            i->slopes[1 + reference] = s->no_slope;
-            i->flags.known = 0;
-        }
-        if (v->kind == SWITCH) {
-            i->wanted[reference - s->inputs] = value;
-            i->flags.pending = 0;
-            for (int k = 0; k < s->switches; k++)
-                i->flags.pending |= i->wanted[k] != i->on[k];
-        }
-    }
-    return noted(i, (int)(v - s->variables), outcome);
-}
-
-Outcome instance_choose(Instance *i, int reference, const char *value)
+static Outcome set_choice(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
     const Choice *choice = s->choice + (reference - s->parameters);
-    char known[200] = "";
+    char known[400] = "";
     Outcome outcome;
-    for (int k = 0; k < choice->count; k++) {
-        if (value && !strcmp(value, choice->values[k])) {
-            outcome = open_to_change(i, s->variables + reference);
-            if (outcome == DONE)
-                i->flags.choice[reference - s->parameters] = k;
-            return noted(i, reference, outcome);
-        }
-        strncat(known, k ? ", " : "", 2);
-        strncat(known, choice->values[k], 60);
+    if (value >= 1.0 && value <= choice->count && value == floor(value)) {
+        outcome = open_to_change(i, s->variables + reference);
+        if (outcome == DONE)
+            i->flags.choice[reference - s->parameters] = (int)value - 1;
+        return outcome;
     }
-    outcome = say(i, REFUSED, "%s: %s is '%.60s'; this native FMU knows %s", s->name, s->variables[reference].name,
-        value ? value : "", known);
-    return noted(i, reference, outcome);
+    for (int k = 0; k < choice->count; k++) {
+        char part[64];
+        snprintf(part, sizeof part, "%s%d (%.40s)", k ? ", " : "", k + 1, choice->values[k]);
+        strncat(known, part, sizeof known - strlen(known) - 1);
+    }
+    return say(i, REFUSED, "%s: %s is %g; this native FMU knows %s", s->name, s->variables[reference].name, value, known);
+}
+
+static Outcome set_input(Instance *i, int reference, double value)
+{
+    const Scene *s = i->scene;
+    const int k = reference - s->parameters - s->choices;
+    double *u = i->m + s->u + k, *slope = i->slopes + 1 + k;
+    const double u_before = *u, slope_before = *slope;
+    *u = value;
+    *slope = s->no_slope;
+    i->flags.known = 0;
+    if (fabs(value) <= TRIED || !i->flags.initialized || instance_read(i) == DONE)
+        return DONE;
+    *u = u_before;
+    *slope = slope_before;
+    return say(i, REFUSED, "%s: %s = %g %s: outputs are not finite with it; give a smaller value", s->name,
+        s->variables[reference].name, value, s->variables[reference].unit);
+}
+
+static Outcome set_switch(Instance *i, int reference, double value)
+{
+    const Scene *s = i->scene;
+    i->wanted[reference - s->parameters - s->choices - s->inputs] = value;
+    i->flags.pending = 0;
+    for (int k = 0; k < s->switches; k++)
+        i->flags.pending |= i->wanted[k] != i->on[k];
+    return DONE;
+}
+
+/* A choice is set by its number, from 1 on. A value that is refused leaves the one before it in force. */
+Outcome instance_set(Instance *i, int reference, double value)
+{
+    const Variable *v = i->scene->variables + reference;
+    Outcome outcome;
+    if (v->kind == OUTPUT)
+        return say(i, REFUSED, "%s: %s is an output and cannot be set", i->scene->name, v->name);
+    if (v->kind == CHOICE)
+        return set_choice(i, reference, value);
+    outcome = checked(i, v, value);
+    if (outcome != DONE)
+        return outcome;
+    if (v->kind == INPUT)
+        return set_input(i, reference, value);
+    if (v->kind == SWITCH)
+        return set_switch(i, reference, value);
+    outcome = open_to_change(i, v);
+    if (outcome == DONE)
+        i->values[reference] = value;
+    return outcome;
+}
+
+/* zeta and omega [1/s] of (5), (6) and Baumgarte's form of (9); whether steps end with projections (10), below zero as
+   the formulation has it. No variable of a scene: a binding sets them. */
+Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection)
+{
+    if (i->flags.running)
+        return say(i, REFUSED, "%s: zeta, omega and the projection are fixed once the run has begun; set them before "
+                               "initialising",
+            i->scene->name);
+    if (!isfinite(zeta) || !isfinite(omega))
+        return say(i, REFUSED, "%s: zeta = %g, omega = %g; they must be finite numbers", i->scene->name, zeta, omega);
+    i->stabilisation[0] = zeta;
+    i->stabilisation[1] = omega;
+    *i->projection = projection;
+    i->flags.initialized = 0;
+    return DONE;
 }
 
 /* An input's time derivative in the next communication step. */
 Outcome instance_set_slope(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
-    const Variable *v = s->variables + reference;
     if (!isfinite(value))
-        return noted(i, reference,
-            say(i, REFUSED, "%s: the derivative of %s is %g; it must be a finite number", s->name, v->name, value));
+        return say(i, REFUSED, "%s: the derivative of %s is %g; it must be a finite number", s->name,
+            s->variables[reference].name, value);
     i->slopes[1 + reference - s->parameters - s->choices] = value;
     return DONE;
 }
@@ -252,7 +298,10 @@ double instance_get(const Instance *i, int reference)
     const Scene *s = i->scene;
     if (reference < s->parameters)
         return i->values[reference];
-    reference -= s->parameters + s->choices;
+    reference -= s->parameters;
+    if (reference < s->choices)
+        return i->flags.choice[reference] + 1;
+    reference -= s->choices;
     if (reference < s->inputs)
         return i->m[s->u + reference];
     reference -= s->inputs;
@@ -265,34 +314,7 @@ double instance_get(const Instance *i, int reference)
     return reference < s->impulses ? i->impulses[reference] : *i->lost;
 }
 
-const char *instance_chosen(const Instance *i, int reference)
-{
-    const int k = reference - i->scene->parameters;
-    return i->scene->choice[k].values[i->flags.choice[k]];
-}
-
-Outcome instance_refusals(Instance *i)
-{
-    const Scene *s = i->scene;
-    int first = 0;
-    if (!i->refused_count)
-        return DONE;
-    while (!i->refused[first])
-        first++;
-    if (!strstr(i->text, s->variables[first].name))
-        say(i, REFUSED, "%s: the last value of %s was refused; give it a good one", s->name,
-            s->variables[first].name);
-    memset(i->refused, 0, (size_t)variable_count(s));
-    i->refused_count = 0;
-    return REFUSED;
-}
-
 /* Equations -------------------------------------------------------------------------------------------------------- */
-
-int nonzeros(const Pattern *pattern)
-{
-    return pattern->offsets ? pattern->offsets[pattern->columns] : pattern->rows * pattern->columns;
-}
 
 void spread(const Pattern *pattern, const double *values, double *dense)
 {
@@ -314,9 +336,9 @@ void constraints_at(
     const Scene *s = i->scene;
     const size_t used = i->used, l = (size_t)s->l;
     const double *x[] = {q, v, field(i, s->p)};
-    double *M = take(i, (size_t)nonzeros(&s->mass)), *C = take(i, (size_t)nonzeros(&s->constraint));
+    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries);
     double *y[] = {M, C, phi ? phi : take(i, l), cv ? cv : take(i, l)};
-    s->constraints(x, y, i->workspace);
+    call(i, s->constraints, x, y);
     if (mass)
         spread(&s->mass, M, mass);
     if (matrix)
@@ -350,6 +372,58 @@ const char *row_label(const Instance *i, int row, char *label, size_t size)
     return label;
 }
 
+/* Formulations ----------------------------------------------------------------------------------------------------- */
+
+/* Reads by loops that stop on convergence, where accelerations are read at all. */
+static int instant_by(const Scene *s, int formulation)
+{
+#define OF(name) , s->instant_##name
+    const int programs[] = {s->instant_patient SCENE_OTHERS(OF)};
+#undef OF
+    return programs[formulation] < 0 ? s->instant : programs[formulation];
+}
+
+static int formulation(const Instance *i)
+{
+    return i->flags.choice[i->scene->formulation];
+}
+
+/* Whether steps end with projections (10). */
+static int projects(const Instance *i)
+{
+    static const int usual[] = {PROJECTED};
+    return *i->projection < 0.0 ? usual[formulation(i)] : *i->projection > 0.0;
+}
+
+/* Whether all programs of the scene are those of what is chosen, not `move` and `instant` alone. */
+static int all_serve(const Instance *i)
+{
+    return !i->scene->l || (formulation(i) == RESIDUAL_FORMULATION && projects(i));
+}
+
+/* DONE where accelerations can be computed at q, v; `pivot` is the smallest of what was factorised there. */
+static Outcome explained(Instance *i, const double *q, const double *v, double t, double pivot)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries);
+    double *F = take(i, (size_t)s->n), *xi = take(i, (size_t)s->l);
+    const double *x[] = {q, v, field(i, s->u), field(i, s->p), &t};
+    double *y[] = {M, C, F, xi};
+    Outcome outcome = DONE;
+    call(i, s->dynamics, x, y);
+    if (!isfinite(largest(M, s->mass.entries)) || !isfinite(largest(F, s->n)) || !isfinite(largest(xi, s->l)))
+        outcome = say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; reduce solver.step_size",
+            s->name, t);
+    else if (!(pivot > 0.0))
+        outcome = say(i, FAILED,
+            "%s, t = %.6g s: the augmented mass matrix is singular; give the massless body a mass, or hold it by "
+            "constraints",
+            s->name, t);
+    i->used = used;
+    return outcome;
+}
+
 /* What programs need beside the memory. */
 void hand_over(Instance *i)
 {
@@ -357,8 +431,11 @@ void hand_over(Instance *i)
     const double iterations = i->values[s->max_iterations];
     i->workspace[s->most] = fmax(iterations - 1, 1.0);
     i->workspace[s->patient] = PATIENT * iterations - 1;
+    i->workspace[s->again] = iterations - 1;
+    memcpy(i->workspace + s->stabilisation, i->stabilisation, 2 * sizeof(double));
+    i->workspace[s->projects] = projects(i);
     memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
-    if (s->reach)
+    if (s->reach >= 0)
         i->workspace[s->within] = i->within;
 }
 
@@ -392,7 +469,7 @@ static void settle_kernel(Instance *i)
     k[4] = exp(*i->regular);
     k[5] = NOTHING * pivot_of_mass;
     k[6] = fmax(LEAST, CONVERGING * sqrt(pivot_of_mass));
-    k[7] = s->l && i->flags.choice[s->branch] == s->continues;
+    k[7] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
     k[8] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
     k[9] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
     for (int c = 0; c < s->n; c++)
@@ -404,7 +481,7 @@ static void settle_kernel(Instance *i)
     field(i, s->dt)[0] = field(i, s->control)[0] = i->values[s->step_size];
     field(i, s->control)[1] = !(i->flags.scaled || s->same_tiers);
     field(i, s->control)[2] = s->method;
-    i->flags.fast = !s->l || i->values[s->max_iterations] >= s->careful_iterations;
+    i->flags.fast = !s->l || (all_serve(i) && i->values[s->max_iterations] >= s->careful_iterations);
     i->flags.whole = i->flags.fast && !i->flags.brakes;
     if (i->flags.brakes)
         hold(i);
@@ -457,7 +534,7 @@ static Outcome knowledge(Instance *i, const double *q, const double *v)
     if (s->l)
         know(i, q, v, held, usual(i));
     if (i->flags.brakes && !s->brakes)
-        outcome = say(i, FAILED,
+        outcome = say(i, BRAKES,
             "%s: redundant constraints would brake the motion with these parameters; export it with them (--set), or "
             "with --kind python",
             s->name);
@@ -492,7 +569,7 @@ static Outcome change(Instance *i, const double *on)
     else
         outcome = check_masses(i, q, held);
     if (outcome == DONE && any) {
-        s->impact(i->m, w);
+        run(i, s->impact);
         memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
         field(i, s->z)[s->work] -= w[s->lost];
         *i->lost += w[s->lost];
@@ -531,7 +608,7 @@ static Outcome take_effect(Instance *i)
         double *displacements = take(i, (size_t)s->held);
         const double *x[] = {field(i, s->z), field(i, s->p)};
         double *y[] = {displacements};
-        s->displacements(x, y, i->workspace);
+        call(i, s->displacements, x, y);
         for (int k = 0; k < s->switches; k++)
             if (s->switched[k].value >= 0 && i->wanted[k] != 0.0 && i->on[k] == 0.0)
                 i->kept[s->switched[k].value] = displacements[s->switched[k].value];
@@ -576,14 +653,14 @@ static Outcome projected(Instance *i, double *q, double *v)
         constraints_at(i, q, v, NULL, C, phi, cv);
         if (closed(i, phi, C, q))
             break;
-        s->place(x, y, i->workspace);
+        call(i, s->place, x, y);
         memcpy(q, next, n * sizeof *q);
     }
     for (int pass = 0; pass < CORRECTIONS; pass++) {
         constraints_at(i, q, v, NULL, C, phi, cv);
         if (closed(i, cv, C, v))
             break;
-        s->settle(at, settled, i->workspace);
+        call(i, s->settle, at, settled);
         memcpy(v, next, n * sizeof *v);
     }
     for (int of_velocity = 0; of_velocity < 2 && outcome == DONE; of_velocity++) {
@@ -597,6 +674,17 @@ static Outcome projected(Instance *i, double *q, double *v)
     }
     i->used = used;
     return outcome;
+}
+
+/* Kinetic and potential energy. */
+static double energy(Instance *i)
+{
+    const Scene *s = i->scene;
+    double found;
+    const double *z = field(i, s->z), *x[] = {z, z + s->n, field(i, s->p)};
+    double *y[] = {&found};
+    call(i, s->energy, x, y);
+    return found;
 }
 
 static Outcome comply(Instance *i)
@@ -616,11 +704,32 @@ static Outcome comply(Instance *i)
                 s->name, s->variables[first + k].name);
 }
 
+/* The motion begins at q and v; nothing has been counted. */
+static void begin_at(Instance *i, const double *q, const double *v, double time)
+{
+    const Scene *s = i->scene;
+    double *z = field(i, s->z);
+    memset(z, 0, state_length(s) * sizeof *z);
+    memcpy(z, q, (size_t)s->n * sizeof *q);
+    memcpy(z + s->n, v, (size_t)s->n * sizeof *v);
+    for (int k = 0; k < s->angles; k++)
+        z[2 * s->n + k] = s->angle_starts[k] < 0 ? 0.0 : i->values[s->own + s->angle_starts[k]];
+    z[s->time] = time;
+    memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
+    *i->lost = 0.0;
+    memset(field(i, s->pace), 0, PACE * sizeof(double));
+    field(i, s->pace)[0] = FIRST_STEP;
+    field(i, s->pace)[1] = LEAST_BEFORE;
+    memset(i->counts, 0, COUNTED * sizeof *i->counts);
+    memset(field(i, s->tally), 0, (TIERS + 5) * sizeof(double));
+    i->counts[ENERGY_START] = energy(i);
+}
+
 static Outcome started(Instance *i)
 {
     const Scene *s = i->scene;
     const size_t l = (size_t)s->l, n = (size_t)s->n;
-    double *q = take(i, n), *v = take(i, n), *z = field(i, s->z), alpha = i->values[s->penalty];
+    double *q = take(i, n), *v = take(i, n), alpha = i->values[s->penalty];
     unsigned char *held = (unsigned char *)take(i, l);
     const double time = *instance_time(i);
     Outcome outcome;
@@ -628,6 +737,8 @@ static Outcome started(Instance *i)
     for (int k = 0; k < s->switches; k++)
         i->on[k] = i->wanted[k] != 0.0 && !s->switched[k].holds;
     in_force(i, i->on, held);
+    for (int r = 0; r < s->l; r++)
+        held[r] &= !(i->flags.given && i->given[r] == 0.0);
     outcome = assemble(i, held, q, v);
     if (outcome == DONE)
         outcome = check_masses(i, q, held);
@@ -637,36 +748,53 @@ static Outcome started(Instance *i)
         return outcome;
     default_penalties(i, q, i->full);
     /* Whether the penalty is the one for which the quick step of the kernel is known to be enough. */
-    i->flags.scaled = alpha == 0.0;
+    i->flags.scaled = alpha == 0.0 && !i->flags.given;
     for (int r = 0; r < s->l; r++) {
         i->flags.scaled &= s->weighted || i->full[r] == i->full[0];
-        i->full[r] = alpha > 0.0 ? alpha : i->full[r];
+        i->full[r] = i->flags.given ? i->given[r] : alpha > 0.0 ? alpha : i->full[r];
     }
     for (int r = 0; r < s->l; r++)
         i->penalty[r] = held[r] ? i->full[r] : 0.0;
     weigh(i);
-    if (s->l)
+    if (s->l && projects(i))
         outcome = projected(i, q, v);
     if (outcome == DONE)
         outcome = knowledge(i, q, v);
     if (outcome != DONE)
         return outcome;
-    memset(z, 0, (size_t)(s->after - s->z) * sizeof *z);
-    memcpy(z, q, n * sizeof *q);
-    memcpy(z + n, v, n * sizeof *v);
-    for (int k = 0; k < s->angles; k++)
-        z[2 * s->n + k] = s->angle_starts[k] < 0 ? 0.0 : i->values[s->own + s->angle_starts[k]];
-    z[s->time] = time;
-    memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
-    *i->lost = 0.0;
-    memset(field(i, s->pace), 0, PACE * sizeof(double));
-    field(i, s->pace)[0] = FIRST_STEP;
-    field(i, s->pace)[1] = LEAST_BEFORE;
+    begin_at(i, q, v, time);
     settle_kernel(i);
     for (int k = 0; k < s->switches; k++)
         if (i->wanted[k] != i->on[k])
             return take_effect(i);
     return DONE;
+}
+
+/* Begins at q and v, which keep the constraints, with what somebody else found out there: penalties, all of them and those
+   in force, units of rows, scales of pivots; degrees of freedom, logarithms of products of pivots (masses, regular), rank. */
+void instance_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
+    const double *units, const double *scales, const double known[4])
+{
+    const Scene *s = i->scene;
+    const size_t rows = (size_t)s->l * sizeof(double);
+    i->used = 0;
+    memcpy(i->full, full, rows);
+    memcpy(i->penalty, penalty, rows);
+    memcpy(i->units, units, rows);
+    memcpy(i->scales, scales, (size_t)s->n * sizeof(double));
+    *i->freedom = known[0];
+    *i->masses = known[1];
+    *i->regular = known[2];
+    *i->rank = known[3];
+    i->flags.brakes = i->flags.pending = i->flags.known = 0;
+    i->flags.scaled = i->values[s->penalty] == 0.0 && !i->flags.given;
+    for (int k = 0; k < s->switches; k++)
+        i->on[k] = i->wanted[k];
+    parameters(i);
+    hand_over(i);
+    begin_at(i, q, v, *instance_time(i));
+    settle_kernel(i);
+    i->flags.initialized = 1;
 }
 
 /* The tolerance of a run that the host wants, where the method controls its error. */
@@ -677,7 +805,17 @@ Outcome instance_tolerate(Instance *i, double tolerance)
 
 Outcome instance_initialize(Instance *i)
 {
+    const Scene *s = i->scene;
     Outcome outcome;
+    if (s->method && !all_serve(i))
+        return say(i, REFUSED,
+            "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
+            "solver.method rk4",
+            s->name, s->choice[s->method_choice].values[0]);
+    if (s->n > LARGE)
+        return say(i, REFUSED, "%s: %d coordinates are more than the %d whose start this runtime finds by itself; run it by "
+                               "alfmu.simulate",
+            s->name, s->n, LARGE);
     i->used = 0;
     i->flags.initialized = i->flags.known = i->flags.pending = 0;
     hand_over(i);
@@ -696,12 +834,34 @@ static double margin(Instance *i)
     double found;
     const double *x[] = {field(i, s->z), field(i, s->p), field(i, s->k)};
     double *y[] = {take(i, n), take(i, n), take(i, n), &found};
-    s->pivots(x, y, i->workspace);
+    call(i, s->pivots, x, y);
     i->used = used;
     return found;
 }
 
-/* FAILED or OPEN where a move that ends at the positions in the workspace is too long to mean anything. */
+/* FAILED where a move from `start` ends at no finite state, in the words of its first stage that went wrong. */
+static Outcome check_finite(Instance *i, double start, double dt)
+{
+    const Scene *s = i->scene;
+    const double *w = i->workspace;
+    const struct {
+        int watch, q, v;
+        double t;
+    } stages[] = {{s->watch1, s->q1, s->v1, start}, {s->watch2, s->q2, s->v2, start + dt / 2},
+        {s->watch3, s->q3, s->v3, start + dt / 2}, {s->watch4, s->q4, s->v4, start + dt}};
+    if (isfinite(norm(w + s->q, s->n)) && isfinite(norm(w + s->v, s->n)))
+        return DONE;
+    for (int k = 0; k < 4; k++) {
+        const double pivot = w[stages[k].watch + WATCH_PIVOT];
+        const Outcome outcome = explained(i, w + stages[k].q, w + stages[k].v, stages[k].t, pivot);
+        if (outcome != DONE)
+            return outcome;
+    }
+    return say(i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, start + dt);
+}
+
+/* FAILED where a move that ends at the positions in the workspace is too long to mean anything, or opens a constraint
+   that projections should close. */
 static Outcome check_length(Instance *i, double t)
 {
     const Scene *s = i->scene;
@@ -709,8 +869,6 @@ static Outcome check_length(Instance *i, double t)
     double turned = 0.0, moved = 0.0, gap;
     char label[100];
     int worst = 0, row;
-    if (!isfinite(norm(q, s->n)) || !isfinite(norm(v, s->n)))
-        return say(i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, t);
     for (int c = 0; c < s->n; c++) {
         const double size = fabs(q[c] - from[c]);
         moved = fmax(moved, size);
@@ -723,6 +881,8 @@ static Outcome check_length(Instance *i, double t)
         return say(i, FAILED,
             "%s, t = %.6g s: %s turned by %.3g rad in one step, more than half a turn; reduce solver.step_size",
             s->name, t, s->coordinates[worst].name, turned);
+    if (!projects(i))
+        return DONE;
     gap = widest(i, q, v, 0, &row);
     if (gap > TORN * moved && gap > GROSS)
         return say(i, FAILED, "%s, t = %.6g s: a step of %.3g opened %s by %.3g; reduce solver.step_size", s->name, t,
@@ -730,16 +890,74 @@ static Outcome check_length(Instance *i, double t)
     return DONE;
 }
 
+/* What a communication step comes to that takes more work than a call may do. */
+static Outcome too_much(Instance *i)
+{
+    return say(i, FAILED,
+        "%s, t = %.6g s: more than %d internal steps in one communication step (steps tried again count; patient ones "
+        "count as %d); take shorter communication steps, or increase solver.step_size or the tolerances",
+        i->scene->name, *instance_time(i), MOST_STEPS, PATIENT_STEP);
+}
+
+/* q and v in the workspace brought back to the constraints. */
+static Outcome closed_again(Instance *i, double t)
+{
+    const Scene *s = i->scene;
+    const double *after = field(i, s->after);
+    char label[100];
+    int row;
+    run(i, s->close);
+    for (int of_velocity = 0; of_velocity < 2; of_velocity++) {
+        const double worst = widest(i, after, after + s->n, of_velocity, &row);
+        if (!(worst <= GROSS))
+            return say(i, OPEN,
+                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name, t,
+                of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
+                CORRECTIONS);
+    }
+    return DONE;
+}
+
+/* Counts the stages of a move in which the multiplier iteration reached its limit. */
+static void count_unconverged(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
+    const double tolerance = i->values[s->tolerance];
+    for (int k = 0; k < 4; k++) {
+        const double *seen = i->workspace + watch[k];
+        i->counts[UNCONVERGED] += !(seen[WATCH_CHANGE] <= tolerance * tolerance * seen[WATCH_SIZE] + DBL_MIN);
+    }
+}
+
+/* The largest |Phi| and |Phi-dot| after a step that does not end with projections. */
+static void watch_gaps(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, l = (size_t)s->l;
+    const double *q = field(i, s->after);
+    double *phi = take(i, l), *cv = take(i, l), *c = i->counts;
+    constraints_at(i, q, q + s->n, NULL, NULL, phi, cv);
+    for (int r = 0; r < s->l; r++)
+        if (i->penalty[r] > 0.0) {
+            c[POSITION_ERROR] = fmax(c[POSITION_ERROR], fabs(phi[r]));
+            c[VELOCITY_ERROR] = fmax(c[VELOCITY_ERROR], fabs(cv[r]));
+        }
+    i->used = used;
+}
+
 /* One internal step by loops that stop on convergence, and whether it came near a singular position. */
 static Outcome follow(Instance *i, double start, double dt, int *near)
 {
     const Scene *s = i->scene;
+    const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
     double *m = i->m, *w = i->workspace, *after = m + s->after;
     const double t = start + dt;
-    char label[100];
-    int row;
     Outcome outcome;
     *near = 0;
+    i->left -= PATIENT_STEP;
+    if (i->left < 0)
+        return too_much(i);
     if (!s->l)
         return say(i, FAILED,
             "%s, t = %.6g s: the state is not finite, or turned by more than half a turn in one step; reduce "
@@ -749,32 +967,35 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     m[s->z + s->time] = start;
     if (i->flags.brakes)
         hold(i);
-    s->move(m, w);
+    run(i, move_by(s, formulation(i)));
+    outcome = check_finite(i, start, dt);
+    if (outcome != DONE)
+        return outcome;
     for (int k = 0; k < 4; k++)
-        *near |= w[s->watch[k] + s->near] != 0.0;
+        *near |= w[watch[k] + WATCH_NEAR] != 0.0;
     *near = *near && field(i, s->k)[7] != 0.0;
     if (*near) {
-        s->move_on_branch(m, w);
+        run(i, s->move_on_branch);
         for (int k = 0; k < 4; k++)
-            if (w[s->watch[k]] == INFINITY) /* What `reached` says of it. */
+            if (w[watch[k]] == INFINITY) /* What `reached` says of it. */
                 return say(i, OPEN,
                     "%s, t = %.6g s: the branch of the motion leaves a constraint open ahead; reduce solver.step_size",
                     s->name, start);
     }
-    outcome = check_length(i, t);
+    outcome = check_finite(i, start, dt);
+    if (outcome == DONE)
+        outcome = check_length(i, t);
+    if (outcome == DONE && projects(i))
+        outcome = closed_again(i, t);
+    else if (outcome == DONE) {
+        run(i, s->keep);
+        watch_gaps(i);
+    }
     if (outcome != DONE)
         return outcome;
-    s->close(m, w);
-    for (int of_velocity = 0; of_velocity < 2; of_velocity++) {
-        const double worst = widest(i, after, after + s->n, of_velocity, &row);
-        if (!(worst <= GROSS))
-            return say(i, OPEN,
-                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name, t,
-                of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
-                CORRECTIONS);
-    }
+    count_unconverged(i);
     after[s->trouble] = 0.0;
-    memcpy(m + s->z, after, (size_t)(s->after - s->z) * sizeof *m);
+    memcpy(m + s->z, after, state_length(s) * sizeof *m);
     return DONE;
 }
 
@@ -820,16 +1041,20 @@ static Outcome watched_step(Instance *i, double start, double dt)
 }
 
 /* Steps by the method of the scene up to the end of a communication step; those of one length take dt. */
-static Outcome cover(Instance *i, double end, double dt)
+static Outcome covered(Instance *i, double end, double dt)
 {
     const Scene *s = i->scene;
     double *time = instance_time(i), *pace = field(i, s->pace);
     pace[PACE_LAST] = 0.0;
     pace[PACE_FIXED] = s->method == 2 ? dt : 0.0;
     while (*time < end) {
+        const long tries = i->flags.brakes ? 1 : i->left;
+        if (i->left <= 0)
+            return too_much(i);
+        i->left -= tries;
         if (i->flags.brakes)
             hold(i);
-        if (!s->cover(i->m, end, i->flags.brakes ? 1 : -1))
+        if (!cover(i, end, tries))
             return say(i, FAILED,
                 "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
                 "where constraints stay open, use --kind python or rk4",
@@ -838,25 +1063,28 @@ static Outcome cover(Instance *i, double end, double dt)
     return DONE;
 }
 
+/* How many internal steps a communication step takes at least. */
+static double internal_steps(const Instance *i, double h)
+{
+    return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
+}
+
 /* A communication step that the kernel cannot make in one go. */
 static Outcome slow_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    const size_t size = (size_t)(s->after - s->z) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
+    const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
     double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
-    const double steps = fmax(1.0, ceil(h / i->values[s->step_size] * (1 - 1e-12))), dt = h / steps;
+    const double steps = internal_steps(i, h), dt = h / steps;
     double done = 0.0;
     Outcome outcome = DONE;
-    if (!(steps < 1e9))
-        return say(i, REFUSED, "%s: %g internal steps in one communication step; increase solver.step_size", s->name,
-            steps);
     memcpy(begin, z, size);
     memcpy(before, pace, count * sizeof *pace);
     z[s->time] = start;
-    if (s->reach)
-        s->reach(i->m, i->workspace);
+    if (s->reach >= 0)
+        run(i, s->reach);
     if (s->method) {
-        outcome = cover(i, start + h, dt);
+        outcome = covered(i, start + h, dt);
         done = steps;
     }
     while (done < steps && outcome == DONE) {
@@ -864,10 +1092,11 @@ static Outcome slow_step(Instance *i, double start, double h)
             z[s->time] = start + done * dt;
             if (i->flags.brakes)
                 hold(i);
-            done += (double)s->advance(i->m, i->flags.whole ? (long)(steps - done) : 1L, dt);
+            done += (double)advance(i, i->flags.whole ? (long)(steps - done) : 1L, dt);
         }
         if (done < steps) {
             outcome = watched_step(i, start + done * dt, dt);
+            i->counts[PATIENT_STEPS] += outcome == DONE;
             done += 1.0;
         }
     }
@@ -880,49 +1109,113 @@ static Outcome slow_step(Instance *i, double start, double h)
     return outcome;
 }
 
-static Outcome checked_step(Instance *i, double start, double h)
+/* DONE, or why a communication step cannot be made from here, or not by one call. */
+Outcome instance_can_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    const double time = *instance_time(i);
+    const double time = *instance_time(i), steps = internal_steps(i, h);
     if (!(isfinite(h) && h > 0.0))
         return say(
             i, REFUSED, "%s, t = %.6g s: a communication step of %g s; it must be above zero", s->name, time, h);
-    if (!(fabs(start - time) <= 1e-6 * h + 1e-12 * fabs(time)))
+    if (!(isfinite(start) && fabs(start - time) <= 1e-6 * h + 1e-12 * fabs(time)))
         return say(i, REFUSED, "%s: a step from t = %g s is asked for, but the state is at t = %g s", s->name, start,
             time);
-    return slow_step(i, start, h);
+    if (!(steps <= MOST_STEPS))
+        return say(i, REFUSED,
+            "%s, t = %.6g s: a communication step of %g s takes %.3g internal steps, more than %d; take shorter "
+            "communication steps, or increase solver.step_size (%g s)",
+            s->name, time, h, steps, MOST_STEPS, i->values[s->step_size]);
+    if (!(start + h / steps > nextafter(start, INFINITY)))
+        return say(i, REFUSED,
+            "%s, t = %.6g s: steps of %g s are lost in the last digit of the time; take longer ones, or begin at 0",
+            s->name, time, h / steps);
+    return DONE;
+}
+
+/* How many numbers stand from the internal step to past inputs: what steps remember beside the motion. */
+static size_t told(const Scene *s)
+{
+    return (size_t)(s->past + s->past_size - s->dt);
+}
+
+/* What a step may change is kept, beside the state at its begin, which the step keeps itself. */
+static void remember_step(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *to = i->before;
+    memcpy(to, i->slopes, (size_t)(s->inputs + 1) * sizeof *to);
+    memcpy(to += s->inputs + 1, i->m + s->u, (size_t)s->inputs * sizeof *to);
+    memcpy(to += s->inputs, i->counts, COUNTED * sizeof *to);
+    memcpy(to + COUNTED, i->m + s->dt, told(s) * sizeof *to);
+}
+
+static void step_back(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *from = i->before;
+    memcpy(i->m + s->z, i->m + s->begin, state_length(s) * sizeof *from);
+    memcpy(i->slopes, from, (size_t)(s->inputs + 1) * sizeof *from);
+    memcpy(i->m + s->u, from += s->inputs + 1, (size_t)s->inputs * sizeof *from);
+    memcpy(i->counts, from += s->inputs, COUNTED * sizeof *from);
+    memcpy(i->m + s->dt, from + COUNTED, told(s) * sizeof *from);
+    i->flags.known = 0;
+}
+
+/* A communication step and the outputs at its end, without which it is not made. */
+static Outcome whole_step(Instance *i, double start, double h)
+{
+    const Scene *s = i->scene;
+    Outcome outcome = DONE;
+    /* Methods beside RK4 may need any number of steps, which the slower way counts. */
+    if (!i->flags.whole || s->method || !communicate(i, start, h))
+        outcome = slow_step(i, start, h);
+    if (outcome != DONE)
+        return outcome;
+    for (int k = 0; k < s->inputs; k++) {
+        if (isfinite(i->slopes[1 + k]))
+            i->m[s->u + k] += h * i->slopes[1 + k];
+        i->slopes[1 + k] = s->no_slope;
+    }
+    i->flags.known = 0;
+    return instance_read(i);
 }
 
 Outcome instance_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    Outcome outcome;
+    Outcome outcome = DONE;
+    if (!i->flags.initialized)
+        outcome = say(i, REFUSED, "%s: initialise before the first step", s->name);
+    else
+        outcome = instance_can_step(i, start, h);
+    if (outcome != DONE)
+        return outcome;
     i->used = 0;
-    i->slopes[0] = start;
-    hand_over(i);
+    if (!i->within)
+        i->left = MOST_STEPS;
     if (i->flags.pending) {
         remember(i);
+        hand_over(i);
         outcome = take_effect(i);
         if (outcome != DONE) {
             go_back(i);
             memcpy(i->wanted, i->on, (size_t)s->switches * sizeof *i->on);
             i->flags.pending = 0;
-        } else {
-            outcome = checked_step(i, start, h);
-            if (outcome != DONE)
-                go_back(i);
+            i->used = 0;
+            return outcome;
         }
-    } else if (i->flags.whole && s->communicate(i->m, start, h))
-        outcome = DONE;
-    else
-        outcome = checked_step(i, start, h);
-    if (outcome == DONE) {
-        for (int k = 0; k < s->inputs; k++) {
-            if (isfinite(i->slopes[1 + k]))
-                i->m[s->u + k] += h * i->slopes[1 + k];
-            i->slopes[1 + k] = s->no_slope;
-        }
-        i->flags.known = 0;
+        i->slopes[0] = start;
+        hand_over(i);
+        outcome = whole_step(i, start, h);
+        if (outcome != DONE)
+            go_back(i);
+    } else {
+        remember_step(i);
+        i->slopes[0] = start;
+        hand_over(i);
+        outcome = whole_step(i, start, h);
+        if (outcome != DONE)
+            step_back(i);
     }
     i->used = 0;
     return outcome;
@@ -930,36 +1223,101 @@ Outcome instance_step(Instance *i, double start, double h)
 
 /* Outputs ---------------------------------------------------------------------------------------------------------- */
 
-static int all_finite(const Instance *i)
+/* The first output that is not finite, with its value; NULL where all are. */
+static const char *not_finite(const Instance *i, double *value)
 {
-    int good = 1;
-    for (int k = 0; k < i->scene->seen_size; k++)
-        good &= isfinite(i->m[i->scene->seen + k]) != 0;
-    return good;
+    const Scene *s = i->scene;
+    const double *seen = i->m + s->seen;
+    const int first = variable_count(s) - s->outputs;
+    for (int k = 0; k < s->outputs; k++)
+        if (!isfinite(*value = instance_get(i, first + k)))
+            return s->variables[first + k].name;
+    for (int k = s->outputs - s->event_count; k < s->seen_size; k++)
+        if (!isfinite(*value = seen[k]))
+            return "|Phi-ddot|";
+    return NULL;
+}
+
+/* The largest errors that were read; not a number where nobody watches. */
+static void watch_errors(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *seen = field(i, s->seen);
+    double *c = i->counts;
+    c[READS] += 1.0;
+    c[POSITION_ERROR] = s->monitor_position < 0 ? NAN : fmax(c[POSITION_ERROR], seen[s->monitor_position]);
+    c[VELOCITY_ERROR] = s->monitor_velocity < 0 ? NAN : fmax(c[VELOCITY_ERROR], seen[s->monitor_velocity]);
+    c[ACCELERATION_ERROR] = fmax(c[ACCELERATION_ERROR], seen[s->seen_size - 3]);
+    c[ENERGY_ERROR] = s->monitor_energy < 0
+        ? NAN
+        : fmax(c[ENERGY_ERROR],
+              fabs(seen[s->monitor_energy] - c[ENERGY_START] - field(i, s->z)[s->work]));
+}
+
+/* What can be read at this instant, by loops that stop on convergence. */
+static void read_patiently(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *seen = i->m + s->seen + s->seen_size;
+    const int instant = instant_by(s, formulation(i));
+    double value;
+    run(i, instant);
+    i->counts[UNCONVERGED] += seen[-1] != 0.0;
+    if (seen[-2] != 0.0 && s->limit_patient >= 0) {
+        run(i, s->limit_patient);
+        if (not_finite(i, &value))
+            run(i, instant);
+    }
 }
 
 Outcome instance_read(Instance *i)
 {
     const Scene *s = i->scene;
+    const double *z = field(i, s->z);
+    Outcome outcome = DONE;
+    const char *name;
+    double value;
     if (i->flags.known)
         return DONE;
     i->used = 0;
     hand_over(i);
     if (i->flags.brakes)
         hold(i);
-    if (!(i->flags.fast && s->read(i->m)) && s->instant) {
-        s->instant(i->m, i->workspace);
-        if (i->m[s->seen + s->seen_size - 2] != 0.0) {
-            s->limit(i->m, i->workspace);
-            if (!all_finite(i))
-                s->instant(i->m, i->workspace);
-        }
-    }
-    i->flags.known = 1;
-    if (all_finite(i))
+    if (!(i->flags.fast && read_quickly(i) && !not_finite(i, &value)))
+        read_patiently(i);
+    name = not_finite(i, &value);
+    i->flags.known = !name;
+    if (!name) {
+        watch_errors(i);
         return DONE;
-    return say(i, FAILED, "%s, t = %.6g s: accelerations and reactions cannot be computed here", s->name,
-        *instance_time(i));
+    }
+    if (instant_by(s, formulation(i)) != s->instant)
+        outcome = explained(i, z, z + s->n, z[s->time], i->workspace[s->watch0 + WATCH_PIVOT]);
+    if (outcome != DONE)
+        return outcome;
+    return say(i, FAILED,
+        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
+        "another start or a smaller solver.step_size",
+        s->name, *instance_time(i), name, value);
+}
+
+/* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
+static void differences(Instance *i, const double *direction, double *change)
+{
+    const Scene *s = i->scene;
+    const int instant = instant_by(s, formulation(i));
+    double *u = field(i, s->u), *seen = field(i, s->seen), *before = take(i, (size_t)s->inputs);
+    memcpy(before, u, (size_t)s->inputs * sizeof *u);
+    memset(change, 0, (size_t)s->readings * sizeof *change);
+    for (int side = -1; side < 2; side += 2) {
+        for (int k = 0; k < s->inputs; k++)
+            u[k] = before[k] + side * direction[k];
+        run(i, instant);
+        for (int k = 0; k < s->readings; k++)
+            change[k] += side * seen[k] / 2;
+    }
+    memcpy(u, before, (size_t)s->inputs * sizeof *u);
+    run(i, instant);
 }
 
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
@@ -971,15 +1329,18 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     i->used = 0;
     hand_over(i);
     memset(changes, 0, unknown_count * sizeof *changes);
-    if (!s->sensitivity)
+    if (s->sensitivity < 0)
         return DONE;
     if (i->flags.brakes)
         hold(i);
     memset(w + s->du, 0, (size_t)s->inputs * sizeof *w);
     for (size_t k = 0; k < known_count; k++)
         w[s->du + (int)knowns[k] - first] += directions[k];
-    /* Where a limit is read, its derivative is. */
-    (i->m[s->seen + s->seen_size - 2] != 0.0 ? s->limit_sensitivity : s->sensitivity)(i->m, w);
+    if (s->l && formulation(i) > CLASSIC_FORMULATION)
+        differences(i, w + s->du, w + s->dy);
+    else /* Where a limit is read, its derivative is. */
+        run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
+                                                                                    : s->sensitivity);
     for (size_t k = 0; k < unknown_count; k++)
         if ((int)unknowns[k] - outputs < s->readings)
             changes[k] = w[s->dy + (int)unknowns[k] - outputs];
@@ -990,10 +1351,60 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     return DONE;
 }
 
+/* Places after now, in internal steps, that derivatives of outputs are differences of, and their weights. */
+#define PLACES 5
+#define APART 0.03125
+static const double difference[2][PLACES] = {
+    {-25.0 / 12, 4.0, -3.0, 4.0 / 3, -1.0 / 4},
+    {35.0 / 12, -26.0 / 3, 19.0 / 2, -14.0 / 3, 11.0 / 12},
+};
+
+/* Time derivatives of outputs as the motion goes on from here, with the inputs as they are and go on by themselves: one-
+   sided differences of order 4 (first derivatives) and 3 (second ones) of a short motion, which is then taken back.
+   Boolean inputs that have not yet taken effect do not count. */
+Outcome instance_output_derivatives(
+    Instance *i, const unsigned *references, const int *orders, size_t count, double *values)
+{
+    const Scene *s = i->scene;
+    const double start = *instance_time(i), h = APART * i->values[s->step_size];
+    Outcome outcome = DONE;
+    remember(i);
+    i->left = MOST_STEPS;
+    i->flags.pending = 0;
+    i->slopes[0] = start;
+    memset(values, 0, count * sizeof *values);
+    for (int k = 0; outcome == DONE && k < PLACES; k++) {
+        if (k) {
+            i->used = 0;
+            i->within = k > 1;
+            hand_over(i);
+            outcome = slow_step(i, start + (k - 1) * h, h);
+            for (int each = 0; each < s->inputs; each++)
+                if (isfinite(i->slopes[1 + each]))
+                    i->m[s->u + each] += h * i->slopes[1 + each];
+            i->flags.known = 0;
+        }
+        if (outcome == DONE)
+            outcome = instance_read(i);
+        for (size_t each = 0; outcome == DONE && each < count; each++)
+            values[each] += difference[orders[each] - 1][k] * instance_get(i, (int)references[each]);
+    }
+    for (size_t each = 0; each < count; each++)
+        values[each] /= orders[each] == 1 ? h : h * h;
+    go_back(i);
+    i->within = 0;
+    i->used = 0;
+    for (size_t each = 0; outcome == DONE && each < count; each++)
+        if (!isfinite(values[each]))
+            outcome = say(i, FAILED, "%s, t = %.6g s: derivative %d of %s would be %g", s->name, start, orders[each],
+                s->variables[references[each]].name, values[each]);
+    return outcome;
+}
+
 /* State ------------------------------------------------------------------------------------------------------------ */
 
 typedef struct {
-    unsigned magic, format;
+    unsigned magic, format, sum; /* a check sum of the whole state with zero in its place */
     size_t count;
     char guid[48];
     Flags flags;
@@ -1008,6 +1419,7 @@ static Head head(const Instance *i)
     h.count = i->count;
     strncpy(h.guid, i->scene->guid, sizeof h.guid - 1);
     h.flags = i->flags;
+    h.flags.known = 0; /* What is restored is read again. */
     return h;
 }
 
@@ -1016,30 +1428,159 @@ size_t state_size(const Instance *i)
     return sizeof(Head) + i->count * sizeof *i->numbers;
 }
 
-void state_save(const Instance *i, unsigned char *state)
+/* The check sum of a saved state, as it was when it was saved. */
+static unsigned state_sum(const unsigned char *state, size_t size)
 {
-    const Head h = head(i);
-    memcpy(state, &h, sizeof h);
-    memcpy(state + sizeof h, i->numbers, i->count * sizeof *i->numbers);
+    const unsigned nothing = 0;
+    const size_t at = offsetof(Head, sum);
+    unsigned sum = check_sum_from(CHECK_BEGIN, state, at);
+    sum = check_sum_from(sum, (const unsigned char *)&nothing, sizeof nothing);
+    return ~check_sum_from(sum, state + at + sizeof nothing, size - at - sizeof nothing);
 }
 
+void state_save(const Instance *i, unsigned char *state)
+{
+    const Scene *s = i->scene;
+    const double *memory = i->m;
+    const struct {
+        const double *numbers;
+        size_t count;
+    } scratch[] = {{memory + s->after, state_length(s)}, {memory + s->begin, state_length(s)},
+        {memory + s->seen, (size_t)s->seen_size}, {i->slopes, 1}};
+    Head h = head(i);
+    memcpy(state + sizeof h, i->numbers, i->count * sizeof *i->numbers);
+    /* What steps and reading leave behind, and nothing depends on. */
+    for (size_t k = 0; k < sizeof scratch / sizeof *scratch; k++)
+        memset(state + sizeof h + (size_t)(scratch[k].numbers - i->numbers) * sizeof(double), 0,
+            scratch[k].count * sizeof(double));
+    memcpy(state, &h, sizeof h);
+    h.sum = state_sum(state, state_size(i));
+    memcpy(state, &h, sizeof h);
+}
+
+/* Whether a saved state is of a run that has begun. */
+int state_running(const unsigned char *state)
+{
+    Head h;
+    memcpy(&h, state, sizeof h);
+    return h.flags.running;
+}
+
+static Outcome unsound(Instance *i, const char *what, double value)
+{
+    return say(i, REFUSED, "%s: %s of the saved state is %g, which no run has; save it again", i->scene->name, what,
+        value);
+}
+
+/* DONE, or what in the state just restored was never that of an instance: numbers that index or bound anything first. */
+static Outcome sound(Instance *i)
+{
+    const Scene *s = i->scene;
+    const Flags *f = &i->flags;
+    const Variable *inputs = s->variables + s->parameters + s->choices;
+    const double *control = field(i, s->control);
+    const int flags[] = {f->initialized, f->running, f->known, f->scaled, f->fast, f->whole, f->pending, f->brakes};
+    const struct {
+        const char *name;
+        const double *numbers;
+        int count;
+    } parts[] = {
+        {"the motion", field(i, s->z), (int)state_length(s)},
+        {"a parameter", field(i, s->p), s->own + s->held},
+        {"a penalty", i->penalty, s->l},
+        {"a penalty", i->full, s->l},
+        {"a unit", i->units, s->l},
+        {"a scale", i->scales, s->n},
+        {"a compliance", i->compliances, s->compliances},
+        {"a lock", i->kept, s->held},
+        {"an impulse", i->impulses, s->impulses},
+        {"energy lost", i->lost, 1},
+        {"a step size", control, 1},
+        {"a past input", field(i, s->past), s->past_size},
+    };
+    for (size_t k = 0; k < sizeof flags / sizeof *flags; k++)
+        if (flags[k] != 0 && flags[k] != 1)
+            return unsound(i, "a flag", flags[k]);
+    for (int k = 0; k < s->choices; k++)
+        if (f->choice[k] < 0 || f->choice[k] >= s->choice[k].count)
+            return unsound(i, s->variables[s->parameters + k].name, f->choice[k]);
+    for (int k = 0; k < s->parameters; k++)
+        if (checked(i, s->variables + k, i->values[k]) != DONE)
+            return unsound(i, s->variables[k].name, i->values[k]);
+    for (int k = 0; k < s->inputs; k++)
+        if (checked(i, inputs + k, i->m[s->u + k]) != DONE)
+            return unsound(i, inputs[k].name, i->m[s->u + k]);
+    for (int k = 0; k < s->inputs; k++)
+        if (i->slopes[1 + k] != s->no_slope && !isfinite(i->slopes[1 + k]))
+            return unsound(i, "the derivative of an input", i->slopes[1 + k]);
+    for (int k = 0; k < s->switches; k++)
+        if ((i->wanted[k] != 0.0 && i->wanted[k] != 1.0) || (i->on[k] != 0.0 && i->on[k] != 1.0))
+            return unsound(i, inputs[s->inputs + k].name, i->wanted[k]);
+    if (f->running && !f->initialized)
+        return unsound(i, "a flag", f->running);
+    if (!isfinite(*instance_time(i)))
+        return unsound(i, "the time", *instance_time(i));
+    if (!f->initialized) /* What follows is found when a run begins. */
+        return DONE;
+    for (size_t part = 0; part < sizeof parts / sizeof *parts; part++)
+        for (int k = 0; k < parts[part].count; k++)
+            if (!isfinite(parts[part].numbers[k]))
+                return unsound(i, parts[part].name, parts[part].numbers[k]);
+    if (control[0] != i->values[s->step_size] || (control[1] != 0.0 && control[1] != 1.0))
+        return unsound(i, "the first tier", control[1]);
+    if (control[2] != s->method)
+        return unsound(i, "the method", control[2]);
+    return DONE;
+}
+
+/* Nothing has changed where a state is refused. */
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size)
 {
     const Head mine = head(i);
     Head h;
-    int good = size == state_size(i);
-    if (good) {
+    Outcome outcome;
+    unsigned sum = 0;
+    if (size == state_size(i)) {
         memcpy(&h, state, sizeof h);
-        good = h.magic == mine.magic && h.format == mine.format && h.count == mine.count
-            && !memcmp(h.guid, mine.guid, sizeof h.guid);
-        for (int k = 0; good && k < i->scene->choices; k++)
-            good = h.flags.choice[k] >= 0 && h.flags.choice[k] < i->scene->choice[k].count;
+        sum = h.sum;
     }
-    if (!good)
+    if (size != state_size(i) || h.magic != mine.magic || h.format != mine.format || h.count != mine.count
+        || memcmp(h.guid, mine.guid, sizeof h.guid) != 0)
         return say(i, REFUSED, "%s: the saved state is not one of this mechanism; save it again", i->scene->name);
+    if (sum != state_sum(state, size))
+        return say(i, REFUSED, "%s: the check sum of the saved state does not agree; save it again", i->scene->name);
+    remember(i);
     i->flags = h.flags;
     memcpy(i->numbers, state + sizeof h, i->count * sizeof *i->numbers);
-    memset(i->refused, 0, (size_t)variable_count(i->scene));
-    i->refused_count = 0;
-    return DONE;
+    outcome = sound(i);
+    if (outcome != DONE)
+        go_back(i);
+    return outcome;
+}
+
+/* Penalties ------------------------------------------------------------------------------------------------------- */
+
+Outcome instance_penalize(Instance *i, const double *penalties)
+{
+    const Scene *s = i->scene;
+    Outcome outcome;
+    for (int r = 0; r < s->l; r++)
+        if (!(isfinite(penalties[r]) && penalties[r] >= 0.0))
+            return say(i, REFUSED, "%s: solver.penalty of constraint %d is %g; it must be a finite number, 0 or above",
+                s->name, r + 1, penalties[r]);
+    if (!i->flags.initialized) {
+        memcpy(i->given, penalties, (size_t)s->l * sizeof *penalties);
+        i->flags.given = 1;
+        return DONE;
+    }
+    i->used = 0;
+    hand_over(i);
+    remember(i);
+    memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
+    i->flags.scaled = 0;
+    outcome = change(i, i->on);
+    if (outcome != DONE)
+        go_back(i);
+    i->used = 0;
+    return outcome;
 }

@@ -1,107 +1,39 @@
 """One mechanism in motion: values by name, initialisation, communication steps, outputs, complete state.
 
-The run side's top: this is what an FMU carries, and what `alfmu.simulate` drives.
+What happens while time passes is in the C library; this is its binding for NumPy, and what `alfmu.simulate` drives.
 """
 
 from __future__ import annotations
 
-import copy
-import json
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
-from typing import Any
+import ctypes
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from ..equations import Equations, Mobility, Variable
-from ..equations.monitors import MONITORS, events
-from ..kernel.program import GROSS, PACE, TIERS, TURN, Backend, Layout, Machine, called
-from ..method.inputs import Past
-from ..method.integrators import rk4
-from ..method.singular import MEAN, SPACING
-from ..model.errors import AlfmuError, InputError, OpenError, StepError
-from ..model.settings import BRANCHES, FIXED, FORMULATIONS, METHODS, Settings
-from .assembly import Assembly
-from .oracle import Counters, Oracle
-from .topology import Topology
+from .. import oracle
+from ..equations import Equations, Mobility
+from ..equations.derivation import derive
+from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
+from ..kernel.program import TIERS, Layout, Memory
+from ..kernel.thresholds import LARGE
+from ..method.singular import MEAN
+from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
+from ..model.mechanism import Mechanism
+from ..model.registry import load
+from ..model.settings import FIXED, Settings
+from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
+from .prepare import again, loaded, retraced
 
-__all__ = ["CHOICES", "SOLVER_VARIABLES", "Instance", "choices"]
+__all__ = ["Instance"]
 
-SHORTEST = 2.0**-14
-"""Part of an internal step below which a motion that cannot go on is locked up."""
-
-SAID = 6
-"""Coordinates that an error lists at most."""
-
-TORN = 0.3
-"""Gap that a step may leave before it is closed, over the largest displacement in it."""
-
-SOLVER_VARIABLES = (
-    Variable("solver.step_size", "s", Settings.step_size, 1e-9, None, "largest internal step"),
-    Variable("solver.penalty", "kg", Settings.penalty, 0.0, None, "artificial mass alpha; 0 scales it with the masses"),
-    Variable(
-        "solver.tolerance",
-        "1",
-        Settings.tolerance,
-        1e-16,
-        1e-3,
-        "of multiplier iterations (relative) and of projected constraints (m, rad)",
-    ),
-    Variable(
-        "solver.max_iterations",
-        "1",
-        Settings.max_iterations,
-        1,
-        1000,
-        "limit of the multiplier iteration",
-        type="Integer",
-    ),
-    Variable(
-        "solver.relative_tolerance",
-        "1",
-        Settings.relative_tolerance,
-        1e-13,
-        1e-1,
-        "of methods that control their error",
-    ),
-    Variable(
-        "solver.absolute_tolerance",
-        "1",
-        Settings.absolute_tolerance,
-        0.0,
-        1.0,
-        "the same for small values (m, rad; per s); 0 is the number of the relative one",
-    ),
-    Variable(
-        "solver.input_order",
-        "1",
-        Settings.input_order,
-        0,
-        2,
-        "inputs inside a communication step: 0 held, 1 or 2 extrapolated from past communication points",
-        type="Integer",
-    ),
+_COUNTED = (
+    *("patient_steps", "reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
+    *("energy_error", "energy_start"),
 )
-"""Numbers of the method that a user may set; `CHOICES` come beside them."""
-
-CHOICES = {"solver.formulation": FORMULATIONS, "solver.branch": BRANCHES, "solver.method": METHODS}
-"""Solver variables that are text, and what each can be."""
-
-
-def choices(values: Mapping[str, str]) -> list[Variable]:
-    """The solver variables that are text, at the given values."""
-    return [
-        Variable(
-            name,
-            "1",
-            values[name],
-            description="one of " + ", ".join(f"{key} ({text})" for key, text in known.items()),
-            type="String",
-        )
-        for name, known in CHOICES.items()
-    ]
+"""What the library counts beside the tally of the kernel, in its order."""
 
 
 class Instance:
@@ -109,51 +41,44 @@ class Instance:
 
     Use: `set` parameters and start values, `initialize`, then `step` and `get`, with `set` on inputs at any time::
 
-        i = Instance(equations)
+        i = Instance("five_bar")
         i.set("m2", 0.0)
         i.initialize()
         i.step(0.02)
         i.get("link1.angle")
 
-    A call that raises leaves the instance as it was before.
+    `mechanism` is a `Mechanism`, a name, a file, or equations. A call that raises leaves the instance as it was before.
     """
 
-    def __init__(self, equations: Equations, settings: Settings | None = None):
-        self.equations = e = equations
+    def __init__(self, mechanism: str | Path | Mechanism | Equations, settings: Settings | None = None):
+        e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+        self._given = (settings or default_settings(e)).checked(e.name, e.l)
+        self._take(e)
+
+    def _take(self, equations: Equations) -> None:
+        """Run these equations with the settings that are given."""
+        self.equations = e = retraced(equations, self._given)
+        self._given = given = replace(self._given, method=e.solver.get("method", self._given.method))
         self.name = e.name
-        self.topology = Topology(e)
-        self.input_variables = [*e.inputs, *self.topology.inputs]
-        self._given = settings or Settings(**{"step_size": e.step_size, **e.solver})
-        solver = [replace(v, start=self._solver_default(v.name)) for v in SOLVER_VARIABLES]
-        self.parameters = [*e.parameters, *e.starts, *e.start_rates, *e.compliances, *solver]
-        self.outputs = [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors), *events(e)]
-        self.values = np.array([v.start for v in self.parameters])
-        self.choices = {name: getattr(self._given, _field(name)) for name in CHOICES}
-        self._parameter = {v.name: i for i, v in enumerate(self.parameters)}
-        self._input = {v.name: i for i, v in enumerate(e.inputs)}
-        self._switch = {v.name: i for i, v in enumerate(self.topology.inputs)}
-        self._output = {v.name: i for i, v in enumerate(self.outputs)}
-        self._wrapped = [(self._output[name], start) for name, start in e.wrapped.items()]
-        backend: Backend = e.library or _portable(e)
-        self.oracle, self._assembly = Oracle(e, backend), Assembly(e, backend)
-        self.layout = Layout(e)
-        self.memory = backend.memory(self.layout)
-        self.state, self.inputs = self.memory["z"], self.memory["u"]
-        # A single number takes a fraction of NumPy's time this way.
-        self._clock = memoryview(self.state)[self.layout.time :]
-        self._past = Past(len(e.inputs), self.memory["past"] if self.layout.fields["past"][1] else None)
-        self._adaptive: Any = None
-        self.inputs[:] = [v.start for v in e.inputs]
-        self._watched = [self._output.get(v.name) for v in MONITORS[:3]]
-        self._seen = self.memory["seen"]
-        self._turns = np.array([c.unit == "rad" for c in e.coordinates])
-        self._events = bool(events(e))
-        self.machine: Machine | None = backend.machine(self.memory) if e.kernel else None
-        instant = e.kernel.get("instant", {"calls": []})
-        evaluated = any(name.endswith("_evaluate") for name in called(instant["calls"]))
-        self._iterations_read = instant["iterations"] if evaluated else 0
-        self._fast = self._direct = self._covers = self._whole = self._scaled = self._pending = self._near = False
-        self.initialized = self._known = False
+        found = variables_of(e, given)
+        self.parameters, self.outputs = found.parameters, found.outputs
+        self.input_variables = [*found.inputs, *found.switches]
+        self._variables = {v.name: v for _, v in found.causalities}
+        self._scene = loaded(e)
+        self._unit = Unit(self._scene)
+        self._references = self._scene.references
+        for v in (*found.parameters, *found.choices):
+            self._unit.set(self._references[v.name], v.start)
+        projection = -1 if given.projection is None else int(given.projection)
+        self._judged(self._scene.library.alfmu_stabilise(self._unit.address, given.zeta, given.omega, projection))
+        if np.ndim(given.penalty):
+            self._penalize(np.asarray(given.penalty, float))
+        self.layout = layout = Layout(e)
+        address = self._scene.library.alfmu_state(self._unit.address) - 8 * layout.fields["z"][0]
+        block = np.ctypeslib.as_array((ctypes.c_double * layout.size).from_address(address))
+        self.memory = Memory(layout, block=block)
+        """Named fields of the numbers that evolve (`alfmu.kernel.program.Layout`), as views."""
+        self.state = self.memory["z"][: layout.time + 1]
 
     # State -------------------------------------------------------------------------------------------------------
 
@@ -173,6 +98,11 @@ class Instance:
         return self.state[2 * self.layout.n : self.layout.work]
 
     @property
+    def inputs(self) -> NDArray:
+        """Inputs that are numbers, a view; `set` checks what is given."""
+        return self.memory["u"]
+
+    @property
     def work(self) -> float:
         """Work of inputs, loads and dampers since the start [J]."""
         return float(self.state[self.layout.work])
@@ -180,203 +110,121 @@ class Instance:
     @property
     def time(self) -> float:
         """Time [s]."""
-        return self._clock[0]
+        return self._unit.time
 
     @time.setter
     def time(self, value: float) -> None:
-        self._clock[0] = value
+        self._unit.time = value
+
+    @property
+    def energy_start(self) -> float:
+        """Kinetic and potential energy at the start [J]."""
+        return self._counted()["energy_start"]
+
+    @property
+    def initialized(self) -> bool:
+        return self._unit.initialized
 
     @property
     def adapts(self) -> bool:
         """Whether the method that is chosen controls its error."""
         return self.choices["solver.method"] not in FIXED
 
-    def _solver_default(self, name: str) -> float:
-        value = getattr(self._given, _field(name))
-        return float(value) if np.ndim(value) == 0 else 0.0
+    @property
+    def values(self) -> NDArray:
+        """Parameters, start values and numbers of the solver, in the order of `parameters`."""
+        return np.array(self._unit.get_many(range(len(self.parameters)))[1])
+
+    @property
+    def choices(self) -> dict[str, str]:
+        """The solver variables that are text."""
+        return {name: str(self._unit.get(self._references[name])) for name in CHOICES}
 
     # Values ------------------------------------------------------------------------------------------------------
 
     def set(self, name: str, value: float | str) -> None:
         """Set an input (any time), or a parameter, start value or solver number (before `initialize`)."""
         e = self.equations
-        if name in self._input:
-            self._check(e.inputs[self._input[name]], value)
-            self.inputs[self._input[name]] = value
-            self._known = False
-            return
-        if name in self._switch:
+        reference = self._references.get(name)
+        if reference is None or reference >= self._scene.first_output:
+            names = list(self._references)[: self._scene.first_output]
+            raise InputError(f"{e.name} has no input or parameter {name!r}; it has {', '.join(names)}")
+        v = self._variables[name]
+        if v.type == "Boolean":
             if value not in (0, 1):
                 raise InputError(f"{e.name}: {name} is {value!r}; it must be true or false")
-            self.topology.wanted[self._switch[name]] = value
-            self._pending = self.topology.pending
-            return
-        if name not in self._parameter and name not in CHOICES:
-            names = [*self._input, *self._switch, *self._parameter, *CHOICES]
-            raise InputError(f"{e.name} has no input or parameter {name!r}; it has {', '.join(names)}")
-        if self.initialized:
-            raise InputError(f"{e.name}: {name} is fixed once the run has begun; set it before initialising")
-        if name in CHOICES:
-            replace(self._given, **{_field(name): value}).checked(e.name, e.l)
-            self.choices[name] = value
+        elif v.type == "String":
+            replace(self._given, **{setting(name): value}).checked(e.name, e.l)
         else:
-            self._check(self.parameters[self._parameter[name]], value)
-            self.values[self._parameter[name]] = value
+            checked(e.name, v, value)
+        if setting(name) in ("method", "input_order") and not self.initialized:
+            self._retrace(setting(name), value)
+        elif self._unit.set(reference, value if isinstance(value, str) else float(value)) != DONE:
+            raise InputError(self._unit.text)
+
+    def _retrace(self, name: str, value: float | str) -> None:
+        """Another method of integration, or order of inputs: another scene, with the values that are set."""
+        value = int(value) if name == "input_order" else value
+        if getattr(self._given, name) == value:
+            return
+        before = self._given
+        self._given = replace(before, **{name: value})
+        try:
+            self._rebuild(self.equations)
+        except AlfmuError:
+            self._given = before
+            raise
+
+    def _rebuild(self, equations: Equations) -> None:
+        """Run other equations of this mechanism, with the values that are set."""
+        known = [*self._references][: self._scene.first_output]
+        values, time = {each: self._unit.get(self._references[each]) for each in known}, self.time
+        self._take(equations)
+        for each, old in values.items():
+            if setting(each) not in ("method", "input_order"):
+                self._unit.set(self._references[each], old)
+        self.time = time
 
     def get(self, name: str) -> float | str:
         """The value of an output, input, parameter, start value or solver number."""
-        if name in self._output:
-            return float(self.read()[self._output[name]])
-        if name in self._input:
-            return float(self.inputs[self._input[name]])
-        if name in self._switch:
-            return float(self.topology.wanted[self._switch[name]])
-        if name in self._parameter:
-            return float(self.values[self._parameter[name]])
-        if name in CHOICES:
-            return self.choices[name]
-        raise InputError(f"{self.equations.name} has no variable {name!r}")
-
-    def _check(self, v: Variable, value: float) -> None:
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-            raise InputError(f"{self.equations.name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
-        if v.type == "Integer" and value != int(value):
-            raise InputError(f"{self.equations.name}: {v.name} is {value:g}; it must be a whole number")
-        if (v.minimum is not None and value < v.minimum) or (v.maximum is not None and value > v.maximum):
-            low, high = ("-inf" if v.minimum is None else v.minimum), ("inf" if v.maximum is None else v.maximum)
-            raise InputError(f"{self.equations.name}: {v.name} = {value:g} {v.unit} is outside [{low}, {high}]")
+        if name not in self._references:
+            raise InputError(f"{self.equations.name} has no variable {name!r}")
+        reference = self._references[name]
+        if reference >= self._scene.first_output:
+            self._read()
+        return self._unit.get(reference)
 
     # Life --------------------------------------------------------------------------------------------------------
 
     def initialize(self) -> None:
         """Assemble the mechanism from its start values at `time`; parameters are fixed from here on."""
-        e = self.equations
-        for v, value in zip(self.parameters, self.values, strict=True):
-            self._check(v, float(value))
-        self._check_inputs()
-        p, s, sdot = self._start_values()
-        settings = self._settings()
-        alpha = np.asarray(settings.penalty, float)
-        topology = self.topology
-        topology.on[:] = [wanted and not s.holds for wanted, s in zip(topology.wanted, e.switches, strict=True)]
-        held = (np.ones(e.l, bool) if alpha.ndim == 0 else alpha > 0) & topology.force(topology.on)
-        q = self._assembly.assemble(p, s, held)
-        v = self._assembly.rates(q, p, s, sdot, held)
-        self._assembly.check_masses(q, p, held)
-        oracle = self.oracle
-        oracle.prepare(settings, p, q)
-        self._comply()
-        # Whether the penalty is the one for which the quick step of the kernel is known to be enough.
-        weighted = e.kernel.get("quick", {}).get("weighted", False)
-        self._scaled = alpha.ndim == 0 and alpha == 0 and (weighted or len(set(oracle.penalty)) <= 1)
-        self._full = oracle.penalty
-        oracle.penalty = self._full * held
-        if oracle.settings.projects:
-            q, v, _, _ = oracle.project(q, v, self.time)
-        self._know(q, v)
-        angles = [s[start] if start >= 0 else 0.0 for _, start in self._wrapped]
-        self._begin([*q, *v, *angles, 0.0], oracle.energy(q, v))
-        self._pending = topology.pending
-        if self._pending:
-            self._take_effect()
+        self._unit.run_on(False)
+        self.memory["passes"][:] = 0.0
+        outcome = self._begun() if self.equations.n > LARGE else self._unit.initialize()
+        if outcome == BRAKES:
+            self._rebuild(again(replace(self.equations, brakes=True)))
+            outcome = self._unit.initialize()
+        if outcome != DONE:
+            raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, AssemblyError)(self._unit.text)
+        self._unit.run_on(True)
 
-    def _begin(self, state: Sequence[float], energy: float) -> None:
-        """Go on from q, v, angles and work."""
-        self.state[: self.layout.time] = state
-        self.state[self.layout.time + 1 :] = 0.0
-        self.memory["tally"][:] = 0.0
-        self.energy_start = energy
-        self._known, self.initialized = False, True
-        self._past.numbers[:] = 0.0
-        self._adaptive = self._other_method() if self.oracle.settings.method != "rk4" else None
-        self._choose()
+    def _begun(self) -> int:
+        """Begin a large scene where the oracle, whose matrices are sparse, finds a start."""
+        probe = oracle.Instance(self.equations, self._given)
+        for v in (*self.parameters, *self.input_variables):
+            probe.set(v.name, self.get(v.name))
+        probe.time = self.time
+        probe.initialize()
+        found = probe.known
+        arrays = [np.ascontiguousarray(x, float) for x in found]
+        self._scene.library.alfmu_begin(self._unit.address, *(x.ctypes.data for x in arrays))
+        return DONE
 
-    def _know(self, q: NDArray, v: NDArray) -> None:
-        """Take note of what tells a singular position from a regular one, with the constraints that are held."""
-        oracle = self.oracle
-        if self.equations.l:
-            usual = self.topology.force(np.zeros(len(self.equations.switches)))
-            freedom = self.equations.freedom if (oracle.active == usual).all() else None
-            oracle.know(q, v, self._mobility(q).freedom if freedom is None else freedom)
-
-    def _choose(self) -> None:
-        """Take the kernel where it does what the settings ask for, otherwise the oracle."""
-        oracle, memory, programs = self.oracle, self.memory, self.equations.kernel
-        settings, alpha = oracle.settings, oracle.penalty
-        self._continues = settings.continues and self.equations.l > 0
-        self._fast = bool(
-            self.machine is not None
-            and settings.formulation == "residual"
-            and settings.projects
-            and (self.equations.brakes or not oracle.brakes)
-            and settings.max_iterations >= programs["careful"]["iterations"]
-            and (not len(alpha) or alpha.max() > 0)
-            and ("branch" in programs or not self._continues)
-        )
-        if self._fast:
-            largest = alpha.max(initial=1e-300)
-            memory["p"][:] = oracle.p
-            memory["dt"][:] = settings.step_size
-            freedoms = oracle.freedom, oracle.masses, math.exp(oracle.regular)
-            watched = *freedoms, oracle.nothing, oracle.least_distance, self._continues
-            control = (self._adaptive.relative, self._adaptive.absolute) if self._adaptive else (0.0, 0.0)
-            first = largest if len(alpha) else 1.0, settings.tolerance, *watched, *control
-            shares = oracle.stiffnesses if self.equations.compliances else ()
-            self._largest = largest
-            memory["k"][: memory["k"].size - self.equations.brakes * len(alpha) ** 2] = [
-                *first,
-                *(alpha / largest),
-                *(1 / oracle.units),
-                *(largest / oracle.scales),
-                *shares,
-            ]
-            if self.equations.brakes:
-                self._hold()
-            # The quick step is known to be enough for the penalty scaled with the masses alone.
-            careful = not (self._scaled or programs["quick"] == programs["careful"])
-            kind = 0 if settings.method == "rk4" else 1 + (settings.method in FIXED)
-            memory["control"][:] = settings.step_size, careful, kind
-        # Whether the kernel makes the steps too, beside what is read, by RK4 or by the method of the scene; and all of
-        # a communication step in one call.
-        otherwise = settings.input_order != (self.equations.solver.get("input_order", 0) if "reach" in programs else 0)
-        self._direct = self._fast and settings.method == "rk4" and not otherwise
-        traced = programs.get("method")
-        self._covers = bool(
-            self._fast and self._adaptive and traced and traced["rule"] == self._adaptive.rule.name and not otherwise
-        )
-        self._whole = (self._direct or self._covers) and not self.equations.brakes
-
-    def _hold(self) -> None:
-        """Hand the constraints that are independent here on to the kernel, where redundant ones would brake."""
-        self.oracle.hold(self.q)
-        self.memory["k"][-(self.equations.l**2) :] = self.oracle.alpha.ravel() / self._largest
-
-    def _start_values(self) -> list[NDArray]:
-        """Parameters with what locks keep, start values and start rates."""
-        e = self.equations
-        p, s, sdot, *_ = np.split(self.values, np.cumsum([len(e.parameters), len(e.starts), len(e.start_rates)]))
-        return [np.concatenate([p, self.topology.kept]), s, sdot]
-
-    def _comply(self) -> None:
-        """Hand compliances on; all constraints have one, or none."""
-        e = self.equations
-        given = np.array([self.values[self._parameter[v.name]] for v in e.compliances])
-        if given.any():
-            if not given.all():
-                name = e.compliances[int(np.argmin(given))].name
-                raise InputError(
-                    f"{e.name}: {name} is 0 and others are not; give each constraint a compliance, or none"
-                )
-            self.oracle.compliances = given
-
-    def _settings(self) -> Settings:
-        """Settings from the values of the solver variables, and from what has no variable."""
-        values = {_field(v.name): self.values[self._parameter[v.name]] for v in SOLVER_VARIABLES}
-        values |= {_field(name): value for name, value in self.choices.items()}
-        values |= {name: int(values[name]) for name in ("max_iterations", "input_order")}
-        if np.ndim(self._given.penalty):
-            values["penalty"] = self._given.penalty
-        return replace(self._given, **values)
+    def initialize_with(self, inputs: Mapping[str, float]) -> None:
+        """Initialise with these inputs."""
+        for name, value in inputs.items():
+            self.set(name, value)
+        self.initialize()
 
     def step(self, communication_step: float, time: float | None = None) -> None:
         """Cover one communication step [s] with internal steps no longer than solver.step_size.
@@ -384,296 +232,93 @@ class Instance:
         `time` is the communication point where the step begins, if the caller keeps time; it must be the instance's.
         Raises InputError or StepError and keeps the state before the step where the step cannot be taken.
         """
-        h = communication_step
-        start = self.time if time is None else time
-        if self._pending:
-            self._step_after_event(h, start)
-        elif not (self._whole and isinstance(h, (int, float)) and self.machine.communicate(start, h)):
-            self._step(h, start)
-        self._known = False
+        unit = self._unit
+        if not isinstance(communication_step, (int, float, np.number)):
+            h = communication_step
+            raise InputError(
+                f"{self.name}, t = {self.time:.6g} s: a communication step of {h} s; it must be above zero"
+            )
+        self._judged(unit.step(unit.time if time is None else time, communication_step))
 
-    def _step_after_event(self, h: float, start: float) -> None:
-        """A communication step that begins with switches taking effect; where it cannot be taken, nothing has."""
-        before = self.save()
-        self._take_effect()
-        try:
-            self._step(h, start)
-        except AlfmuError:
-            self.restore(before)
-            raise
+    def _judged(self, outcome: int) -> None:
+        if outcome != DONE:
+            kinds = {REFUSED: InputError, OPEN: OpenError, UNHELD: AssemblyError}
+            raise kinds.get(outcome, StepError)(self._unit.text)
 
-    def _step(self, h: float, start: float) -> None:
-        """A communication step that the kernel cannot make in one go: everything is looked at."""
-        e = self.equations
+    def _read(self) -> int:
         if not self.initialized:
-            raise InputError(f"{e.name}: initialise before the first step")
-        if not (isinstance(h, (int, float, np.number)) and math.isfinite(h) and h > 0):
-            raise InputError(f"{e.name}, t = {self.time:.6g} s: a communication step of {h} s; it must be above zero")
-        if not abs(start - self.time) <= 1e-6 * h + 1e-12 * abs(self.time):
-            raise InputError(f"{e.name}: a step from t = {start} s is asked for, but the state is at t = {self.time} s")
-        self._check_inputs()
-        n = max(1, math.ceil(h / self.oracle.settings.step_size * (1 - 1e-12)))
-        dt, done = h / n, 0
-        before, counters = self.state.copy(), copy.copy(self.counters)
-        past = self._past.numbers.copy()
-        self._past.reach(start, self.inputs)
-        try:
-            if self._adaptive:
-                self._advance(start, h, n)
-                done = n
-            while done < n:
-                if self._direct:
-                    self.time = start + done * dt
-                    if self.equations.brakes:
-                        self._hold()
-                    made = self.machine.advance(n - done if self._whole else 1, dt)
-                    self._known, done = self._known and not made, done + made
-                if done < n:
-                    self._watched_step(start + done * dt, dt)
-                    self._known, done = False, done + 1
-        except AlfmuError:
-            self.state[:], self._past.numbers[:] = before, past
-            self.memory["tally"][:], self.memory["passes"][:] = 0.0, 0.0
-            self.oracle.counters = counters
-            raise
-        self.time = start + h
-
-    def _extrapolated(self, t: float) -> NDArray:
-        """The inputs at t, inside the communication step under way."""
-        order = self.oracle.settings.input_order
-        return self._past.at(t, order) if order else self.inputs
-
-    def _other_method(self) -> Any:
-        """What makes steps by a method other than RK4; loaded where a scene asks for it."""
-        name, method = self.equations.name, self.oracle.settings.method
-        try:
-            from .adaptive import TANGENTS, adaptive
-        except ImportError:
-            raise InputError(
-                f"{name}: this FMU carries rk4 alone; export it with --set solver.method={method}"
-            ) from None
-        if method in TANGENTS and "tangents" not in self.equations.signatures:
-            raise InputError(
-                f"{name}: solver.method {method} needs the tangents of the equations; choose it where the scene is "
-                f"made: simulate(..., parameters={{'solver.method': '{method}'}}), or export with --set"
-            )
-        return adaptive(self.oracle, self._extrapolated, self.memory["pace"][:3])
-
-    def spectrum(self) -> NDArray:
-        """Eigenvalues [1/s] of small motions about the present one; for methods that have tangents."""
-        self._adaptive.place(self.time, self.q, self.v, self.work)
-        return self._adaptive.spectrum()
-
-    def _advance(self, start: float, h: float, n: int) -> None:
-        """A communication step by a method other than RK4; n steps where they have a given length."""
-        a, pace, end, brakes = self._adaptive, self.memory["pace"], start + h, self.equations.brakes
-        before, refused = pace.copy(), a.counts["refused"]
-        a.fixed = h / n if self.oracle.settings.method in FIXED else None
-        pace[PACE.index("fixed")], pace[PACE.index("last")] = a.fixed or 0.0, 0.0
-        self.time = start
-        a.place(start, self.q, self.v, self.work)
-        try:
-            while self.time < end:
-                if not self._covers:
-                    a.advance(end, self._taken)
-                    continue
-                if brakes:
-                    self._hold()
-                if not self.machine.cover(end, 1 if brakes else -1):
-                    a.place(self.time, self.q, self.v, self.work)
-                    a.advance(end, self._taken, 1)
-                    pace[PACE.index("last")] = 0.0
-        except AlfmuError:
-            pace[:] = before
-            raise
-        self.oracle.counters.refused += a.counts["refused"] - refused
-        self._known = False
-
-    def _taken(self) -> None:
-        """Take over the state that a step led to."""
-        a, c, zeros = self._adaptive, self.oracle.counters, np.zeros(self.equations.n)
-        position, velocity = self.oracle.residues(a.q, a.v)
-        c.steps += 1
-        c.position_error = max(c.position_error, position)
-        c.velocity_error = max(c.velocity_error, velocity)
-        angles = self.angles
-        if self._wrapped:
-            u = self._extrapolated(a.t)
-            angles = self._unwrap(self.oracle.outputs(a.q, a.v, zeros, np.zeros(self.equations.l), u, a.t), angles)
-        self.state[: self.layout.time + 1] = [*a.q, *a.v, *angles, a.work, a.t]
-
-    def _watched_step(self, start: float, dt: float) -> None:
-        """One internal step by the oracle; near a singular position in shorter ones where constraints stay open."""
-        try:
-            self._follow(start, dt)
-        except OpenError as error:
-            if not self._near:
-                raise
-            self._subdivided(start, dt, error)
-
-    def _subdivided(self, start: float, dt: float, error: OpenError) -> None:
-        """An internal step near a singular position in shorter ones; StepError where none, however short, leads on."""
-        oracle, t, h = self.oracle, 0.0, dt / 2
-        while t < dt and h > dt * SHORTEST:
-            try:
-                self._follow(start + t, h)
-                t, h = t + h, min(2 * h, dt - t - h)
-            except OpenError:
-                h /= 2
-        if t >= dt:
-            return
-        where = ", ".join(
-            f"{c.name} = {x:.6g}" for c, x in zip(self.equations.coordinates[:SAID], self.q, strict=False)
-        )
-        raise StepError(
-            f"{self.equations.name}, t = {start + t:.6g} s: locked up at {where}; no motion goes on from this singular "
-            f"position (distance {oracle.margin(self.q) ** 0.5:.1e}); turn round before it, or change lengths or start"
-        ) from error
-
-    @np.errstate(all="ignore")
-    def _follow(self, start: float, dt: float) -> None:
-        """One internal step by the oracle, which iterates until it converges."""
-        e, oracle, u, c = self.equations, self.oracle, self.inputs, self.oracle.counters
-        size = e.n
-        known = self._accelerations if self._known and start == self.time else None
-        self._near = False
-
-        def rate(t: float, y: NDArray) -> NDArray:
-            q, v = y[:size], y[size : 2 * size]
-            if self._continues:
-                self._near = self._near or oracle.near(q)
-            a = known
-            if a is None or t != start:
-                a, _, _, _ = oracle.accelerations(q, v, self._extrapolated(t), t)
-            return moved(t, y, a)
-
-        def rate_on_branch(t: float, y: NDArray) -> NDArray:
-            u = self._extrapolated(t)
-            a, *_ = oracle.accelerations_on_branch(y[:size], y[size : 2 * size], u, t, SPACING * dt)
-            return moved(t, y, a)
-
-        def moved(t: float, y: NDArray, a: NDArray) -> NDArray:
-            q, v = y[:size], y[size : 2 * size]
-            return np.concatenate([v, a, [oracle.power(q, v, self._extrapolated(t), t) if e.works else 0.0]])
-
-        oracle.hold(self.q)
-        t = start + dt
-        begin = np.concatenate([self.q, self.v, [self.work]])
-        unconverged = c.unconverged
-        y = rk4(rate, start, begin, dt)
-        if self._near:
-            c.unconverged = unconverged
-            y = rk4(rate_on_branch, start, begin, dt)
-        q, v = y[:size], y[size : 2 * size]
-        if not np.isfinite(y).all():
-            raise StepError(f"{e.name}, t = {t:.6g} s: the state is not finite; reduce solver.step_size")
-        if oracle.settings.projects:
-            self._check_length(q - begin[:size], q, t)
-            q, v, position, velocity = oracle.project(q, v, t, self._near)
-        else:
-            position, velocity = oracle.residues(q, v)
-        c.steps += 1
-        c.position_error = max(c.position_error, position)
-        c.velocity_error = max(c.velocity_error, velocity)
-        angles = self.angles
-        if self._wrapped:
-            zeros = np.zeros(size), np.zeros(e.l)
-            angles = self._unwrap(oracle.outputs(q, v, *zeros, u, t), angles)
-        self.state[: self.layout.time + 1] = [*q, *v, *angles, y[-1], t]
-
-    def _check_length(self, moved: NDArray, q: NDArray, t: float) -> None:
-        """StepError where a step to q that moved the coordinates so far (n,) is too long to mean anything."""
-        e, say = self.equations, f"{self.equations.name}, t = {t:.6g} s"
-        turned = np.where(self._turns, np.abs(moved), 0.0)
-        if turned.max(initial=0.0) > TURN:
-            name = e.coordinates[int(np.argmax(turned))].name
-            raise StepError(
-                f"{say}: {name} turned by {turned.max():.3g} rad in one step, more than half a turn; "
-                "reduce solver.step_size"
-            )
-        gap, row = self.oracle.widest(q)
-        if gap > TORN * np.abs(moved).max(initial=0.0) and gap > GROSS:
-            raise StepError(
-                f"{say}: a step of {np.abs(moved).max():.3g} opened {row} by {gap:.3g}; reduce solver.step_size"
-            )
+            raise InputError(f"{self.name}: outputs are known after initialising")
+        outcome = self._unit.read()
+        self._judged(outcome)
+        return outcome
 
     def read(self) -> NDArray:
         """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
-        if not self.initialized:
-            raise InputError(f"{self.equations.name}: outputs are known after initialising")
-        if not self._known:
-            if self._fast and self.equations.brakes:
-                self._hold()
-            if self._fast and self.machine.read():
-                self._y = self._seen[:-3].copy()
-                if self._events:
-                    self._y = np.concatenate([self._y, self.topology.read()])
-                self._accelerations = None
-                acceleration, used = float(self._seen[-3]), self._iterations_read
-                self.oracle.counters.evaluations += used > 0
-                self.oracle.counters.multiplier_iterations += used
-            else:
-                acceleration = self._read_by_oracle()
-            self._known = True
-            self._watch(acceleration)
-        return self._y
-
-    @np.errstate(all="ignore")
-    def _read_by_oracle(self) -> float:
-        """All outputs by iterations that converge; returns the largest |Phi-ddot|."""
-        oracle, q, v, t = self.oracle, self.q, self.v, self.time
-        oracle.hold(q)
-        a, lam, used, left, singular = oracle.read(q, v, self.inputs, t, self._continues)
-        self._y, self._accelerations = self._outputs(a, lam, used, oracle.margin(q), singular), a
-        return float(np.abs(left[oracle.active]).max(initial=0.0))
-
-    def _watch(self, acceleration: float) -> None:
-        """Keep the largest errors; NaN for what nobody watches. float(): counters go into the saved state as JSON."""
-        c, (position, velocity, energy) = self.oracle.counters, self._watched
-        c.position_error = math.nan if position is None else max(c.position_error, float(self._y[position]))
-        c.velocity_error = math.nan if velocity is None else max(c.velocity_error, float(self._y[velocity]))
-        c.acceleration_error = max(c.acceleration_error, acceleration)
-        balance = math.nan if energy is None else abs(float(self._y[energy]) - self.energy_start - self.work)
-        c.energy_error = balance if energy is None else max(c.energy_error, balance)
-
-    def read_inputs(self) -> NDArray:
-        """The inputs as they are now, in the order of `input_variables`."""
-        return np.concatenate([self.inputs, self.topology.wanted])
+        self._read()
+        return np.array(self._unit.outputs)
 
     def read_state(self) -> NDArray:
         """Like `read` where accelerations and reactions cannot be computed: they are NaN, the rest is known."""
-        e = self.equations
-        return self._outputs(np.full(e.n, np.nan), np.full(e.l, np.nan), 0, self.oracle.margin(self.q), 0)
+        self._unit.read()
+        return np.array(self._unit.outputs)
 
-    def _outputs(self, a: NDArray, lam: NDArray, used: int, margin: float, singular: int) -> NDArray:
-        oracle, q, v = self.oracle, self.q, self.v
-        y = oracle.outputs(q, v, a, lam, self.inputs, self.time)
-        self.angles[:] = self._unwrap(y, self.angles)
-        y[[i for i, _ in self._wrapped]] = self.angles
-        values = *oracle.residues(q, v), oracle.energy(q, v), used, math.sqrt(max(margin, 0.0)), singular
-        seen = zip(MONITORS, values, strict=True)
-        monitors = [value for v, value in seen if v.name in self._output]
-        return np.concatenate([y, monitors, self.topology.read()] if self._events else [y, monitors])
+    def read_inputs(self) -> NDArray:
+        """The inputs as they are now, in the order of `input_variables`."""
+        return np.array([self._unit.get(self._references[v.name]) for v in self.input_variables])
+
+    def run(
+        self,
+        times: NDArray,
+        inputs: Sequence[str],
+        table: NDArray,
+        wanted: Sequence[str],
+        progress: Callable[[int], bool] | None = None,
+    ) -> tuple[NDArray, AlfmuError | None]:
+        """A whole run in one call: communication points (k,) [s], a table (k, inputs) of inputs at each.
+
+        Returns the wanted variables (rows, wanted) at the communication points that were reached, and the reason where
+        these are not all. `progress` is called after each communication step; the run ends where it returns False.
+        """
+        times, table = np.ascontiguousarray(times, float), np.ascontiguousarray(table, float)
+        values = np.empty((len(times), len(wanted)))
+        places = [[self._references[name] for name in names] for names in (inputs, wanted)]
+        self.time = float(times[0])
+        self.initialize_with(dict(zip(inputs, table[0], strict=True)))
+        addresses = (x.ctypes.data for x in (times, table, values))
+        begin, rows, into = addresses
+        raised: list[BaseException] = []
+
+        def guarded(done: int) -> int:
+            try:
+                return int(progress is None or progress(done) is not False)
+            except BaseException as error:
+                raised.append(error)
+                return 0
+
+        callback = guarded if progress else None
+        made, outcome = self._unit.run(begin, len(times), places[0], rows, places[1], into, callback)
+        if raised:
+            raise raised[0]
+        error = None
+        if outcome not in (DONE, INTERRUPTED):
+            kinds = {REFUSED: InputError, OPEN: OpenError, FAILED: StepError if self.initialized else AssemblyError}
+            error = kinds.get(outcome, AssemblyError)(self._unit.text)
+        return values[:made], error
+
+    # Topology ----------------------------------------------------------------------------------------------------
 
     def mobility(self) -> Mobility:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
-        return self._mobility(self.q)
+        found = [ctypes.c_int() for _ in range(3)]
+        library = self._scene.library
+        self._judged(library.alfmu_mobility(self._unit.address, *map(ctypes.byref, found)))
+        return Mobility(*(x.value for x in found))
 
     def shared(self) -> list[str]:
         """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
-        e, oracle, zeros = self.equations, self.oracle, np.zeros(self.equations.n)
-
-        def read(lam: NDArray) -> NDArray:
-            return oracle.outputs(self.q, zeros, zeros, lam, self.inputs, self.time)
-
-        nothing = read(np.zeros(e.l))
-        found = np.zeros(len(nothing))
-        for lam in self._assembly.redundancy(oracle.p, self.q, oracle.active).T:
-            found = np.maximum(found, np.abs(read(lam) - nothing))
-        return [v.name for v, size in zip(e.outputs, found, strict=True) if size > 1e-7]
-
-    def _mobility(self, q: NDArray) -> Mobility:
-        return self._assembly.mobility(self.oracle.p, q, self.oracle.active)
+        probe = oracle.Instance(self.equations)
+        probe.take(self.memory["p"], self.state, self.penalty)
+        return probe.shared()
 
     @property
     def penalty(self) -> NDArray:
@@ -682,164 +327,64 @@ class Instance:
         A constraint that is switched on again must be closed; its velocity becomes consistent at once (10), as in a
         plastic impact. Raises InputError otherwise, and keeps the old values.
         """
-        return self.oracle.penalty
+        found = np.empty(self.equations.l)
+        self._scene.library.alfmu_penalties(self._unit.address, found.ctypes.data)
+        return found
 
     @penalty.setter
-    def penalty(self, alpha: NDArray) -> None:
+    def penalty(self, alpha: ArrayLike) -> None:
         e, full = self.equations, np.array(alpha, float)
-        replace(self.oracle.settings, penalty=full).checked(e.name, e.l)
-        full = np.broadcast_to(full, (e.l,)).copy()
-        self._change(full * self.topology.force(self.topology.on))
-        self._full, self._scaled = full, False
-        self._choose()
+        replace(self._given, penalty=full).checked(e.name, e.l)
+        self._penalize(np.broadcast_to(full, (e.l,)))
 
-    def _take_effect(self) -> None:
-        """Put in force what the Boolean inputs ask for, at this instant; where that cannot be, they are as before."""
-        oracle, topology = self.oracle, self.topology
-        if not self.initialized:
-            return
-        before = topology.kept.copy()
-        self._pending = False
-        topology.kept[:] = topology.stops(oracle.displacements(self.q))
-        oracle.p = self._start_values()[0]
-        try:
-            self._change(self._full * topology.force(topology.wanted))
-        except AlfmuError:
-            topology.kept[:], topology.wanted[:] = before, topology.on
-            oracle.p = self._start_values()[0]
-            raise
-        topology.on[:] = topology.wanted
+    def _penalize(self, alpha: NDArray) -> None:
+        alpha = np.ascontiguousarray(alpha, float)
+        self._judged(self._scene.library.alfmu_penalize(self._unit.address, alpha.ctypes.data))
 
-    def _change(self, alpha: NDArray) -> None:
-        """Other penalties (l,) from now on; what comes into force must be closed, and makes the velocity consistent."""
-        e, oracle, before, known = self.equations, self.oracle, self.oracle.penalty, self.oracle.known
-        oracle.penalty = alpha
-        try:
-            gap, row = oracle.widest(self.q)
-            if not gap <= GROSS:
-                raise InputError(
-                    f"{e.name}, t = {self.time:.6g} s: a constraint that is open by {gap:.3g} at {row} cannot be "
-                    "switched on; wait until it closes"
-                )
-            self._assembly.check_masses(self.q, oracle.p, oracle.active)
-            new = oracle.active & ~(before > 0)
-            nothing = self.v.copy(), np.zeros(e.l), 0.0
-            v, impulses, lost = oracle.impact(self.q, self.v, self.time) if new.any() else nothing
-            self._know(self.q, v)
-        except AlfmuError:
-            oracle.penalty, oracle.known = before, known
-            raise
-        self.v[:] = v
-        self.state[self.layout.work] -= lost
-        self.topology.happened(impulses, lost, new)
-        self._known = False
-        self._choose()
-
-    # State -------------------------------------------------------------------------------------------------------
+    # Counters and state ------------------------------------------------------------------------------------------
 
     @property
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
-        c, tally = self.oracle.counters, self.memory["tally"]
-        *steps, limits, covered, refused, beside, beside_limits = map(int, tally)
-        first = TIERS[int(self.memory["control"][1])]
-        for made, tier in zip(steps, TIERS, strict=True):
+        counted, tally = self._counted(), self.memory["tally"].astype(int).tolist()
+        kernel, c = self.equations.kernel, Counters()
+        *steps, limits, covered, refused, beside, beside_limits = tally
+        errors = ("position_error", "velocity_error", "acceleration_error", "energy_error")
+        for name in errors:
+            setattr(c, name, float(counted[name]))
+        for made, tier in zip([*steps, int(counted["patient_steps"])], [*TIERS, "careful"], strict=True):
             if made:
-                program = self.equations.kernel[tier]
-                tried = 1 + (tier != first)  # at least: a step begins with the first tier
-                evaluations = 4 * tried * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
+                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
                 c.steps += made
                 c.evaluations += evaluations
-                c.multiplier_iterations += evaluations * program["iterations"]
-                c.projection_iterations += 2 * made * program["corrections"]
+                c.multiplier_iterations += evaluations * kernel[tier]["iterations"]
+                c.projection_iterations += 2 * made * kernel[tier]["corrections"]
         if tried := covered + refused + beside:
-            program = self.equations.kernel["method"]
-            passes = int(self.memory["passes"].sum())
-            evaluations = tried * program["evaluations"] + passes * program.get("nodes", 0)
-            evaluations += beside_limits * (2 * self.equations.kernel["beside"]["side"] - 1) if beside else 0
+            program = kernel["method"]
+            evaluations = tried * program["evaluations"] + int(self.memory["passes"].sum()) * program.get("nodes", 0)
+            evaluations += beside_limits * (2 * kernel["beside"]["side"] - 1) if beside else 0
             c.steps += covered
             c.refused += refused
             c.evaluations += evaluations
             c.multiplier_iterations += evaluations * program["iterations"]
             c.projection_iterations += 2 * tried * program["corrections"]
-        tally[:] = 0.0
-        self.memory["passes"][:] = 0.0
+        c.patient = int(counted["patient_steps"])
+        reads = int(counted["reads"])
+        c.evaluations += reads
+        c.multiplier_iterations += reads * kernel["instant"].get("iterations", 0)
+        c.unconverged = int(counted["unconverged"])
         return c
+
+    def _counted(self) -> dict[str, float]:
+        raw = np.empty(len(_COUNTED) + len(TIERS) + 5)
+        self._scene.library.alfmu_counts(self._unit.address, raw.ctypes.data)
+        return dict(zip(_COUNTED, raw.tolist(), strict=False))
 
     def save(self) -> bytes:
         """The complete state, from which `restore` continues to the last bit."""
-        head = {
-            "initialized": self.initialized,
-            "choices": self.choices,
-            "scaled": bool(self._scaled),
-            "counters": asdict(self.counters) if self.initialized else None,
-        }
-        numbers = [self.values, self.inputs, self.state]
-        if self.initialized:
-            oracle = self.oracle
-            control = self._adaptive.control.numbers if self._adaptive else ()
-            numbers += [[self.energy_start], self._past.numbers, control]
-            numbers += [oracle.penalty, self._full, oracle.known, oracle.units, self.topology.numbers]
-        text = json.dumps(head, sort_keys=True).encode()
-        return len(text).to_bytes(8, "little") + text + np.concatenate(numbers).tobytes()
+        return self._unit.save()
 
     def restore(self, state: bytes) -> None:
         """Continue from a state that `save` gave, of this mechanism."""
-        e = self.equations
-        try:
-            size = int.from_bytes(state[:8], "little")
-            head = json.loads(state[8 : 8 + size])
-            numbers = np.frombuffer(state[8 + size :]).copy()
-            sizes = [len(self.parameters), len(e.inputs), len(self.state)]
-            if head["initialized"]:
-                adaptive = head["choices"]["solver.method"] != "rk4"
-                known = len(self.oracle.known)
-                sizes += [1, len(self._past.numbers), 3 * adaptive, e.l, e.l, known, e.l, len(self.topology.numbers)]
-            if numbers.size != sum(sizes):
-                raise ValueError(numbers.size)
-        except (ValueError, KeyError) as error:
-            raise InputError(f"{e.name}: the saved state is not one of this mechanism; save it again") from error
-        parts = np.split(numbers, np.cumsum(sizes)[:-1])
-        self.values, self.inputs[:], self.state[:] = parts[:3]
-        self.choices = head["choices"]
-        self.initialized = self._known = False
-        if head["initialized"]:
-            state = self.state.copy()
-            energy, past, control, penalty, full, known, units, topology = parts[3:]
-            self.topology.numbers[:] = topology
-            self._pending = self.topology.pending
-            self.oracle.prepare(self._settings(), self._start_values()[0], self.q)
-            self._comply()
-            self.oracle.penalty, self._full = penalty, full
-            self._scaled = head["scaled"]
-            self.oracle.known, self.oracle.units = known, units
-            self._begin(state[: self.layout.time], float(energy[0]))
-            self._past.numbers[:] = past
-            if self._adaptive:
-                self._adaptive.control.numbers[:] = control
-            self.state[:] = state
-            self.oracle.counters = Counters(**head["counters"])
-        else:
-            self._fast = self._direct = self._whole = False
-
-    def _check_inputs(self) -> None:
-        if not np.isfinite(self.inputs).all():
-            for v, value in zip(self.equations.inputs, self.inputs, strict=True):
-                self._check(v, float(value))
-
-    def _unwrap(self, y: NDArray, near: NDArray) -> NDArray:
-        """Computed angles moved by whole turns to the values nearest to `near`."""
-        raw = y[[i for i, _ in self._wrapped]] if self._wrapped else near
-        return raw + 2 * np.pi * np.round((near - raw) / (2 * np.pi))
-
-
-def _field(name: str) -> str:
-    """The field of Settings behind a solver variable."""
-    return name.removeprefix("solver.")
-
-
-def _portable(equations: Equations) -> Backend:
-    """The functions as CasADi holds them; loaded here alone, as compiled ones need no CasADi."""
-    from ..kernel.vm import Vm
-
-    return Vm(equations)
+        if self._unit.restore(state) != DONE:
+            raise InputError(self._unit.text)

@@ -112,3 +112,78 @@ double norm(const double *x, int count)
 {
     return sqrt(product(x, x, count));
 }
+
+/* Factors of the matrix of s * s blocks (n, n) that are sums of the parts of their row (by columns), by weights of row
+   and column: rows in `order`, L without its diagonal of ones below that of U. */
+void factor(int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order)
+{
+    const int size = n * s;
+    for (int i = 0; i < s; i++)
+        for (int j = 0; j < s; j++)
+            for (int r = 0; r < n; r++) {
+                double *row = a + (i * n + r) * size + j * n;
+                for (int c = 0; c < n; c++)
+                    row[c] = weights[i * s + j] * parts[i][c * n + r];
+                for (int t = 1; t < terms; t++)
+                    for (int c = 0; c < n; c++)
+                        row[c] += weights[(t * s + i) * s + j] * parts[t * s + i][c * n + r];
+            }
+    for (int i = 0; i < size; i++)
+        order[i] = i;
+    for (int k = 0; k < size; k += 4) {
+        /* Four columns, with the rows below. */
+        const int end = k + 4 < size ? k + 4 : size;
+        for (int p = k; p < end; p++) {
+            int largest = p;
+            for (int i = p + 1; i < size; i++)
+                if (fabs(a[i * size + p]) > fabs(a[largest * size + p]))
+                    largest = i;
+            if (largest != p) {
+                double kept = order[p];
+                order[p] = order[largest];
+                order[largest] = kept;
+                for (int j = 0; j < size; j++) {
+                    kept = a[p * size + j];
+                    a[p * size + j] = a[largest * size + j];
+                    a[largest * size + j] = kept;
+                }
+            }
+            for (int i = p + 1; i < size; i++) {
+                const double by = a[i * size + p] /= a[p * size + p];
+                for (int j = p + 1; j < end; j++)
+                    a[i * size + j] -= by * a[p * size + j];
+            }
+        }
+        /* The same rows right of them, then what is left. */
+        for (int p = k; p < end; p++)
+            for (int i = p + 1; i < end; i++)
+                for (int j = end; j < size; j++)
+                    a[i * size + j] -= a[i * size + p] * a[p * size + j];
+        if (end - k == 4)
+            for (int i = end; i < size; i++) {
+                const double *restrict u = a + k * size, *l = a + i * size + k;
+                double *restrict row = a + i * size;
+                const double l0 = l[0], l1 = l[1], l2 = l[2], l3 = l[3];
+                for (int j = end; j < size; j++)
+                    row[j] -= l0 * u[j] + l1 * u[j + size] + (l2 * u[j + 2 * size] + l3 * u[j + 3 * size]);
+            }
+    }
+}
+
+void solve(int n, int s, const double *a, const double *order, const double *const *right, double *x)
+{
+    const int size = n * s;
+    for (int i = 0; i < size; i++) {
+        const int from = (int)order[i];
+        double sum = right[from / n][from % n];
+        for (int j = 0; j < i; j++)
+            sum -= a[i * size + j] * x[j];
+        x[i] = sum;
+    }
+    for (int i = size - 1; i >= 0; i--) {
+        double sum = x[i];
+        for (int j = i + 1; j < size; j++)
+            sum -= a[i * size + j] * x[j];
+        x[i] = sum / a[i * size + i];
+    }
+}

@@ -5,6 +5,11 @@
 
 #include <stddef.h>
 
+/* Also where an importer compiles this: other libraries have such names too (glibc: advance). */
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
+
 /* a = U S V': on return the columns of a (rows x columns) are those of U times s, largest first; v is columns x
    columns. */
 void singular_values(int rows, int columns, double *a, double *v, double *s);
@@ -19,5 +24,13 @@ double largest(const double *x, int count);
 
 /* The Euclidean norm. */
 double norm(const double *x, int count);
+
+/* Factors of the matrix of blocks * blocks parts (n, n), and a solution by them. */
+void factor(int n, int blocks, int terms, const double *weights, const double *const *parts, double *a, double *order);
+void solve(int n, int blocks, const double *a, const double *order, const double *const *right, double *x);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif

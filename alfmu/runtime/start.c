@@ -26,9 +26,9 @@ static void closure_at(Instance *i, Loops *loops, const double *q)
     const Scene *s = i->scene;
     const double *x[] = {q, field(i, s->p), starts(i)};
     const size_t used = i->used;
-    double *gaps = take(i, (size_t)nonzeros(&s->gaps)), *ties = take(i, (size_t)nonzeros(&s->tie_rows));
+    double *gaps = take(i, (size_t)s->gaps.entries), *ties = take(i, (size_t)s->tie_rows.entries);
     double *y[] = {gaps, ties, loops->residue, loops->residue + s->l};
-    s->closure(x, y, i->workspace);
+    call(i, s->closure, x, y);
     spread(&s->gaps, gaps, loops->gaps);
     spread(&s->tie_rows, ties, loops->ties);
     for (int r = 0; r < s->l; r++)
@@ -199,7 +199,7 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
     const double *rate = starts(i) + s->starts;
     double *matrix = take(i, l * n), *left = take(i, (size_t)loops->count), *dv = take(i, n), *xi = take(i, l);
     double *F = take(i, n), *phi = take(i, l), *cv = take(i, l), *zeros = take(i, (size_t)s->inputs + 1);
-    double *M = take(i, (size_t)nonzeros(&s->mass)), *C = take(i, (size_t)nonzeros(&s->constraint)), lost = 0.0, most;
+    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries), lost = 0.0, most;
     const double zero = 0.0;
     int worst = 0;
     constraints_at(i, q, v, NULL, matrix, phi, cv);
@@ -238,7 +238,7 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
         const double *x[] = {q, v, zeros, field(i, s->p), &zero};
         double *y[] = {M, C, F, xi};
         memset(zeros, 0, ((size_t)s->inputs + 1) * sizeof *zeros);
-        s->dynamics(x, y, i->workspace);
+        call(i, s->dynamics, x, y);
     }
     for (int r = 0; r < s->l; r++)
         xi[r] *= loops->held[r];
@@ -271,7 +271,7 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     double *y[] = {guess, v};
     Loops loops = loops_new(i, held);
     Outcome outcome;
-    s->guesses(x, y, i->workspace);
+    call(i, s->guesses, x, y);
     if (!isfinite(norm(guess, s->n)))
         outcome = say(
             i, FAILED, "%s: the start guess is not finite; check the dimensions and start values", s->name);
@@ -308,7 +308,7 @@ Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
                 strcat(free, *free ? ", " : "");
                 strncat(free, s->coordinates[c].name, 80);
             }
-        outcome = say(i, FAILED,
+        outcome = say(i, UNHELD,
             "%s: the motion along %s has no mass and no constraint that holds it (singular value %.0e of [M; C] at the "
             "start); a massless body must be held by constraints at both ends: never the last body of an open chain, "
             "never one placed by a joint coordinate alone",
@@ -647,7 +647,7 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
         double *y[] = {way, rate};
         for (int c = 0; c < s->n; c++)
             there[c] = q[c] + s->normal[c];
-        s->bring(x, y, i->workspace);
+        call(i, s->bring, x, y);
         for (int c = 0; c < s->n; c++)
             way[c] -= q[c];
     }
@@ -661,15 +661,15 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
         int row;
         for (int c = 0; c < s->n; c++)
             there[c] = q[c] + aside[a] * way[c];
-        s->pivots(x, y, i->workspace);
+        call(i, s->pivots, x, y);
         for (int c = 0; c < s->n; c++) {
             touched[c] += columns[c];
             i->scales[c] = fmax(i->scales[c], *i->largest_penalty * diagonal[c]);
         }
-        s->place(x, to, i->workspace);
-        s->place(from, to, i->workspace);
-        s->bring(beside, both, i->workspace);
-        s->place(from, to, i->workspace);
+        call(i, s->place, x, to);
+        call(i, s->place, from, to);
+        call(i, s->bring, beside, both);
+        call(i, s->place, from, to);
         if (widest(i, near, v, 0, &row) <= GROSS)
             memcpy(places + count++ * n, near, n * sizeof *near);
     }
@@ -684,7 +684,7 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
         double *y[] = {pivots, diagonal, columns, &margin};
         int bad = 0;
         i->flags.brakes |= would_brake(i, places + a * n, way);
-        s->pivots(x, y, i->workspace);
+        call(i, s->pivots, x, y);
         for (int c = 0; c < s->n; c++)
             bad |= !(pivots[c] > 0.0);
         sort(pivots, bad ? 0 : s->n);
@@ -705,4 +705,33 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     for (int c = 0; c < s->n; c++)
         i->scales[c] = (float)i->scales[c];
     i->used = used;
+}
+
+Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here)
+{
+    const Scene *s = i->scene;
+    unsigned char *held;
+    double *C, *phi, *weights;
+    i->used = 0;
+    *freedom = *here = s->n;
+    *redundant = 0;
+    if (!i->flags.initialized)
+        return say(i, REFUSED, "%s: its degrees of freedom are known after initialising", s->name);
+    if (!s->l)
+        return DONE;
+    held = (unsigned char *)take(i, (size_t)s->l);
+    C = take(i, (size_t)s->l * (size_t)s->n);
+    phi = take(i, (size_t)s->l);
+    weights = take(i, (size_t)s->l);
+    for (int r = 0; r < s->l; r++) {
+        held[r] = i->penalty[r] > 0.0;
+        weights[r] = held[r] / i->units[r];
+        *redundant += held[r];
+    }
+    *freedom = freedom_near(i, field(i, s->z), held);
+    *redundant -= s->n - *freedom;
+    weighted_at(i, field(i, s->z), weights, C, phi);
+    *here = s->n - rank_of(i, C);
+    i->used = 0;
+    return DONE;
 }

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from ..equations import Equations
 from ..equations.derivation import derive
+from ..equations.interface import CHOICES, SOLVER_VARIABLES, Counters
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED
-from ..runtime import CHOICES, SOLVER_VARIABLES, Instance
-from ..runtime.oracle import Counters
+from ..runtime import Instance
 from ..simulation import Unit, prepared, with_defaults
 from . import tables
 from .charts import require

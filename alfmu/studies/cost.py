@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from ..equations import Equations, Mobility, Variable
-from ..equations.monitors import MONITORS
+from ..equations.interface import MONITORS
 from ..equations.specialisation import specialised
-from ..kernel.fusion import functions_of
+from ..kernel.joined import joined
 from ..kernel.program import called
 from ..kernel.trace import parts, traced
 from ..simulation import prepared
@@ -163,10 +163,8 @@ def operations(function: ca.Function) -> int:
 
 
 def _whole(e: Equations, program: str) -> int:
-    [function, *more] = functions_of(e, program).values()
-    if not more and function.is_a("SXFunction"):
-        return operations(function)
-    return _together(e, called(e.kernel[program]["calls"]))
+    together = joined(e, [program])
+    return _together(together, called(together.kernel[program]["calls"]))
 
 
 def _together(e: Equations, names: Iterable[str]) -> int:

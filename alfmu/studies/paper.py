@@ -23,7 +23,7 @@ from ..equations.derivation import derive
 from ..model.errors import InputError, StepError
 from ..model.registry import load
 from ..model.settings import Settings
-from ..runtime import Instance
+from ..oracle import Instance
 from ..simulation import prepared
 from .charts import require
 from .tables import Cell, Row, paragraph, shown, write_csv

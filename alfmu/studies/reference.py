@@ -28,7 +28,7 @@ from ..equations import Equations
 from ..equations.evaluation import shared, symbols, with_functions
 from ..kernel.program import Call
 from ..kernel.vm import Vm
-from ..runtime import Instance
+from ..oracle import Instance
 
 __all__ = ["Effort", "Reference", "reference"]
 

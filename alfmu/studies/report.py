@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import oracle
 from ..equations import Equations
 from ..equations.specialisation import specialised
 from ..fmi.drive import Fmu
@@ -225,7 +226,7 @@ class Study(cases.Study):
 
     def _judge(self, horizon: float) -> None:
         """The reference, and its error."""
-        instance = Instance(self.equations)
+        instance = oracle.Instance(self.equations)
         instance.initialize()
         self.mobility = instance.mobility()
         found = exact.reference(instance, horizon, self.effort.reference)
@@ -275,14 +276,15 @@ class Study(cases.Study):
         makers: dict[str, Callable[[str], Any]] = {kernel: partial(self._instance, kernel) for kernel in kernels}
         return {**makers, f"FMU ({kernels[0]})": partial(self._fmu, folder, kernels[0])}
 
-    def _instance(self, kernel: str, method: str) -> Instance:
+    def _instance(self, kernel: str, method: str) -> Instance | oracle.Instance:
         if method not in self._traced:
             self._traced[method] = scene(self.derived, method, "vm")
-        return Instance(prepared(self._traced[method], kernel))
+        make = oracle.Instance if kernel == "oracle" else Instance
+        return make(prepared(self._traced[method], kernel))
 
     def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
         path, given = folder / f"{self.name}_{method}.fmu", {"solver.method": method}
-        return Fmu(export(self.mechanism, path, kernel=kernel, parameters=given, portable=kernel != "compiled"))
+        return Fmu(export(self.mechanism, path, kernel=kernel, parameters=given))
 
     def _unit(self, way: str, method: str) -> _Open:
         """A unit of a way to run that carries a method, made when it is first wanted."""

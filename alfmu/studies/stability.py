@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import oracle
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
@@ -184,7 +185,7 @@ class Study(cases.Study):
         """Run all cells, as far as time allows until `deadline`."""
         self.equations = e = prepared(self.derived, "auto")
         self.horizon = min(e.stop_time, self.effort.horizon)
-        self.instance = Instance(e)
+        self.instance = oracle.Instance(e)
         self._units: dict[str, tuple[Instance, Callable[[], None]]] = {}
         self.defaults = {v.name: float(v.start) for v in e.parameters}
         self.springs = [v.name for v in e.parameters if v.unit in SPRINGS]
@@ -296,7 +297,7 @@ class Study(cases.Study):
 
     def _judged(self, scaled: Sequence[tuple[str, float]]) -> tuple[Judge, float, float]:
         times = np.linspace(0.0, self.horizon, POINTS)
-        instance = Instance(self.equations)
+        instance = oracle.Instance(self.equations)
         try:
             for name, factor in scaled:
                 instance.set(name, factor * self.defaults[name])

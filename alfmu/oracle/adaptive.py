@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..kernel.thresholds import FIRST_STEP
 from ..method import formulations as method
 from ..method import implicit
 from ..method import singular as branch
@@ -34,8 +35,6 @@ __all__ = ["TANGENTS", "Adaptive", "adaptive"]
 TANGENTS = tuple(implicit.RULES)
 """Methods that need the tangents of the equations (`alfmu.equations.evaluation.with_tangents`)."""
 
-FIRST = 1e-3
-"""First step tried in a run [s]."""
 
 NEWTON = 8
 """Most iterations of Newton's method in a step."""
@@ -88,7 +87,7 @@ class Adaptive:
         self.relative, self.absolute = relative, absolute
         self.fixed: float | None = None
         """Length of all steps [s]; None adapts them."""
-        self.control = Control(3 if isinstance(rule, implicit.Newmark) else rule.estimate + 1, FIRST, pace)
+        self.control = Control(3 if isinstance(rule, implicit.Newmark) else rule.estimate + 1, FIRST_STEP, pace)
         self.counts = dict.fromkeys(("steps", "refused", "beside", "newton"), 0)
         """Steps, refused ones, tries made on the branch, iterations of Newton's method."""
         self._error, self._why = math.inf, ""

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations
+from ..equations.interface import Counters
 from ..kernel.program import GROSS, Backend, Call
+from ..kernel.thresholds import ASIDE, COARSE, FAR_RATIO, LITTLE, PATIENT, REGULAR
 from ..method import formulations as method
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
@@ -20,50 +21,7 @@ from ..model.errors import OpenError, StepError
 from ..model.settings import Settings
 from .scaling import scaled
 
-__all__ = ["Counters", "Oracle"]
-
-ASIDE = (-0.7, -0.1, 0.1, 0.7)
-"""Displacements [rad, m] to places beside the start."""
-
-_LITTLE = 1e-4
-"""Displacement of lengths [m] beside the start, enough to tell which coefficients are constant."""
-
-_FAR = 2.0
-"""Logarithm of a ratio of pivots that masses make, above which one is not typical."""
-
-COARSE = 1024.0
-"""Parts of 1 to which the logarithm of the product of pivots is kept."""
-
-_REGULAR = 1e-3
-"""Smallest size of an independent combination of constraints, over the largest."""
-
-_PATIENT = 4
-"""Factor to the most multiplier iterations where the motion may end at a singular position."""
-
-
-@dataclass
-class Counters:
-    """Work done and the largest errors seen since initialisation."""
-
-    steps: int = 0
-    evaluations: int = 0
-    """Of accelerations and multipliers, those for outputs included."""
-    multiplier_iterations: int = 0
-    unconverged: int = 0
-    """Evaluations in which the multiplier iteration reached its limit."""
-    projection_iterations: int = 0
-    refused: int = 0
-    """Steps that were too inaccurate, and made again shorter."""
-    unprojected: int = 0
-    """Steps after which a constraint was left above the tolerance."""
-    position_error: float = 0.0
-    """Largest |Phi| after a step [m, rad]."""
-    velocity_error: float = 0.0
-    """Largest |Phi-dot| after a step [m/s, rad/s]."""
-    acceleration_error: float = 0.0
-    """Largest |Phi-ddot| at an output [m/s2, rad/s2]."""
-    energy_error: float = 0.0
-    """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
+__all__ = ["Oracle"]
 
 
 class Oracle:
@@ -103,7 +61,7 @@ class Oracle:
         """Default penalties and units of the rows, as they are at q (n,) and where angles are turned."""
         units = [c.unit for c in self.equations.coordinates]
         metres, angles = (np.array([unit == one for unit in units]) for one in ("m", "rad"))
-        turn = np.random.default_rng(0).standard_normal(len(q)) * np.where(metres, _LITTLE, 1.0)
+        turn = np.random.default_rng(0).standard_normal(len(q)) * np.where(metres, LITTLE, 1.0)
         M, C, _, _ = self._constraints(q, np.zeros_like(q), self.p)
         masses, (row, column) = M.diagonal().copy(), _places(C)
 
@@ -205,7 +163,7 @@ class Oracle:
         pivots = [r[: max(self.freedom, 0)] for r in everything]
         # Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller.
         found = np.sort([np.log(np.maximum(r, 1e-300)).sum() for r in pivots])
-        typical = float(np.median(found[found <= found[min(1, len(found) - 1)] + _FAR]))
+        typical = float(np.median(found[found <= found[min(1, len(found) - 1)] + FAR_RATIO]))
         # Coarse, as these are scales: the same bits however they are computed, and so the same limits.
         self.masses = math.floor(typical * COARSE + 0.5) / COARSE
         self.scales = self.scales.astype(np.float32).astype(float)
@@ -230,10 +188,10 @@ class Oracle:
         if self.sparse or self.rank >= self.active.sum():
             return False
         rows, sizes = self._ranges(q)
-        if sizes[self.rank - 1] < _REGULAR * sizes[0]:
+        if sizes[self.rank - 1] < REGULAR * sizes[0]:
             return False
         there = np.sqrt(self._penalty)[:, None] * self._constraints(q + ASIDE[2] * way, way, self.p)[1]
-        return bool(np.abs(rows[:, self.rank :].T @ there).max() > _REGULAR**3 * sizes[0])
+        return bool(np.abs(rows[:, self.rank :].T @ there).max() > REGULAR**3 * sizes[0])
 
     def hold(self, q: NDArray) -> None:
         """Keep the combinations of constraints that are independent at q (n,), a place on the motion, until told again.
@@ -243,7 +201,7 @@ class Oracle:
         if not self.brakes:
             return
         rows, sizes = self._ranges(q)
-        if sizes[self.rank - 1] > _REGULAR * sizes[0]:  # else a singular position: those before it still tell
+        if sizes[self.rank - 1] > REGULAR * sizes[0]:  # else a singular position: those before it still tell
             root, kept = np.sqrt(self._penalty), rows[:, : self.rank]
             self.alpha = root[:, None] * (kept @ kept.T) * root
 
@@ -369,7 +327,7 @@ class Oracle:
     def _at_last(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> tuple[NDArray, NDArray, int, NDArray]:
         """What `accelerations` returns where the motion may end ahead; OpenError where it does not converge."""
         unconverged = self.counters.unconverged
-        found = self.accelerations(*self.reached(q, v, t), u, t, _PATIENT)
+        found = self.accelerations(*self.reached(q, v, t), u, t, PATIENT)
         if self.counters.unconverged > unconverged:
             raise OpenError(self._say(t, "the multiplier iteration does not converge", "reduce solver.step_size"))
         return found

@@ -7,19 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PENALTY_RATIO", "scaled"]
+from ..kernel.thresholds import ALIKE, HARDLY, PENALTY_RATIO, SAME
 
-PENALTY_RATIO = 1e8
-"""Default penalty over the largest mass that constraints hold: far from round-off at either end in residual form."""
-
-_ALIKE = 10.0
-"""Units that are not known, within this factor of 1, or of each other, serve as well as one, which costs less."""
-
-_SAME = 1e-11
-"""Relative difference of numbers that differ by round-off alone."""
-
-_SMALL = 1e-3
-"""Size of a column, over that of the largest, below which its coordinate is hardly held at the places seen."""
+__all__ = ["scaled"]
 
 
 def scaled(
@@ -65,19 +55,19 @@ def scaled(
     units[units == 0] = 1.0
     if rows and _alike(units[:, None]).all():
         units[:] = units.max()
-    if not known.all() and units.max() <= _ALIKE * units.min():
+    if not known.all() and units.max() <= ALIKE * units.min():
         units[:] = np.exp(np.log(units).mean())
-        if 1 / _ALIKE < units[0] < _ALIKE:
+        if 1 / ALIKE < units[0] < ALIKE:
             units[:] = 1.0
     held = _largest(largest / units[row], column, len(masses))
-    known = held > _SMALL * held.max(initial=0.0)
+    known = held > HARDLY * held.max(initial=0.0)
     heaviest = (masses[known] / np.where(metres, 1.0, held)[known] ** 2).max(initial=0.0)
     return PENALTY_RATIO * max(heaviest, 1e-300) / units**2, units
 
 
 def _alike(values: NDArray) -> NDArray:
     """Which columns of values (k, m), none below zero, hold one number."""
-    return np.ptp(values, axis=0) <= _SAME * values.max(axis=0)
+    return np.ptp(values, axis=0) <= SAME * values.max(axis=0)
 
 
 def _largest(values: NDArray, place: NDArray, size: int) -> NDArray:

@@ -11,19 +11,10 @@ from numpy.typing import NDArray
 
 from ..equations import Equations, Mobility
 from ..kernel.program import Backend, Call
+from ..kernel.thresholds import LONGEST_TURN, MOST, RANKED, ROUGH, TOLERANCE, TRIES
 from ..model.errors import AssemblyError
 
 __all__ = ["Assembly"]
-
-_TOLERANCE = 1e-12
-_ROUGH = 1e-9
-_MOST = 200
-_TURN = 0.3
-"""Longest turn of a coordinate in one step [rad]."""
-_RANKED = 8
-"""Places around a position from which the rank of the constraints is told; two where there are many coordinates."""
-_TRIES = 32
-"""Places around the guess from which a nearer assembly is looked for."""
 
 
 Matrix = Any
@@ -58,7 +49,7 @@ class Assembly:
         # A long way, or none: is there an assembly nearer to the guess?
         other = loops.nearest(guess, min(moved, 3.0))
         if other is None and moved == np.inf:
-            closed = np.abs(loops.misfit(q)[: e.l]).max(initial=0.0) <= _ROUGH
+            closed = np.abs(loops.misfit(q)[: e.l]).max(initial=0.0) <= ROUGH
             reason = "the start values contradict each other" if closed else "the loops cannot be closed"
             many = len(e.tied) > 1
             advice = "give fewer or consistent start values" if many else "check lengths, offsets and start values"
@@ -86,7 +77,7 @@ class Assembly:
         for _ in range(2):
             v = v + _least_norm(J, wanted - J @ v, 1e-10)
         left = J @ v - wanted
-        if np.abs(left).max(initial=0.0) > _ROUGH * max(1.0, np.abs(v).max()):
+        if np.abs(left).max(initial=0.0) > ROUGH * max(1.0, np.abs(v).max()):
             worst = int(np.argmax(np.abs(left)))
             what = e.rows[worst].name if worst < e.l else e.start_rates[e.tied[worst - e.l]].name
             raise AssemblyError(
@@ -150,7 +141,7 @@ class Assembly:
         random = np.random.default_rng(0)
         C = self._at(q, p, held)[0]
         sparse = not isinstance(C, np.ndarray)
-        places = 0.3 * random.standard_normal((2 if sparse else _RANKED, e.n))
+        places = 0.3 * random.standard_normal((2 if sparse else RANKED, e.n))
         places *= max(1.0, np.abs(q).max()) / np.sqrt(e.n)
         units = np.ones(e.l)
         if not sparse:  # Rows in other units are as independent as before.
@@ -198,18 +189,18 @@ class _Loops:
         return _stacked(_rows(self.held, gaps), ties)
 
     def closes(self, q: NDArray) -> bool:
-        return bool(np.abs(self.misfit(q)).max(initial=0.0) <= _ROUGH * max(1.0, np.abs(q).max()))
+        return bool(np.abs(self.misfit(q)).max(initial=0.0) <= ROUGH * max(1.0, np.abs(q).max()))
 
     def followed(self, q: NDArray) -> tuple[NDArray, float]:
         """Where the way from q ends, and the length of the first full step."""
         turns = np.array([c.unit == "rad" for c in self.e.coordinates])
         r, first = self.misfit(q), None
-        for _ in range(_MOST):
-            if np.abs(r).max(initial=0.0) <= _TOLERANCE * max(1.0, np.abs(q).max()):
+        for _ in range(MOST):
+            if np.abs(r).max(initial=0.0) <= TOLERANCE * max(1.0, np.abs(q).max()):
                 break
             dq = -_least_norm(self.matrix(q), r, 1e-10)
             first = float(np.linalg.norm(dq)) if first is None else first
-            part = min(1.0, _TURN / max(np.abs(dq[turns]).max(initial=0.0), 1e-300))
+            part = min(1.0, LONGEST_TURN / max(np.abs(dq[turns]).max(initial=0.0), 1e-300))
             while part > 1e-4 and not np.linalg.norm(self.misfit(q + part * dq)) < (1 - part / 10) * np.linalg.norm(r):
                 part /= 2
             if part <= 1e-4:
@@ -220,8 +211,8 @@ class _Loops:
 
     def nearest(self, guess: NDArray, size: float) -> NDArray | None:
         """The assembly nearest to the guess among those found from places around it; None where none is found."""
-        random, sizes = np.random.default_rng(0), size * np.linspace(0.2, 1.5, _TRIES)[:, None]
-        starts = guess + sizes * random.standard_normal((_TRIES, self.e.n)) / np.sqrt(self.e.n)
+        random, sizes = np.random.default_rng(0), size * np.linspace(0.2, 1.5, TRIES)[:, None]
+        starts = guess + sizes * random.standard_normal((TRIES, self.e.n)) / np.sqrt(self.e.n)
         found = [q for q, _ in map(self.followed, starts) if self.closes(q)]
         return min(found, key=lambda q: np.linalg.norm(q - guess), default=None)
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations, Variable
-from ..equations.monitors import events, every_event
+from ..equations.interface import events, every_event
 
 __all__ = ["Topology"]
 

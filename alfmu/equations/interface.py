@@ -1,0 +1,229 @@
+"""What every scene has beside the variables of its mechanism: the solver's, monitors of the method, impacts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..model.errors import InputError
+from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
+from .types import Equations, Variable
+
+__all__ = [
+    "CHOICES",
+    "MONITORS",
+    "SOLVER_VARIABLES",
+    "Counters",
+    "Interface",
+    "checked",
+    "choices",
+    "default_settings",
+    "events",
+    "every_event",
+    "setting",
+    "variables_of",
+]
+
+SOLVER_VARIABLES = (
+    Variable("solver.step_size", "s", Settings.step_size, 1e-9, None, "largest internal step"),
+    Variable("solver.penalty", "kg", Settings.penalty, 0.0, None, "artificial mass alpha; 0 scales it with the masses"),
+    Variable(
+        "solver.tolerance",
+        "1",
+        Settings.tolerance,
+        1e-16,
+        1e-3,
+        "of multiplier iterations (relative) and of projected constraints (m, rad)",
+    ),
+    Variable(
+        "solver.max_iterations",
+        "1",
+        Settings.max_iterations,
+        1,
+        1000,
+        "limit of the multiplier iteration",
+        type="Integer",
+    ),
+    Variable(
+        "solver.relative_tolerance",
+        "1",
+        Settings.relative_tolerance,
+        1e-13,
+        1e-1,
+        "of methods that control their error",
+    ),
+    Variable(
+        "solver.absolute_tolerance",
+        "1",
+        Settings.absolute_tolerance,
+        0.0,
+        1.0,
+        "the same for small values (m, rad; per s); 0 is the number of the relative one",
+    ),
+    Variable(
+        "solver.input_order",
+        "1",
+        Settings.input_order,
+        0,
+        2,
+        "inputs inside a communication step: 0 held, 1 or 2 extrapolated from past communication points",
+        type="Integer",
+    ),
+)
+"""Numbers of the method that a user may set; `CHOICES` come beside them."""
+
+CHOICES = {"solver.formulation": FORMULATIONS, "solver.branch": BRANCHES, "solver.method": METHODS}
+"""Solver variables that are text, and what each can be."""
+
+MONITORS = (
+    Variable("monitor.position_error", "1", description="largest |Phi| (m, rad)"),
+    Variable("monitor.velocity_error", "1", description="largest |Phi-dot| (m/s, rad/s)"),
+    Variable("monitor.energy", "J", description="kinetic and potential energy"),
+    Variable(
+        "monitor.iterations",
+        "1",
+        description="multiplier iterations used at this instant",
+        type="Integer",
+        instant=True,
+    ),
+    Variable(
+        "monitor.distance",
+        "1",
+        description="distance to a singular position: square root of the smallest pivot of the augmented mass, over "
+        "its diagonal entry and apart from those of masses; rad for links of similar lengths",
+    ),
+    Variable(
+        "monitor.singular",
+        "1",
+        description="0 regular; at a singular position 1 where reactions have a limit, which is given, "
+        "2 where they grow without bound on both sides",
+        type="Integer",
+        instant=True,
+    ),
+)
+"""What every instance says about its own accuracy."""
+
+
+def events(equations: Equations) -> list[Variable]:
+    """What is reported of impacts: the last impulse of each constraint that can be switched, the energy lost so far."""
+    return [v for v in every_event(equations) if v.name not in equations.monitors]
+
+
+def every_event(e: Equations) -> list[Variable]:
+    """The same with those that are left out."""
+    found = []
+    for row in (e.rows[i] for switch in e.switches for i in switch.rows):
+        name = f"{row.name}.impulse" if row.direction == "locked" else f"{row.name}.impulse.{row.direction}"
+        text = f"last impulse of {row.name} when it came into force"
+        found.append(Variable(name, "N.m.s" if row.unit == "rad" else "N.s", description=text))
+    if e.switches:
+        found.append(Variable("monitor.energy_lost", "J", description="kinetic energy that impacts took so far"))
+    return found
+
+
+@dataclass(frozen=True)
+class Interface:
+    """The variables of a scene by causality; value references count through them in this order."""
+
+    parameters: list[Variable]
+    """Parameters of the mechanism, start values, start rates, compliances, numbers of the solver."""
+    choices: list[Variable]
+    """Solver variables that are text."""
+    inputs: list[Variable]
+    switches: list[Variable]
+    """Boolean inputs."""
+    outputs: list[Variable]
+
+    def causal(self, causality: str) -> list[Variable]:
+        """The variables of a causality."""
+        return [v for each, v in self.causalities if each == causality]
+
+    @property
+    def causalities(self) -> list[tuple[str, Variable]]:
+        """All variables, each with its causality in FMI."""
+        named = {"parameter": [*self.parameters, *self.choices], "input": [*self.inputs, *self.switches]}
+        return [(causality, v) for causality, each in {**named, "output": self.outputs}.items() for v in each]
+
+
+def default_settings(equations: Equations) -> Settings:
+    """The settings of a mechanism where nobody says otherwise."""
+    return Settings(**{"step_size": equations.step_size, **equations.solver})
+
+
+def variables_of(equations: Equations, settings: Settings | None = None) -> Interface:
+    """The variables of a scene; defaults of the solver are those of `settings`."""
+    e, given = equations, settings or default_settings(equations)
+    solver = [replace(v, start=_default(given, v.name)) for v in SOLVER_VARIABLES]
+    return Interface(
+        [*e.parameters, *e.starts, *e.start_rates, *e.compliances, *solver],
+        choices({name: getattr(given, setting(name)) for name in CHOICES}),
+        [*e.inputs],
+        [Variable(s.name, "1", float(s.start), description=s.description, type="Boolean") for s in e.switches],
+        [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors), *events(e)],
+    )
+
+
+def setting(name: str) -> str:
+    """The field of Settings behind a solver variable."""
+    return name.removeprefix("solver.")
+
+
+def _default(settings: Settings, name: str) -> float:
+    """A number of the settings; 0 for penalties of each constraint, which are no variable."""
+    value = getattr(settings, setting(name))
+    return float(value) if np.ndim(value) == 0 else 0.0
+
+
+def choices(values: Mapping[str, str]) -> list[Variable]:
+    """The solver variables that are text, at the given values."""
+    return [
+        Variable(
+            name,
+            "1",
+            values[name],
+            description="one of " + ", ".join(f"{key} ({text})" for key, text in known.items()),
+            type="String",
+        )
+        for name, known in CHOICES.items()
+    ]
+
+
+@dataclass
+class Counters:
+    """Work done and the largest errors seen since initialisation."""
+
+    steps: int = 0
+    evaluations: int = 0
+    """Of accelerations and multipliers, those for outputs included."""
+    multiplier_iterations: int = 0
+    unconverged: int = 0
+    """Evaluations in which the multiplier iteration reached its limit."""
+    projection_iterations: int = 0
+    refused: int = 0
+    """Steps that were too inaccurate, and made again shorter."""
+    patient: int = 0
+    """Steps by loops that stop on convergence, where those that are unrolled were not enough."""
+    unprojected: int = 0
+    """Steps after which a constraint was left above the tolerance."""
+    position_error: float = 0.0
+    """Largest |Phi| after a step [m, rad]."""
+    velocity_error: float = 0.0
+    """Largest |Phi-dot| after a step [m/s, rad/s]."""
+    acceleration_error: float = 0.0
+    """Largest |Phi-ddot| at an output [m/s2, rad/s2]."""
+    energy_error: float = 0.0
+    """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
+
+
+def checked(name: str, v: Variable, value: object) -> None:
+    """InputError where a value cannot be that of a variable of the mechanism of this name."""
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+        raise InputError(f"{name}: {v.name} is {value!r}; it must be a finite number in {v.unit}")
+    if v.type == "Integer" and value != int(value):
+        raise InputError(f"{name}: {v.name} is {value:g}; it must be a whole number")
+    if (v.minimum is not None and value < v.minimum) or (v.maximum is not None and value > v.maximum):
+        low, high = ("-inf" if v.minimum is None else v.minimum), ("inf" if v.maximum is None else v.maximum)
+        raise InputError(f"{name}: {v.name} = {value:g} {v.unit} is outside [{low}, {high}]")

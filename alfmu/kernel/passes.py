@@ -1,0 +1,412 @@
+"""A function of a scene as words for the interpreter: straight code, and loops over what repeats in a long function.
+
+Each value has a place of its own. Those of a loop follow each other pass by pass, so that operands go by a step from
+pass to pass; others are found by tables. Operations keep their order from piece to piece of a function; within a piece
+they are arranged in runs (`alfmu.kernel.arrangement`), and the numbers are the same to the last bit.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from .arrangement import KINDS, SUMS, Arrangement, Operation, arranged, in_runs
+from .places import line
+from .repeat import Repeat, pieces, repeats
+from .stream import CONSTANT, INPUT, NOTHING, VALUE, Instructions, Operations
+
+__all__ = ["BEHIND", "EACH_KIND", "GATHER_KIND", "LOOP_KIND", "NARROW", "Code", "Constants", "written"]
+
+LOOP_KIND, EACH_KIND, GATHER_KIND = (len(KINDS) + i for i in range(3))
+"""Numbers of what else there is in a function: a loop; an operation in all passes of a loop; copies of values."""
+
+BEHIND = 2**40
+"""Added to places that count from behind the last constant: how many there are is known when all functions are."""
+
+NARROW = 2**16
+"""Places that operands of 16 bits reach, and operations in a run of them."""
+
+LONG = 12000
+"""Operations above which a function is searched for what repeats: loops take up to twice the time of straight code."""
+
+WORTH = 1.0
+"""Operations that a word of a function with loops stands for at least; one without them has two words an operation."""
+
+SHORT = 10
+"""Places in line that are listed one by one: their words are about as many as those of a line."""
+
+LINE, TABLE, BEFORE = range(3)
+"""Where values come from that are not made in a pass: places that go by a step, a table, a pass before."""
+
+
+class Constants:
+    """The constants of all functions of a scene, each once, by their bits."""
+
+    def __init__(self) -> None:
+        self._places: dict[bytes, int] = {}
+
+    def place(self, value: float) -> int:
+        return self._places.setdefault(struct.pack("<d", value), len(self._places))
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def packed(self) -> bytes:
+        return b"".join(self._places)
+
+
+@dataclass(frozen=True)
+class Code:
+    """A function of a scene. Places count from the first constant; with BEHIND, from behind the last."""
+
+    inputs: list[int]
+    """Length of each argument."""
+    outputs: list[int]
+    """Number of entries of each result."""
+    words: NDArray
+    """Runs: number of the operation, how many, and the places of their operands."""
+    results: NDArray
+    """Rows that say where entries of the results are found, the later ones what is not in others: how many, the first
+    entry and the step to the next, the place of the first and the step."""
+    values: int
+    """How many numbers the operations give."""
+    looped: bool
+    """Whether there are loops, which have 32 bits."""
+
+
+def written(instructions: Instructions, constants: Constants, inputs: list[int], outputs: list[int]) -> Code:
+    """The words of a function with arguments and results of these lengths."""
+    operations = Operations.of(instructions)
+    if len(operations) > LONG:
+        made = _Writing(operations, constants, inputs, outputs).done(repeats(operations))
+        if WORTH * len(made.words) < len(operations):
+            return made
+    return _Writing(operations, constants, inputs, outputs).done([])
+
+
+class _Writing:
+    """A function while it is written, piece by piece."""
+
+    def __init__(
+        self,
+        operations: Operations,
+        constants: Constants,
+        inputs: list[int],
+        outputs: list[int],
+    ):
+        o = self._operations = operations
+        self._inputs, self._outputs, self._constants = inputs, outputs, constants
+        self._words: list[int] = []
+        self._end = BEHIND + sum(inputs)
+        """Place of the next value."""
+        self._arguments, self._results = (np.cumsum([0, *lengths]) for lengths in (inputs, outputs))
+        self._lines = [(sum(outputs), 0, 1, constants.place(0.0), 0)]  # what no operation gives is zero
+        used = np.unique(o.operand[o.kind == CONSTANT])
+        self._number = np.zeros(len(o.constant), int)
+        self._number[used] = [constants.place(value) for value in o.constant[used].tolist()]
+        self._place = np.full(len(o), -1)
+        """Of values that are known outside the pass that makes them."""
+        self._local = self._kept = np.zeros(0, bool)
+
+    def done(self, found: list[Repeat]) -> Code:
+        """The function with loops for what was found to repeat, as far as they can be."""
+        o = self._operations
+        carried = {each: one for each in found if (one := _carried(o, each)) is not None}
+        parts = list(pieces(len(o), list(carried), len(o)))
+        scope = np.concatenate([np.repeat(x.start + x.period * np.arange(x.count), x.period) for x in parts] or [[]])
+        self._local = (o.kind == VALUE) & (scope[o.made] == scope)
+        """Operands that are made in the same pass of the same piece."""
+        self._kept = np.zeros(len(o), bool)
+        """Values that are needed elsewhere."""
+        self._kept[o.made[(o.kind == VALUE) & ~self._local]] = True
+        self._kept[o.made[0, (o.kind[0] == VALUE) & (o.result[0] >= 0)]] = True
+        for piece in parts:
+            self._piece(piece, carried.get(piece, {}))
+        words, values = np.array(self._words, np.int64), self._end - BEHIND - sum(self._inputs)
+        return Code(self._inputs, self._outputs, words, np.array(self._lines, np.int64), values, bool(carried))
+
+    def _piece(self, piece: Repeat, carried: dict[tuple[int, int], tuple[int, int]]) -> None:
+        """A loop, or straight code, which has one pass."""
+        part = slice(piece.start, piece.end)
+        body = _Body(piece, self._operations, self._local, self._kept, self._found(part), carried)
+        made = arranged(body.instructions())
+        at = {value: (self._constants.place(number), 0) for value, number in made.constants.items()}
+        if piece.count == 1:
+            at |= {value: body.sources[slot][1:] for value, (_, slot) in made.arguments.items()}
+            self._straight(made.runs, at)
+        else:
+            self._looped(piece.count, body, made, at)
+        for _, column, value in made.results:
+            first, step = at[value]
+            self._place[piece.passes(column)] = first + step * np.arange(piece.count)
+        writes = np.flatnonzero(self._operations.result[0, part][: piece.period] >= 0)
+        for columns in [writes] if piece.count == 1 else writes[:, None]:
+            users = (piece.passes(0)[:, None] + columns).reshape(-1)
+            which, entry = self._operations.result[:, users]
+            self._lines += in_line(self._results[which] + entry, self._found(users)[0])
+
+    def _straight(self, found: list[list[Operation]], at: dict[int, tuple[int, int]]) -> None:
+        for run in found:
+            for operation in run:
+                at |= {value: (self._end + i, 0) for i, value in enumerate(operation.made)}
+                self._end += len(operation.made)
+        self._words += _runs(found, {value: place[:1] for value, place in at.items()})
+
+    def _looped(self, count: int, body: _Body, made: Arrangement, at: dict[int, tuple[int, int]]) -> None:
+        """Operations by which nothing passes on to later passes each in all passes, and loops of the others."""
+        value_of = {column: value for _, column, value in made.results}
+        before: dict[int, list[tuple[int, int]]] = {}  # values, and those that are them so many passes before
+        for value, (_, slot) in made.arguments.items():
+            kind, first, second = body.sources[slot]
+            if kind == LINE:
+                at[value] = first, second
+            elif kind == TABLE:
+                at[value] = self._copies(body.tables[first]), 1
+            else:
+                before.setdefault(value_of[first], []).append((second, value))
+        cells = {(value_of[column], row): place for (column, row), place in body.cells.items()}
+        earlier = {value: source for source, found in before.items() for _, value in found}
+        operations = [operation for run in made.runs for operation in run]
+        for group, repeated in _groups(operations, earlier):
+            runs = in_runs(group) if repeated else [group]
+            values = [value for run in runs for operation in run for value in operation.made]
+            back = max((i for value in values for i, _ in before.get(value, [])), default=0)
+            if back:
+                rows = range(-back, 0)
+                self._copies([cells.get((value, row), 0) for row in rows for value in values])
+            for i, value in enumerate(values):
+                at[value] = self._end + i, len(values)
+                at |= {x: (self._end + i - k * len(values), len(values)) for k, x in before.get(value, [])}
+            if repeated:
+                words = _runs(runs, at)
+                self._words += [LOOP_KIND, count, len(values), len(words), *words]
+            else:
+                self._words += [EACH_KIND, count, group[0].kind, *(x for k in group[0].operands for x in at[k])]
+            self._end += count * len(values)
+
+    def _copies(self, places: Sequence[int]) -> int:
+        """Values brought together; returns the place of the first."""
+        listed: list[int] = []
+
+        def gather() -> None:
+            self._words += [GATHER_KIND, len(listed), *listed] if listed else []
+            listed.clear()
+
+        for count, first, step in in_line(np.array(places)):
+            if count < SHORT:
+                listed += range(first, first + count * step, step) if step else [first] * count
+                continue
+            gather()
+            nothing, one = map(self._constants.place, (-0.0, 1.0))
+            self._words += [EACH_KIND, count, KINDS.index(SUMS[0]), nothing, 0, first, step, one, 0]
+        gather()
+        self._end += len(places)
+        return self._end - len(places)
+
+    def _found(self, part: slice | NDArray) -> NDArray:
+        """Places of operands, two rows; -1 of those that are not known yet."""
+        o = self._operations
+        kind, operand, argument = o.kind[:, part], o.operand[:, part], o.argument[:, part]
+        cases = [kind == VALUE, kind == INPUT, kind == CONSTANT]
+        entries = BEHIND + self._arguments[argument] + operand
+        return np.select(cases, [self._place[o.made[:, part]], entries, self._number[operand * cases[2]]], -1)
+
+
+class _Body:
+    """One pass of a piece as a function of its own, whose arguments are what it takes from elsewhere."""
+
+    def __init__(
+        self,
+        piece: Repeat,
+        operations: Operations,
+        local: NDArray,
+        kept: NDArray,
+        found: NDArray,
+        carried: dict[tuple[int, int], tuple[int, int]],
+    ):
+        self._piece, self._operations, self._found = piece, operations, found
+        first = slice(piece.start, piece.start + piece.period)
+        self._first = [x[..., first].tolist() for x in (operations.code, operations.kind, operations.made, local)]
+        self._firsts = found[:, : piece.period].tolist()
+        self._constant = operations.constant
+        self._carried = carried
+        self._kept = np.flatnonzero(kept[piece.start : piece.end].reshape(piece.count, -1).any(axis=0)).tolist()
+        self.sources: list[tuple[int, int, int]] = []
+        """Of each argument: LINE, the first place and the step; TABLE and its number; BEFORE, the operation that makes
+        it, and how many passes before."""
+        self.tables: list[list[int]] = []
+        """Places in all passes."""
+        self.cells: dict[tuple[int, int], int] = {}
+        """Of what first passes take from elsewhere: the operation that makes it in others, the pass, and its place."""
+        self._slots: dict[tuple[int, int, int] | bytes, int] = {}
+        self._numbers: dict[int, int] = {}
+
+    def instructions(self) -> Instructions:
+        code, kinds, made, local = self._first
+        rows: list[tuple[int, int, int, int]] = []  # operation, operands, number of a constant or entry
+        values: list[int] = []  # of each operation, its number among them
+        leaves: dict[tuple[int, int], int] = {}
+        for column, operation in enumerate(code):
+            operands = [-1, -1]
+            for j in (0, 1) if operation != ca.OP_OUTPUT else ():
+                if local[j][column]:
+                    operands[j] = values[made[j][column] - self._piece.start]
+                elif kinds[j][column] != NOTHING:
+                    leaf = self._leaf(j, column, kinds[j][column])
+                    if leaf not in leaves:
+                        leaves[leaf] = len(rows)
+                        rows.append((leaf[0], -1, -1, leaf[1]))
+                    operands[j] = leaves[leaf]
+            values.append(len(rows))
+            rows += [(operation, *operands, -1)] * (operation != ca.OP_OUTPUT)
+        rows += [(ca.OP_OUTPUT, values[column], -1, column) for column in self._kept]
+        found = np.array(rows, int).reshape(-1, 4).T
+        constants = np.zeros(found.shape[1])
+        constant = found[0] == ca.OP_CONST
+        constants[constant] = self._constant[found[3, constant]]
+        return Instructions(found[0], found[1:3], np.array([np.zeros_like(found[3]), found[3]]), constants)
+
+    def _leaf(self, j: int, column: int, kind: int) -> tuple[int, int]:
+        """A constant, or where else an operand comes from in each pass."""
+        piece = self._piece
+        if piece.count == 1 and kind != CONSTANT:
+            return ca.OP_INPUT, self._slot((LINE, self._firsts[j][column], 0))
+        places = self._found[j, column :: piece.period]
+        if kind == CONSTANT and (places == places[0]).all():
+            return ca.OP_CONST, self._number(places[0], self._operations.operand[j, piece.start + column])
+        if (j, column) in self._carried:
+            value, back = self._carried[j, column]
+            self.cells |= {(value, row - back): int(places[row]) for row in range(back)}
+            return ca.OP_INPUT, self._slot((BEFORE, value, back))
+        if (found := line(places)) is not None:
+            return ca.OP_INPUT, self._slot((LINE, *found))
+        key = places.tobytes()
+        if key not in self._slots:
+            self.tables.append(places.tolist())
+        return ca.OP_INPUT, self._slot((TABLE, len(self.tables) - 1, 0), key)
+
+    def _slot(self, source: tuple[int, int, int], key: tuple[int, int, int] | bytes | None = None) -> int:
+        """The number of a source, the same for the same key."""
+        slot = self._slots.setdefault(key or source, len(self.sources))
+        if slot == len(self.sources):
+            self.sources.append(source)
+        return slot
+
+    def _number(self, place: int, operand: int) -> int:
+        """One number of those of a constant."""
+        return self._numbers.setdefault(int(place), int(operand))
+
+
+def _carried(operations: Operations, piece: Repeat) -> dict[tuple[int, int], tuple[int, int]] | None:
+    """Operands that another pass of a loop has made: which of two, and the operation, to the operation that makes them
+    and how many passes before. None where that is not the same in all passes."""
+    o, part, shape = operations, slice(piece.start, piece.end), (piece.count, piece.period)
+    begin = piece.passes(0)[:, None]
+    found: dict[tuple[int, int], tuple[int, int]] = {}
+    cells: dict[tuple[int, int], int] = {}
+    for j in (0, 1):
+        value, made = o.kind[j, part].reshape(shape) == VALUE, o.made[j, part].reshape(shape)
+        local = value & (made >= begin)
+        if ((local != local[0]) | (local & (made - begin != made[0] - piece.start))).any():
+            return None
+        for column in np.flatnonzero((value & ~local & (made >= piece.start)).any(axis=0)).tolist():
+            row, which = np.divmod(made[:, column] - piece.start, piece.period)
+            back = piece.count - 1 - int(row[-1])
+            later = slice(back, None)
+            if not 0 < back < piece.count or (row[:back] >= 0).any():
+                return None
+            if (row[later] != np.arange(piece.count - back)).any() or (which[later] != which[-1]).any():
+                return None
+            found[j, column] = int(which[-1]), back
+            before = {(int(which[-1]), i - back): int(made[i, column]) for i in range(back)}
+            if any(cells.setdefault(cell, maker) != maker for cell, maker in before.items()):
+                return None
+    return found
+
+
+def _groups(operations: list[Operation], earlier: dict[int, int]) -> Iterator[tuple[list[Operation], bool]]:
+    """Operations that can be done in all passes at once, each alone, and others in groups, in order.
+
+    `earlier` are operands that are what a value was some passes before. What depends on its own earlier values has to
+    be done pass by pass.
+    """
+    maker = {value: i for i, operation in enumerate(operations) for value in operation.made}
+    edges = {
+        (maker[source], i)
+        for i, operation in enumerate(operations)
+        for x in operation.operands
+        if (source := earlier.get(x, x)) in maker
+    }
+    made, users = np.array(sorted(edges), int).reshape(-1, 2).T
+    shape = (len(operations), len(operations))
+    count, part = connected_components(csr_array((np.ones(len(made)), (made, users)), shape), connection="strong")
+    members: list[list[Operation]] = [[] for _ in range(count)]
+    for i, k in enumerate(part.tolist()):
+        members[k].append(operations[i])
+    repeated = [len(x) > 1 for x in members]
+    for k in part[made[made == users]].tolist():
+        repeated[k] = True
+    after: list[set[int]] = [set() for _ in members]
+    for k, user in zip(part[made].tolist(), part[users].tolist(), strict=True):
+        if k != user:
+            after[k].add(user)
+    missing = np.bincount([user for x in after for user in x], minlength=count).tolist()
+    ready = [k for k in range(count) if not missing[k]]
+
+    def done(k: int) -> None:
+        for user in after[k]:
+            missing[user] -= 1
+            if not missing[user]:
+                ready.append(user)
+
+    while ready:
+        alone = next((k for k in ready if not repeated[k]), None)
+        if alone is not None:
+            ready.remove(alone)
+            yield members[alone], False
+            done(alone)
+            continue
+        group = []
+        while (k := next((k for k in ready if repeated[k]), None)) is not None:
+            ready.remove(k)
+            group += members[k]
+            done(k)
+        yield group, True
+
+
+def in_line(*values: NDArray) -> list[tuple[int, ...]]:
+    """How many go by a step, then of each of these sequences the first and the step, for all of them."""
+    rows: list[tuple[int, ...]] = []
+    count = len(values[0])
+    steps = np.array([np.diff(x) for x in values])
+    ends = iter([*(np.flatnonzero((np.diff(steps) != 0).any(axis=0)) + 1).tolist(), count - 1])
+    first = np.array(values).T.tolist()
+    at = end = 0
+    while at < count:
+        while end <= at < count - 1:
+            end = next(ends)
+        step, last = [0] * len(values), at
+        if at < count - 1 and np.abs(steps[:, at]).max() < BEHIND // 2:  # else from constants to others
+            step, last = steps[:, at].tolist(), end
+        rows.append((last + 1 - at, *chain(*zip(first[at], step, strict=True))))
+        at = last + 1
+    return rows
+
+
+def _runs(runs: list[list[Operation]], at: dict[int, tuple[int, ...]]) -> list[int]:
+    """The words of runs of operations on values at these places."""
+    words: list[int] = []
+    for run in runs:
+        for start in range(0, len(run), NARROW - 1):
+            part = run[start : start + NARROW - 1]
+            words += [part[0].kind, len(part)]
+            words += [word for operation in part for value in operation.operands for word in at[value]]
+    return words

@@ -1,0 +1,109 @@
+"""A scene as one file that the C runtime loads: functions as runs of equal operations, programs as calls, tables.
+
+The file is little-endian and the same bytes for the same equations. A function works on one array of numbers: the
+constants of the scene, then its arguments, then what each of its operations gives, in order. Of an operation the places
+of its operands are stored alone, and equal operations follow each other, so that the runtime chooses what to do once a
+run (`runtime/interpret.c`). What repeats in a long function is a loop over places that go by a step.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from .arrangement import KINDS, SINE_COSINE, SUMS
+from .passes import BEHIND, EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
+from .stream import BINARY, UNARY, Instructions
+
+__all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
+
+CALLS = ("call", "choice", "loop", "factor", "solve", "least_norm")
+"""What a program is made of, in the order of their numbers."""
+
+
+def operations_header() -> str:
+    """operations.h: what operations compute from a, b and c, in C."""
+    lines = ["/* What operations of a scene compute; generated from alfmu/kernel/scene.py. */", ""]
+    for name, table in (("BINARY_OPERATIONS", BINARY), ("UNARY_OPERATIONS", UNARY)):
+        rows = [f"    X({KINDS.index(each)}, {text.format('a', 'b')})" for each, text in table.items() if each in KINDS]
+        lines += [f"#define {name}(X) \\", *(f"{row} \\" for row in rows[:-1]), rows[-1], ""]
+    counts = ", ".join(str(OPERANDS[kind]) for kind in KINDS)
+    lines += [
+        *(f"#define {name.upper()}_KIND {KINDS.index(name)}" for name in SUMS),
+        f"#define SINE_COSINE_KIND {KINDS.index(SINE_COSINE)}",
+        f"#define KIND_COUNT {len(KINDS)}",
+        f"#define LOOP_KIND {LOOP_KIND}",
+        f"#define EACH_KIND {EACH_KIND}",
+        f"#define GATHER_KIND {GATHER_KIND}",
+        f"#define OPERAND_COUNTS {counts}",
+        "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
+        f"enum {{ {', '.join(f'{name.upper()}_CODE' for name in CALLS)} }};",
+    ]
+    return "\n".join([*lines, ""])
+
+
+OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | {kind: 3 + 2 * i for i, kind in enumerate(SUMS)}
+"""How many operands operations of a kind have."""
+
+
+def code(f: ca.Function, constants: Constants, scene: str) -> Code:
+    """The operations of a function that calls no other."""
+    instructions = Instructions.of(f)
+    instructions.check(scene, f.name())
+    inputs, outputs = (
+        [part(i) for i in range(count)] for part, count in ((f.nnz_in, f.n_in()), (f.nnz_out, f.n_out()))
+    )
+    return written(instructions, constants, inputs, outputs)
+
+
+class Writer:
+    """Bytes of a scene file, little-endian."""
+
+    def __init__(self) -> None:
+        self.parts: list[bytes] = []
+
+    def integer(self, value: int) -> None:
+        self.parts.append(struct.pack("<i", value))
+
+    def real(self, value: float) -> None:
+        self.parts.append(struct.pack("<d", value))
+
+    def text(self, value: str) -> None:
+        data = value.encode()
+        self.integer(len(data))
+        self.parts.append(data)
+
+    def integers(self, values: Iterable[int] | NDArray, kind: str = "<i4") -> None:
+        """How many there are, and each."""
+        data = np.asarray(values if isinstance(values, np.ndarray) else list(values), np.int64).astype(kind)
+        self.integer(data.size)
+        self.parts.append(data.tobytes())
+
+    def reals(self, values: Iterable[float]) -> None:
+        data = np.array(list(values), "<f8")
+        self.integer(data.size)
+        self.parts.append(data.tobytes())
+
+    def code(self, made: Code, constants: int) -> None:
+        """A function whose places are known now."""
+
+        def placed(places: NDArray) -> NDArray:
+            return np.where(places >= BEHIND // 2, places - BEHIND + constants, places)
+
+        self.integers(made.inputs)
+        self.integers(made.outputs)
+        wide = made.looped or constants + sum(made.inputs) + made.values > NARROW
+        self.integer(int(wide))
+        kind = "<i4" if wide else "<u2"
+        self.integers(placed(made.words), kind)
+        if wide:
+            self.integers(placed(made.results).ravel())
+            return
+        results = np.zeros(sum(made.outputs), np.int64)
+        for count, entry, entries, place, step in placed(made.results).tolist():
+            results[entry + entries * np.arange(count)] = place + step * np.arange(count)
+        self.integers(results, kind)

@@ -1,0 +1,108 @@
+"""Builds the C library of the runtime: for this machine by its compiler, for others by zig.
+
+Needs nothing but Python, so that an installation from source runs it before alfmu is there:
+`python alfmu/runtime/build.py [PLATFORM ...]` writes the libraries beside this file.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["HERE", "PLATFORMS", "Platform", "build", "compiler", "file_name", "sources"]
+
+
+@dataclass(frozen=True)
+class Platform:
+    """What a library is made for."""
+
+    target: str
+    """As zig names it."""
+    suffix: str
+    fmi3: str
+    """Its folder in an FMU of FMI 3; that of FMI 2 is its name here."""
+
+
+PLATFORMS = {
+    "linux64": Platform("x86_64-linux-gnu.2.17", ".so", "x86_64-linux"),
+    "win64": Platform("x86_64-windows-gnu", ".dll", "x86_64-windows"),
+    "darwin64": Platform("x86_64-macos.11.0", ".dylib", "x86_64-darwin"),
+    "aarch64-darwin": Platform("aarch64-macos.11.0", ".dylib", "aarch64-darwin"),
+    "aarch64-linux": Platform("aarch64-linux-gnu.2.17", ".so", "aarch64-linux"),
+}
+"""Platforms of the runtime."""
+
+_MACHINES = {
+    ("linux", "x86_64"): "linux64",
+    ("linux", "aarch64"): "aarch64-linux",
+    ("win32", "amd64"): "win64",
+    ("darwin", "x86_64"): "darwin64",
+    ("darwin", "arm64"): "aarch64-darwin",
+}
+
+HERE = _MACHINES.get((sys.platform, platform.machine().lower()), "")
+"""This platform; empty where it is none of them."""
+
+FLAGS = ("-O2", "-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
+"""`-ffp-contract=off`: a sum of products is rounded as it is written, so that compiled scenes give the same numbers."""
+
+_FOLDER = Path(__file__).parent
+
+
+def sources() -> list[Path]:
+    """The C files and headers of the runtime."""
+    return sorted(_FOLDER.glob("*.[ch]"))
+
+
+def file_name(name: str) -> str:
+    """The library of a platform, beside this file."""
+    return f"alfmu-{name}{PLATFORMS[name].suffix}"
+
+
+def compiler() -> list[str] | None:
+    """The command of a C compiler: CC of the environment, the system's, or ziglang's; None where there is none."""
+    if os.environ.get("CC"):
+        return shlex.split(os.environ["CC"])
+    for name in ("cc", "gcc", "clang"):
+        if found := shutil.which(name):
+            return [found]
+    return zig()
+
+
+def zig() -> list[str] | None:
+    """The command of ziglang's C compiler, where it is installed."""
+    return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
+
+
+def build(name: str, path: Path) -> None:
+    """Compile the library of a platform; RuntimeError where there is no compiler, or where it fails."""
+    command = compiler() if name == HERE else zig()
+    if command is None:
+        raise RuntimeError(f"no C compiler found for {name}; pip install ziglang")
+    if "ziglang" in command:
+        command = [*command, "-target", PLATFORMS[name].target]
+    with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+        made = Path(folder) / file_name(name)
+        files = [str(each) for each in sources() if each.suffix == ".c"]
+        libraries = ["-lm", *["-ldl"] * name.endswith(("linux64", "-linux"))] if name != "win64" else []
+        arguments = [*command, *FLAGS, "-shared", "-s", *files, "-o", str(made), *libraries]
+        done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(f"the C compiler {command[0]} failed: {done.stderr.strip()[:2000]}")
+        partial = path.with_name(f".{path.name}.{os.getpid()}")
+        shutil.copyfile(made, partial)
+        partial.replace(path)
+
+
+if __name__ == "__main__":
+    for wanted in sys.argv[1:] or [HERE]:
+        build(wanted, _FOLDER / file_name(wanted))
+        print(_FOLDER / file_name(wanted))

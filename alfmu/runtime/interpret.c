@@ -1,0 +1,265 @@
+/* Runs the functions and programs of a scene. A function works on the registers of an instance: the constants of the
+   scene, then the arguments, then what each operation gives. The loader has checked every place, so nothing is checked
+   here. */
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "alfmu.h"
+#include "linear.h"
+#include "operations.h"
+
+/* Runs of equal operations: the kind, how many there are, the places of their operands. The same text serves places of 16
+   and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an operation
+   in all passes. OPERAND(k) is the operand k; NEXT(n) goes on to the next operation behind one of n operands. */
+#define BINARY(kind, value) \
+    case kind: \
+        for (; count; count--, NEXT(2)) { \
+            const double a = OPERAND(0), b = OPERAND(1); \
+            *d++ = value; \
+        } \
+        break;
+#define UNARY(kind, value) \
+    case kind: \
+        for (; count; count--, NEXT(1)) { \
+            const double a = OPERAND(0); \
+            *d++ = value; \
+        } \
+        break;
+#define PRODUCT(k) OPERAND(k) * OPERAND((k) + 1)
+#define SUM(kind, operands, products) \
+    case kind: \
+        for (; count >= 4; count -= 4, d += 4) { \
+            d[0] = OPERAND(0) + products; \
+            NEXT(operands); \
+            d[1] = OPERAND(0) + products; \
+            NEXT(operands); \
+            d[2] = OPERAND(0) + products; \
+            NEXT(operands); \
+            d[3] = OPERAND(0) + products; \
+            NEXT(operands); \
+        } \
+        for (; count; count--, NEXT(operands)) \
+            *d++ = OPERAND(0) + products; \
+        break;
+#define RUN \
+    SUM(SUM1_KIND, 3, PRODUCT(1)) \
+    SUM(SUM2_KIND, 5, PRODUCT(1) + PRODUCT(3)) \
+    case SINE_COSINE_KIND: \
+        for (; count; count--, NEXT(1)) { \
+            const double a = OPERAND(0); \
+            *d++ = sin(a); \
+            *d++ = cos(a); \
+        } \
+        break; \
+        BINARY_OPERATIONS(BINARY) \
+        UNARY_OPERATIONS(UNARY)
+
+#define OPERAND(k) r[at[2 * (k)] + pass * at[2 * (k) + 1]]
+#define NEXT(n) at += 2 * (n)
+
+static void one_pass(const int32_t *at, const int32_t *end, long pass, const double *r, double *d)
+{
+    while (at < end) {
+        const int32_t kind = *at++;
+        int32_t count = *at++;
+        switch (kind) {
+            RUN
+        }
+    }
+}
+
+#undef NEXT
+#define NEXT(n) pass++
+
+static void all_passes(const int32_t *at, int32_t kind, int32_t count, const double *r, double *d)
+{
+    long pass = 0;
+    switch (kind) {
+        RUN
+    }
+}
+
+#undef OPERAND
+#undef NEXT
+#define OPERAND(k) r[at[k]]
+#define NEXT(n) at += (n)
+
+static void wide_runs(const int32_t *at, const int32_t *end, const double *r, double *d)
+{
+    static const unsigned char operands[] = {OPERAND_COUNTS};
+    while (at < end) {
+        const int32_t kind = *at++;
+        int32_t count = *at++;
+        switch (kind) {
+            RUN
+        case LOOP_KIND: { /* how many values a pass gives, and how many words the body has */
+            const int32_t values = at[0], body = at[1];
+            at += 2;
+            for (int32_t pass = 0; pass < count; pass++, d += values)
+                one_pass(at, at + body, pass, r, d);
+            at += body;
+            break;
+        }
+        case EACH_KIND: /* the kind of the operation */
+            all_passes(at + 1, at[0], count, r, d);
+            d += count * VALUES_OF(at[0]);
+            at += 1 + 2 * operands[at[0]];
+            break;
+        case GATHER_KIND:
+            for (; count; count--)
+                *d++ = r[*at++];
+            break;
+        }
+    }
+}
+
+static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r, double *d)
+{
+    while (at < end) {
+        const unsigned kind = *at++;
+        unsigned count = *at++;
+        switch (kind) {
+            RUN
+        }
+    }
+}
+
+/* What the operations of a function give, once its arguments stand in the registers. */
+static void evaluate(const Function *f, double *r, double *values)
+{
+    if (f->narrow)
+        narrow_runs(f->narrow, f->narrow + f->words, r, values);
+    else
+        wide_runs(f->wide, f->wide + f->words, r, values);
+}
+
+static size_t result(const Function *f, size_t k)
+{
+    return f->narrow ? f->narrow[f->words + k] : (size_t)f->wide[f->words + k];
+}
+
+void call(Instance *i, int which, const double *const *x, double *const *y)
+{
+    const Function *f = i->scene->functions + which;
+    double *r = i->registers, *d = r + i->scene->constant_count;
+    size_t k = 0;
+    if (f->compiled) {
+        f->compiled(x, y, i->spare);
+        return;
+    }
+    for (int j = 0; j < f->inputs; j++) {
+        memcpy(d, x[j], (size_t)f->lengths[j] * sizeof *d);
+        d += f->lengths[j];
+    }
+    evaluate(f, r, d);
+    for (int j = 0; j < f->outputs; j++)
+        for (int e = 0; e < f->lengths[f->inputs + j]; e++)
+            y[j][e] = r[result(f, k++)];
+}
+
+/* The same with arguments and results in the memory. */
+static void call_at(Instance *i, const Function *f, const int32_t *at)
+{
+    double *m = i->m, *r = i->registers, *d = r + i->scene->constant_count;
+    size_t k = 0;
+    if (f->compiled) {
+        const double *x[MOST_ARGUMENTS];
+        double *y[MOST_ARGUMENTS];
+        for (int j = 0; j < f->inputs; j++)
+            x[j] = m + at[j];
+        for (int j = 0; j < f->outputs; j++)
+            y[j] = m + at[f->inputs + j];
+        f->compiled(x, y, i->spare);
+        return;
+    }
+    for (int j = 0; j < f->inputs; j++) {
+        memcpy(d, m + at[j], (size_t)f->lengths[j] * sizeof *d);
+        d += f->lengths[j];
+    }
+    evaluate(f, r, d);
+    at += f->inputs;
+    for (int j = 0; j < f->outputs; j++) {
+        double *y = m + at[j];
+        const int length = f->lengths[f->inputs + j];
+        if (f->narrow) {
+            const uint16_t *from = f->narrow + f->words + k;
+            for (int e = 0; e < length; e++)
+                y[e] = r[from[e]];
+        } else {
+            const int32_t *from = f->wide + f->words + k;
+            for (int e = 0; e < length; e++)
+                y[e] = r[from[e]];
+        }
+        k += (size_t)length;
+    }
+}
+
+/* Least-squares solution of least norm of a square system, as NumPy's lstsq has it; NaN where the matrix is not finite. */
+static void solve_dense(Instance *i, int size, const double *matrix, const double *right, double *solution)
+{
+    if (isfinite(largest(matrix, size * size)))
+        least_norm(size, size, matrix, right, DBL_EPSILON * size, solution, i->dense);
+    else
+        for (int k = 0; k < size; k++)
+            solution[k] = NAN;
+}
+
+static void run_code(Instance *i, const int32_t *at, const int32_t *end)
+{
+    double *m = i->m;
+    while (at < end)
+        switch (*at++) {
+        case CALL_CODE: {
+            const Function *f = i->scene->functions + *at++;
+            call_at(i, f, at);
+            at += f->inputs + f->outputs;
+            break;
+        }
+        case CHOICE_CODE: { /* a number, how long the way is where it is not zero, and the way where it is */
+            const int32_t *ways = at + 3;
+            if (m[at[0]] != 0.0)
+                run_code(i, ways, ways + at[1]);
+            else
+                run_code(i, ways + at[1], ways + at[1] + at[2]);
+            at = ways + at[1] + at[2];
+            break;
+        }
+        case LOOP_CODE: { /* a number, how often at most (or, below zero, where that stands), how long the body is */
+            const int32_t *body = at + 3;
+            double times = at[1] >= 0 ? (double)at[1] : m[-1 - at[1]];
+            for (; times >= 1.0 && m[at[0]] != 0.0; times -= 1.0)
+                run_code(i, body, body + at[2]);
+            at = body + at[2];
+            break;
+        }
+        case FACTOR_CODE: { /* n, blocks, terms; weights, parts; factors, order */
+            const double *parts[MOST_ARGUMENTS];
+            const int count = at[1] * at[2];
+            for (int j = 0; j < count; j++)
+                parts[j] = m + at[4 + j];
+            factor(at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
+            at += 6 + count;
+            break;
+        }
+        case SOLVE_CODE: { /* n, blocks; factors, order, right-hand sides; solution */
+            const double *right[MOST_ARGUMENTS];
+            for (int j = 0; j < at[1]; j++)
+                right[j] = m + at[4 + j];
+            solve(at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
+            at += 5 + at[1];
+            break;
+        }
+        case LEAST_NORM_CODE: /* unknowns; matrix, right-hand side; solution */
+            solve_dense(i, at[0], m + at[1], m + at[2], m + at[3]);
+            at += 4;
+            break;
+        }
+}
+
+void run(Instance *i, int program)
+{
+    const Program *p = i->scene->programs + program;
+    run_code(i, p->code, p->code + p->words);
+}

@@ -1,0 +1,266 @@
+/* What the library offers beside the functions of FMI: scenes and instances for a binding such as library.py. */
+
+#include <math.h>
+#include <string.h>
+#include <time.h>
+
+#include "alfmu.h"
+#include "fmi.h"
+
+/* A run in one call: a grid of communication points, inputs at each, the variables that are wanted at each. */
+typedef struct {
+    const double *times; /* communication points, the start first */
+    long count;
+    const int *inputs; /* references of inputs, by columns of `table`, a row for each communication point */
+    int input_count;
+    const double *table;
+    const int *wanted; /* references, by columns of `values` */
+    int wanted_count;
+    double *values;
+    int (*progress)(long done); /* some times a second, where there is one; zero interrupts the run */
+} Run;
+
+API int alfmu_scene_version(void)
+{
+    return SCENE_VERSION;
+}
+
+API Scene *alfmu_scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)
+{
+    return scene_load(bytes, size, why, why_size);
+}
+
+/* The functions of the scene as compiled code in place of interpreted ones; zero where they are of another scene. */
+API int alfmu_scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+{
+    return scene_compiled(s, functions, count, spare, identity);
+}
+
+API void alfmu_scene_free(Scene *s)
+{
+    scene_free(s);
+}
+
+API Instance *alfmu_new(const Scene *s)
+{
+    return instance_new(s);
+}
+
+API void alfmu_free(Instance *i)
+{
+    instance_free(i);
+}
+
+API void alfmu_reset(Instance *i)
+{
+    instance_reset(i);
+}
+
+API const char *alfmu_text(const Instance *i)
+{
+    return i->text;
+}
+
+API const char *alfmu_name(const Scene *s)
+{
+    return s->name;
+}
+
+API int alfmu_variable_count(const Scene *s)
+{
+    return variable_count(s);
+}
+
+API const char *alfmu_variable(const Scene *s, int reference, int *type, int *kind)
+{
+    *type = (int)s->variables[reference].type;
+    *kind = (int)s->variables[reference].kind;
+    return s->variables[reference].name;
+}
+
+API int alfmu_set(Instance *i, int reference, double value)
+{
+    return (int)instance_set(i, reference, value);
+}
+
+API int alfmu_choose(Instance *i, int reference, const char *value)
+{
+    const Scene *s = i->scene;
+    const Choice *choice = s->choice + (reference - s->parameters);
+    char known[300] = "";
+    for (int k = 0; k < choice->count; k++) {
+        if (!strcmp(value, choice->values[k]))
+            return (int)instance_set(i, reference, k + 1);
+        if (strlen(known) + strlen(choice->values[k]) + 3 < sizeof known) {
+            strcat(known, *known ? ", " : "");
+            strcat(known, choice->values[k]);
+        }
+    }
+    return (int)say(i, REFUSED, "%s: %s is '%.60s'; use one of %s, or make the scene with it (export with --set %s=%.60s)",
+        s->name, s->variables[reference].name, value, known, s->variables[reference].name, value);
+}
+
+API const char *alfmu_chosen(const Instance *i, int reference)
+{
+    return i->scene->choice[reference - i->scene->parameters].values[(int)instance_get(i, reference) - 1];
+}
+
+API double alfmu_get(const Instance *i, int reference)
+{
+    return instance_get(i, reference);
+}
+
+API double alfmu_time(Instance *i)
+{
+    return *instance_time(i);
+}
+
+API void alfmu_set_time(Instance *i, double time)
+{
+    *instance_time(i) = time;
+}
+
+API int alfmu_tolerate(Instance *i, double tolerance)
+{
+    return (int)instance_tolerate(i, tolerance);
+}
+
+/* From here on parameters are fixed, or can be changed again. */
+API void alfmu_run_on(Instance *i, int running)
+{
+    i->flags.running = running;
+}
+
+API int alfmu_initialized(const Instance *i)
+{
+    return i->flags.initialized;
+}
+
+API int alfmu_initialize(Instance *i)
+{
+    return (int)instance_initialize(i);
+}
+
+API void alfmu_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
+    const double *units, const double *scales, const double *known)
+{
+    instance_begin(i, q, v, full, penalty, units, scales, known);
+}
+
+API int alfmu_step(Instance *i, double start, double h)
+{
+    return (int)instance_step(i, start, h);
+}
+
+/* Outputs at this instant; where they cannot be computed, those that can. */
+API int alfmu_read(Instance *i, double *values)
+{
+    const Scene *s = i->scene;
+    const int first = s->parameters + s->choices + s->inputs + s->switches;
+    const Outcome outcome = instance_read(i);
+    for (int k = 0; k < s->outputs; k++)
+        values[k] = instance_get(i, first + k);
+    return (int)outcome;
+}
+
+API int alfmu_get_many(Instance *i, const int *references, int count, double *values)
+{
+    const Scene *s = i->scene;
+    const int first = s->parameters + s->choices + s->inputs + s->switches;
+    Outcome outcome = DONE;
+    for (int k = 0; k < count && outcome == DONE; k++)
+        if (references[k] >= first)
+            outcome = instance_read(i);
+    for (int k = 0; k < count; k++)
+        values[k] = instance_get(i, references[k]);
+    return (int)outcome;
+}
+
+API size_t alfmu_state_size(const Instance *i)
+{
+    return state_size(i);
+}
+
+API void alfmu_save(const Instance *i, unsigned char *state)
+{
+    state_save(i, state);
+}
+
+API int alfmu_restore(Instance *i, const unsigned char *state, size_t size)
+{
+    return (int)state_restore(i, state, size);
+}
+
+/* Where q, v, computed angles, work and time stand, in this order, as long as the instance lives. */
+API double *alfmu_state(Instance *i)
+{
+    return i->m + i->scene->z;
+}
+
+/* What has no variable: zeta and omega of stabilised formulations, and whether steps end with projections (-1: as the
+   formulation has it). */
+API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
+{
+    return (int)instance_stabilise(i, zeta, omega, projection);
+}
+
+API int alfmu_mobility(Instance *i, int *freedom, int *redundant, int *here)
+{
+    return (int)instance_mobility(i, freedom, redundant, here);
+}
+
+/* Penalties of all constraints: those of the start where the instance is not initialised yet. */
+API int alfmu_penalize(Instance *i, const double *penalties)
+{
+    return (int)instance_penalize(i, penalties);
+}
+
+API void alfmu_penalties(const Instance *i, double *penalties)
+{
+    memcpy(penalties, i->penalty, (size_t)i->scene->l * sizeof *penalties);
+}
+
+API void alfmu_counts(const Instance *i, double *counts)
+{
+    memcpy(counts, i->counts, COUNTED * sizeof *counts);
+    memcpy(counts + COUNTED, i->m + i->scene->tally, (TIERS + 5) * sizeof *counts);
+}
+
+static int row_of_run(Instance *i, const Run *r, long row)
+{
+    Outcome outcome = DONE;
+    for (int k = 0; k < r->input_count && outcome == DONE; k++)
+        outcome = instance_set(i, r->inputs[k], r->table[row * r->input_count + k]);
+    if (outcome == DONE && row == 0 && !i->flags.initialized)
+        outcome = instance_initialize(i);
+    i->flags.running = i->flags.initialized;
+    return outcome == DONE ? alfmu_get_many(i, r->wanted, r->wanted_count, r->values + row * r->wanted_count)
+                           : (int)outcome;
+}
+
+/* Makes the run; returns how many rows of values there are. `outcome` says why there are no more: below zero where the run
+   was interrupted. */
+API long alfmu_run(Instance *i, const Run *r, int *outcome)
+{
+    const clock_t pause = CLOCKS_PER_SEC / 20;
+    clock_t last = clock();
+    *outcome = row_of_run(i, r, 0);
+    if (*outcome != DONE)
+        return 0;
+    for (long row = 1; row < r->count; row++) {
+        const double start = r->times[row - 1];
+        *outcome = (int)instance_step(i, start, r->times[row] - start);
+        if (*outcome == DONE)
+            *outcome = row_of_run(i, r, row);
+        if (*outcome != DONE)
+            return row;
+        if (r->progress && clock() - last > pause) {
+            last = clock();
+            if (!r->progress(row)) {
+                *outcome = -1;
+                return row + 1;
+            }
+        }
+    }
+    return r->count;
+}

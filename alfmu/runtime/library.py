@@ -1,0 +1,265 @@
+"""The C library of the runtime by ctypes: scenes, and units that run them. Needs Python alone.
+
+This module and the library beside it travel inside FMUs for Python.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Callable, Sequence
+from ctypes import POINTER, c_char_p, c_double, c_int, c_long, c_size_t, c_void_p
+from functools import cache
+from pathlib import Path
+
+__all__ = ["BRAKES", "DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD", "Scene", "Unit", "library"]
+
+DONE, REFUSED, OPEN, FAILED, UNHELD, BRAKES = range(6)
+"""What a call comes to: done; refused, nothing has changed; constraints cannot be closed; failed; a massless body that
+nothing holds; redundant constraints that a scene must be traced for."""
+
+INTERRUPTED = -1
+"""What a run comes to that its callback ended."""
+
+_KINDS = ("parameter", "choice", "input", "switch", "output")
+_TYPES = ("Real", "Integer", "Boolean", "String")
+_WHY = 500
+
+_Progress = ctypes.CFUNCTYPE(c_int, c_long)
+
+
+class _Run(ctypes.Structure):
+    _fields_ = (
+        ("times", c_void_p),
+        ("count", c_long),
+        ("inputs", c_void_p),
+        ("input_count", c_int),
+        ("table", c_void_p),
+        ("wanted", c_void_p),
+        ("wanted_count", c_int),
+        ("values", c_void_p),
+        ("progress", _Progress),
+    )
+
+
+_SIGNATURES = {
+    "scene_version": (c_int,),
+    "scene_load": (c_void_p, c_char_p, c_size_t, c_char_p, c_size_t),
+    "scene_compiled": (c_int, c_void_p, c_void_p, c_int, c_int, c_char_p),
+    "scene_free": (None, c_void_p),
+    "new": (c_void_p, c_void_p),
+    "free": (None, c_void_p),
+    "reset": (None, c_void_p),
+    "text": (c_char_p, c_void_p),
+    "name": (c_char_p, c_void_p),
+    "variable_count": (c_int, c_void_p),
+    "variable": (c_char_p, c_void_p, c_int, POINTER(c_int), POINTER(c_int)),
+    "set": (c_int, c_void_p, c_int, c_double),
+    "choose": (c_int, c_void_p, c_int, c_char_p),
+    "chosen": (c_char_p, c_void_p, c_int),
+    "get": (c_double, c_void_p, c_int),
+    "get_many": (c_int, c_void_p, c_void_p, c_int, c_void_p),
+    "time": (c_double, c_void_p),
+    "set_time": (None, c_void_p, c_double),
+    "tolerate": (c_int, c_void_p, c_double),
+    "run_on": (None, c_void_p, c_int),
+    "initialized": (c_int, c_void_p),
+    "initialize": (c_int, c_void_p),
+    "begin": (None, *[c_void_p] * 8),
+    "step": (c_int, c_void_p, c_double, c_double),
+    "read": (c_int, c_void_p, c_void_p),
+    "state_size": (c_size_t, c_void_p),
+    "save": (None, c_void_p, c_char_p),
+    "restore": (c_int, c_void_p, c_char_p, c_size_t),
+    "state": (c_void_p, c_void_p),
+    "stabilise": (c_int, c_void_p, c_double, c_double, c_int),
+    "mobility": (c_int, c_void_p, POINTER(c_int), POINTER(c_int), POINTER(c_int)),
+    "penalize": (c_int, c_void_p, c_void_p),
+    "penalties": (None, c_void_p, c_void_p),
+    "counts": (None, c_void_p, c_void_p),
+    "run": (c_long, c_void_p, POINTER(_Run), POINTER(c_int)),
+}
+"""Result and arguments of each function."""
+
+
+@cache
+def library(folder: Path = Path(__file__).parent) -> ctypes.CDLL:
+    """The library for this machine among those in a folder; OSError where there is none."""
+    suffix = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+    there = sorted(folder.glob(f"alfmu-*{suffix}"))
+    loaded, why = None, f"there is no alfmu-*{suffix} in {folder}"
+    for path in there:
+        try:
+            loaded = ctypes.CDLL(str(path))
+            break
+        except OSError as error:  # one for another processor
+            why = str(error)
+    if loaded is None:
+        raise OSError(f"alfmu's runtime for this machine is missing ({why}); install alfmu again, with a C compiler")
+    for name, (result, *arguments) in _SIGNATURES.items():
+        function = getattr(loaded, f"alfmu_{name}")
+        function.restype, function.argtypes = result, arguments
+    return loaded
+
+
+class Scene:
+    """A scene that has been loaded and checked; ValueError where its bytes are not a scene of this version."""
+
+    def __init__(self, data: bytes, folder: Path | None = None):
+        self.library = library(folder) if folder else library()
+        why = ctypes.create_string_buffer(_WHY)
+        self.address = self.library.alfmu_scene_load(data, len(data), why, _WHY)
+        if not self.address:
+            raise ValueError(why.value.decode(errors="replace"))
+        self.name = self.library.alfmu_name(self.address).decode(errors="replace")
+        kind, type_ = c_int(), c_int()
+        self.names: list[str] = []
+        self.types: list[str] = []
+        self.kinds: list[str] = []
+        for reference in range(self.library.alfmu_variable_count(self.address)):
+            name = self.library.alfmu_variable(self.address, reference, ctypes.byref(type_), ctypes.byref(kind))
+            self.names.append(name.decode(errors="replace"))
+            self.types.append(_TYPES[type_.value])
+            self.kinds.append(_KINDS[kind.value])
+        self.references = {name: reference for reference, name in enumerate(self.names)}
+        self.first_output = self.kinds.index("output") if "output" in self.kinds else len(self.kinds)
+
+    def compiled_by(self, path: Path) -> None:
+        """Run compiled functions in place of interpreted ones; ValueError where they are of another scene."""
+        code = ctypes.CDLL(str(path))
+        count, spare = (c_int.in_dll(code, f"alfmu_{name}").value for name in ("function_count", "spare"))
+        table = (c_void_p * count).in_dll(code, "alfmu_functions")
+        identity = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(code, "alfmu_scene")))
+        if not self.library.alfmu_scene_compiled(self.address, ctypes.addressof(table), count, spare, identity):
+            raise ValueError(f"{self.name}: {path.name} has the functions of another scene; export it again")
+        self.code = code  # as long as the scene calls into it
+
+    def __del__(self) -> None:
+        if getattr(self, "address", None):
+            self.library.alfmu_scene_free(self.address)
+
+
+class Unit:
+    """One instance of a scene: calls by value reference, each with an outcome."""
+
+    def __init__(self, scene: Scene):
+        self.scene, c = scene, scene.library
+        self.address = c.alfmu_new(scene.address)
+        if not self.address:
+            raise MemoryError("there is no memory for an instance")
+        address = self.address
+        self._step, self._read, self._get = c.alfmu_step, c.alfmu_read, c.alfmu_get
+        self._outputs = (c_double * (len(scene.names) - scene.first_output))()
+        self._place = ctypes.addressof(self._outputs)
+        self._many: dict[tuple[int, ...], tuple[ctypes.Array, ctypes.Array]] = {}
+        self._address = address
+
+    def __del__(self) -> None:
+        if getattr(self, "address", None):
+            self.scene.library.alfmu_free(self.address)
+
+    @property
+    def text(self) -> str:
+        """Why the last call was refused or failed."""
+        return self.scene.library.alfmu_text(self.address).decode(errors="replace")
+
+    @property
+    def initialized(self) -> bool:
+        return bool(self.scene.library.alfmu_initialized(self.address))
+
+    @property
+    def time(self) -> float:
+        """[s]."""
+        return self.scene.library.alfmu_time(self.address)
+
+    @time.setter
+    def time(self, value: float) -> None:
+        self.scene.library.alfmu_set_time(self.address, value)
+
+    def reset(self) -> None:
+        self.scene.library.alfmu_reset(self.address)
+
+    def set(self, reference: int, value: float | str) -> int:
+        c = self.scene.library
+        if self.scene.kinds[reference] == "choice":
+            return c.alfmu_choose(self.address, reference, str(value).encode())
+        return c.alfmu_set(self.address, reference, value)
+
+    def get(self, reference: int) -> float | str:
+        if self.scene.kinds[reference] == "choice":
+            return self.scene.library.alfmu_chosen(self.address, reference).decode()
+        return self._get(self._address, reference)
+
+    def get_many(self, references: Sequence[int]) -> tuple[int, list[float]]:
+        """The outcome of reading, and the values; NaN where outputs cannot be computed."""
+        key = tuple(references)
+        if key not in self._many:
+            if len(self._many) > _KEPT:
+                self._many.clear()
+            self._many[key] = (c_int * len(key))(*key), (c_double * len(key))()
+        wanted, values = self._many[key]
+        outcome = self.scene.library.alfmu_get_many(self.address, wanted, len(key), values)
+        return outcome, values[:]
+
+    def tolerate(self, tolerance: float) -> int:
+        return self.scene.library.alfmu_tolerate(self.address, tolerance)
+
+    def run_on(self, running: bool) -> None:
+        """Whether parameters are fixed."""
+        self.scene.library.alfmu_run_on(self.address, running)
+
+    def initialize(self) -> int:
+        return self.scene.library.alfmu_initialize(self.address)
+
+    def step(self, start: float, h: float) -> int:
+        return self._step(self._address, start, h)
+
+    def read(self) -> int:
+        """Compute all outputs; `outputs` has them."""
+        return self._read(self._address, self._place)
+
+    @property
+    def outputs(self) -> ctypes.Array:
+        """What `read` found last, overwritten by the next call."""
+        return self._outputs
+
+    def save(self) -> bytes:
+        size = self.scene.library.alfmu_state_size(self.address)
+        state = ctypes.create_string_buffer(size)
+        self.scene.library.alfmu_save(self.address, state)
+        return state.raw
+
+    def restore(self, state: bytes) -> int:
+        return self.scene.library.alfmu_restore(self.address, state, len(state))
+
+    def run(
+        self,
+        times: int,
+        count: int,
+        inputs: Sequence[int],
+        table: int,
+        wanted: Sequence[int],
+        values: int,
+        progress: Callable[[int], int] | None = None,
+    ) -> tuple[int, int]:
+        """Communication points, inputs and values by addresses; how many rows were made, and the outcome."""
+        columns, read = (c_int * len(inputs))(*inputs), (c_int * len(wanted))(*wanted)
+        callback = _Progress(progress) if progress else _Progress()
+        run = _Run(
+            times,
+            count,
+            ctypes.cast(columns, c_void_p),
+            len(inputs),
+            table,
+            ctypes.cast(read, c_void_p),
+            len(wanted),
+            values,
+            callback,
+        )
+        outcome = c_int()
+        made = self.scene.library.alfmu_run(self.address, ctypes.byref(run), ctypes.byref(outcome))
+        return made, outcome.value
+
+
+_KEPT = 50
+"""Lists of references whose arrays a unit keeps."""

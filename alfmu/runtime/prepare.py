@@ -1,0 +1,167 @@
+"""A mechanism's equations made ready to run: what the start tells, the method of integration, the kernel traced."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from .. import oracle
+from ..equations import Equations
+from ..equations.evaluation import DENSE, with_tangents
+from ..equations.interface import CHOICES, checked, setting, variables_of
+from ..kernel import DEFAULT, KERNELS
+from ..kernel.build import compiled_scene, compiler
+from ..kernel.controlled import controlled
+from ..kernel.tables import packed
+from ..kernel.trace import traced, untraced
+from ..method.implicit import RULES
+from ..model.errors import AlfmuError, InputError
+from ..model.settings import Settings
+from .library import Scene
+
+__all__ = ["again", "loaded", "prepared", "retraced", "with_defaults"]
+
+STIFF = 20.0
+"""Ratio of the fastest small motion to the slowest that lasts, above which a scene is stiff if the fastest does not:
+stability limits explicit steps to some 4 over the one, accuracy all steps to 0.3 over the other, and an implicit step
+costs two or three explicit ones."""
+
+LASTS = 30.0
+"""Time constants in a run up to which a small motion lasts; one with more is gone after a tenth of it."""
+
+
+def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
+    """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
+    if kernel not in KERNELS:
+        raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
+    equations, probe = _with_method(equations), None
+    if not equations.kernel or equations.shared is None:
+        probe = _started(equations)
+        equations = _surveyed(equations, probe)
+    if kernel == "oracle":
+        return replace(untraced(equations), library=None)
+    e = equations if equations.kernel else _traced(equations, probe)
+    if kernel == "compiled" or (kernel == "auto" and compiler()):
+        return e if e.library else replace(e, library=compiled_scene(e, packed(e)))
+    return replace(e, library=None) if e.library else e
+
+
+def _started(equations: Equations) -> oracle.Instance | None:
+    """An instance at the start, None where the defaults have none, so that nothing is known of its freedoms."""
+    probe = oracle.Instance(equations)
+    try:
+        probe.initialize()
+    except AlfmuError:
+        return None
+    return probe
+
+
+def _with_method(equations: Equations) -> Equations:
+    """The same equations with what their method of integration needs, and `auto` decided."""
+    chosen, reason = equations.solver.get("method", "rk4"), equations.reason
+    if chosen == "auto":
+        chosen, reason = _chosen(equations)
+    if chosen in RULES and equations.n > DENSE:
+        raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
+    e = with_tangents(equations) if chosen in RULES else equations
+    same = reason == equations.reason
+    return e if same else replace(e, solver={**e.solver, "method": chosen}, reason=reason)
+
+
+def _chosen(equations: Equations) -> tuple[str, str]:
+    """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
+    if equations.n > DENSE:
+        return "explicit", f"explicit: more than {DENSE} coordinates"
+    solver = {**equations.solver, "method": "stiff"}
+    probe = _started(replace(with_tangents(equations), kernel={}, solver=solver))
+    if probe is None:
+        return "explicit", "explicit: the defaults have no start"
+    values = probe.spectrum()
+    fastest = values[np.argmax(np.abs(values))]
+    lasting = values[-values.real * equations.stop_time < LASTS]
+    slow = max(2 * math.pi / equations.stop_time, min((abs(x) for x in lasting if abs(x) > 1e-3), default=0.0))
+    seen = f"the fastest small motion at the start has {abs(fastest):.3g} 1/s, the slowest that lasts {slow:.3g}"
+    if abs(fastest) > STIFF * slow and fastest not in lasting:
+        return "stiff", f"stiff: {seen}, and it decays"
+    return "explicit", f"explicit: {seen}"
+
+
+def _surveyed(equations: Equations, probe: oracle.Instance | None) -> Equations:
+    """The same equations with what redundant constraints share said of each output that it concerns."""
+    if equations.shared is not None or probe is None:
+        return equations
+    shared = probe.shared()
+    note = "; not unique: of all that redundant constraints allow, that of least norm"
+    outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
+    uneven = len(set(probe.oracle.units)) > 1
+    brakes = probe.oracle.brakes or _may_brake(probe)
+    return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=uneven)
+
+
+def _may_brake(probe: oracle.Instance) -> bool:
+    """Whether constraints that come into force may be redundant, so that they would stop the motion beside it."""
+    return bool(probe.equations.switches) and probe.redundant_with_all() > 0
+
+
+def _traced(equations: Equations, probe: oracle.Instance | None) -> Equations:
+    if probe is None:
+        return traced(equations, None, controlled=controlled)
+    mobility = probe.mobility()
+    if mobility.freedom_here > mobility.freedom:
+        return traced(equations, mobility, controlled=controlled)  # a singular start says nothing of other positions
+    needed = probe.oracle.iterations_needed(probe.q, probe.v, probe.inputs, 0.0)
+    return traced(equations, mobility, needed, controlled)
+
+
+def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
+    """The same equations with other defaults for parameters, start values, inputs and solver variables.
+
+    Raises InputError where a name is unknown or a value out of bounds.
+    """
+    found = variables_of(equations)
+    known = {v.name: v for v in (*found.parameters, *found.inputs)}
+    for name, value in values.items():
+        if name in known:
+            checked(equations.name, known[name], value)
+        elif name not in {s.name for s in equations.switches} | set(CHOICES):
+            names = [*(v.name for v in found.causal("input")), *known, *CHOICES]
+            raise InputError(f"{equations.name} has no input or parameter {name!r}; it has {', '.join(names)}")
+    own = {setting(name): value for name, value in values.items() if setting(name) != name}
+    Settings(**own).checked(equations.name, equations.l)
+    changed = {
+        field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
+        for field in ("parameters", "starts", "start_rates", "compliances", "inputs")
+    }
+    changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]
+    return replace(equations, **changed, solver={**equations.solver, **own})
+
+
+def retraced(equations: Equations, settings: Settings) -> Equations:
+    """The same equations, traced with the method of integration and the order of inputs that settings ask for."""
+    e = equations
+    wanted = {name: getattr(settings, name) for name in _TRACED}
+    default = {name: getattr(Settings, name) for name in _TRACED}
+    if e.kernel and all(e.solver.get(name, default[name]) == value for name, value in wanted.items()):
+        return e
+    return again(replace(e, solver={**e.solver, **wanted}, reason=""))
+
+
+def again(equations: Equations) -> Equations:
+    """The same equations traced again, for the kernel that they were prepared for."""
+    return prepared(untraced(equations), "compiled" if equations.library else DEFAULT)
+
+
+_TRACED = ("method", "input_order")
+"""Settings that a scene is traced with."""
+
+
+def loaded(equations: Equations) -> Scene:
+    """The scene of traced equations, packed and loaded once for all their instances."""
+    if "scene" not in equations.programs:
+        scene = equations.programs["scene"] = Scene(packed(equations))
+        if equations.library:
+            scene.compiled_by(equations.library)
+    return equations.programs["scene"]

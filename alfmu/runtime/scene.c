@@ -1,0 +1,853 @@
+/* Loads a scene from its file, and checks everything in it once, so that nothing has to be checked while it runs.
+
+   A file is `ALFMU\r\n\x1a`, the version, the length of the whole, a check sum of what follows it, an identity, and the body;
+   all numbers are little-endian. */
+
+#include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "alfmu.h"
+#include "operations.h"
+
+#define HEAD 64 /* bytes before the body */
+#define DEEPEST 16 /* choices and loops within each other */
+#define MOST_NUMBERS (1 << 28) /* in the memory or the registers of an instance */
+#define MOST_UNKNOWNS 10000 /* of a dense system */
+#define MOST_RESULTS (1 << 26) /* of all functions */
+
+typedef struct {
+    const unsigned char *at, *end;
+    Scene *scene;
+    char *why;
+    size_t why_size;
+    int bad;
+    int64_t results; /* of all functions so far */
+} Reader;
+
+struct Block {
+    struct Block *next;
+};
+
+static void spoil(Reader *r, const char *format, ...)
+{
+    va_list arguments;
+    if (r->bad)
+        return;
+    r->bad = 1;
+    va_start(arguments, format);
+    vsnprintf(r->why, r->why_size, format, arguments);
+    va_end(arguments);
+}
+
+/* Memory of the scene, zero; never NULL without `bad`. */
+static void *room(Reader *r, size_t count, size_t size)
+{
+    struct Block *block;
+    if (r->bad || count > SIZE_MAX / 2 / size || !(block = calloc(1, sizeof(double) + count * size))) {
+        spoil(r, "there is no memory for it");
+        return NULL;
+    }
+    block->next = r->scene->blocks;
+    r->scene->blocks = block;
+    return (char *)block + sizeof(double);
+}
+
+static uint64_t little(const unsigned char *at, int bytes)
+{
+    uint64_t value = 0;
+    for (int k = bytes; k--;)
+        value = value << 8 | at[k];
+    return value;
+}
+
+/* Whether there can be so many that have at least so many bytes each; what is not there takes no memory. */
+static int enough(Reader *r, size_t count, size_t bytes)
+{
+    if (count > (size_t)(r->end - r->at) / bytes)
+        spoil(r, "it ends too early");
+    return !r->bad;
+}
+
+/* The next bytes; NULL where there are fewer. */
+static const unsigned char *taken(Reader *r, size_t count, size_t size)
+{
+    const unsigned char *at = r->at;
+    if (r->bad || count > (size_t)(r->end - at) / size) {
+        spoil(r, "it ends too early");
+        return NULL;
+    }
+    r->at += count * size;
+    return at;
+}
+
+static int32_t integer(Reader *r)
+{
+    const unsigned char *at = taken(r, 1, 4);
+    return at ? (int32_t)(uint32_t)little(at, 4) : 0;
+}
+
+static double real(Reader *r)
+{
+    const unsigned char *at = taken(r, 1, 8);
+    const uint64_t bits = at ? little(at, 8) : 0;
+    double value;
+    memcpy(&value, &bits, sizeof value);
+    return value;
+}
+
+static size_t length(Reader *r)
+{
+    const int32_t count = integer(r);
+    if (count < 0)
+        spoil(r, "a list has %d entries", (int)count);
+    return r->bad ? 0 : (size_t)count;
+}
+
+static const char *text(Reader *r)
+{
+    const size_t count = length(r);
+    const unsigned char *at = taken(r, count, 1);
+    char *made = at ? room(r, count + 1, 1) : NULL;
+    if (!made)
+        return "";
+    memcpy(made, at, count);
+    return made;
+}
+
+/* Integers of 4 bytes, and how many; `count` is what there have to be, or -1. */
+static int32_t *integers(Reader *r, int count, size_t *found)
+{
+    const size_t size = length(r);
+    const unsigned char *at = taken(r, size, 4);
+    int32_t *made = at ? room(r, size + 1, sizeof *made) : NULL;
+    if (count >= 0 && size != (size_t)count)
+        spoil(r, "a list has %zu entries in place of %d", size, count);
+    if (!made || r->bad)
+        return NULL;
+    for (size_t k = 0; k < size; k++)
+        made[k] = (int32_t)(uint32_t)little(at + 4 * k, 4);
+    if (found)
+        *found = size;
+    return made;
+}
+
+static uint16_t *narrow_integers(Reader *r, size_t *found)
+{
+    const size_t size = length(r);
+    const unsigned char *at = taken(r, size, 2);
+    uint16_t *made = at ? room(r, size + 1, sizeof *made) : NULL;
+    if (!made)
+        return NULL;
+    for (size_t k = 0; k < size; k++)
+        made[k] = (uint16_t)little(at + 2 * k, 2);
+    *found = size;
+    return made;
+}
+
+static double *reals(Reader *r, size_t *found)
+{
+    const size_t size = length(r);
+    const unsigned char *at = taken(r, size, 8);
+    double *made = at ? room(r, size + 1, sizeof *made) : NULL;
+    if (!made)
+        return NULL;
+    for (size_t k = 0; k < size; k++) {
+        const uint64_t bits = little(at + 8 * k, 8);
+        memcpy(made + k, &bits, sizeof bits);
+    }
+    *found = size;
+    return made;
+}
+
+/* Integers that index something: each from `least` to below `end`. */
+static const int *places(Reader *r, int count, int least, int end, const char *what)
+{
+    const int32_t *made = integers(r, count, NULL);
+    for (int k = 0; made && k < count; k++)
+        if (made[k] < least || made[k] >= end)
+            spoil(r, "%s %d is %d", what, k, (int)made[k]);
+    return made;
+}
+
+/* Tables ----------------------------------------------------------------------------------------------------------- */
+
+static int between(int value, int least, int end)
+{
+    return value >= least && value < end;
+}
+
+/* Numbers of the scene; what is counted is checked here, so that sums of counts do not overflow. */
+static void numbers(Reader *r)
+{
+    Scene *s = r->scene;
+#define READ(name) s->name = integer(r);
+    SCENE_NUMBERS(READ)
+#undef READ
+#define READ(name) s->name = real(r);
+    SCENE_REALS(READ)
+#undef READ
+#define COUNTED(name) \
+    if (!between(s->name, 0, 1 << 22)) \
+        spoil(r, "the number of " #name " is %d", s->name);
+    SCENE_COUNTS(COUNTED)
+#undef COUNTED
+    if (r->bad)
+        return;
+    if (s->own + 2 * s->starts + s->compliances + s->solver != s->parameters || s->n < 1
+        || (s->compliances != 0 && s->compliances != s->l) || s->event_count > s->outputs)
+        spoil(r, "its counts contradict each other");
+#define REFERENCE(name) \
+    if (!between(s->name, s->own + 2 * s->starts + s->compliances, s->parameters)) \
+        spoil(r, #name " has the reference %d", s->name);
+    SCENE_REFERENCES(REFERENCE)
+#undef REFERENCE
+    if (!between(s->branch, 0, s->choices) || !between(s->method_choice, 0, s->choices)
+        || !between(s->formulation, 0, s->choices) || s->choices != CHOICES)
+        spoil(r, "its choices contradict each other");
+    if (s->brakes && s->l > 10000)
+        spoil(r, "it has %d constraints that would brake", s->l);
+    if (!between(s->method, 0, 3) || s->freedom > s->n)
+        spoil(r, "its method contradicts itself");
+}
+
+static void variables(Reader *r)
+{
+    Scene *s = r->scene;
+    const int kinds[] = {s->parameters, s->choices, s->inputs, s->switches, s->outputs};
+    const int count = s->parameters + s->choices + s->inputs + s->switches + s->outputs;
+    Variable *made = enough(r, (size_t)count, 40) ? room(r, (size_t)count + 1, sizeof *made) : NULL;
+    int k = 0;
+    for (int kind = 0; kind < 5; kind++)
+        for (int each = 0; each < kinds[kind] && !r->bad; each++, k++) {
+            const int type = (made[k].name = text(r), made[k].unit = text(r), integer(r));
+            made[k].type = (Type)type;
+            made[k].kind = (Kind)kind;
+            made[k].instant = integer(r) != 0;
+            made[k].start = real(r);
+            made[k].minimum = real(r);
+            made[k].maximum = real(r);
+            if (!between(type, REAL, STRING + 1) || (type == STRING) != (kind == CHOICE)
+                || (type == BOOLEAN) != (kind == SWITCH))
+                spoil(r, "variable %d has the type %d", k, type);
+        }
+    s->variables = made;
+}
+
+static void choices(Reader *r)
+{
+    Scene *s = r->scene;
+    Choice *made = enough(r, (size_t)s->choices, 8) ? room(r, (size_t)s->choices + 1, sizeof *made) : NULL;
+    for (int k = 0; k < s->choices && !r->bad; k++) {
+        const char **values;
+        made[k].start = integer(r);
+        made[k].count = (int)length(r);
+        if (!between(made[k].count, 1, 1000) || !between(made[k].start, 0, made[k].count))
+            spoil(r, "choice %d has %d values", k, made[k].count);
+        made[k].values = values = room(r, (size_t)made[k].count, sizeof *values);
+        for (int each = 0; !r->bad && each < made[k].count; each++)
+            values[each] = text(r);
+    }
+    s->choice = made;
+    if (!r->bad
+        && (!between(s->continues, 0, made[s->branch].count) || made[s->formulation].count > FORMULATIONS))
+        spoil(r, "its choices contradict each other");
+}
+
+static void switches(Reader *r)
+{
+    Scene *s = r->scene;
+    Switch *made = enough(r, (size_t)s->switches, 20) ? room(r, (size_t)s->switches + 1, sizeof *made) : NULL;
+    for (int k = 0; k < s->switches && !r->bad; k++) {
+        made[k].holds = integer(r) != 0;
+        made[k].value = integer(r);
+        made[k].start = integer(r) != 0;
+        made[k].count = integer(r);
+        if (!between(made[k].value, -1, s->held) || !between(made[k].count, 0, s->l + 1))
+            spoil(r, "switch %d has %d rows", k, made[k].count);
+        made[k].rows = places(r, r->bad ? 0 : made[k].count, 0, s->l, "a row of a switch");
+    }
+    s->switched = made;
+}
+
+static void names(Reader *r)
+{
+    Scene *s = r->scene;
+    const int there = enough(r, 8 * (size_t)s->n + 12 * (size_t)s->l, 1);
+    Coordinate *coordinates = there ? room(r, (size_t)s->n, sizeof *coordinates) : NULL;
+    Row *rows = there ? room(r, (size_t)s->l + 1, sizeof *rows) : NULL;
+    for (int k = 0; k < s->n && !r->bad; k++) {
+        coordinates[k].name = text(r);
+        coordinates[k].unit = text(r);
+    }
+    for (int k = 0; k < s->l && !r->bad; k++) {
+        rows[k].name = text(r);
+        rows[k].direction = text(r);
+        rows[k].unit = text(r);
+    }
+    s->coordinates = coordinates;
+    s->rows = rows;
+}
+
+static void pattern(Reader *r, Pattern *made, int rows, int columns)
+{
+    const int sparse = integer(r);
+    made->rows = rows;
+    made->columns = columns;
+    if (!sparse && (int64_t)rows * columns > MOST_NUMBERS)
+        spoil(r, "a matrix of %d by %d is dense", rows, columns);
+    if (r->bad)
+        return;
+    if (!sparse) {
+        made->entries = rows * columns;
+        return;
+    }
+    made->offsets = places(r, columns + 1, 0, INT32_MAX, "the beginning of a column");
+    if (r->bad)
+        return;
+    for (int c = 0; c < columns; c++)
+        if (made->offsets[c] > made->offsets[c + 1] || made->offsets[0] != 0)
+            spoil(r, "the columns of a matrix overlap");
+    made->entries = made->offsets[columns];
+    made->indices = places(r, made->entries, 0, rows, "a row of a matrix");
+}
+
+/* Functions -------------------------------------------------------------------------------------------------------- */
+
+/* Whether runs keep within their list and use what is there before them; `values` counts what they give. `next` reads
+   the word at a place. */
+typedef struct {
+    const Function *f;
+    size_t at;
+    int64_t known; /* places before what comes next */
+    Reader *reader;
+} Checked;
+
+static int64_t word(const Checked *c, size_t at)
+{
+    return c->f->narrow ? (int64_t)c->f->narrow[at] : (int64_t)c->f->wide[at];
+}
+
+static int operands_of(int64_t kind)
+{
+    static const unsigned char counts[] = {OPERAND_COUNTS};
+    return counts[kind];
+}
+
+/* Whether an operation of `count` passes uses what is known before it; `more` are values that each pass adds. */
+static int within_passes(int64_t first, int64_t step, int64_t known, int64_t passes, int64_t more)
+{
+    const int64_t last = first + (passes - 1) * step;
+    /* Between them both sides change evenly, so that the ends tell. */
+    return first >= 0 && last >= 0 && first < known && last < known + (passes - 1) * more;
+}
+
+/* The operands of an operation in passes, from where the check is. */
+static void checked_passes(Checked *c, int64_t kind, int64_t known, int64_t passes, int64_t more)
+{
+    for (int k = 0; k < operands_of(kind); k++, c->at += 2)
+        if (!within_passes(word(c, c->at), word(c, c->at + 1), known, passes, more))
+            spoil(c->reader, "a loop uses what is not known yet");
+}
+
+/* One pass of a loop, of which there are `passes`, up to `end`. */
+static void checked_body(Checked *c, size_t end, int64_t passes, int64_t values)
+{
+    int64_t made = 0;
+    while (end - c->at >= 2 && !c->reader->bad) {
+        const int64_t kind = word(c, c->at);
+        int64_t count = word(c, c->at + 1);
+        c->at += 2;
+        if (kind < 0 || kind >= KIND_COUNT) {
+            spoil(c->reader, "there is no operation %d in a loop", (int)kind);
+            return;
+        }
+        if (count < 0 || (uint64_t)count > (end - c->at) / (2 * (unsigned)operands_of(kind))) {
+            spoil(c->reader, "a loop of a function is damaged");
+            return;
+        }
+        for (; count > 0; count--, made += VALUES_OF(kind))
+            checked_passes(c, kind, c->known + made, passes, values);
+    }
+    if (c->at != end || made != values)
+        spoil(c->reader, "a loop of a function is damaged");
+}
+
+/* What stands in wide functions alone; 0 where it is none of it. */
+static int checked_loop(Checked *c, int64_t kind, int64_t count)
+{
+    const size_t left = c->f->words - c->at;
+    if (!c->f->wide || (kind != LOOP_KIND && kind != EACH_KIND && kind != GATHER_KIND))
+        return 0;
+    if (count < 1 || left < 2) {
+        spoil(c->reader, "a loop of a function is damaged");
+    } else if (kind == GATHER_KIND) {
+        if ((uint64_t)count > left) {
+            spoil(c->reader, "a function is damaged");
+            return 1;
+        }
+        for (int64_t k = 0; k < count; k++, c->at++)
+            if (word(c, c->at) < 0 || word(c, c->at) >= c->known)
+                spoil(c->reader, "a function copies what is not known yet");
+        c->known += count;
+    } else if (kind == EACH_KIND) {
+        const int64_t each = word(c, c->at);
+        if (each < 0 || each >= KIND_COUNT || left - 1 < 2 * (size_t)operands_of(each)) {
+            spoil(c->reader, "a loop of a function is damaged");
+            return 1;
+        }
+        c->at++;
+        checked_passes(c, each, c->known, count, 0);
+        c->known += count * VALUES_OF(each);
+    } else {
+        const int64_t values = word(c, c->at), body = word(c, c->at + 1);
+        if (values < 1 || values > MOST_NUMBERS / count || body < 0 || (uint64_t)body > left - 2) {
+            spoil(c->reader, "a loop of a function is damaged");
+            return 1;
+        }
+        c->at += 2;
+        checked_body(c, c->at + (size_t)body, count, values);
+        c->known += count * values;
+    }
+    if (c->known > MOST_NUMBERS)
+        spoil(c->reader, "a function is too long");
+    return 1;
+}
+
+static void checked_function(Reader *r, const Function *f)
+{
+    Checked c = {f, 0, r->scene->constant_count, r};
+    for (int k = 0; k < f->inputs; k++)
+        c.known += f->lengths[k];
+    while (c.at < f->words && !r->bad) {
+        int64_t operation, count;
+        int operands;
+        if (f->words - c.at < 2) {
+            spoil(r, "a function is damaged");
+            return;
+        }
+        operation = word(&c, c.at);
+        count = word(&c, c.at + 1);
+        c.at += 2;
+        if (checked_loop(&c, operation, count))
+            continue;
+        if (operation < 0 || operation >= KIND_COUNT) {
+            spoil(r, "there is no operation %d", (int)operation);
+            return;
+        }
+        operands = operands_of(operation);
+        if (count < 0 || (uint64_t)count > (f->words - c.at) / (unsigned)operands) {
+            spoil(r, "a function is damaged");
+            return;
+        }
+        for (; count > 0; count--, c.known += VALUES_OF(operation))
+            for (int k = 0; k < operands; k++, c.at++)
+                if (word(&c, c.at) < 0 || word(&c, c.at) >= c.known)
+                    spoil(r, "an operation uses what is not known yet");
+    }
+    for (size_t k = 0; k < (size_t)f->results && !r->bad; k++)
+        if (word(&c, f->words + k) < 0 || word(&c, f->words + k) >= c.known)
+            spoil(r, "a function gives what it does not know");
+    if (c.known > MOST_NUMBERS)
+        spoil(r, "a function is too long");
+    else if ((int)c.known > r->scene->registers)
+        r->scene->registers = (int)c.known;
+}
+
+static void function(Reader *r, Function *f)
+{
+    size_t inputs = 0, outputs = 0, words = 0, results = 0;
+    const int32_t *in = integers(r, -1, &inputs), *out = integers(r, -1, &outputs);
+    const int wide = integer(r);
+    int32_t *lengths;
+    int64_t all = 0;
+    if (inputs + outputs > MOST_ARGUMENTS)
+        spoil(r, "a function has %zu arguments and results", inputs + outputs);
+    if (r->bad || !(lengths = room(r, inputs + outputs + 1, sizeof *lengths)))
+        return;
+    memcpy(lengths, in, inputs * sizeof *in);
+    memcpy(lengths + inputs, out, outputs * sizeof *out);
+    for (size_t k = 0; k < inputs + outputs; k++) {
+        if (lengths[k] < 0 || lengths[k] > MOST_NUMBERS / MOST_ARGUMENTS)
+            spoil(r, "an argument of a function has %d numbers", (int)lengths[k]);
+        all += k < inputs ? 0 : lengths[k];
+    }
+    if ((r->results += all) > MOST_RESULTS)
+        spoil(r, "its functions give too many numbers");
+    f->inputs = (int)inputs;
+    f->outputs = (int)outputs;
+    f->lengths = lengths;
+    /* Words and results stand behind each other. */
+    if (wide) {
+        size_t rows = 0;
+        int64_t spare = 2 * all; /* entries that are said twice at most */
+        const int32_t *first = integers(r, -1, &words), *then = integers(r, -1, &rows);
+        int32_t *both = r->bad ? NULL : room(r, words + (size_t)all + 1, sizeof *both);
+        if (!both)
+            return;
+        memcpy(both, first, words * sizeof *both);
+        for (int64_t k = 0; k < all; k++)
+            both[words + (size_t)k] = -1;
+        /* How many, the first entry and the step to the next, the place of the first and the step. */
+        for (const int32_t *row = then; row + 5 <= then + rows; row += 5) {
+            const int64_t count = row[0], last = row[1] + (count - 1) * row[2];
+            if (count < 1 || (spare -= count) < 0 || row[1] < 0 || row[1] >= all || last < 0 || last >= all) {
+                spoil(r, "the results of a function are damaged");
+                return;
+            }
+            for (int64_t each = 0; each < count; each++)
+                both[words + (size_t)(row[1] + each * row[2])] = (int32_t)(row[3] + each * row[4]);
+        }
+        results = (size_t)all;
+        f->wide = both;
+    } else {
+        const uint16_t *first = narrow_integers(r, &words), *then = narrow_integers(r, &results);
+        uint16_t *both = r->bad ? NULL : room(r, words + results + 1, sizeof *both);
+        if (!both)
+            return;
+        memcpy(both, first, words * sizeof *both);
+        memcpy(both + words, then, results * sizeof *both);
+        f->narrow = both;
+    }
+    if ((int64_t)results != all)
+        spoil(r, "a function gives %zu numbers in place of %d", results, (int)all);
+    f->words = words;
+    f->results = (int)results;
+    checked_function(r, f);
+}
+
+/* Whether a function that the runtime calls takes and gives what it hands over. */
+static void shaped(Reader *r, const char *name, int which, int needed, int inputs, int outputs, ...)
+{
+    const Scene *s = r->scene;
+    const Function *f;
+    va_list lengths;
+    if (r->bad)
+        return;
+    if (which < 0 || which >= s->function_count) {
+        if (which != -1 || needed)
+            spoil(r, "there is no function %s", name);
+        return;
+    }
+    f = s->functions + which;
+    if (f->inputs != inputs || f->outputs != outputs) {
+        spoil(r, "the function %s has %d arguments and %d results", name, f->inputs, f->outputs);
+        return;
+    }
+    va_start(lengths, outputs);
+    for (int k = 0; k < inputs + outputs; k++) {
+        const int wanted = va_arg(lengths, int);
+        if (f->lengths[k] != wanted)
+            spoil(r, "the function %s has %d numbers where %d are wanted", name, f->lengths[k], wanted);
+    }
+    va_end(lengths);
+}
+
+static void functions(Reader *r)
+{
+    Scene *s = r->scene;
+    const int n = s->n, l = s->l, P = s->own + s->held, K = settings_length(s), ties = s->ties;
+    Function *made;
+    size_t count;
+    s->constants = reals(r, &count);
+    s->constant_count = (int)count;
+    s->registers = s->constant_count;
+    count = length(r);
+    made = enough(r, count, 20) ? room(r, count + 1, sizeof *made) : NULL;
+    for (size_t k = 0; k < count && !r->bad; k++)
+        function(r, made + k);
+    s->functions = made;
+    s->function_count = (int)count;
+    shaped(r, "dynamics", s->dynamics, 1, 5, 4, n, n, s->inputs, P, 1, s->mass.entries, s->constraint.entries, n, l);
+    shaped(r, "constraints", s->constraints, 1, 3, 4, n, n, P, s->mass.entries, s->constraint.entries, l, l);
+    shaped(r, "energy", s->energy, 1, 3, 1, n, n, P, 1);
+    shaped(r, "closure", s->closure, 1, 3, 4, n, P, s->starts, s->gaps.entries, s->tie_rows.entries, l, ties);
+    shaped(r, "guesses", s->guesses, 1, 3, 2, P, s->starts, s->starts, n, n);
+    shaped(r, "displacements", s->displacements, s->held > 0, 2, 1, n, P, s->held);
+    shaped(r, "pivots", s->pivots, l > 0, 3, 4, n, P, K, n, n, n, 1);
+    shaped(r, "place", s->place, l > 0, 3, 1, n, P, K, n);
+    shaped(r, "bring", s->bring, l > 0, 5, 2, n, n, n, P, K, n, n);
+    shaped(r, "settle", s->settle, l > 0, 4, 3, n, n, P, K, n, 1, 2);
+}
+
+/* Programs --------------------------------------------------------------------------------------------------------- */
+
+static int within(const Reader *r, int64_t place, int64_t length)
+{
+    return place >= 0 && length >= 0 && place + length <= (int64_t)r->scene->size + r->scene->workspace;
+}
+
+static void checked_program(Reader *r, const int32_t *code, size_t words, int depth)
+{
+    const Scene *s = r->scene;
+    size_t at = 0;
+    if (depth > DEEPEST)
+        spoil(r, "its choices and loops are too deep");
+    while (at < words && !r->bad) {
+        const int32_t *c = code + at + 1;
+        const size_t left = words - at - 1;
+        switch (code[at]) {
+        case CALL_CODE: {
+            const Function *f = left ? s->functions + c[0] : NULL;
+            if (!left || !between(c[0], 0, s->function_count) || left - 1 < (size_t)(f->inputs + f->outputs)) {
+                spoil(r, "a program calls what is not there");
+                return;
+            }
+            for (int k = 0; k < f->inputs + f->outputs; k++)
+                if (!within(r, c[1 + k], f->lengths[k]))
+                    spoil(r, "a program leaves the memory");
+            at += 2 + (size_t)(f->inputs + f->outputs);
+            break;
+        }
+        case CHOICE_CODE:
+            if (left < 3 || !within(r, c[0], 1) || c[1] < 0 || c[2] < 0 || (size_t)c[1] > left - 3
+                || (size_t)c[2] > left - 3 - (size_t)c[1]) {
+                spoil(r, "a choice of a program is damaged");
+                return;
+            }
+            checked_program(r, c + 3, (size_t)c[1], depth + 1);
+            checked_program(r, c + 3 + c[1], (size_t)c[2], depth + 1);
+            at += 4 + (size_t)c[1] + (size_t)c[2];
+            break;
+        case LOOP_CODE:
+            if (left < 3 || !within(r, c[0], 1) || (c[1] < 0 && !within(r, -1 - (int64_t)c[1], 1)) || c[2] < 0
+                || (size_t)c[2] > left - 3) {
+                spoil(r, "a loop of a program is damaged");
+                return;
+            }
+            checked_program(r, c + 3, (size_t)c[2], depth + 1);
+            at += 4 + (size_t)c[2];
+            break;
+        case FACTOR_CODE: {
+            int64_t side, parts;
+            if (left < 6 || !between(c[0], 1, 10000) || !between(c[1], 1, 100) || !between(c[2], 1, 100)) {
+                spoil(r, "a factorisation of a program is damaged");
+                return;
+            }
+            side = (int64_t)c[0] * c[1];
+            parts = (int64_t)c[1] * c[2];
+            if (parts > MOST_ARGUMENTS || left < 6 + (size_t)parts || !within(r, c[3], c[1] * parts)
+                || !within(r, c[4 + parts], side * side) || !within(r, c[5 + parts], side)) {
+                spoil(r, "a factorisation of a program is damaged");
+                return;
+            }
+            for (int64_t k = 0; k < parts; k++)
+                if (!within(r, c[4 + k], (int64_t)c[0] * c[0]))
+                    spoil(r, "a program leaves the memory");
+            at += 7 + (size_t)parts;
+            break;
+        }
+        case SOLVE_CODE: {
+            int64_t side;
+            if (left < 5 || !between(c[0], 1, 10000) || !between(c[1], 1, MOST_ARGUMENTS) || left < 5 + (size_t)c[1]) {
+                spoil(r, "a solution of a program is damaged");
+                return;
+            }
+            side = (int64_t)c[0] * c[1];
+            if (!within(r, c[2], side * side) || !within(r, c[3], side) || !within(r, c[4 + c[1]], side))
+                spoil(r, "a program leaves the memory");
+            for (int k = 0; k < c[1]; k++)
+                if (!within(r, c[4 + k], c[0]))
+                    spoil(r, "a program leaves the memory");
+            at += 6 + (size_t)c[1];
+            break;
+        }
+        case LEAST_NORM_CODE:
+            if (left < 4 || !between(c[0], 1, MOST_UNKNOWNS)) {
+                spoil(r, "a dense system of a program is damaged");
+                return;
+            }
+            if (!within(r, c[1], (int64_t)c[0] * c[0]) || !within(r, c[2], c[0]) || !within(r, c[3], c[0]))
+                spoil(r, "a program leaves the memory");
+            else if (c[0] > r->scene->dense)
+                r->scene->dense = c[0];
+            at += 5;
+            break;
+        default:
+            spoil(r, "a program has no step %d", (int)code[at]);
+        }
+    }
+}
+
+int move_by(const Scene *s, int formulation)
+{
+#define OF(name) , s->move_##name
+    const int programs[] = {s->move SCENE_OTHERS(OF)};
+#undef OF
+    return programs[formulation];
+}
+
+static void programs(Reader *r)
+{
+    Scene *s = r->scene;
+    const size_t count = length(r);
+    Program *made = enough(r, count, 4) ? room(r, count + 1, sizeof *made) : NULL;
+    for (size_t k = 0; k < count && !r->bad; k++) {
+        made[k].code = integers(r, -1, &made[k].words);
+        if (!r->bad)
+            checked_program(r, made[k].code, made[k].words, 0);
+    }
+    s->programs = made;
+    s->program_count = (int)count;
+#define KNOWN(name) \
+    if (!between(s->name, -1, s->program_count)) \
+        spoil(r, "there is no program " #name);
+    SCENE_PROGRAMS(KNOWN)
+#undef KNOWN
+    if (s->quick < 0 || s->careful < 0 || s->instant < 0 || (s->method && s->method_step < 0)
+        || (s->l && (s->move < 0 || s->close < 0 || s->keep < 0 || s->impact < 0)))
+        spoil(r, "a program is missing");
+    for (int k = 0; !r->bad && s->l && k < s->choice[s->formulation].count; k++)
+        if (move_by(s, k) < 0)
+            spoil(r, "the program of a formulation is missing");
+}
+
+/* Memory ----------------------------------------------------------------------------------------------------------- */
+
+int settings_length(const Scene *s)
+{
+    return SETTINGS + 2 * s->l + s->n + s->compliances + (s->brakes ? s->l * s->l : 0);
+}
+
+size_t state_length(const Scene *s)
+{
+    return (size_t)s->work + 6;
+}
+
+/* Whether what the runtime itself reads and writes is within the memory. */
+static void memory(Reader *r)
+{
+    const Scene *s = r->scene;
+    const int state = 2 * s->n + s->angles + 6;
+    const struct {
+        int place, length;
+    } fields[] = {{s->z, state}, {s->after, state}, {s->begin, state}, {s->u, s->inputs}, {s->p, s->own + s->held},
+        {s->k, settings_length(s)}, {s->dt, 1}, {s->control, 3}, {s->tally, TIERS + 5}, {s->pace, PACE},
+        {s->past, s->past_size}, {s->seen, s->seen_size}},
+      handed[] = {{s->most, 1}, {s->patient, 1}, {s->du, s->inputs}, {s->slopes, s->inputs + 1}, {s->within, 1},
+          {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
+          {s->watch4, WATCH}, {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n},
+          {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->dy, s->readings},
+          {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}};
+    if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS))
+        spoil(r, "its memory has %d numbers", s->size);
+    if (s->work != 2 * s->n + s->angles || s->time != s->work + 1 || s->trouble != s->work + 2 || s->near != s->work + 5)
+        spoil(r, "its state contradicts itself");
+    if (!between(s->monitor_position, -1, s->outputs - s->event_count)
+        || !between(s->monitor_velocity, -1, s->outputs - s->event_count)
+        || !between(s->monitor_energy, -1, s->outputs - s->event_count))
+        spoil(r, "its monitors contradict each other");
+    if (s->seen_size < 3 + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
+        spoil(r, "its outputs contradict each other");
+    if (s->pace > s->past || (int64_t)s->tally + TIERS + 5 > s->pace || s->dt > s->tally)
+        spoil(r, "its fields are not in order");
+    for (size_t k = 0; k < sizeof fields / sizeof *fields; k++)
+        if (fields[k].place < 0 || fields[k].place + (int64_t)fields[k].length > s->size)
+            spoil(r, "a field is outside its memory");
+    for (size_t k = 0; k < sizeof handed / sizeof *handed; k++)
+        if (handed[k].place < 0 || handed[k].place + (int64_t)handed[k].length > s->workspace)
+            spoil(r, "a value is outside its workspace");
+}
+
+/* A check sum goes on: CRC-32 as in zip archives, half a byte at a time. */
+uint32_t check_sum_from(uint32_t sum, const unsigned char *at, size_t count)
+{
+    uint32_t table[16];
+    for (uint32_t k = 0; k < 16; k++) {
+        table[k] = k;
+        for (int bit = 0; bit < 4; bit++)
+            table[k] = table[k] >> 1 ^ (table[k] & 1 ? 0xedb88320u : 0);
+    }
+    for (; count--; at++) {
+        sum = table[(sum ^ *at) & 15] ^ sum >> 4;
+        sum = table[(sum ^ *at >> 4) & 15] ^ sum >> 4;
+    }
+    return sum;
+}
+
+static void body(Reader *r)
+{
+    Scene *s = r->scene;
+    size_t count = 0;
+    s->name = text(r);
+    numbers(r);
+    if (r->bad)
+        return;
+    memory(r);
+    variables(r);
+    choices(r);
+    switches(r);
+    s->impulse_rows = places(r, s->impulses, 0, s->l, "a row of an impulse");
+    s->event_places = places(r, s->event_count, 0, s->impulses + 1, "the place of an impulse");
+    s->angle_starts = places(r, s->angles, -1, s->starts, "the start of an angle");
+    s->tied = places(r, s->ties, 0, s->starts, "a start value");
+    if (!r->bad)
+        names(r);
+    s->normal = reals(r, &count);
+    if (count < (size_t)(TRIES > RANKED ? TRIES : RANKED) * (size_t)s->n)
+        spoil(r, "it has %zu standard normal numbers", count);
+    if (r->bad)
+        return;
+    pattern(r, &s->mass, s->n, s->n);
+    pattern(r, &s->constraint, s->l, s->n);
+    pattern(r, &s->gaps, s->l, s->n);
+    pattern(r, &s->tie_rows, s->ties, s->n);
+    functions(r);
+    programs(r);
+    if (!r->bad && r->at != r->end)
+        spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
+}
+
+Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)
+{
+    static const unsigned char magic[8] = "ALFMU\r\n\x1a";
+    Scene *s = calloc(1, sizeof *s);
+    Reader r = {bytes, bytes + size, s, why, why_size, 0, 0};
+    if (!s) {
+        snprintf(why, why_size, "there is no memory for it");
+        return NULL;
+    }
+    if (size < HEAD || memcmp(bytes, magic, sizeof magic))
+        spoil(&r, "it is not a scene file");
+    else if (little(bytes + 8, 4) != SCENE_VERSION)
+        spoil(&r, "its version is %u and this runtime reads %u; export it again", (unsigned)little(bytes + 8, 4),
+            (unsigned)SCENE_VERSION);
+    else if (little(bytes + 12, 4) != size)
+        spoil(&r, "it has %zu bytes in place of %u", size, (unsigned)little(bytes + 12, 4));
+    else if (little(bytes + 16, 8) != (uint32_t)~check_sum_from(CHECK_BEGIN, bytes + 24, size - 24))
+        spoil(&r, "its check sum does not agree; it is damaged");
+    else {
+        memcpy(s->guid, bytes + 24, sizeof s->guid - 1);
+        r.at = bytes + HEAD;
+        body(&r);
+    }
+    if (r.bad) {
+        scene_free(s);
+        return NULL;
+    }
+    return s;
+}
+
+int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+{
+    Function *own = (Function *)s->functions; /* which the scene itself has made */
+    if (count != s->function_count || !between(spare, 0, MOST_NUMBERS) || strcmp(identity, s->guid))
+        return 0;
+    for (int k = 0; k < count; k++)
+        own[k].compiled = functions[k];
+    s->spare = spare;
+    return 1;
+}
+
+void scene_free(Scene *s)
+{
+    struct Block *block = s ? s->blocks : NULL;
+    while (block) {
+        struct Block *next = block->next;
+        free(block);
+        block = next;
+    }
+    free(s);
+}

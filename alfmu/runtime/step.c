@@ -1,0 +1,108 @@
+/* The tiers of a step and what makes a communication step of them. */
+
+#include <math.h>
+#include <string.h>
+
+#include "alfmu.h"
+
+/* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
+long advance(Instance *i, long steps, double dt)
+{
+    const Scene *s = i->scene;
+    const int tiers[] = {s->quick, s->careful, s->branch_step};
+    double *m = i->m, *after = m + s->after;
+    long done;
+    m[s->dt] = dt;
+    for (done = 0; done < steps; done++) {
+        int tier = m[s->control + 1] != 0.0;
+        for (;;) {
+            run(i, tiers[tier]);
+            if (after[s->trouble] == 0.0)
+                break;
+            /* Near a singular position no step but that on the branch can be good. */
+            if (tier == 2 || (tier == 1 && after[s->near] == 0.0))
+                return done;
+            tier = after[s->near] != 0.0 ? 2 : 1;
+            if (tiers[tier] < 0)
+                return done;
+        }
+        memcpy(m + s->z, after, state_length(s) * sizeof *m);
+        m[s->tally + tier] += 1.0;
+        if (tier == 2)
+            m[s->tally + TIERS] += after[s->near];
+    }
+    return done;
+}
+
+/* Steps by the method of the scene up to an end, or so many tries; 0 where one could not be judged. */
+int cover(Instance *i, double end, long tries)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally + TIERS + 1;
+    pace[PACE_END] = end;
+    for (; m[s->z + s->time] < end && tries != 0; tries--) {
+        run(i, s->method_step);
+        if (after[s->trouble] != 0.0 && s->beside >= 0) {
+            pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+            run(i, s->beside);
+            tally[2] += 1.0;
+            tally[3] += after[s->near];
+        }
+        if (after[s->trouble] != 0.0)
+            return 0;
+        if (pace[PACE_ACCEPTED] != 0.0)
+            memcpy(m + s->z, after, state_length(s) * sizeof *m);
+        tally[pace[PACE_ACCEPTED] != 0.0 ? 0 : 1] += 1.0;
+    }
+    return 1;
+}
+
+/* A communication step in one go; 0, and nothing has changed, where that is not possible. */
+int communicate(Instance *i, double start, double h)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *z = m + s->z, *pace = m + s->pace, ratio;
+    double counted[TIERS + 5 + PACE];
+    const size_t state = state_length(s) * sizeof *m, past = (size_t)s->past_size * sizeof *m;
+    long steps;
+    int made;
+    if (!(h > 0.0 && h < INFINITY && fabs(start - z[s->time]) <= 1e-6 * h + 1e-12 * fabs(start)))
+        return 0;
+    ratio = h / m[s->control] * (1 - 1e-12);
+    if (!(ratio < MOST_STEPS))
+        return 0;
+    steps = ratio <= 1.0 ? 1 : (long)ceil(ratio);
+    memcpy(m + s->begin, z, state);
+    memcpy(counted, m + s->tally, (TIERS + 5) * sizeof *m);
+    memcpy(counted + TIERS + 5, pace, PACE * sizeof *m);
+    memcpy(i->past_before, m + s->past, past);
+    z[s->time] = start;
+    if (s->reach >= 0)
+        run(i, s->reach);
+    if (m[s->control + 2] != 0.0) {
+        pace[PACE_LAST] = 0.0;
+        pace[PACE_FIXED] = m[s->control + 2] == 2.0 ? h / (double)steps : 0.0;
+        made = cover(i, start + h, -1);
+    } else
+        made = advance(i, steps, h / (double)steps) == steps;
+    if (!made) {
+        memcpy(z, m + s->begin, state);
+        memcpy(m + s->tally, counted, (TIERS + 5) * sizeof *m);
+        memcpy(pace, counted + TIERS + 5, PACE * sizeof *m);
+        memcpy(m + s->past, i->past_before, past);
+        return 0;
+    }
+    z[s->time] = start + h;
+    return 1;
+}
+
+/* What can be read at this instant; 0 where the unrolled loops were not enough. */
+int read_quickly(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *seen = i->m + s->seen + s->seen_size;
+    run(i, s->instant);
+    if (seen[-2] != 0.0 && s->limit >= 0)
+        run(i, s->limit);
+    return seen[-1] == 0.0;
+}

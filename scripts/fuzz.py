@@ -1,0 +1,138 @@
+"""Call every function of native FMUs in legal and illegal order, under sanitizers.
+
+Runs `tests/native_fuzz.c` on several scenes. Says for each run its seed, how many calls there were, of which status,
+and the longest one, and at the end how many in all; returns 1 where a sanitizer reported something, a call did not come
+back, or a status was wrong.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import fmpy
+
+import alfmu
+from alfmu.runtime import build
+
+SOURCE = Path(__file__).parents[1] / "tests" / "native_fuzz.c"
+
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+"""FMI's own."""
+
+CHECKS = {
+    "address": ("-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"),
+    "thread": ("-fsanitize=thread",),
+}
+"""Sanitizers by what they watch."""
+
+MOST_STEPS = 2000
+"""Internal steps of one call here, so that those which ask for more cost little."""
+
+PATIENCE = 3600
+"""Most time that one run may take [s]; a single call may take a minute."""
+
+
+def locked() -> alfmu.Mechanism:
+    m = alfmu.load("five_bar")
+    m.lock("B")
+    m.release("E")
+    m.release("F")
+    return m
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene that is fuzzed."""
+
+    mechanism: Callable[[], alfmu.Mechanism]
+    parameters: dict[str, float | str] = field(default_factory=dict)
+    share: int = 1
+    """Of all calls; long ones have less."""
+
+
+CASES = {
+    "five_bar": Case(lambda: alfmu.load("five_bar"), share=4),
+    "locks": Case(locked, share=4),
+    "extrapolated": Case(lambda: alfmu.load("slider_crank"), {"solver.input_order": 2}, share=4),
+    "explicit": Case(lambda: alfmu.load("four_bar"), {"solver.method": "explicit"}),
+    "order8": Case(lambda: alfmu.load("particle_on_circle"), {"solver.method": "order8"}, share=2),
+    "stiff": Case(lambda: alfmu.load("flexible_four_bar"), {"solver.method": "stiff"}),
+    "trapezoidal": Case(lambda: alfmu.load("particle_on_circle"), {"solver.method": "trapezoidal"}, share=2),
+}
+
+
+def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
+    """The command that runs the fuzzer on a scene, but for seed, calls and threads: program and what it is told."""
+    case = CASES[name]
+    path = folder / f"{name}_{fmi}.fmu"
+    alfmu.export(case.mechanism(), path, kind="native", fmi=fmi, parameters=case.parameters, reference=False)
+    place, program = path.with_suffix(""), path.with_suffix(f".{watched}")
+    with zipfile.ZipFile(path) as archive:
+        archive.extractall(place)
+    command = [*build.compiler(), "-std=gnu99", "-g", "-O0", "-Wall", "-Wextra", "-Werror", *CHECKS[watched]]
+    command += [f"-DFUZZ_FMI={fmi}", f"-DMOST_STEPS={MOST_STEPS}", f"-I{HEADERS}", f"-I{place / 'sources'}"]
+    sources = [str(each) for each in sorted((place / "sources").glob("*.c"))]
+    subprocess.run([*command, str(SOURCE), *sources, "-lm", "-pthread", "-o", str(program)], check=True)
+    described = fmpy.read_model_description(str(path))
+    variables = [v for v in described.modelVariables if v.causality != "independent"]
+    real = {
+        k: [v.valueReference for v in variables if v.causality == k and v.type in ("Real", "Float64")] for k in KINDS
+    }
+    ranges = [str(x) for k in KINDS for x in first_run(real[k])]
+    return [str(program), described.guid, str(len(variables)), *ranges]
+
+
+KINDS = ("input", "output")
+
+
+def first_run(references: Sequence[int]) -> tuple[int, int]:
+    """The first of numbers, and how many follow each other from there."""
+    count = 0
+    while count < len(references) and references[count] == references[0] + count:
+        count += 1
+    return (references[0] if references else 0), count
+
+
+def fuzzed(command: Sequence[str], seed: int, calls: int, threads: int) -> tuple[int, str]:
+    """How many calls a run of the fuzzer made (0 where it found something), and what it said."""
+    program, guid, *told = command
+    given = [program, guid, str(seed), str(calls), str(threads), *told]
+    try:
+        done = subprocess.run(given, capture_output=True, text=True, check=False, timeout=PATIENCE)
+    except subprocess.TimeoutExpired:
+        return 0, f"seed {seed}: no end after {PATIENCE} s"
+    said = done.stdout + done.stderr[-3000:]
+    made = next((int(word) for word, unit in zip(said.split(), said.split()[1:], strict=False) if unit == "calls,"), 0)
+    good = done.returncode == 0 and made >= calls
+    return (made if good else 0), said.strip() or f"seed {seed}: ended by signal {-done.returncode}"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--calls", type=int, default=1_000_000, help="in all (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="of the first run (default: %(default)s)")
+    parser.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), help="some of the scenes")
+    given = parser.parse_args(arguments)
+    shares = {name: CASES[name].share for name in given.only}
+    total, failed = 0, 0
+    with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+        for name, share in shares.items():
+            for fmi in (2, 3):
+                for watched, threads, part in (("address", 1, 0.9), ("thread", 4, 0.1)):
+                    calls = int(given.calls * share / sum(shares.values()) / 2 * part) + 1
+                    made, said = fuzzed(built(name, fmi, Path(folder), watched), given.seed, calls, threads)
+                    print(f"{name}, {watched}: {said}", flush=True)
+                    total, failed = total + made, failed + (not made)
+    print(f"{total} calls without a report, {failed} runs with one")
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
