@@ -120,7 +120,7 @@ class _Writing:
         """The function with loops for what was found to repeat, as far as they can be."""
         o = self._operations
         carried = {each: one for each in found if (one := _carried(o, each)) is not None}
-        parts = list(pieces(len(o), list(carried), len(o)))
+        parts = list(pieces(len(o), list(carried), max(len(o), 1)))
         scope = np.concatenate([np.repeat(x.start + x.period * np.arange(x.count), x.period) for x in parts] or [[]])
         self._local = (o.kind == VALUE) & (scope[o.made] == scope)
         """Operands that are made in the same pass of the same piece."""
