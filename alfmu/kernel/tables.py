@@ -39,7 +39,7 @@ __all__ = [
     "packed",
 ]
 
-VERSION = 2
+VERSION = 3
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -77,14 +77,14 @@ NUMBERS = (
     *REFERENCES,
     *("formulation", "branch", "continues", "method_choice"),
     *("freedom", "brakes", "weighted", "same_tiers", "careful_iterations"),
-    *("monitor_position", "monitor_velocity", "monitor_energy"),
+    *("monitor_position", "monitor_velocity", "monitor_energy", "monitor_iterations"),
     *("method", *FIELDS, "past_size", "seen_size", "time", "work", "trouble", "near", "size", "workspace"),
     *(*HANDED, *FUNCTIONS, *PROGRAMS),
 )
 REALS = ("no_slope", "share", "exponent")
 
-_WATCHED = {"position": "position_error", "velocity": "velocity_error", "energy": "energy"}
-"""Monitors whose largest values an instance keeps."""
+_WATCHED = {"position": "position_error", "velocity": "velocity_error", "energy": "energy", "iterations": "iterations"}
+"""Monitors whose largest values an instance keeps, and the one that it counts where loops stop on convergence."""
 
 HOT = ("quick", "instant", "method")
 """Programs whose calls are joined: they run in every step."""

@@ -178,6 +178,7 @@ typedef struct {
     Flags flags_before;
     int within; /* whether the next step goes on in a communication step that began before */
     long left;  /* internal steps that this communication step may still take */
+    int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
     size_t used, room; /* of scratch */
     char text[1024];   /* what happened last */
 } Instance;

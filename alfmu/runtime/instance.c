@@ -1261,6 +1261,7 @@ static void read_patiently(Instance *i)
     const double *seen = i->m + s->seen + s->seen_size;
     const int instant = instant_by(s, formulation(i));
     double value;
+    i->iterations = 0;
     run(i, instant);
     i->counts[UNCONVERGED] += seen[-1] != 0.0;
     if (seen[-2] != 0.0 && s->limit_patient >= 0) {
@@ -1268,6 +1269,8 @@ static void read_patiently(Instance *i)
         if (not_finite(i, &value))
             run(i, instant);
     }
+    if (s->monitor_iterations >= 0 && i->iterations > 0)
+        i->m[s->seen + s->monitor_iterations] = i->iterations;
 }
 
 Outcome instance_read(Instance *i)

@@ -228,9 +228,12 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
         }
         case LOOP_CODE: { /* a number, how often at most (or, below zero, where that stands), how long the body is */
             const int32_t *body = at + 3;
-            double times = at[1] >= 0 ? (double)at[1] : m[-1 - at[1]];
-            for (; times >= 1.0 && m[at[0]] != 0.0; times -= 1.0)
+            const double most = at[1] >= 0 ? (double)at[1] : m[-1 - at[1]];
+            int times = 0;
+            for (; times + 1 <= most && m[at[0]] != 0.0; times++)
                 run_code(i, body, body + at[2]);
+            if (at[1] < 0) /* the multiplier iteration, whose first one is before the loop */
+                i->iterations = times + 1;
             at = body + at[2];
             break;
         }

@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 2
+#define SCENE_VERSION 3
 #define SETTINGS 10
 #define GROSS 1e-06
 #define TURN 3.141592653589793
@@ -127,6 +127,7 @@
     X(monitor_position) \
     X(monitor_velocity) \
     X(monitor_energy) \
+    X(monitor_iterations) \
     X(method) \
     X(z) \
     X(after) \
