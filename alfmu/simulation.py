@@ -146,7 +146,7 @@ def run(
         # A table between 0 and 1 switches half-way.
         return value >= 0.5 if name in switches and 0 <= value <= 1 else value
 
-    if isinstance(unit, Instance):
+    if isinstance(unit, Instance) and not isinstance(unit, oracle.Instance):
         values = _in_one_call(unit, times, list(signals), at, names, progress)
     else:
         values = _step_by_step(unit, times, list(signals), at, progress)

@@ -16,7 +16,6 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import alfmu
-from alfmu import oracle
 from alfmu.model.registry import mechanisms
 from alfmu.simulation import prepared, with_defaults
 from alfmu.studies import reference, tables
@@ -83,7 +82,7 @@ def measured(name: str, effort: Effort, kernel: str = "auto", methods: Sequence[
     """Runs of a mechanism with every method and tolerance, judged."""
     equations = alfmu.derive(alfmu.load(name))
     plain = prepared(equations, "oracle")
-    instance = oracle.Instance(plain)
+    instance = alfmu.Instance(plain)
     instance.initialize()
     stop = min(equations.stop_time, effort.horizon)
     parts = max(20, round(effort.parts * stop))

@@ -10,8 +10,6 @@ from oracles.parallelogram import Parallelogram
 
 import alfmu
 from alfmu import oracle
-from alfmu.kernel.vm import Vm
-from alfmu.oracle.oracle import Oracle
 from alfmu.simulation import prepared
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
@@ -126,10 +124,10 @@ def evaluate(
     """Everything that can be read of a mechanism put into the state q, v, with multipliers of least norm."""
     q, v, u = (np.array(x, float) for x in (q, v, u))
     p = np.array([x.start for x in equations.parameters] if p is None else p, float)
-    oracle = Oracle(equations, Vm(equations))
-    oracle.prepare(alfmu.Settings(), p, q)
-    a, lam, _, _ = oracle.accelerations(q, v, u, t)
-    y = oracle.outputs(q, v, a, oracle.minimum_norm(q, v, lam, t), u, t)
+    i = by_the_oracle(equations)
+    i.memory["p"][:] = p
+    a, lam, _, _ = i.accelerations(q, v, u, t)
+    y = i.readings(q, v, a, i.minimum_norm(q, v, lam, t), u, t)
     names = [x.name for x in equations.outputs]
     return dict(zip(names, y, strict=True)) | {c.name: x for c, x in zip(equations.coordinates, q, strict=True)}
 
@@ -140,9 +138,9 @@ def made(equations: alfmu.Equations, kernel: str, settings: alfmu.Settings | Non
     return make(prepared(equations, kernel), settings)
 
 
-def parameters(i: alfmu.Instance | oracle.Instance) -> np.ndarray:
+def parameters(i: alfmu.Instance) -> np.ndarray:
     """Parameters p of an instance that is initialised, with what locks keep."""
-    return i.oracle.p if isinstance(i, oracle.Instance) else i.memory["p"].copy()
+    return i.memory["p"].copy()
 
 
 def by_the_oracle(

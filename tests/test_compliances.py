@@ -61,7 +61,7 @@ def test_shares_are_those_of_a_weighted_pseudo_inverse(kernel, decades):
         i.step(0.02)
         lam = multipliers(i)
         C = np.array(e.C(i.q, parameters(i)))
-        some = shared_by_none.oracle.accelerations(i.q, i.v, np.zeros(1), 0.0)[1]
+        some = shared_by_none.accelerations(i.q, i.v, np.zeros(1), 0.0)[1]
         W = np.diag(1 / np.sqrt(compliance))
         expected = W @ np.linalg.pinv(C.T @ W, rcond=1e-9) @ (C.T @ some)
         assert lam == pytest.approx(expected, abs=1e-12 * np.abs(lam).max() * 10 ** max(0, 2 * decades - 3))

@@ -147,7 +147,7 @@ def test_fourth_order_and_the_exact_motion():
 def test_no_regular_position_is_taken_for_a_singular_one():
     """The shaft turns past pi, where one of its Euler parameters has an extremum and so a small pivot."""
     i = started(scene(), {"solver.step_size": 2e-4, "start.angle": 3.0})
-    judge, small = by_the_oracle(scene(), {"solver.step_size": 2e-4, "start.angle": 3.0}).oracle, 0
+    judge, small = by_the_oracle(scene(), {"solver.step_size": 2e-4, "start.angle": 3.0}), 0
     for k in range(50):
         i.step(1e-3, 1e-3 * k)
         small += int((judge._pivots(i.q) < GUARD).sum()) > judge.freedom

@@ -185,7 +185,7 @@ def test_stabilisation_and_projection_are_numbers_of_the_instance(built, formula
         kept = [i for i, v in enumerate(library.outputs) if v.name.startswith("link")]
         assert fmu.read()[kept] == pytest.approx(library.read()[kept], rel=1e-9, abs=1e-9)
         error = [v.name for v in library.outputs].index("monitor.position_error")
-        assert (fmu.read()[error] < 1e-12) == bool(library.oracle.settings.projects)
+        assert (fmu.read()[error] < 1e-12) == bool(library.settings.projects)
 
 
 def test_evaluations_that_do_not_converge_are_counted(built):

@@ -3,11 +3,11 @@
 import casadi as ca
 import numpy as np
 import pytest
+from oracles.adaptive import Adaptive
 from oracles.parallelogram import Parallelogram
 from scenes import derived
 
 from alfmu import oracle
-from alfmu.equations.evaluation import with_tangents
 from alfmu.method import implicit
 from alfmu.method.stepping import (
     EXPLICIT5,
@@ -22,7 +22,6 @@ from alfmu.method.stepping import (
     landing,
     tolerance,
 )
-from alfmu.oracle.adaptive import Adaptive
 
 EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8}
 RADAUS = {"Radau 9": RADAU9}
@@ -309,12 +308,12 @@ def test_the_error_follows_the_tolerance_and_steps_are_few(method, every):
 
 
 def adaptive(name, rule, run, parameters=(), inputs=(), fixed=None) -> Adaptive:
-    i = oracle.Instance(with_tangents(derived(name)))
+    i = oracle.Instance(derived(name))
     for key, value in [*dict(parameters).items(), *dict(inputs).items()]:
         i.set(key, value)
     i.initialize()
     u = i.inputs.copy()
-    found = Adaptive(i.oracle, rule, lambda t: u, run, run)
+    found = Adaptive(i, rule, lambda t: u, run, run)
     found.place(0.0, i.q, i.v, 0.0)
     found.fixed = fixed
     return found

@@ -13,9 +13,8 @@ from scenes import by_the_oracle as started
 from scenes import derived, readings
 
 import alfmu
-from alfmu.kernel.vm import Vm
+from alfmu import oracle
 from alfmu.method import formulations as method
-from alfmu.oracle.oracle import Oracle
 
 EPS = np.finfo(float).eps
 
@@ -40,7 +39,7 @@ def relative(got: np.ndarray, want: np.ndarray) -> float:
 
 def accelerations(i: alfmu.Instance) -> tuple[np.ndarray, np.ndarray]:
     """a and lambda as the iteration leaves them, before anything is done for outputs."""
-    a, lam, _, _ = i.oracle.accelerations(i.q, i.v, i.inputs, i.time)
+    a, lam, _, _ = i.accelerations(i.q, i.v, i.inputs, i.time)
     return a, lam
 
 
@@ -159,7 +158,7 @@ def test_constraints_removed_while_running() -> None:
     assert r["link4.angle"] == pytest.approx(0.0, abs=1e-12)
     assert (multipliers(r)[4:] == 0).all()
     p = i.values[: len(i.equations.parameters)]
-    H = method.augmented_mass(np.array(i.equations.M(i.q, p)), np.array(i.equations.C(i.q, p)), i.oracle.alpha)
+    H = method.augmented_mass(np.array(i.equations.M(i.q, p)), np.array(i.equations.C(i.q, p)), i.alpha)
     assert np.linalg.eigvalsh(H).min() > 0
     before = i.save()
     with pytest.raises(
@@ -308,10 +307,10 @@ def test_projection_brings_a_disturbed_state_back(name: str) -> None:
     for _ in range(5):
         q, v = i.q + 1e-4 * random.uniform(-1, 1, e.n), i.v + 1e-2 * random.uniform(-1, 1, e.n)
         before = i.counters.projection_iterations
-        back = i.oracle.project(q, v, 0.0)
+        back = i.project(q, v, 0.0)
         assert i.counters.projection_iterations - before <= 5
         assert max(back[2:]) <= 1e-13
-        assert max(i.oracle.residues(*back[:2])) <= 1e-13
+        assert max(i.residues(*back[:2])) <= 1e-13
         assert np.abs(back[0] - i.q).max() <= 1e-3
 
 
@@ -347,7 +346,7 @@ def test_projection_refuses_what_no_correction_can_close() -> None:
     """StepError, with the mechanism, the joint and what is left."""
     i = started(derived("slider_crank"), {"b": 0.2})
     with pytest.raises(alfmu.StepError, match=r"slider_crank, t = 0 s: \|Phi\| = .* at \w+"):
-        i.oracle.project(i.q + np.array([0, 0, 0, 0, 0, 0, 50.0, 0]) * 1e9, i.v, 0.0)
+        i.project(i.q + np.array([0, 0, 0, 0, 0, 0, 50.0, 0]) * 1e9, i.v, 0.0)
 
 
 # Alternatives ---------------------------------------------------------------------------------------------------------
@@ -496,6 +495,5 @@ def test_unconverged_iterations_are_counted() -> None:
 )
 def test_settings_that_make_no_sense(settings: dict, says: str) -> None:
     """InputError with the mechanism, the number and what it may be."""
-    oracle = Oracle(derived("five_bar"), Vm(derived("five_bar")))
     with pytest.raises(alfmu.InputError, match=f"five_bar: .*{says}"):
-        oracle.prepare(alfmu.Settings(**settings), np.ones(6), np.zeros(8))
+        oracle.Instance(derived("five_bar"), alfmu.Settings(**settings))

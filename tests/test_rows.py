@@ -93,10 +93,10 @@ def test_the_unit_of_a_row_is_known(name, coordinates, unit):
     """One for all rows, which so cost nothing; that of a row written in another unit follows it to 1e-11."""
     e = derived(name, coordinates=coordinates)
     given = {"l2": 0.8} if name == "slider_crank" else {}
-    units = by_the_oracle(prepared(e), given).oracle.units
+    units = by_the_oracle(prepared(e), given).units
     assert units == pytest.approx(unit, rel=1e-11)
     assert len(set(units)) == 1
-    other = by_the_oracle(prepared(rewritten(e, MILLI[: e.l], list(range(e.l)))), given).oracle.units
+    other = by_the_oracle(prepared(rewritten(e, MILLI[: e.l], list(range(e.l)))), given).units
     assert other == pytest.approx(MILLI[: e.l] * units, rel=1e-11)
 
 

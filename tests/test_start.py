@@ -362,7 +362,7 @@ def test_a_step_that_misses_the_constraints_leaves_the_state_before_it() -> None
     with pytest.raises(
         alfmu.StepError, match=r"slider_crank, t = 1 s: \|Phi.* at C [xy] > .*; reduce solver.step_size"
     ):
-        by_the_oracle(i.equations).oracle.project(i.q + 1e14 * np.array([0.3, 1.0, -2.0]), i.v, 1.0)
+        by_the_oracle(i.equations).project(i.q + 1e14 * np.array([0.3, 1.0, -2.0]), i.v, 1.0)
 
 
 # Saved states ---------------------------------------------------------------------------------------------------------

@@ -155,9 +155,9 @@ class Equations:
     """Numbers that compiled functions need beside the memory of an instance."""
     library: Any = field(default=None, repr=False)
     """Path of the functions of the scene compiled (`alfmu.kernel.build.compiled_scene`), where they are."""
-    programs: dict[str, ca.Function] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """Programs of the kernel as one function each (`alfmu.kernel.fusion`), as far as they were wanted; shared by all
-    instances of these equations, and not by others that are made of them."""
+    programs: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """The scene as it was loaded, and these equations traced with other settings, as far as they were wanted; shared by
+    all instances of these equations, and not by others that are made of them."""
 
     @property
     def n(self) -> int:

@@ -633,7 +633,7 @@ class Scene:
         """Whether the limit has to be taken at q of a known margin, and the spacing [s] of the places that it is taken
         from."""
         rate = self._rate(here, q, v, spacing)
-        wanted = ca.fmax(ca.fmin(rate, branch.MOST), self.least_distance)
+        wanted = branch.first_distance(rate, self.least_distance, ca.fmin, ca.fmax)
         zone = ca.sqrt(here) < branch.ZONE * wanted
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         zone = ca.if_else(rate > 0, zone, here <= self.nothing)
@@ -670,9 +670,8 @@ class Scene:
         heavy[telling] = branch.HEAVY / branch.NOTHING * self.nothing / self.inverse_scales[telling]
         C, _, solve = self._augmented(q)
         M = self.scale * self.e.M(q, self.p)
-        way, d = (branch.tangential(C, self.weights, solve, x) for x in (v, wanted - q))
-        q = q + d + way * branch.along(M, heavy, way, wanted - q - d)
-        return {"q": q, "v": way + way * branch.along(M, heavy, way, v - way)}
+        q, v = branch.returned(M, C, self.weights, solve, heavy, q, wanted, v)
+        return {"q": q, "v": v}
 
     def iterated(self, terms: tuple, factors: tuple, a: ca.SX, lam: ca.SX, most: int) -> tuple[ca.SX, ca.SX, ca.SX]:
         """a and lam after so many iterations, and the last change of a."""

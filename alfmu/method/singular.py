@@ -35,7 +35,9 @@ __all__ = [
     "ZONE",
     "along",
     "curvature",
+    "first_distance",
     "mean",
+    "returned",
     "tangential",
     "weights",
     "with_pole",
@@ -128,6 +130,11 @@ def curvature(before: Array, here: Array, after: Array) -> Array:
     return (before + after) / 2 - here
 
 
+def first_distance(rate: Array, least: Array, smaller: Callable, larger: Callable) -> Array:
+    """Distance of the first places from which a limit is taken, where one spacing makes `rate` of it."""
+    return larger(smaller(rate, MOST), least)
+
+
 def mean(values: dict[int, Array]) -> Array:
     """The limit from values at places, as many before as after."""
     return sum(w * values[k] for k, w in weights(len(values) // 2).items())
@@ -163,3 +170,19 @@ def along(M: Array, heavy: Array, way: Array, d: Array) -> Array:
     not in that of M with the masses `heavy` (n,)."""
     given = way * heavy
     return (given.T @ d) / (way.T @ (M @ way) + given.T @ way + NEVER)
+
+
+def returned(
+    M: Array,
+    C: Array,
+    alpha: Array,
+    solve: Callable[[Array], Array],
+    heavy: Array,
+    q: Array,
+    wanted: Array,
+    v: Array,
+) -> tuple[Array, Array]:
+    """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion."""
+    way, d = (tangential(C, alpha, solve, x) for x in (v, wanted - q))
+    q = q + d + way * along(M, heavy, way, wanted - q - d)
+    return q, way + way * along(M, heavy, way, v - way)

@@ -196,6 +196,7 @@ Outcome instance_set_slope(Instance *i, int reference, double value);
 Outcome instance_tolerate(Instance *i, double tolerance);
 Outcome instance_initialize(Instance *i);
 Outcome instance_can_step(Instance *i, double start, double h);
+Outcome instance_ready(Instance *i, double start, double h);
 Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_read(Instance *i);
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,

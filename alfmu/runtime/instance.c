@@ -1180,43 +1180,47 @@ static Outcome whole_step(Instance *i, double start, double h)
     return instance_read(i);
 }
 
-Outcome instance_step(Instance *i, double start, double h)
+/* DONE where a communication step can begin: what the Boolean inputs ask for is in force. Nothing has changed otherwise, but
+   that they ask for nothing. */
+Outcome instance_ready(Instance *i, double start, double h)
 {
-    const Scene *s = i->scene;
     Outcome outcome = DONE;
     if (!i->flags.initialized)
-        outcome = say(i, REFUSED, "%s: initialise before the first step", s->name);
-    else
-        outcome = instance_can_step(i, start, h);
+        return say(i, REFUSED, "%s: initialise before the first step", i->scene->name);
+    outcome = instance_can_step(i, start, h);
+    if (outcome != DONE || !i->flags.pending)
+        return outcome;
+    i->used = 0;
+    remember(i);
+    hand_over(i);
+    outcome = take_effect(i);
+    if (outcome != DONE) {
+        go_back(i);
+        memcpy(i->wanted, i->on, (size_t)i->scene->switches * sizeof *i->on);
+        i->flags.pending = 0;
+    }
+    i->used = 0;
+    return outcome;
+}
+
+Outcome instance_step(Instance *i, double start, double h)
+{
+    const int changed = i->flags.pending;
+    Outcome outcome = instance_ready(i, start, h);
     if (outcome != DONE)
         return outcome;
     i->used = 0;
     if (!i->within)
         i->left = MOST_STEPS;
-    if (i->flags.pending) {
-        remember(i);
-        hand_over(i);
-        outcome = take_effect(i);
-        if (outcome != DONE) {
-            go_back(i);
-            memcpy(i->wanted, i->on, (size_t)s->switches * sizeof *i->on);
-            i->flags.pending = 0;
-            i->used = 0;
-            return outcome;
-        }
-        i->slopes[0] = start;
-        hand_over(i);
-        outcome = whole_step(i, start, h);
-        if (outcome != DONE)
-            go_back(i);
-    } else {
+    if (!changed)
         remember_step(i);
-        i->slopes[0] = start;
-        hand_over(i);
-        outcome = whole_step(i, start, h);
-        if (outcome != DONE)
-            step_back(i);
-    }
+    i->slopes[0] = start;
+    hand_over(i);
+    outcome = whole_step(i, start, h);
+    if (outcome != DONE && changed)
+        go_back(i);
+    else if (outcome != DONE)
+        step_back(i);
     i->used = 0;
     return outcome;
 }

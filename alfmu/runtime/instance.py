@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import oracle
 from ..equations import Equations, Mobility
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
@@ -26,6 +25,7 @@ from ..model.registry import load
 from ..model.settings import FIXED, Settings
 from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
+from .probe import Probe
 
 __all__ = ["Instance"]
 
@@ -209,8 +209,8 @@ class Instance:
         self._unit.run_on(True)
 
     def _begun(self) -> int:
-        """Begin a large scene where the oracle, whose matrices are sparse, finds a start."""
-        probe = oracle.Instance(self.equations, self._given)
+        """Begin a large scene where a probe, whose matrices are sparse, finds a start."""
+        probe = Probe(self.equations, self._given)
         for v in (*self.parameters, *self.input_variables):
             probe.set(v.name, self.get(v.name))
         probe.time = self.time
@@ -316,7 +316,7 @@ class Instance:
 
     def shared(self) -> list[str]:
         """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
-        probe = oracle.Instance(self.equations)
+        probe = Probe(self.equations)
         probe.take(self.memory["p"], self.state, self.penalty)
         return probe.shared()
 

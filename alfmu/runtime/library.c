@@ -147,6 +147,12 @@ API void alfmu_begin(Instance *i, const double *q, const double *v, const double
     instance_begin(i, q, v, full, penalty, units, scales, known);
 }
 
+/* What `alfmu_step` begins with, for a caller that makes the step itself. */
+API int alfmu_ready(Instance *i, double start, double h)
+{
+    return (int)instance_ready(i, start, h);
+}
+
 API int alfmu_step(Instance *i, double start, double h)
 {
     return (int)instance_step(i, start, h);

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import oracle
 from ..equations import Equations
 from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import CHOICES, checked, setting, variables_of
@@ -21,6 +20,7 @@ from ..method.implicit import RULES
 from ..model.errors import AlfmuError, InputError
 from ..model.settings import Settings
 from .library import Scene
+from .probe import Probe
 
 __all__ = ["again", "loaded", "prepared", "retraced", "with_defaults"]
 
@@ -34,24 +34,25 @@ LASTS = 30.0
 
 
 def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
-    """The equations with what the chosen kernel runs; InputError where there is no such kernel."""
+    """The equations with what the chosen kernel runs; InputError where there is no such kernel.
+
+    The oracle starts and keeps its values as `vm` does, so that it takes the same.
+    """
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
     equations, probe = _with_method(equations), None
     if not equations.kernel or equations.shared is None:
         probe = _started(equations)
         equations = _surveyed(equations, probe)
-    if kernel == "oracle":
-        return replace(untraced(equations), library=None)
     e = equations if equations.kernel else _traced(equations, probe)
     if kernel == "compiled" or (kernel == "auto" and compiler()):
         return e if e.library else replace(e, library=compiled_scene(e, packed(e)))
     return replace(e, library=None) if e.library else e
 
 
-def _started(equations: Equations) -> oracle.Instance | None:
+def _started(equations: Equations) -> Probe | None:
     """An instance at the start, None where the defaults have none, so that nothing is known of its freedoms."""
-    probe = oracle.Instance(equations)
+    probe = Probe(equations)
     try:
         probe.initialize()
     except AlfmuError:
@@ -89,7 +90,7 @@ def _chosen(equations: Equations) -> tuple[str, str]:
     return "explicit", f"explicit: {seen}"
 
 
-def _surveyed(equations: Equations, probe: oracle.Instance | None) -> Equations:
+def _surveyed(equations: Equations, probe: Probe | None) -> Equations:
     """The same equations with what redundant constraints share said of each output that it concerns."""
     if equations.shared is not None or probe is None:
         return equations
@@ -101,12 +102,12 @@ def _surveyed(equations: Equations, probe: oracle.Instance | None) -> Equations:
     return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=uneven)
 
 
-def _may_brake(probe: oracle.Instance) -> bool:
+def _may_brake(probe: Probe) -> bool:
     """Whether constraints that come into force may be redundant, so that they would stop the motion beside it."""
     return bool(probe.equations.switches) and probe.redundant_with_all() > 0
 
 
-def _traced(equations: Equations, probe: oracle.Instance | None) -> Equations:
+def _traced(equations: Equations, probe: Probe | None) -> Equations:
     if probe is None:
         return traced(equations, None, controlled=controlled)
     mobility = probe.mobility()
@@ -140,13 +141,17 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
 
 
 def retraced(equations: Equations, settings: Settings) -> Equations:
-    """The same equations, traced with the method of integration and the order of inputs that settings ask for."""
+    """The same equations, traced with the method of integration and the order of inputs that settings ask for: once."""
     e = equations
     wanted = {name: getattr(settings, name) for name in _TRACED}
     default = {name: getattr(Settings, name) for name in _TRACED}
     if e.kernel and all(e.solver.get(name, default[name]) == value for name, value in wanted.items()):
         return e
-    return again(replace(e, solver={**e.solver, **wanted}, reason=""))
+    known = e.programs.setdefault("traced", {})
+    chosen = tuple(wanted.values())
+    if chosen not in known:
+        known[chosen] = again(replace(e, solver={**e.solver, **wanted}, reason=""))
+    return known[chosen]
 
 
 def again(equations: Equations) -> Equations:

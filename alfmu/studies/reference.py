@@ -28,7 +28,7 @@ from ..equations import Equations
 from ..equations.evaluation import shared, symbols, with_functions
 from ..kernel.program import Call
 from ..kernel.vm import Vm
-from ..oracle import Instance
+from ..runtime import Instance
 
 __all__ = ["Effort", "Reference", "reference"]
 
@@ -99,8 +99,8 @@ class _Model:
             Call(backend, name, signatures[name])
             for name in ("dynamics", "constraints", "readings", "energy", "placement")
         )
-        self.p, self.u = instance.oracle.p.copy(), instance.inputs.copy()
-        self.held = np.flatnonzero(instance.oracle.active)
+        self.p, self.u = instance.memory["p"].copy(), instance.inputs.copy()
+        self.held = np.flatnonzero(instance.penalty)
         self.freedom = instance.mobility().freedom
         self.q, self.v = instance.q.copy(), instance.v.copy()
         self.starts = np.array([instance.get(v.name) for v in e.starts])

@@ -226,7 +226,7 @@ class Study(cases.Study):
 
     def _judge(self, horizon: float) -> None:
         """The reference, and its error."""
-        instance = oracle.Instance(self.equations)
+        instance = Instance(self.equations)
         instance.initialize()
         self.mobility = instance.mobility()
         found = exact.reference(instance, horizon, self.effort.reference)
@@ -296,15 +296,15 @@ class Study(cases.Study):
         """All settings in groups, those first whose rows are needed most."""
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
         fastest, slower = list(self._ways)[:1], list(self._ways)[1:]
-        # What `auto` chooses is there under its own name; other formulations are run by the oracle whatever the kernel.
+        # What `auto` chooses is there under its own name; the oracle integrates by the first method alone.
         told, again = [m for m in more if m != "auto"], [way for way in self._ways if way != "oracle"]
         pairs = [
             [(OWN, m, way) for m in (first, *told) for way in fastest],
             [(OWN, first, way) for way in slower],
             [(f, first, "oracle") for f in others],
-            [(OWN, m, way) for way in reversed(slower) for m in told],
-            [(f, m, "oracle") for f in others for m in more],
-            [*((OWN, "auto", way) for way in self._ways), *((f, first, way) for f in others for way in again)],
+            [(OWN, m, way) for way in reversed(slower) if way in again for m in told],
+            [(f, m, way) for f in others for m in more for way in fastest],
+            [*((OWN, "auto", way) for way in again), *((f, first, way) for f in others for way in again)],
         ]
         found = [[self._setting(*each) for each in group] for group in pairs]
         found[0] += filter(None, map(self._rival, RIVALS))

@@ -55,14 +55,14 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
     e = equations
     instance = Instance(e, Settings(step_size=e.step_size, formulation="dae"))
     instance.initialize()
-    oracle, u, n = instance.oracle, instance.inputs, e.n
+    u, n = instance.inputs, e.n
     names = [*(v.name for v in e.outputs), *MONITORS]
     start, span = np.concatenate([instance.q, instance.v]), (0.0, case.times[-1])
 
     def read(t: float, y: NDArray) -> NDArray:
         q, v = y[:n], y[n:]
-        a, lam, _, _ = oracle.accelerations(q, v, u, t)
-        return np.concatenate([oracle.outputs(q, v, a, lam, u, t), oracle.residues(q, v), [oracle.energy(q, v)]])
+        a, lam, _, _ = instance.accelerations(q, v, u, t)
+        return np.concatenate([instance.readings(q, v, a, lam, u, t), instance.residues(q, v), [instance.energy(q, v)]])
 
     @np.errstate(all="ignore")
     def once() -> Run:
@@ -71,9 +71,9 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
         def rate(t: float, y: NDArray) -> NDArray:
             if time.perf_counter() - begin > case.limit:
                 raise TimeoutError
-            return np.concatenate([y[n:], oracle.accelerations(y[:n], y[n:], u, t)[0]])
+            return np.concatenate([y[n:], instance.accelerations(y[:n], y[n:], u, t)[0]])
 
-        table, reached, failure, cut, before = np.empty((0, len(names))), 0, "", False, oracle.counters.evaluations
+        table, reached, failure, cut, before = np.empty((0, len(names))), 0, "", False, instance.counters.evaluations
         try:
             found = solve_ivp(rate, span, start, method, case.times, rtol=tolerance, atol=tolerance)
             table = np.array([read(t, y) for t, y in zip(found.t, found.y.T, strict=True)])
@@ -83,8 +83,8 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
         except ARITHMETIC as error:
             failure = str(error) or type(error).__name__
         seconds = [time.perf_counter() - begin]
-        used = oracle.counters.evaluations - before
-        counters = replace(oracle.counters, steps=0, evaluations=used, energy_error=np.nan)
+        used = instance.counters.evaluations - before
+        counters = replace(instance.counters, steps=0, evaluations=used, energy_error=np.nan)
         return Run(names, case.times[:reached], table, seconds, counters if reached else None, failure, cut)
 
     return once

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import oracle
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
@@ -185,13 +184,13 @@ class Study(cases.Study):
         """Run all cells, as far as time allows until `deadline`."""
         self.equations = e = prepared(self.derived, "auto")
         self.horizon = min(e.stop_time, self.effort.horizon)
-        self.instance = oracle.Instance(e)
+        self.instance = Instance(e)
         self._units: dict[str, tuple[Instance, Callable[[], None]]] = {}
         self.defaults = {v.name: float(v.start) for v in e.parameters}
         self.springs = [v.name for v in e.parameters if v.unit in SPRINGS]
         self.masses = [v.name for v in e.parameters if v.unit == "kg" and v.start]
         self.instance.initialize()
-        self.mass = float(e.M(self.instance.q, self.instance.oracle.p).full().diagonal().max())
+        self.mass = float(e.M(self.instance.q, self.instance.memory["p"]).full().diagonal().max())
         for cell in progress(list(self.cells())):
             self.rows.append(self._measured(cell) if time.perf_counter() < deadline else self._row(cell, "not run"))
 
@@ -297,7 +296,7 @@ class Study(cases.Study):
 
     def _judged(self, scaled: Sequence[tuple[str, float]]) -> tuple[Judge, float, float]:
         times = np.linspace(0.0, self.horizon, POINTS)
-        instance = oracle.Instance(self.equations)
+        instance = Instance(self.equations)
         try:
             for name, factor in scaled:
                 instance.set(name, factor * self.defaults[name])

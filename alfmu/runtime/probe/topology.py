@@ -9,28 +9,21 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations import Equations, Variable
-from ..equations.interface import events, every_event
+from ...equations import Equations, Variable
 
 __all__ = ["Topology"]
 
 
 class Topology:
-    """What the switches of one instance were told, what is in force, and what came of it."""
+    """What the switches of one instance were told, and what is in force."""
 
     def __init__(self, equations: Equations):
         e = equations
         self.rows_held = np.ones(e.l, bool)
         self.inputs = [Variable(s.name, "1", s.start, description=s.description, type="Boolean") for s in e.switches]
         self._switches = e.switches
-        self._rows = [i for switch in e.switches for i in switch.rows]
-        sizes = len(e.switches), len(e.switches), len(e.held), len(self._rows), min(len(e.switches), 1)
-        self.numbers = np.zeros(sum(sizes))
-        """All that is known here, for saving and restoring."""
-        self.wanted, self.on, self.kept, self._impulses, self._lost = np.split(self.numbers, np.cumsum(sizes)[:-1])
+        self.wanted, self.on, self.kept = (np.zeros(size) for size in (len(e.switches), len(e.switches), len(e.held)))
         self.wanted[:] = [s.start for s in e.switches]
-        shown = {v.name for v in events(e)}
-        self._shown = [i for i, v in enumerate(every_event(e)) if v.name in shown]
 
     @property
     def pending(self) -> bool:
@@ -51,14 +44,3 @@ class Topology:
             if switch.value >= 0 and wanted and not on:
                 kept[switch.value] = displacements[switch.value]
         return kept
-
-    def happened(self, impulses: NDArray, lost: float, new: NDArray) -> None:
-        """Take note of an impact: impulses (l,) of all constraints, energy lost [J], those that came into force."""
-        for i, row in enumerate(self._rows):
-            if new[row]:
-                self._impulses[i] = impulses[row]
-        self._lost += lost
-
-    def read(self) -> NDArray:
-        """The values of `events`."""
-        return np.concatenate([self._impulses, self._lost])[self._shown]

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations import Equations, Mobility
-from ..kernel.program import Backend, Call
-from ..kernel.thresholds import LONGEST_TURN, MOST, RANKED, ROUGH, TOLERANCE, TRIES
-from ..model.errors import AssemblyError
+from ...equations import Equations, Mobility
+from ...kernel.program import Backend, Call
+from ...kernel.thresholds import LONGEST_TURN, MOST, RANKED, ROUGH, TOLERANCE, TRIES
+from ...model.errors import AssemblyError
 
 __all__ = ["Assembly"]
 

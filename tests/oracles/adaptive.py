@@ -1,4 +1,7 @@
-"""Steps of the methods beside RK4, with error control or without, on NumPy arrays: all by the oracle."""
+"""Steps of the methods beside RK4 on NumPy arrays, with error control or without, from the oracle's accelerations.
+
+The rules are those of `alfmu.method`; their loops stop on convergence here, and linear systems are NumPy's.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.thresholds import FIRST_STEP
-from ..method import formulations as method
-from ..method import implicit
-from ..method import singular as branch
-from ..method.stepping import (
+from alfmu.equations.evaluation import with_tangents
+from alfmu.kernel.program import Call
+from alfmu.kernel.thresholds import FIRST_STEP
+from alfmu.kernel.vm import Vm
+from alfmu.method import formulations as method
+from alfmu.method import implicit
+from alfmu.method import singular as branch
+from alfmu.method.inputs import Past
+from alfmu.method.stepping import (
     SHORTEST,
     Collocation,
     Control,
@@ -26,15 +33,11 @@ from ..method.stepping import (
     explicit_rule,
     tolerance,
 )
-from ..model.errors import InputError, StepError
-from .oracle import Oracle
-from .threads import one_thread
+from alfmu.model.errors import StepError
+from alfmu.model.settings import FIXED
+from alfmu.oracle import Instance
 
-__all__ = ["TANGENTS", "Adaptive", "adaptive"]
-
-TANGENTS = tuple(implicit.RULES)
-"""Methods that need the tangents of the equations (`alfmu.equations.evaluation.with_tangents`)."""
-
+__all__ = ["Adaptive", "by_method"]
 
 NEWTON = 8
 """Most iterations of Newton's method in a step."""
@@ -48,21 +51,22 @@ RETURNS = 4
 Rule = Explicit | Collocation | implicit.Newmark
 
 
-def adaptive(oracle: Oracle, inputs: Callable[[float], NDArray], pace: NDArray) -> Adaptive:
-    """What makes the steps of the oracle's `solver.method`, all but RK4; `pace` keeps what step control remembers."""
-    settings = oracle.settings
+def by_method(instance: Instance, method: str, order: int = 0) -> Adaptive:
+    """What makes the steps of a method from where an initialised instance stands; inputs extrapolated with an order."""
+    settings = instance.settings
     run = settings.relative_tolerance
-    carried = oracle.equations.kernel.get("method", {}).get("rule")
-    rule: Rule | None = explicit_rule(settings.method, run, carried) or implicit.RULES.get(settings.method)
-    if rule is None:
-        raise InputError(
-            f"{oracle.equations.name}: solver.method {settings.method} is decided where a scene is made; "
-            "choose it there, or explicit or stiff"
-        )
+    rule: Rule = explicit_rule(method, run) or implicit.RULES[method]
     relative, absolute = run, settings.absolute_tolerance or run
     if not isinstance(rule, implicit.Newmark):
         relative, absolute = tolerance(rule, run), tolerance(rule, absolute)
-    return Adaptive(oracle, rule, inputs, relative, absolute, pace)
+    past = Past(len(instance.inputs))
+
+    def inputs(t: float) -> NDArray:
+        return past.at(t, order) if order else instance.inputs
+
+    found = Adaptive(instance, rule, inputs, relative, absolute)
+    found.past, found.of_one_length = past, method in FIXED
+    return found
 
 
 class Adaptive:
@@ -76,23 +80,34 @@ class Adaptive:
 
     def __init__(
         self,
-        oracle: Oracle,
+        oracle: Instance,
         rule: Rule,
         inputs: Callable[[float], NDArray],
         relative: float,
         absolute: float,
-        pace: NDArray | None = None,
     ):
         self.oracle, self.rule, self.inputs = oracle, rule, inputs
         self.relative, self.absolute = relative, absolute
         self.fixed: float | None = None
         """Length of all steps [s]; None adapts them."""
-        self.control = Control(3 if isinstance(rule, implicit.Newmark) else rule.estimate + 1, FIRST_STEP, pace)
+        self.control = Control(3 if isinstance(rule, implicit.Newmark) else rule.estimate + 1, FIRST_STEP)
         self.counts = dict.fromkeys(("steps", "refused", "beside", "newton"), 0)
         """Steps, refused ones, tries made on the branch, iterations of Newton's method."""
         self._error, self._why = math.inf, ""
+        if not isinstance(rule, Explicit):
+            vm = Vm(with_tangents(oracle.equations))
+            self._tangents = Call(vm, "tangents", vm.equations.signatures["tangents"])
+        self.place(oracle.time, oracle.q, oracle.v, oracle.work)
         units = [c.unit for c in oracle.equations.coordinates]
         self._turning = np.array([unit == "rad" for unit in units] + [False] * len(units))
+
+    def cover(self, h: float) -> None:
+        """A communication step [s], in steps of solver.step_size where they have a given length."""
+        if self.of_one_length:
+            self.fixed = h / max(1, math.ceil(h / self.oracle.settings.step_size * (1 - 1e-12)))
+        self.past.reach(self.t, self.oracle.inputs)
+        self.place(self.t, self.q, self.v, self.work)
+        self.advance(self.t + h)
 
     def place(self, t: float, q: NDArray, v: NDArray, work: float) -> None:
         """Begin at t with q, v (n,) and the work done so far [J]; inputs may have jumped."""
@@ -103,10 +118,9 @@ class Adaptive:
     @np.errstate(all="ignore")
     def advance(self, end: float, taken: Callable[[], None] = lambda: None, tries: float = math.inf) -> None:
         """Go on up to `end` and land on it, or until so many steps were tried; `taken` is called after each step."""
-        with one_thread():
-            while self.t < end and tries > 0:
-                self._try(end, taken)
-                tries -= 1
+        while self.t < end and tries > 0:
+            self._try(end, taken)
+            tries -= 1
 
     def _try(self, end: float, taken: Callable[[], None]) -> None:
         left = end - self.t
@@ -163,18 +177,18 @@ class Adaptive:
         return found[0] if 0 in found else branch.mean(found)
 
     def _power(self, t: float, q: NDArray, v: NDArray) -> float:
-        return self.oracle.power(q, v, self.inputs(t), t) if self.oracle.equations.works else 0.0
+        return self.oracle.power(q, v, self.inputs(t), t)
 
     def _check_near(self, q: NDArray) -> None:
         o = self.oracle
-        if o.settings.continues and o.equations.l and o.margin(q) < branch.GUARD:
+        if o.continues and o.margin(q) < branch.GUARD:
             raise _Near
 
     def _places(self, q: NDArray, v: NDArray, spacing: float, t: float) -> dict[int, tuple[NDArray, NDArray]]:
         """The place on the branch (0), or those that a limit is taken from."""
         o = self.oracle
         here, rate, spacing = o.approach(q, v, spacing)
-        wanted = max(min(rate, branch.MOST), o.least_distance)
+        wanted = branch.first_distance(rate, o.least_distance, min, max)
         if not (rate > 0 and here < branch.ZONE * wanted):
             return {0: o.reached(q, v, t)}
         spacing *= wanted / rate
@@ -199,9 +213,9 @@ class Adaptive:
         """a, its derivatives by q, v and t, and C, what solves with H, and the derivative of xi by v."""
         o, n, u = self.oracle, len(q), self.inputs(t)
         a, lam, _, _ = o.accelerations(q, v, u, t)
-        Rq, Rv, Xq, Xv, Rt = (x.copy() for x in o.tangents(q, v, a, lam, u, t))
+        Rq, Rv, Xq, Xv, Rt = (x.copy() for x in self._tangents(q, v, a, lam, u, o.memory["p"], t))
         M, C, _, _ = (x.copy() for x in o.dynamics(q, v, u, t))
-        solve = o.factor(method.augmented_mass(M, C, o.alpha), t)
+        solve = o.inverse(method.augmented_mass(M, C, o.alpha), t)
         limit = o.settings.tolerance * 100
 
         def done(change: NDArray, value: NDArray) -> bool:
@@ -212,15 +226,6 @@ class Adaptive:
         R, X = np.column_stack([Rq, Rv, Rt]), np.column_stack([Xq, Xv, np.zeros(l)])
         both = implicit.tangent(M, C, o.alpha, solve, R, X, zeros, o.settings.max_iterations, done)
         return a, both[:, :n], both[:, n : 2 * n], both[:, 2 * n], (C, solve, Xv)
-
-    def spectrum(self) -> NDArray:
-        """Eigenvalues [1/s] of small motions about the present one."""
-        n = len(self.q)
-        _, aq, av, _, (C, solve, Xv) = self.tangent(self.q, self.v, self.t)
-        T, S = implicit.return_map(C, self.oracle.alpha, solve, Xv, np.eye(n), RETURNS)
-        aq, av = implicit.on_branch(aq, av, T, S)
-        # Displacements that the constraints keep, alone: T projects on them.
-        return np.linalg.eigvals(np.block([[np.zeros((n, n)), T], [T @ aq, T @ av]]))
 
     # Methods ---------------------------------------------------------------------------------------------------
 
@@ -301,7 +306,7 @@ class Adaptive:
             a = a0 + change
             M, C, F, _ = (x.copy() for x in o.dynamics(q, v, u, t))
             Phi = o.constraints(q, v)[2].copy()
-            Rq, Rv, _, _, _ = o.tangents(q, v, a, lam, u, t)
+            Rq, Rv, _, _, _ = self._tangents(q, v, a, lam, u, o.memory["p"], t)
             R = F - M @ a - C.T @ lam
             dq, dlam = implicit.position_step(M, C, Phi, R, Rq, Rv, o.alpha, rule, dt, np.linalg.solve)
             change, lam = change + by_a * dq, lam + dlam
@@ -312,14 +317,18 @@ class Adaptive:
                 raise StepError(f"Newton's method leaves a change of {size:.1e}")
         q, v, w = implicit.moved(rule, dt, self.q, self.v, w0, a0, change)
         inertia = M - (by_v / by_a) * Rv - Rq / by_a
-        solve = o.factor(inertia + C.T @ o.alpha @ C, t)
+        solve = o.inverse(inertia + C.T @ o.alpha @ C, t)
         for _ in range(RETURNS):
             q = q + method.project(C, o.alpha, solve, o.constraints(q, v)[2])
             v = v + method.project(C, o.alpha, solve, o.constraints(q, v)[3])
         M, C, _, xi = (x.copy() for x in o.dynamics(q, v, u, t))
-        a = o.nearest(M, C, a0 + change, xi, t)
+        a = self._nearest(M, C, a0 + change, xi, t)
         power = self._power(self.t, self.q, self.v) + self._power(t, q, v)
         return q, v, self.work + dt / 2 * power, None, (a, w, lam), 0.0
+
+    def _nearest(self, M: NDArray, C: NDArray, a: NDArray, xi: NDArray, t: float) -> NDArray:
+        """Accelerations (n,) that keep the constraints, the nearest to a in the metric of M."""
+        return self.oracle._iterated(method.residual, M, M @ a, C, xi, t)[0]
 
     def _solver(self, tangents: tuple[NDArray, NDArray]) -> Callable[[float, NDArray], NDArray]:
         n = len(self.q)
@@ -344,7 +353,7 @@ class Adaptive:
             return 0.0
         o, (q, v) = self.oracle, self._parts(after)
         M, C, _, _ = o.constraints(q, v)
-        solve = o.factor(method.augmented_mass(M, C, o.alpha), self.t)
+        solve = o.inverse(method.augmented_mass(M, C, o.alpha), self.t)
         parts = [branch.tangential(C, o.alpha, solve, x) for x in self._parts(error)]
         return float(np.abs(np.concatenate(parts) / np.maximum(self._scale(y, after), least)).max())
 

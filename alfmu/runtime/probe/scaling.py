@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..kernel.thresholds import ALIKE, HARDLY, PENALTY_RATIO, SAME
+from ...kernel.thresholds import ALIKE, HARDLY, PENALTY_RATIO, SAME
 
 __all__ = ["scaled"]
 
