@@ -536,8 +536,7 @@ static Outcome knowledge(Instance *i, const double *q, const double *v)
         know(i, q, v, held, usual(i));
     if (i->flags.brakes && !s->brakes)
         outcome = say(i, BRAKES,
-            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set), or "
-            "with --kind python",
+            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
             s->name);
     i->used = used;
     return outcome;
@@ -1058,7 +1057,7 @@ static Outcome covered(Instance *i, double end, double dt)
         if (!cover(i, end, tries))
             return say(i, FAILED,
                 "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
-                "where constraints stay open, use --kind python or rk4",
+                "where constraints stay open, use explicit or rk4",
                 s->name, *time, s->choice[s->method_choice].values[0]);
     }
     return DONE;
