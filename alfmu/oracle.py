@@ -1,7 +1,7 @@
 """Blajer's method on NumPy arrays, with loops that stop on convergence: slow, readable, and the measure of the kernel.
 
-To be read with the paper open (`alfmu.method.formulations` has its equations and letters, `alfmu.method.singular` what
-is known of singular positions). Values by name, the start, scales and ranks, switches and the state are those of the C
+To be read with the paper open: `alfmu.method.formulations` has its equations and letters, `alfmu.method.singular` what
+is known of singular positions. Values by name, the start, scales and ranks, switches and the state are those of the C
 runtime. What the paper does while time passes is computed here, from functions of the equations alone: accelerations
 and multipliers by every formulation, steps of RK4 with projections (10), the branch of the motion through singular
 positions, and plastic impacts.
@@ -14,14 +14,14 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from . import runtime
 from .equations import Equations
-from .equations.interface import MONITORS, Counters, events, setting
+from .equations.evaluation import DENSE
+from .equations.interface import MONITORS, Counters, events
 from .kernel.program import GROSS, SETTINGS, TURN, Call
 from .kernel.thresholds import PATIENT, REGULAR, SAID, SHORTEST, TORN
 from .kernel.vm import Vm
@@ -39,9 +39,14 @@ Found = tuple[NDArray, NDArray, int, NDArray]
 
 EPS = float(np.finfo(float).eps)
 
+SOLVER = ("step_size", "tolerance", "max_iterations", "input_order", "formulation", "branch")
+
 
 class Instance(runtime.Instance):
     """An instance of the runtime whose steps and readings are made here; used alike, with `rk4` alone."""
+
+    counters = Counters()
+    """Work done and largest errors since initialisation."""
 
     def _take(self, equations: Equations) -> None:
         super()._take(equations)
@@ -50,61 +55,66 @@ class Instance(runtime.Instance):
         self._functions = {name: Call(vm, name, e.signatures[name]) for name in names}
         self._turns = np.array([c.unit == "rad" for c in e.coordinates])
         self._seen: tuple = (None, None, None)
-        self._counters = Counters()
+        self.counters = Counters()
 
     def initialize(self) -> None:
         """Begin as the runtime does; InputError where another method of integration is asked for."""
-        if self.choices["solver.method"] != "rk4":
-            raise InputError(
-                f"{self.name}: the oracle integrates by rk4 alone, and solver.method is "
-                f"{self.choices['solver.method']}; use kernel vm or compiled"
-            )
+        if (chosen := self.choices["solver.method"]) != "rk4":
+            raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
         super().initialize()
-        self._counters = Counters()
+        self.counters = Counters()
         self._know()
-
-    def restore(self, state: bytes) -> None:
-        super().restore(state)
-        if self.initialized:
-            self._know()
 
     def _know(self) -> None:
         """What the runtime found at the start or at an event: penalties, units of rows, scales of pivots, freedoms."""
         e, k = self.equations, self.memory["k"]
-        chosen = {setting(name): self.get(name) for name in ("solver.formulation", "solver.branch")}
-        numbers = {name: self.get(f"solver.{name}") for name in ("step_size", "tolerance")}
-        whole = {name: int(self.get(f"solver.{name}")) for name in ("max_iterations", "input_order")}
-        self.settings = replace(self._given, **chosen, **numbers, **whole)
+        self.settings = replace(self._given, **{name: self.get(f"solver.{name}") for name in SOLVER})
         self.continues = self.settings.continues and e.l > 0
+        self.order = int(self.settings.input_order) if e.inputs else 0
+        self._past = Past(len(e.inputs), self.memory["past"]) if self.order else None
         self.freedom, self.masses, self.regular, self.nothing, self.least_distance = k[2:7]
-        self.active = self.penalty > 0
         ends = np.cumsum([SETTINGS, e.l, e.l, e.n, len(e.compliances)])
         _, _, inverse_units, inverse_scales, stiffnesses, _ = np.split(k, ends)
         self.units, self.scales, self.stiffnesses = 1 / inverse_units, k[0] / inverse_scales, k[0] * stiffnesses
-        self.alpha = self._diagonal(self.penalty)
+        self.alpha, self.active = np.diag(self.penalty), self.penalty > 0
         self.rank = e.n - self.mobility().freedom if e.brakes else 0
         self.heavy = np.zeros(e.n)
         self.heavy[e.telling] = branch.HEAVY * self.nothing / branch.NOTHING * self.scales[e.telling]
-        self._past = Past(len(e.inputs), self.memory["past"]) if whole["input_order"] and e.inputs else None
 
     # Equations ----------------------------------------------------------------------------------------------------
 
-    def _values(self, function: str, *arguments: NDArray | float) -> list[Any]:
-        """The results of a function of the equations."""
-        return [x.copy() for x in self._functions[function](*arguments)]
+    def _values(self, function: str, *arguments: NDArray | float) -> list[NDArray]:
+        """The results of a function of the equations, matrices dense."""
+        return [x.toarray() if hasattr(x, "toarray") else x.copy() for x in self._functions[function](*arguments)]
 
-    def dynamics(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> list[Any]:
+    def dynamics(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> list[NDArray]:
         """M, C, F = f - d and xi of (3) and (4)."""
         return self._values("dynamics", q, v, u, self.memory["p"], t)
 
-    def constraints(self, q: NDArray, v: NDArray) -> list[Any]:
+    def constraints(self, q: NDArray, v: NDArray) -> list[NDArray]:
         """M, C, Phi and C v of (1) and (2)."""
         return self._values("constraints", q, v, self.memory["p"])
 
-    def residues(self, q: NDArray, v: NDArray) -> tuple[float, float]:
-        """The largest |Phi| and |Phi-dot|."""
-        _, _, Phi, Cv = self.constraints(q, v)
-        return self._largest(Phi), self._largest(Cv)
+    def augmented(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, method.Solve]:
+        """The same, and what solves with H."""
+        M, C, Phi, Cv = self.constraints(q, v)
+        return M, C, Phi, Cv, self.inverse(method.augmented_mass(M, C, self.alpha))
+
+    def inverse(self, H: NDArray) -> method.Solve:
+        """What solves with a matrix; StepError where it is singular."""
+
+        def solve(b: NDArray) -> NDArray:
+            try:
+                return np.linalg.solve(H, b)
+            except np.linalg.LinAlgError:
+                remedy = "give the massless body a mass, or hold it by constraints"
+                raise self._error(StepError, self.time, "the augmented mass matrix is singular", remedy) from None
+
+        return solve
+
+    def readings(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> NDArray:
+        """Everything a user can read, in the order of `equations.outputs`."""
+        return self._values("readings", q, v, a, lam, u, self.memory["p"], t)[0]
 
     def power(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> float:
         """Power [W] of inputs, loads and dampers."""
@@ -114,65 +124,75 @@ class Instance(runtime.Instance):
         """Kinetic and potential energy [J]."""
         return float(self._values("energy", q, v, self.memory["p"])[0][0])
 
-    def readings(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> NDArray:
-        """Everything a user can read, in the order of `equations.outputs`."""
-        return self._values("readings", q, v, a, lam, u, self.memory["p"], t)[0]
+    def residues(self, q: NDArray, v: NDArray) -> tuple[float, float]:
+        """The largest |Phi| and |Phi-dot|."""
+        _, _, Phi, Cv = self.constraints(q, v)
+        return self._largest(Phi), self._largest(Cv)
 
     # Accelerations ------------------------------------------------------------------------------------------------
 
     def accelerations(self, q: NDArray, v: NDArray, u: NDArray, t: float, patience: int = 1) -> Found:
         """Accelerations and multipliers by the formulation that is chosen; `patience` times as many iterations."""
         M, C, F, xi = self.dynamics(q, v, u, t)
-        kind, alpha = self.settings.formulation, self.alpha
-        if not all(np.isfinite(_entries(x)).all() for x in (M, F, xi)):
-            raise StepError(self._say(t, "the equations of motion are not finite", "reduce solver.step_size"))
-        self._counters.evaluations += 1
+        kind, alpha, s, used = self.settings.formulation, self.alpha, self.settings, 1
+        if not all(np.isfinite(x).all() for x in (M, F, xi)):
+            raise self._error(StepError, t, "the equations of motion are not finite")
+        solve = self.inverse(M if kind == "stiffness" else method.augmented_mass(M, C, alpha))
+        _, _, Phi, Cv = self.constraints(q, v)
+        stabilised = method.stabilised(xi, Cv, Phi, s.zeta, s.omega)
         if kind in ("residual", "classic"):
             iterate = method.residual if kind == "residual" else method.classic
-            a, lam, used, converged = self._iterated(iterate, M, F, C, xi, t, patience)  # (8)
-            self._counters.unconverged += not converged
+            a, lam, used, converged = self.iterated(iterate, M, F, C, xi, solve, patience)  # (8)
+            self.counters.unconverged += not converged
+        elif kind == "penalty":
+            a, lam = method.penalty(F, C, stabilised, alpha, solve)  # (6)
+        elif kind == "stiffness":
+            a, lam = method.stiffness(F, C, Phi, s.omega**2 * alpha, solve)  # (5)
         else:
-            used, (_, _, Phi, Cv) = 1, self.constraints(q, v)
-            stabilised = method.stabilised(xi, Cv, Phi, self.settings.zeta, self.settings.omega)
-            if kind == "penalty":
-                a, lam = method.penalty(F, C, stabilised, alpha, self.inverse(self._augmented(M, C), t))  # (6)
-            elif kind == "stiffness":
-                a, lam = method.stiffness(F, C, Phi, self.settings.omega**2 * alpha, self.inverse(M, t))  # (5)
-            else:
-                held, lam = np.flatnonzero(self.active), np.zeros_like(xi)
-                right = (xi if kind == "dae" else stabilised)[held]
-                a, lam[held] = method.dae(M, F, C[held], right, _least_squares)  # (9)
-        self._counters.multiplier_iterations += used
+            held, lam = self.active, np.zeros_like(xi)
+            a, lam[held] = method.dae(M, F, C[held], (xi if kind == "dae" else stabilised)[held], _least_squares)  # (9)
+        self.counters.evaluations += 1
+        self.counters.multiplier_iterations += used
         return a, lam, used, C @ a - xi
 
-    def _iterated(
-        self, iterate: Callable, M: Any, F: NDArray, C: Any, xi: NDArray, t: float, patience: int = 1
+    def iterated(
+        self, iterate: Callable, M: NDArray, F: NDArray, C: NDArray, xi: NDArray, solve: method.Solve, patience: int = 1
     ) -> tuple[NDArray, NDArray, int, bool]:
         """(8), classic or residual, until the change is within the tolerance of the accelerations it changes.
 
         Null vectors of C' do not act on a, so that alpha times the round-off of each pass stays in lam along them. Yet
         they act on tangents: lam is handed out without them.
         """
-        solve, limit = self.inverse(self._augmented(M, C), t), self.settings.tolerance
-        scale = np.abs(F).max(initial=0.0) / np.abs(_entries(M)).max(initial=1e-300)
+        scale = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300)
 
         def done(da: NDArray, a: NDArray) -> bool:
-            return np.abs(da).max() <= limit * max(np.abs(a).max(), scale)
+            return np.abs(da).max() <= self.settings.tolerance * max(np.abs(a).max(), scale)
 
-        zeros, most = (np.zeros_like(F), np.zeros_like(xi)), patience * self.settings.max_iterations
+        zeros, most = (np.zeros_like(F), np.zeros_like(xi)), patience * int(self.settings.max_iterations)
         a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
-        return a, _least(C, self.alpha, solve, lam), used, converged
+        return a, _least_norm(C, self.alpha, solve, lam), used, converged
 
-    def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray, t: float) -> NDArray:
+    def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray) -> NDArray:
         """Multipliers that act like lam (l,): of least norm, or as constraints of the given compliances share them."""
         M, C, _, _ = self.constraints(q, v)
-        alpha = self._diagonal(self.stiffnesses) if self.equations.compliances else self.alpha
-        return _least(C, alpha, self.inverse(method.augmented_mass(M, C, alpha), t), lam)
+        alpha = np.diag(self.stiffnesses) if self.equations.compliances else self.alpha
+        return _least_norm(C, alpha, self.inverse(method.augmented_mass(M, C, alpha)), lam)
 
-    def impact(self, q: NDArray, v: NDArray, t: float) -> NDArray:
+    def impact(self, q: NDArray, v: NDArray) -> NDArray:
         """v (n,) after a plastic impact, which keeps the constraints: M dv + C' impulse = 0, C dv = -C v."""
-        M, C, _, Cv = self.constraints(q, v)
-        return v + self._iterated(method.residual, M, np.zeros_like(v), C, -Cv, t)[0]
+        M, C, _, Cv, solve = self.augmented(q, v)
+        return v + self.iterated(method.residual, M, np.zeros_like(v), C, -Cv, solve)[0]
+
+    def hold(self, q: NDArray) -> None:
+        """Keep the combinations of constraints that are independent at q (n,), a place on the motion, until told again.
+
+        Redundant ones are left out of H where they would brake beside the motion: lam is then of least norm by itself.
+        """
+        if self.equations.brakes:
+            root = np.sqrt(self.penalty)
+            rows, sizes, _ = np.linalg.svd(root[:, None] * self.constraints(q, np.zeros_like(q))[1])
+            if sizes[self.rank - 1] > REGULAR * sizes[0]:  # else a singular position: those before it still tell
+                self.alpha = root[:, None] * (rows[:, : self.rank] @ rows[:, : self.rank].T) * root
 
     # Projections --------------------------------------------------------------------------------------------------
 
@@ -183,102 +203,87 @@ class Instance(runtime.Instance):
         magnifies what is left open, so that one more is made; what is left above the tolerance is counted. Raises
         OpenError where more than `GROSS` is left.
         """
-        c, (M, C, Phi, Cv) = self._counters, self.constraints(q, v)
+        _, C, Phi, Cv, solve = self.augmented(q, v)
         for _ in range(CORRECTIONS):
             if self._closed(Phi, C, q):
                 if not near:
                     break
                 near = False
-            q = q + method.project(C, self.alpha, self.inverse(self._augmented(M, C), t), Phi)  # (10)
-            M, C, Phi, Cv = self.constraints(q, v)
-            c.projection_iterations += 1
-        solve = self.inverse(self._augmented(M, C), t)
+            q = q + method.project(C, self.alpha, solve, Phi)  # (10)
+            _, C, Phi, Cv, solve = self.augmented(q, v)
+            self.counters.projection_iterations += 1
         for _ in range(CORRECTIONS):
             if self._closed(Cv, C, v):
                 break
             v = v + method.project(C, self.alpha, solve, Cv)  # (10)
             Cv = C @ v
-            c.projection_iterations += 1
+            self.counters.projection_iterations += 1
         for what, residue in (("|Phi|", Phi), ("|Phi-dot|", Cv)):
             worst, row = self._worst(residue)
             if not worst <= GROSS:
-                measured = f"{what} = {worst:.1e} at {row} > {GROSS:.0e} after {CORRECTIONS} corrections"
-                raise OpenError(self._say(t, measured, "reduce solver.step_size"))
-        c.unprojected += not (self._closed(Phi, C, q) and self._closed(Cv, C, v))
+                left = f"{what} = {worst:.1e} at {row} > {GROSS:.0e} after {CORRECTIONS} corrections"
+                raise self._error(OpenError, t, left)
+        self.counters.unprojected += not (self._closed(Phi, C, q) and self._closed(Cv, C, v))
         return q, v, self._largest(Phi), self._largest(Cv)
 
-    def _closed(self, residue: NDArray, C: Any, x: NDArray) -> bool:
+    def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
         """Whether a residue of C is within the tolerance, or within the round-off of the row where that is larger."""
         limit = np.maximum(self.settings.tolerance * self.units, 8 * EPS * (abs(C) @ np.abs(x)))
         return bool((np.abs(residue) <= limit)[self.active].all())
 
     # Singular positions -------------------------------------------------------------------------------------------
 
-    def margin(self, q: NDArray) -> float:
-        """How far q (n,) is from a singular position: see `alfmu.method.singular.GUARD`."""
-        pivots = self._pivots(q)
-        small = np.maximum(pivots[pivots < branch.SMALL], 1e-300)
-        more = len(small) - self.freedom
-        if more <= 0 or self._regular(pivots):
-            return 1.0
-        return math.exp(min((np.log(small).sum() - self.masses) / more, 0.0))
-
-    def near(self, q: NDArray) -> bool:
-        """Whether the margin at q may be below the guard: more pivots are than there are degrees of freedom."""
-        pivots = self._pivots(q)
-        return int((pivots < branch.GUARD).sum()) > self.freedom and not self._regular(pivots)
-
-    def _regular(self, pivots: NDArray) -> bool:
-        """Whether a position is known to be regular by all pivots together: see `alfmu.method.singular.FAR`."""
-        return self.equations.turns and isinstance(self.alpha, np.ndarray) and np.prod(pivots) >= self.regular
-
-    def _pivots(self, q: NDArray) -> NDArray:
-        """Pivots of H over the scales of their coordinates (n,); zeros where it is singular."""
+    def margin(self, q: NDArray) -> tuple[bool, float]:
+        """Whether the margin at q (n,) may be below `singular.GUARD`, which explains it, and the margin itself."""
         M, C, _, _ = self.constraints(q, np.zeros_like(q))
-        H, order = self._augmented(M, C), self.equations.order
+        order = np.ix_(self.equations.order, self.equations.order)
         try:
-            return _factorised(H, order) / self.scales[order]
-        except (np.linalg.LinAlgError, RuntimeError):
-            return np.zeros(len(order))
+            pivots = np.linalg.cholesky(method.augmented_mass(M, C, self.alpha)[order]).diagonal() ** 2
+        except np.linalg.LinAlgError:
+            pivots = np.zeros(len(q))
+        ratios = np.maximum(pivots / self.scales[self.equations.order], 1e-300)
+        if self.equations.turns and len(q) <= DENSE and np.prod(ratios) >= self.regular:
+            return False, 1.0
+        near, small = (ratios < branch.GUARD).sum() > self.freedom, ratios[ratios < branch.SMALL]
+        more = len(small) - self.freedom
+        return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
+
+    def approach(self, q: NDArray, v: NDArray, spacing: float) -> tuple[float, float, float]:
+        """Distance to a singular position, how much of it one spacing [s] makes, and a spacing that can tell."""
+        for _ in range(branch.LONGER):
+            before, here, after = (self.margin(q + k * spacing * v)[1] for k in (-1, 0, 1))
+            rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
+            if here > self.nothing or rate**2 > self.nothing:
+                break
+            spacing *= 2  # The places are too near to be told from the singular position.
+        return here**0.5, rate, spacing
 
     def on_branch(self, q: NDArray, v: NDArray) -> tuple[NDArray, NDArray]:
         """q and v nearby that keep the constraints: displaced across the motion alone, v then by (10).
 
         The motion through the places so found is smooth up to the singular position itself.
         """
-        near = self._closer(self._closer(q, v), v)
-        M, C, _, _ = self.constraints(near, v)
-        solve = self.inverse(self._augmented(M, C), 0.0)
+
+        def closer(q: NDArray) -> NDArray:
+            _, C, Phi, _, solve = self.augmented(q, v)
+            return q + method.project(C, self.alpha, solve, Phi)  # (10)
+
+        near = closer(closer(q))
+        M, C, _, _, solve = self.augmented(near, v)
         near, v = branch.returned(M, C, self.alpha, solve, self.heavy, near, q, v)
-        near = self._closer(near, v)
-        M, C, _, _ = self.constraints(near, v)
-        solve = self.inverse(self._augmented(M, C), 0.0)
+        near = closer(near)
+        _, C, _, _, solve = self.augmented(near, v)
         for _ in range(2):
             v = v + method.project(C, self.alpha, solve, C @ v)  # (10)
         return near, v
 
-    def _closer(self, q: NDArray, v: NDArray) -> NDArray:
-        M, C, Phi, _ = self.constraints(q, v)
-        return q + method.project(C, self.alpha, self.inverse(self._augmented(M, C), 0.0), Phi)  # (10)
-
     def reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
         """What `on_branch` returns; OpenError where the branch does not lead there."""
-        near, rate = self.on_branch(q, v)
-        gap, row = self._widest(near)
+        near, v = self.on_branch(q, v)
+        gap, row = self._worst(self.constraints(near, v)[2])
         if not gap <= GROSS:
-            measured = f"the branch of the motion leaves {row} open by {gap:.1e} ahead"
-            raise OpenError(self._say(t, measured, "reduce solver.step_size"))
-        return near, rate
-
-    def approach(self, q: NDArray, v: NDArray, spacing: float) -> tuple[float, float, float]:
-        """Distance to a singular position, how much of it one spacing [s] makes, and a spacing that can tell."""
-        for _ in range(branch.LONGER):
-            before, here, after = (self.margin(q + k * spacing * v) for k in (-1, 0, 1))
-            rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
-            if here > self.nothing or rate**2 > self.nothing:
-                break
-            spacing *= 2  # The places are too near to be told from the singular position.
-        return here**0.5, rate, spacing
+            raise self._error(OpenError, t, f"the branch of the motion leaves {row} open by {gap:.1e} ahead")
+        return near, v
 
     def accelerations_on_branch(self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float) -> Found:
         """What `accelerations` returns, at the place of the branch nearest to q; its limit near a singular position.
@@ -291,21 +296,20 @@ class Instance(runtime.Instance):
         wanted = branch.first_distance(rate, self.least_distance, min, max)
         if not (rate > 0 and here < branch.ZONE * wanted):
             return self.accelerations(*self.reached(q, v, t), u, t)
+        unconverged = self.counters.unconverged
         try:
             _, found = self._beside(q, v, u, t, spacing * wanted / rate, branch.MEAN)
+            a, lam, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 1, 3))
+            return a, lam, max(x[2] for x in found.values()), left
         except OpenError:
-            before = self._counters.unconverged
             alone = self.accelerations(*self.reached(q, v, t), u, t, PATIENT)
-            if self._counters.unconverged > before:
-                measured = "the multiplier iteration does not converge"
-                raise OpenError(self._say(t, measured, "reduce solver.step_size")) from None
+            if self.counters.unconverged > unconverged:
+                raise self._error(OpenError, t, "the multiplier iteration does not converge") from None
             return alone
-        a, lam, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 1, 3))
-        return a, lam, max(x[2] for x in found.values()), left
 
     def _beside(
         self, q: NDArray, v: NDArray, u: NDArray, t: float, spacing: float, at: Iterable[int]
-    ) -> tuple[dict[int, tuple], dict[int, Found]]:
+    ) -> tuple[dict[int, tuple[NDArray, NDArray]], dict[int, Found]]:
         """q and v, and what `accelerations` returns, at places on the branch before and after q."""
         places = {k: self.reached(q + k * spacing * v, v, t) for k in at}
         return places, {k: self.accelerations(*place, u, t) for k, place in places.items()}
@@ -313,9 +317,9 @@ class Instance(runtime.Instance):
     # Steps --------------------------------------------------------------------------------------------------------
 
     def step(self, communication_step: float, time: float | None = None) -> None:
-        """Cover one communication step [s]: as the runtime's, also in what it raises."""
+        """Cover one communication step [s] as the runtime does, with what it refuses and raises."""
         h, start = communication_step, self.time if time is None else time
-        before, counters, penalty, v = self.save(), copy(self._counters), self.penalty, self.v.copy()
+        before, counters, penalty, v = self.save(), copy(self.counters), self.penalty, self.v.copy()
         self._judged(self._scene.library.alfmu_ready(self._unit.address, start, h))
         try:
             self._change(penalty, v)
@@ -326,126 +330,102 @@ class Instance(runtime.Instance):
                 self._step(start + k * (h / n), h / n)
         except AlfmuError:
             self.restore(before)
-            self._counters = counters
+            self.counters = counters
             raise
         self.time = start + h
 
-    def _change(self, penalty: NDArray, v: NDArray) -> None:
-        """v after an impact, where the runtime put constraints in force that were not by `penalty` (l,), at v (n,)."""
-        if (penalty == self.penalty).all():
-            return
-        self._know()
-        if (self.active & (penalty == 0)).any():
-            self.v[:] = self.impact(self.q, v, self.time)
-
-    @property
-    def penalty(self) -> NDArray:
-        return runtime.Instance.penalty.fget(self)
-
-    @penalty.setter
-    def penalty(self, alpha: ArrayLike) -> None:
-        before, v = self.penalty, self.v.copy()
-        runtime.Instance.penalty.fset(self, alpha)
-        if self.initialized:
-            self._change(before, v)
-
     def _step(self, start: float, dt: float) -> None:
-        """An internal step; near a singular position in shorter ones where constraints stay open."""
+        """An internal step; in shorter ones where constraints stay open near a singular position."""
         t, h, near = 0.0, dt, False
         while t < dt:
             try:
-                self._rk4(start + t, h)
+                self._follow(start + t, h)
                 t, h = t + h, min(2 * h, dt - t - h)
             except OpenError as error:
-                near, h = near or self._near, h / 2
+                h, near = h / 2, near or self._near
                 if not near:
                     raise
-                if h > dt * SHORTEST:
-                    continue
-                at = ", ".join(
-                    f"{c.name} = {x:.6g}" for c, x in [*zip(self.equations.coordinates, self.q, strict=True)][:SAID]
-                )
-                raise StepError(
-                    f"{self.name}, t = {start + t:.6g} s: locked up at {at}; no motion goes on from this singular "
-                    f"position (distance {self.margin(self.q) ** 0.5:.1e}); turn round before it, or change lengths or "
-                    "start"
-                ) from error
+                if h <= dt * SHORTEST:
+                    raise self._locked(start + t) from error
 
     @np.errstate(all="ignore")
-    def _rk4(self, start: float, dt: float) -> None:
+    def _follow(self, start: float, dt: float) -> None:
         """One step of RK4 and the projections after it; all stages on the branch where one is near its singularity."""
-        n, c, t = self.equations.n, self._counters, start + dt
-        known = self._seen[2] if start == self.time and self._key() == self._seen[0] else None
-        self._near = False
+        n, c, t = self.equations.n, self.counters, start + dt
+        read = self._seen[2] if start == self.time and self._seen[0] == self._key() else None
 
-        def inputs(t: float) -> NDArray:
-            return self._past.at(t, self.settings.input_order) if self._past else self.inputs
-
-        def moved(t: float, q: NDArray, v: NDArray, a: NDArray) -> NDArray:
-            return np.concatenate([v, a, [self.power(q, v, inputs(t), t)]])
-
-        def rate(t: float, y: NDArray) -> NDArray:
-            q, v = y[:n], y[n : 2 * n]
-            self._near = self._near or (self.continues and self.near(q))
-            a = known if known is not None and t == start else self.accelerations(q, v, inputs(t), t)[0]
-            return moved(t, q, v, a)
-
-        def rate_on_branch(t: float, y: NDArray) -> NDArray:
-            q, v = y[:n], y[n : 2 * n]
-            return moved(t, q, v, self.accelerations_on_branch(q, v, inputs(t), t, branch.SPACING * dt)[0])
+        def rate(t: float, y: NDArray, on_branch: bool = False) -> NDArray:
+            (q, v, _), u = np.split(y, [n, 2 * n]), self._past.at(t, self.order) if self._past else self.inputs
+            if on_branch:
+                a = self.accelerations_on_branch(q, v, u, t, branch.SPACING * dt)[0]
+            else:
+                self._near = self._near or (self.continues and self.margin(q)[0])
+                a = self.accelerations(q, v, u, t)[0] if read is None or t > start else read
+            return np.concatenate([v, a, [self.power(q, v, u, t)]])
 
         self.hold(self.q)
-        begin, unconverged = np.concatenate([self.q, self.v, [self.work]]), c.unconverged
+        begin, unconverged, self._near = np.concatenate([self.q, self.v, [self.work]]), c.unconverged, False
         y = rk4(rate, start, begin, dt)
         if self._near:
             c.unconverged = unconverged
-            y = rk4(rate_on_branch, start, begin, dt)
+            y = rk4(lambda t, y: rate(t, y, on_branch=True), start, begin, dt)
         if not np.isfinite(y).all():
-            raise StepError(self._say(t, "the state is not finite", "reduce solver.step_size"))
-        q, v = y[:n], y[n : 2 * n]
+            raise self._error(StepError, t, "the state is not finite")
+        q, v, work = np.split(y, [n, 2 * n])
         if self.settings.projects:
-            self._check_length(q - self.q, q, t)
+            self._check_length(np.abs(q - self.q), q, t)
             q, v, position, velocity = self.project(q, v, t, self._near)
         else:
             position, velocity = self.residues(q, v)
         c.steps += 1
         c.position_error, c.velocity_error = max(c.position_error, position), max(c.velocity_error, velocity)
-        if self.equations.wrapped:
-            self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.inputs, t))
-        self.q[:], self.v[:], self.state[self.layout.work], self.time = q, v, y[-1], t
+        self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.inputs, t))
+        self.q[:], self.v[:], self.state[self.layout.work], self.time = q, v, work[0], t
 
-    def hold(self, q: NDArray) -> None:
-        """Keep the combinations of constraints that are independent at q (n,), a place on the motion, until told again.
-
-        Redundant ones are left out of H where they would brake beside the motion: lam is then of least norm by itself.
-        """
-        if not self.equations.brakes:
-            return
-        root = np.sqrt(self.penalty)
-        rows, sizes, _ = np.linalg.svd(root[:, None] * self.constraints(q, np.zeros_like(q))[1])
-        if sizes[self.rank - 1] > REGULAR * sizes[0]:  # else a singular position: those before it still tell
-            kept = rows[:, : self.rank]
-            self.alpha = root[:, None] * (kept @ kept.T) * root
+    def _locked(self, t: float) -> AlfmuError:
+        at = ", ".join(f"{c.name} = {x:.6g}" for c, x in zip(self.equations.coordinates[:SAID], self.q, strict=False))
+        remedy = (
+            f"no motion goes on from this singular position (distance {self.margin(self.q)[1] ** 0.5:.1e}); turn round "
+            "before it, or change lengths or start"
+        )
+        return self._error(StepError, t, f"locked up at {at}", remedy)
 
     def _check_length(self, moved: NDArray, q: NDArray, t: float) -> None:
         """StepError where a step to q that moved the coordinates so far (n,) is too long to mean anything."""
-        turned, advice = np.where(self._turns, np.abs(moved), 0.0), "reduce solver.step_size"
-        if turned.max(initial=0.0) > TURN:
+        turned, (gap, row) = np.where(self._turns, moved, 0.0), self._worst(self.constraints(q, q)[2])
+        if turned.max() > TURN:
             name = self.equations.coordinates[int(np.argmax(turned))].name
-            measured = f"{name} turned by {turned.max():.3g} rad in one step, more than half a turn"
-            raise StepError(self._say(t, measured, advice))
-        gap, row = self._widest(q)
-        if gap > TORN * np.abs(moved).max(initial=0.0) and gap > GROSS:
-            raise StepError(self._say(t, f"a step of {np.abs(moved).max():.3g} opened {row} by {gap:.3g}", advice))
+            raise self._error(
+                StepError, t, f"{name} turned by {turned.max():.3g} rad in one step, more than half a turn"
+            )
+        if gap > max(TORN * moved.max(), GROSS):
+            raise self._error(StepError, t, f"a step of {moved.max():.3g} opened {row} by {gap:.3g}")
+
+    def _change(self, penalty: NDArray, v: NDArray) -> None:
+        """v after an impact, where the runtime put constraints in force that were not by `penalty` (l,), at v (n,)."""
+        if (penalty != self.penalty).any():
+            self._know()
+            if (self.active & (penalty == 0)).any():
+                self.v[:] = self.impact(self.q, v)
+
+    def _penalize(self, alpha: NDArray) -> None:
+        if not self.initialized:
+            return super()._penalize(alpha)
+        before, v = self.penalty, self.v.copy()
+        super()._penalize(alpha)
+        return self._change(before, v)
+
+    def restore(self, state: bytes) -> None:
+        super().restore(state)
+        if self.initialized:
+            self._know()
 
     # Readings -----------------------------------------------------------------------------------------------------
 
     def get(self, name: str) -> float | str:
         """The value of an output, input, parameter, start value or solver number."""
-        reference = self._references.get(name, 0)
-        if reference >= self._scene.first_output:
-            return float(self.read()[reference - self._scene.first_output])
-        return super().get(name)
+        place = self._references.get(name, -1) - self._scene.first_output
+        return float(self.read()[place]) if place >= 0 else super().get(name)
 
     def read(self) -> NDArray:
         """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
@@ -454,8 +434,14 @@ class Instance(runtime.Instance):
         if self._seen[0] != self._key():
             self.hold(self.q)
             a, lam, used, left, singular = self._now()
-            self._seen = self._key(), self._outputs(a, lam, used, singular), a
-            self._watch(left)
+            q, v, e = self.q, self.v, self.equations
+            y = self._unwrap(self.readings(q, v, a, lam, self.inputs, self.time))
+            values = *self.residues(q, v), self.energy(q, v), used, self.margin(q)[1] ** 0.5, singular
+            seen = {monitor.name: float(x) for monitor, x in zip(MONITORS, values, strict=True)}
+            seen = {name: x for name, x in seen.items() if name not in e.monitors}
+            came = [self._unit.get(self._references[x.name]) for x in events(e)]
+            self._seen = self._key(), np.concatenate([y, [*seen.values()], came]), a
+            self._watch(seen, left)
         return self._seen[1].copy()
 
     def _key(self) -> bytes:
@@ -470,26 +456,17 @@ class Instance(runtime.Instance):
         finite part is given at the position itself.
         """
         q, v, u, t = self.q, self.v, self.inputs, self.time
-        if self.continues and self.margin(q) ** 0.5 < branch.READ_ZONE * branch.READ_DISTANCE:
+        if self.continues and self.margin(q)[1] ** 0.5 < branch.READ_ZONE * branch.READ_DISTANCE:
             _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
             with suppress(OpenError, ZeroDivisionError):  # The motion may end before the places: then as it is here.
-                spacing *= branch.READ_DISTANCE / rate
-                places, found = self._beside(q, v, u, t, spacing, branch.READ_MEAN)
+                places, found = self._beside(q, v, u, t, spacing * branch.READ_DISTANCE / rate, branch.READ_MEAN)
                 a = branch.mean({k: x[0] for k, x in found.items()})
                 # At the position itself more multipliers act alike than on the branch.
-                lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1], t) for k, x in found.items()})
+                lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1]) for k, x in found.items()})
                 _, C, _, xi = self.dynamics(q, v, u, t)
                 return a, lam, max(x[2] for x in found.values()), C @ a - xi, 1 + pole
         a, lam, used, left = self.accelerations(q, v, u, t)
-        return a, self.minimum_norm(q, v, lam, t) if self.settings.projects else lam, used, left, 0
-
-    def _outputs(self, a: NDArray, lam: NDArray, used: int, singular: int) -> NDArray:
-        """Readings, monitors, and what came of events."""
-        q, v, e = self.q, self.v, self.equations
-        y = self._unwrap(self.readings(q, v, a, lam, self.inputs, self.time))
-        values = *self.residues(q, v), self.energy(q, v), used, self.margin(q) ** 0.5, singular
-        monitors = [x for monitor, x in zip(MONITORS, values, strict=True) if monitor.name not in e.monitors]
-        return np.concatenate([y, monitors, [self._unit.get(self._references[x.name]) for x in events(e)]])
+        return a, self.minimum_norm(q, v, lam) if self.settings.projects else lam, used, left, 0
 
     def _unwrap(self, y: NDArray) -> NDArray:
         """Readings whose computed angles are moved by whole turns to the values nearest to the last ones."""
@@ -499,58 +476,16 @@ class Instance(runtime.Instance):
         self.angles[:] = y[places]
         return y
 
-    def _watch(self, left: NDArray) -> None:
+    def _watch(self, seen: dict[str, float], left: NDArray) -> None:
         """Keep the largest errors; NaN for what nobody watches."""
-        c, y = self._counters, dict(zip((v.name for v in self.outputs), self._seen[1], strict=True))
-        position, velocity, energy = (float(y.get(monitor.name, math.nan)) for monitor in MONITORS[:3])
-        c.position_error = position + max(c.position_error - position, 0.0)
-        c.velocity_error = velocity + max(c.velocity_error - velocity, 0.0)
-        balance = abs(energy - self.energy_start - self.work)
-        c.energy_error = balance + max(c.energy_error - balance, 0.0)
-        c.acceleration_error = max(c.acceleration_error, self._largest(left))
-
-    @property
-    def counters(self) -> Counters:
-        """Work done and largest errors since initialisation."""
-        return self._counters
-
-    # Matrices and words -------------------------------------------------------------------------------------------
-
-    def _augmented(self, M: Any, C: Any) -> Any:
-        return method.augmented_mass(M, C, self.alpha)
-
-    def inverse(self, H: Any, t: float) -> method.Solve:
-        """What solves with a matrix, dense or sparse; StepError where it is singular."""
-
-        def solve(b: NDArray) -> NDArray:
-            try:
-                return np.linalg.solve(H, b)
-            except np.linalg.LinAlgError:
-                raise StepError(self._say(t, *_SINGULAR)) from None
-
-        if isinstance(H, np.ndarray):
-            return solve
-        from scipy.sparse.linalg import splu
-
-        try:
-            return splu(H.tocsc()).solve
-        except RuntimeError:
-            raise StepError(self._say(t, *_SINGULAR)) from None
-
-    def _diagonal(self, alpha: NDArray) -> Any:
-        """alpha (l, l): a sparse matrix where those of the equations are."""
-        if isinstance(self._functions["dynamics"].y[0], np.ndarray):
-            return np.diag(alpha)
-        from scipy.sparse import diags_array
-
-        return diags_array(alpha, format="csc")
+        balance = abs(seen.get("monitor.energy", math.nan) - self.energy_start - self.work)
+        found = {name: seen.get(f"monitor.{name}", math.nan) for name in ("position_error", "velocity_error")}
+        found |= {"acceleration_error": self._largest(left), "energy_error": balance}
+        for name, x in found.items():
+            setattr(self.counters, name, float(np.maximum(getattr(self.counters, name), x)))
 
     def _largest(self, residue: NDArray) -> float:
         return float(np.abs(residue[self.active]).max(initial=0.0))
-
-    def _widest(self, q: NDArray) -> tuple[float, str]:
-        """How far the constraint that is furthest open is at q (n,), and which it is."""
-        return self._worst(self.constraints(q, np.zeros_like(q))[2])
 
     def _worst(self, residue: NDArray) -> tuple[float, str]:
         """The largest residue, in units of its row, and what the row is called; 0 where there are none."""
@@ -560,14 +495,13 @@ class Instance(runtime.Instance):
         row = self.equations.rows[int(np.argmax(sizes))]
         return float(sizes.max()), f"{row.name} {row.direction}".strip()
 
-    def _say(self, t: float, measured: str, remedy: str) -> str:
-        return f"{self.name}, t = {t:.6g} s: {measured}; {remedy}"
+    def _error(
+        self, kind: type[AlfmuError], t: float, measured: str, remedy: str = "reduce solver.step_size"
+    ) -> AlfmuError:
+        return kind(f"{self.name}, t = {t:.6g} s: {measured}; {remedy}")
 
 
-_SINGULAR = "the augmented mass matrix is singular", "give the massless body a mass, or hold it by constraints"
-
-
-def _least(C: Any, alpha: Any, solve: method.Solve, lam: NDArray) -> NDArray:
+def _least_norm(C: NDArray, alpha: NDArray, solve: method.Solve, lam: NDArray) -> NDArray:
     """lam of least norm, until another pass would change round-off alone."""
 
     def done(change: NDArray, value: NDArray) -> bool:
@@ -578,23 +512,7 @@ def _least(C: Any, alpha: Any, solve: method.Solve, lam: NDArray) -> NDArray:
 
 def _least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:
     """Least-squares solution of least norm of the block system (9)."""
-    (M, Ct), (C, _) = ([x.toarray() if hasattr(x, "toarray") else x for x in row] for row in blocks)
-    n, l = M.shape[0], C.shape[0]
-    K = np.block([[M, Ct], [C, np.zeros((l, l))]])
-    return tuple(np.split(np.linalg.lstsq(K, np.concatenate(right), rcond=None)[0], [n]))
-
-
-def _entries(matrix: Any) -> NDArray:
-    """The entries of a dense or sparse matrix, or of a vector."""
-    return matrix if isinstance(matrix, np.ndarray) else matrix.data
-
-
-def _factorised(H: Any, order: list[int]) -> NDArray:
-    """Pivots of H, eliminated in this order."""
-    if isinstance(H, np.ndarray):
-        return np.linalg.cholesky(H[np.ix_(order, order)]).diagonal() ** 2
-    from scipy.sparse.linalg import splu
-
-    permuted = H.tocsc()[order][:, order]
-    factors = splu(permuted, permc_spec="NATURAL", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    return factors.U.diagonal()
+    (M, Ct), (C, _) = blocks
+    K = np.block([[M, Ct], [C, np.zeros((len(C), len(C)))]])
+    a, lam = np.split(np.linalg.lstsq(K, np.concatenate(right), rcond=None)[0], [len(M)])
+    return a, lam

@@ -127,7 +127,7 @@ def evaluate(
     i = by_the_oracle(equations)
     i.memory["p"][:] = p
     a, lam, _, _ = i.accelerations(q, v, u, t)
-    y = i.readings(q, v, a, i.minimum_norm(q, v, lam, t), u, t)
+    y = i.readings(q, v, a, i.minimum_norm(q, v, lam), u, t)
     names = [x.name for x in equations.outputs]
     return dict(zip(names, y, strict=True)) | {c.name: x for c, x in zip(equations.coordinates, q, strict=True)}
 

@@ -50,7 +50,7 @@ RETURNS = 4
 """Projections of q and v after them."""
 
 LEFT = 1e3
-"""Steps below so many of the shortest are left to the oracle, which says why."""
+"""Steps below so many of the shortest are not made: then no step, however short, meets the tolerance."""
 
 
 def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:

@@ -17,8 +17,8 @@ from ..equations.interface import CHOICES, SOLVER_VARIABLES, Interface, events, 
 from ..method import formulations, implicit, singular, stepping
 from ..method.stepping import Collocation, Explicit, explicit_rule, share
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, Settings
+from . import controlled, thresholds
 from . import program as program_module
-from . import thresholds
 from .alternatives import OWN
 from .alternatives import formulations as carried
 from .emit import compiled_code
@@ -137,6 +137,7 @@ def layout_header() -> str:
         "ZETA": Settings.zeta,
         "OMEGA": Settings.omega,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
+        "GIVEN_UP": controlled.LEFT * stepping.SHORTEST,
         "ROUND_OFF": ROUND_OFF,
     }
     found |= {name: value for name, value in vars(thresholds).items() if name.isupper()}

@@ -1054,11 +1054,17 @@ static Outcome covered(Instance *i, double end, double dt)
         i->left -= tries;
         if (i->flags.brakes)
             hold(i);
-        if (!cover(i, end, tries))
+        if (cover(i, end, tries))
+            continue;
+        if (s->method == 1 && pace[PACE_DT] < GIVEN_UP)
             return say(i, FAILED,
-                "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
-                "where constraints stay open, use explicit or rk4",
-                s->name, *time, s->choice[s->method_choice].values[0]);
+                "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use "
+                "smaller inputs",
+                s->name, *time);
+        return say(i, FAILED,
+            "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and where "
+            "constraints stay open, use explicit or rk4",
+            s->name, *time, s->choice[s->method_choice].values[0]);
     }
     return DONE;
 }

@@ -41,6 +41,7 @@
 #define ZETA 1.0
 #define OMEGA 10.0
 #define LEAST_BEFORE 0.01
+#define GIVEN_UP 1e-09
 #define ROUND_OFF 1.7763568394002505e-15
 #define ASIDE -0.7, -0.1, 0.1, 0.7
 #define LITTLE 0.0001

@@ -181,7 +181,7 @@ class Adaptive:
 
     def _check_near(self, q: NDArray) -> None:
         o = self.oracle
-        if o.continues and o.margin(q) < branch.GUARD:
+        if o.continues and o.margin(q)[1] < branch.GUARD:
             raise _Near
 
     def _places(self, q: NDArray, v: NDArray, spacing: float, t: float) -> dict[int, tuple[NDArray, NDArray]]:
@@ -215,7 +215,7 @@ class Adaptive:
         a, lam, _, _ = o.accelerations(q, v, u, t)
         Rq, Rv, Xq, Xv, Rt = (x.copy() for x in self._tangents(q, v, a, lam, u, o.memory["p"], t))
         M, C, _, _ = (x.copy() for x in o.dynamics(q, v, u, t))
-        solve = o.inverse(method.augmented_mass(M, C, o.alpha), t)
+        solve = o.inverse(method.augmented_mass(M, C, o.alpha))
         limit = o.settings.tolerance * 100
 
         def done(change: NDArray, value: NDArray) -> bool:
@@ -317,18 +317,20 @@ class Adaptive:
                 raise StepError(f"Newton's method leaves a change of {size:.1e}")
         q, v, w = implicit.moved(rule, dt, self.q, self.v, w0, a0, change)
         inertia = M - (by_v / by_a) * Rv - Rq / by_a
-        solve = o.inverse(inertia + C.T @ o.alpha @ C, t)
+        solve = o.inverse(inertia + C.T @ o.alpha @ C)
         for _ in range(RETURNS):
             q = q + method.project(C, o.alpha, solve, o.constraints(q, v)[2])
             v = v + method.project(C, o.alpha, solve, o.constraints(q, v)[3])
         M, C, _, xi = (x.copy() for x in o.dynamics(q, v, u, t))
-        a = self._nearest(M, C, a0 + change, xi, t)
+        a = self._nearest(M, C, a0 + change, xi)
         power = self._power(self.t, self.q, self.v) + self._power(t, q, v)
         return q, v, self.work + dt / 2 * power, None, (a, w, lam), 0.0
 
-    def _nearest(self, M: NDArray, C: NDArray, a: NDArray, xi: NDArray, t: float) -> NDArray:
+    def _nearest(self, M: NDArray, C: NDArray, a: NDArray, xi: NDArray) -> NDArray:
         """Accelerations (n,) that keep the constraints, the nearest to a in the metric of M."""
-        return self.oracle._iterated(method.residual, M, M @ a, C, xi, t)[0]
+        o = self.oracle
+        solve = o.inverse(method.augmented_mass(M, C, o.alpha))
+        return o.iterated(method.residual, M, M @ a, C, xi, solve)[0]
 
     def _solver(self, tangents: tuple[NDArray, NDArray]) -> Callable[[float, NDArray], NDArray]:
         n = len(self.q)
@@ -353,7 +355,7 @@ class Adaptive:
             return 0.0
         o, (q, v) = self.oracle, self._parts(after)
         M, C, _, _ = o.constraints(q, v)
-        solve = o.inverse(method.augmented_mass(M, C, o.alpha), self.t)
+        solve = o.inverse(method.augmented_mass(M, C, o.alpha))
         parts = [branch.tangential(C, o.alpha, solve, x) for x in self._parts(error)]
         return float(np.abs(np.concatenate(parts) / np.maximum(self._scale(y, after), least)).max())
 
