@@ -39,7 +39,7 @@ Found = tuple[NDArray, NDArray, int, NDArray]
 
 EPS = float(np.finfo(float).eps)
 
-SOLVER = ("step_size", "tolerance", "max_iterations", "input_order", "formulation", "branch")
+SOLVER = {"step_size": float, "tolerance": float, "max_iterations": int, "input_order": int}
 
 
 class Instance(runtime.Instance):
@@ -68,9 +68,11 @@ class Instance(runtime.Instance):
     def _know(self) -> None:
         """What the runtime found at the start or at an event: penalties, units of rows, scales of pivots, freedoms."""
         e, k = self.equations, self.memory["k"]
-        self.settings = replace(self._given, **{name: self.get(f"solver.{name}") for name in SOLVER})
+        numbers = {name: kind(self.get(f"solver.{name}")) for name, kind in SOLVER.items()}
+        texts = {name: self.choices[f"solver.{name}"] for name in ("formulation", "branch")}
+        self.settings = replace(self._given, **numbers, **texts)
         self.continues = self.settings.continues and e.l > 0
-        self.order = int(self.settings.input_order) if e.inputs else 0
+        self.order = self.settings.input_order if e.inputs else 0
         self._past = Past(len(e.inputs), self.memory["past"]) if self.order else None
         self.freedom, self.masses, self.regular, self.nothing, self.least_distance = k[2:7]
         ends = np.cumsum([SETTINGS, e.l, e.l, e.n, len(e.compliances)])
@@ -168,7 +170,7 @@ class Instance(runtime.Instance):
         def done(da: NDArray, a: NDArray) -> bool:
             return np.abs(da).max() <= self.settings.tolerance * max(np.abs(a).max(), scale)
 
-        zeros, most = (np.zeros_like(F), np.zeros_like(xi)), patience * int(self.settings.max_iterations)
+        zeros, most = (np.zeros_like(F), np.zeros_like(xi)), patience * self.settings.max_iterations
         a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
         return a, _least_norm(C, self.alpha, solve, lam), used, converged
 
