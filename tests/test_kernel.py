@@ -233,6 +233,26 @@ def test_the_oracle_can_be_had_back_from_traced_equations():
     assert np.array_equal(a.values, b.values)
 
 
+def test_the_oracle_says_that_it_has_rk4_alone():
+    with pytest.raises(alfmu.InputError, match=r"four_bar: the oracle has no solver\.method explicit; use rk4"):
+        alfmu.simulate("four_bar", 1.0, 0.1, parameters={"solver.method": "explicit"}, kernel="oracle")
+
+
+def test_an_impact_by_the_kernel_is_that_of_the_oracle():
+    """The coupler of a four-bar is let go, stopped, and caught again: velocity, and work with what was lost."""
+    both = pair("four_bar", {}, {"start.angle": 0.7})
+    for i in both:
+        alpha = i.penalty
+        i.penalty = np.r_[0.0, 0.0, alpha[2:]]
+        i.v[1:] *= 0.5
+        before = i.v.copy()
+        i.penalty = alpha
+    kernel, oracle = both
+    assert np.abs(oracle.v - before).max() > 0.1
+    assert np.abs(kernel.v - oracle.v).max() <= 1e-12 * np.abs(oracle.v).max()
+    assert kernel.work == pytest.approx(oracle.work, abs=1e-12)
+
+
 def test_an_unknown_kernel_is_refused():
     with pytest.raises(alfmu.InputError, match="no kernel 'magic'; use one of vm, compiled, auto, oracle"):
         alfmu.simulate("five_bar", 1.0, 0.1, kernel="magic")

@@ -139,7 +139,7 @@ class Equations:
     shared: list[str] | None = None
     """Outputs that are not unique, as redundant constraints share a load; None where that is not known yet."""
     brakes: bool = False
-    """Whether redundant constraints become independent beside the motion, and so would stop it (`Oracle.hold`)."""
+    """Whether redundant constraints become independent beside the motion, and so would stop it (`alfmu.oracle`)."""
     uneven: bool = False
     """Whether constraints are in different units (`alfmu.runtime.scaling`), so that each has a penalty of its own."""
     compliances: list[Variable] = field(default_factory=list)

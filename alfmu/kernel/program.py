@@ -129,7 +129,7 @@ class Layout:
     u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, one over the unit of each
               constraint, alpha over the scale of the pivot of each coordinate, and where constraints may have a
               compliance the least one over that of each; where redundant ones would brake, what stands for all
-              penalties over alpha (`Oracle.hold`), a matrix
+              penalties over alpha (`oracle.Instance.hold`), a matrix
     dt        internal step [s]
     control   largest internal step [s], first tier (0 quick, 1 careful), what makes the steps (0 the tiers, 1 the
               method of the scene with error control, 2 the same in steps of one length)
