@@ -11,10 +11,13 @@ import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
+
+if TYPE_CHECKING:
+    from .fmi.recipe import Recipe
 
 __all__ = ["main"]
 
@@ -28,6 +31,9 @@ _REPORT = """Beside alfmu's methods, formulations and kernels: SciPy on every me
 five_bar and slider_crank (pip install 'alfmu[bench]'). Also in it: tolerances held or not, the study of Blajer (2002)
 on particle_on_circle, five_bar and four_bar, what a scene leaves out, small maps of stability (`alfmu stability` has
 the full ones). What there was no time for, or what is not installed, is listed."""
+
+_EXPORT = """A recipe is a Python file that says what an FMU is made of: `recipe = alfmu.Recipe("five_bar",
+outputs=["*.angle"])`. What the options say takes precedence over it, those of --option and --set one by one."""
 
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
@@ -75,26 +81,33 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_scene(sub)
 
-    sub = command("export", _export, "write the FMU (co-simulation) of a mechanism")
-    sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
+    sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
+    sub.epilog = _EXPORT
+    sub.add_argument(
+        "mechanism", metavar="NAME", help="a registered recipe or mechanism, or a Python file that declares one"
+    )
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
         choices=("python", "native"),
-        default="python",
         help="python, the default, runs in hosts that have Python; native is C and nothing else, for every host",
     )
-    sub.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version of FMI; 3 for native FMUs alone")
+    sub.add_argument("--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for native FMUs alone")
     sub.add_argument(
         "--platform",
         metavar="all|NAMES",
         type=_names,
-        default=[],
         help="what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
         "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang)",
     )
     _add_kernel(sub)
-    sub.add_argument("--no-reference", action="store_true", help="leave out the reference results: smaller")
+    sub.add_argument("--stop-time", type=float, metavar="S", help="end of the default experiment in s")
+    sub.add_argument("--step", type=float, metavar="S", help="communication step of the default experiment in s")
+    sub.add_argument(
+        "--reference",
+        action=argparse.BooleanOptionalAction,
+        help="have reference results inside (default) or, to be smaller, leave them out",
+    )
     _add_scene(sub)
 
     sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
@@ -166,37 +179,35 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument(
         "--compliances",
-        action="store_true",
+        action=argparse.BooleanOptionalAction,
         help="add a compliance of each constraint as a parameter: redundant constraints share a load accordingly",
     )
     sub.add_argument(
         "--lock",
         metavar="JOINTS",
         type=_names,
-        default=[],
         help="joints that Boolean inputs JOINT.locked can stop while running, as B,C",
     )
     sub.add_argument(
         "--release",
         metavar="JOINTS",
         type=_names,
-        default=[],
         help="joints that Boolean inputs JOINT.released can open while running, as E,F",
     )
 
 
+def _changed(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
+    """A recipe with what the command line says of its scene."""
+    of_scene = ("outputs", "freeze", "lock", "release", "compliances")
+    own = {name: getattr(chosen, name) for name in of_scene}
+    return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
+
+
 def _declared(chosen: argparse.Namespace, name: str) -> Any:
     """A mechanism with the options, locks and releases that were chosen."""
-    from .model.registry import load
+    from .fmi.recipe import Recipe
 
-    mechanism = load(name, **dict(chosen.option))
-    for joint in chosen.lock:
-        mechanism.lock(joint)
-    for joint in chosen.release:
-        mechanism.release(joint)
-    if chosen.compliances:
-        mechanism.compliances()
-    return mechanism
+    return _changed(chosen, Recipe(name)).declared()
 
 
 def _names(text: str) -> list[str]:
@@ -239,12 +250,16 @@ def _pair(text: str) -> tuple[str, float | str]:
 
 
 def _list(chosen: argparse.Namespace) -> None:
+    from .fmi.recipe import recipes
     from .model.registry import choices, load, mechanisms
 
     for name in mechanisms():
         print(f"{name:20} {load(name).description}")
         for option, values in choices(name).items():
             print(f"{'':20}   --option {option}={'|'.join(values)}")
+    for name, recipe in recipes().items():
+        if said := recipe.said():
+            print(f"{name:20} FMU of {recipe.mechanism}: {said}")
 
 
 def _info(chosen: argparse.Namespace) -> None:
@@ -320,16 +335,22 @@ def _range(texts: Sequence[str]) -> str:
 
 def _export(chosen: argparse.Namespace) -> None:
     from .fmi.export import export
+    from .fmi.recipe import load
 
-    given = {"parameters": dict(chosen.set), "outputs": chosen.outputs, "freeze": chosen.freeze}
-    mechanism = _declared(chosen, chosen.mechanism)
-    form = {"fmi": chosen.fmi, "kernel": chosen.kernel}
-    form["reference"] = not chosen.no_reference
-    path = export(mechanism, chosen.output, **given, **form, kind=chosen.kind, platforms=chosen.platform)
+    recipe = _changed(chosen, load(chosen.mechanism)).changed(
+        kind=chosen.kind,
+        fmi=chosen.fmi,
+        platforms=chosen.platform,
+        kernel=chosen.kernel,
+        stop_time=chosen.stop_time,
+        interval=chosen.step,
+        reference=chosen.reference,
+    )
+    path = export(recipe, chosen.output)
     with zipfile.ZipFile(path) as archive:
         platforms = sorted({name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/")})
-    where = "every host" if chosen.kind == "native" else "hosts with Python (use --kind native for others)"
-    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB), kind {chosen.kind}: {where} on {', '.join(platforms)}")
+    where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
+    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
 
 
 def _simulate(chosen: argparse.Namespace) -> None:
@@ -391,7 +412,12 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
                 "is exported; give them to `alfmu export`"
             )
         fmu = Fmu(chosen.unit)
-        about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters, "set": dict(chosen.set)}
+        about = {
+            "mechanism": fmu.mechanism,
+            "options": fmu.options,
+            "parameters": fmu.parameters,
+            "set": dict(chosen.set),
+        }
         return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
     from .equations.derivation import derive
     from .equations.specialisation import specialised

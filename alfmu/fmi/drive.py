@@ -76,9 +76,10 @@ class Fmu:
         }
         """Defaults of the numbers that can be set before the run."""
         self._folder = extract(str(path))
-        options = Path(self._folder, "resources", OPTIONS)
-        self.options = json.loads(options.read_text())["options"] if options.is_file() else {}
-        """Options that the mechanism was exported with, if alfmu exported it."""
+        facts = Path(self._folder, "resources", OPTIONS)
+        known = json.loads(facts.read_text()) if facts.is_file() else {}
+        self.mechanism, self.options = known.get("mechanism", self.name), known.get("options", {})
+        """The mechanism, and the options that it was exported with, if alfmu exported it."""
         try:
             self.slave = instantiate_fmu(
                 self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
