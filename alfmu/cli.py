@@ -7,7 +7,6 @@ import json
 import os
 import re
 import sys
-import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -335,6 +334,7 @@ def _range(texts: Sequence[str]) -> str:
 
 def _export(chosen: argparse.Namespace) -> None:
     from .fmi.export import export
+    from .fmi.native import libraries_in
     from .fmi.recipe import load
 
     recipe = _changed(chosen, load(chosen.mechanism)).changed(
@@ -347,8 +347,7 @@ def _export(chosen: argparse.Namespace) -> None:
         reference=chosen.reference,
     )
     path = export(recipe, chosen.output)
-    with zipfile.ZipFile(path) as archive:
-        platforms = sorted({name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/")})
+    platforms = libraries_in(path, recipe.kind)
     where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
     print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
 

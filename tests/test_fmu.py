@@ -518,7 +518,7 @@ def test_a_folder_that_pythonfmu_cannot_read_is_refused_and_native_fmus_run_ther
         if folder == "a b":
             runs.append(exported("particle_on_circle"))
         else:
-            with pytest.raises(alfmu.ExportError, match=r"is of kind python, .* set TMPDIR to another folder"):
+            with pytest.raises(alfmu.ExportError, match=r"is of kind python, .* set TMPDIR to another one"):
                 Fmu(exported("particle_on_circle"))
         for path in runs:
             with Fmu(path) as fmu:

@@ -21,6 +21,7 @@ from alfmu.fmi.drive import Fmu, validate
 from alfmu.fmi.entry import Entry
 from alfmu.fmi.recipe import load
 from alfmu.model.registry import executed
+from alfmu.runtime.build import HERE, PLATFORMS, file_name
 from alfmu.simulation import communication_points, run
 
 ROOT = Path(__file__).parents[1]
@@ -148,7 +149,7 @@ def test_options_take_precedence_over_the_recipe(here, capsys):
         "x.fmu",
     ]
     assert main(arguments) == 0
-    assert "kind native: every host on " in capsys.readouterr().out
+    assert capsys.readouterr().out.startswith("wrote x.fmu (")
     description = fmpy.read_model_description("x.fmu")
     found = {v.name: v for v in description.modelVariables}
     assert (description.fmiVersion, description.modelName) == ("3.0", "heavy")
@@ -159,6 +160,23 @@ def test_options_take_precedence_over_the_recipe(here, capsys):
     with zipfile.ZipFile("x.fmu") as archive:
         assert json.loads(archive.read("resources/options.json"))["options"] == {"rods": 2}
         assert not [name for name in archive.namelist() if name.startswith("extra")]
+
+
+def test_export_says_in_one_line_what_it_wrote_and_where_it_runs(tmp_path, capsys):
+    """On the platforms whose library of the runtime is inside; pythonfmu's own are always for two."""
+    path = str(tmp_path / "p.fmu")
+    each = "hosts with Python (use --kind native for others)"
+    for form, what, there in (
+        ([], f"python: {each}", {HERE}),
+        (["--kind", "native"], "native: every host", {HERE}),
+        (["--kind", "native", "--fmi", "3", "--platform", "linux64,win64"], "native: every host", {"linux64", "win64"}),
+    ):
+        assert main(["export", "particle_on_circle", "-o", path, "--no-reference", *form]) == 0
+        said, _, names = capsys.readouterr().out.rstrip("\n").rpartition(" on ")
+        assert re.fullmatch(rf"wrote {re.escape(path)} \(\d+ kB\), kind {re.escape(what)}", said)
+        with zipfile.ZipFile(path) as archive:
+            inside = {name for name in PLATFORMS if f"resources/{file_name(name)}" in archive.namelist()} or there
+        assert there <= set(names.split(", ")) == inside | there
 
 
 def test_what_holds_for_one_kind_goes_with_it():

@@ -187,7 +187,7 @@ class Fmu:
             self._clean()
             raise ExportError(
                 f"{path} is of kind python, and cannot be started in {resources.parent}, where FMUs are unpacked: "
-                "pythonfmu takes letters, digits, blanks and -._~ in a path alone; set TMPDIR to another folder, or "
+                "pythonfmu takes ASCII letters, digits, blanks and -._~ in a path alone; set TMPDIR to another one, or "
                 "export with --kind native"
             )
 
