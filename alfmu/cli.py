@@ -36,6 +36,8 @@ outputs=["*.angle"])`. What the options say takes precedence over it, those of -
 
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
+_EITHER_HELP = "a registered mechanism or recipe (see `alfmu list`), or a Python file that declares one"
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage."""
@@ -74,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     command("list", _list, "list the registered mechanisms")
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
-    sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
+    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
     sub.add_argument(
         "--sizes", action="store_true", help="export it as well, to show what its FMUs carry, in kB by part"
     )
@@ -82,9 +84,7 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
-    sub.add_argument(
-        "mechanism", metavar="NAME", help="a registered recipe or mechanism, or a Python file that declares one"
-    )
+    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
@@ -110,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_scene(sub)
 
     sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
-    sub.add_argument("unit", metavar="NAME|FMU", help=f"{_NAME_HELP}, or an .fmu file")
+    sub.add_argument("unit", metavar="NAME|FMU", help=f"{_EITHER_HELP}, or an .fmu file")
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the unit's own)")
     sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the unit's own)")
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
@@ -202,11 +202,12 @@ def _changed(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
     return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
 
 
-def _declared(chosen: argparse.Namespace, name: str) -> Any:
-    """A mechanism with the options, locks and releases that were chosen."""
-    from .fmi.recipe import Recipe
+def _recipe(chosen: argparse.Namespace, name: str) -> Recipe:
+    """What is shown or run: a mechanism, or a recipe where no mechanism is called so."""
+    from .fmi.recipe import Recipe, load
+    from .model.registry import mechanisms
 
-    return _changed(chosen, Recipe(name)).declared()
+    return _changed(chosen, Recipe(name) if name in mechanisms() else load(name))
 
 
 def _names(text: str) -> list[str]:
@@ -270,14 +271,15 @@ def _info(chosen: argparse.Namespace) -> None:
     from .simulation import prepared, with_defaults
     from .studies.cost import described
 
-    mechanism = _declared(chosen, chosen.mechanism)
-    everything = with_defaults(derive(mechanism), dict(chosen.set))
-    equations = specialised(everything, chosen.outputs, chosen.freeze)
+    recipe = _recipe(chosen, chosen.mechanism)
+    mechanism = recipe.declared()
+    everything = with_defaults(derive(mechanism), recipe.parameters)
+    equations = specialised(everything, recipe.outputs, recipe.freeze)
     instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
     instance.initialize()
     size = instance.mobility()
     print(f"{mechanism.name}: {mechanism.description}\n\n{mechanism.sketch.strip()}\n")
-    for option, values in choices(chosen.mechanism).items():
+    for option, values in choices(recipe.mechanism).items():
         print(f"option {option} = {mechanism.options[option]} ({' | '.join(values)})")
     coordinates = _merged((f"{c.name} [{c.unit}]",) for c in equations.coordinates)
     print(f"\ncoordinates ({equations.n}): {', '.join(text for (text,) in coordinates)}")
@@ -309,7 +311,7 @@ def _info(chosen: argparse.Namespace) -> None:
     if chosen.sizes:
         from .fmi.sizes import sizes
 
-        print("\n" + "\n".join(sizes(mechanism, dict(chosen.set), chosen.outputs, chosen.freeze)))
+        print("\n" + "\n".join(sizes(mechanism, recipe.parameters, recipe.outputs, recipe.freeze)))
 
 
 def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -423,10 +425,14 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     from .runtime import Instance
     from .simulation import prepared, with_defaults
 
-    mechanism = _declared(chosen, chosen.unit)
-    equations = specialised(with_defaults(derive(mechanism), dict(chosen.set)), chosen.outputs, chosen.freeze)
-    equations = prepared(equations, chosen.kernel or DEFAULT)
-    about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}, "set": {}}
+    recipe = _recipe(chosen, chosen.unit)
+    mechanism = recipe.declared()
+    equations = with_defaults(derive(mechanism), recipe.parameters)
+    equations = prepared(
+        specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT
+    )
+    source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
+    about = {"mechanism": str(source), "options": mechanism.options, "parameters": recipe.parameters, "set": {}}
     return Instance(equations), {**about, "stop_time": equations.stop_time, "interval": equations.interval}
 
 

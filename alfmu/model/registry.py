@@ -69,8 +69,10 @@ def options(mechanism: str | Path) -> dict[str, tuple]:
     }
 
 
-def choices(mechanism: str | Path) -> dict[str, list[str]]:
-    """Options of a mechanism: name -> the values it takes, or a word for them."""
+def choices(mechanism: str | Path | Mechanism) -> dict[str, list[str]]:
+    """Options of a mechanism: name -> the values it takes, or a word for them; none of one that is declared already."""
+    if isinstance(mechanism, Mechanism):
+        return {}
     hints = _hints(mechanism, _factory(mechanism))
     words = {int: "whole number", float: "number", str: "text"}
     return {
