@@ -100,6 +100,7 @@ typedef struct {
 typedef struct {
     const char *name;
     char guid[40];
+    unsigned body; /* check sum of the file but for its head: machine code names it */
 #define NUMBER(name) int name;
     SCENE_NUMBERS(NUMBER)
 #undef NUMBER
