@@ -268,7 +268,7 @@ def _info(chosen: argparse.Namespace) -> None:
     from .equations.specialisation import specialised
     from .model.registry import choices
     from .runtime import Instance
-    from .simulation import prepared, with_defaults
+    from .runtime.prepare import decided, with_defaults
     from .studies.cost import described
 
     recipe = _recipe(chosen, chosen.mechanism)
@@ -304,9 +304,8 @@ def _info(chosen: argparse.Namespace) -> None:
         width = max([32, *(len(name) for name, *_ in lines)])
         for name, start, unit, text in lines:
             print(f"  {name:{width}} {start:>10} {unit:12} {text}".rstrip())
-    decided = prepared(equations, "oracle")
-    chosen_method = decided.solver.get("method", "rk4")
-    print(f"\nmethod of integration: {decided.reason or chosen_method}")
+    chosen_method = decided(equations)
+    print(f"\nmethod of integration: {chosen_method.reason or chosen_method.solver.get('method', 'rk4')}")
     print("\n" + "\n".join(described(everything, equations, size)))
     if chosen.sizes:
         from .fmi.sizes import sizes
@@ -422,18 +421,15 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
         return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
     from .equations.derivation import derive
     from .equations.specialisation import specialised
-    from .runtime import Instance
-    from .simulation import prepared, with_defaults
+    from .simulation import instance, with_defaults
 
     recipe = _recipe(chosen, chosen.unit)
     mechanism = recipe.declared()
     equations = with_defaults(derive(mechanism), recipe.parameters)
-    equations = prepared(
-        specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT
-    )
+    unit = instance(specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT)
     source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
     about = {"mechanism": str(source), "options": mechanism.options, "parameters": recipe.parameters, "set": {}}
-    return Instance(equations), {**about, "stop_time": equations.stop_time, "interval": equations.interval}
+    return unit, {**about, "stop_time": equations.stop_time, "interval": equations.interval}
 
 
 def _validate(chosen: argparse.Namespace) -> int:

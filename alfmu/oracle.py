@@ -23,7 +23,7 @@ from .equations import Equations
 from .equations.evaluation import DENSE
 from .equations.interface import MONITORS, Counters, events
 from .kernel.program import GROSS, SETTINGS, TURN, Call
-from .kernel.thresholds import PATIENT, REGULAR, SAID, SHORTEST, TORN
+from .kernel.thresholds import PATIENT, REGULAR, SHORTEST, TORN
 from .kernel.vm import Vm
 from .method import formulations as method
 from .method import singular as branch
@@ -47,6 +47,9 @@ class Instance(runtime.Instance):
 
     counters = Counters()
     """Work done and largest errors since initialisation."""
+
+    run = None
+    """A run in one call would be the runtime's; `alfmu.simulation.run` makes it step by step."""
 
     def _take(self, equations: Equations) -> None:
         super()._take(equations)
@@ -348,7 +351,8 @@ class Instance(runtime.Instance):
                 if not near:
                     raise
                 if h <= dt * SHORTEST:
-                    raise self._locked(start + t) from error
+                    remedy = "no motion goes on from this singular position; turn round before it"
+                    raise self._error(StepError, start + t, "locked up", remedy) from error
 
     @np.errstate(all="ignore")
     def _follow(self, start: float, dt: float) -> None:
@@ -384,23 +388,12 @@ class Instance(runtime.Instance):
         self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.inputs, t))
         self.q[:], self.v[:], self.state[self.layout.work], self.time = q, v, work[0], t
 
-    def _locked(self, t: float) -> AlfmuError:
-        at = ", ".join(f"{c.name} = {x:.6g}" for c, x in zip(self.equations.coordinates[:SAID], self.q, strict=False))
-        remedy = (
-            f"no motion goes on from this singular position (distance {self.margin(self.q)[1] ** 0.5:.1e}); turn round "
-            "before it, or change lengths or start"
-        )
-        return self._error(StepError, t, f"locked up at {at}", remedy)
-
     def _check_length(self, moved: NDArray, q: NDArray, t: float) -> None:
         """StepError where a step to q that moved the coordinates so far (n,) is too long to mean anything."""
-        turned, (gap, row) = np.where(self._turns, moved, 0.0), self._worst(self.constraints(q, q)[2])
-        if turned.max() > TURN:
-            name = self.equations.coordinates[int(np.argmax(turned))].name
-            raise self._error(
-                StepError, t, f"{name} turned by {turned.max():.3g} rad in one step, more than half a turn"
-            )
-        if gap > max(TORN * moved.max(), GROSS):
+        turned, (gap, row) = moved[self._turns].max(initial=0.0), self._worst(self.constraints(q, q)[2])
+        if turned > TURN:
+            raise self._error(StepError, t, f"an angle turned by {turned:.3g} rad in one step, more than half a turn")
+        if gap > max(TORN * moved.max(initial=0.0), GROSS):
             raise self._error(StepError, t, f"a step of {moved.max():.3g} opened {row} by {gap:.3g}")
 
     def _change(self, penalty: NDArray, v: NDArray) -> None:

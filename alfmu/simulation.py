@@ -30,6 +30,7 @@ __all__ = [
     "Result",
     "Unit",
     "communication_points",
+    "instance",
     "prepared",
     "read_inputs",
     "run",
@@ -117,11 +118,15 @@ def simulate(
     equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
     if freeze is not None or "solver.method" in (parameters or {}):
         equations, parameters = with_defaults(equations, parameters or {}), {}
-    make = oracle.Instance if kernel == "oracle" else Instance
-    instance = make(prepared(specialised(equations, outputs, freeze), kernel), settings)
+    unit = instance(specialised(equations, outputs, freeze), kernel, settings)
     stop_time = equations.stop_time if stop_time is None else stop_time
     step = equations.interval if step is None else step
-    return run(instance, stop_time, step, inputs, parameters, progress)
+    return run(unit, stop_time, step, inputs, parameters, progress)
+
+
+def instance(equations: Equations, kernel: str, settings: Settings | None = None) -> Instance:
+    """An instance that is not yet initialised, run by a kernel."""
+    return (oracle.Instance if kernel == "oracle" else Instance)(prepared(equations, kernel), settings)
 
 
 def run(
@@ -146,7 +151,7 @@ def run(
         # A table between 0 and 1 switches half-way.
         return value >= 0.5 if name in switches and 0 <= value <= 1 else value
 
-    if isinstance(unit, Instance) and not isinstance(unit, oracle.Instance):
+    if isinstance(unit, Instance) and unit.run:
         values = _in_one_call(unit, times, list(signals), at, names, progress)
     else:
         values = _step_by_step(unit, times, list(signals), at, progress)

@@ -10,7 +10,7 @@ from oracles.parallelogram import Parallelogram
 
 import alfmu
 from alfmu import oracle
-from alfmu.simulation import prepared
+from alfmu.simulation import instance
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
 """Mass, inertia, centre of mass of the bodies of `arm`."""
@@ -134,8 +134,7 @@ def evaluate(
 
 def made(equations: alfmu.Equations, kernel: str, settings: alfmu.Settings | None = None) -> alfmu.Instance:
     """An instance run by a kernel, `oracle` among them."""
-    make = oracle.Instance if kernel == "oracle" else alfmu.Instance
-    return make(prepared(equations, kernel), settings)
+    return instance(equations, kernel, settings)
 
 
 def parameters(i: alfmu.Instance) -> np.ndarray:

@@ -157,6 +157,10 @@ MISTAKES = [
     (["simulate", "five_bar", "--input", "bad.csv", "--stop-time", "1"], "A.torque is nan"),
     (["simulate", "five_bar", "--stop-time", "0.1", "-o", "/dev/null/r.csv"], "cannot write"),
     (["simulate", "five_bar", "--plot-names", "*.angle"], "--plot-names needs --plot"),
+    (
+        ["simulate", "four_bar", "--kernel", "oracle", "--set", "solver.method=explicit"],
+        "the oracle has no solver.method",
+    ),
     (["simulate", "x.fmu", "--kernel", "oracle"], "the kernel of an FMU are fixed"),
     (["validate", "missing.fmu"], "missing.fmu"),
     (["animate", "missing.csv"], "missing.csv"),

@@ -22,7 +22,7 @@ from ..model.settings import Settings
 from .library import Scene
 from .probe import Probe
 
-__all__ = ["again", "loaded", "prepared", "retraced", "with_defaults"]
+__all__ = ["again", "decided", "loaded", "prepared", "retraced", "with_defaults"]
 
 STIFF = 20.0
 """Ratio of the fastest small motion to the slowest that lasts, above which a scene is stiff if the fastest does not:
@@ -40,7 +40,7 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     """
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
-    equations, probe = _with_method(equations), None
+    equations, probe = decided(equations), None
     if not equations.kernel or equations.shared is None:
         probe = _started(equations)
         equations = _surveyed(equations, probe)
@@ -60,7 +60,7 @@ def _started(equations: Equations) -> Probe | None:
     return probe
 
 
-def _with_method(equations: Equations) -> Equations:
+def decided(equations: Equations) -> Equations:
     """The same equations with what their method of integration needs, and `auto` decided."""
     chosen, reason = equations.solver.get("method", "rk4"), equations.reason
     if chosen == "auto":

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import oracle
 from ..equations import Equations
 from ..equations.specialisation import specialised
 from ..fmi.drive import Fmu
@@ -29,7 +28,7 @@ from ..model.errors import AlfmuError, InputError
 from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
 from ..runtime import Instance
-from ..simulation import Unit, communication_points, prepared
+from ..simulation import Unit, communication_points, instance, prepared
 from . import cases, paper
 from . import reference as exact
 from . import stability as maps
@@ -276,11 +275,10 @@ class Study(cases.Study):
         makers: dict[str, Callable[[str], Any]] = {kernel: partial(self._instance, kernel) for kernel in kernels}
         return {**makers, f"FMU ({kernels[0]})": partial(self._fmu, folder, kernels[0])}
 
-    def _instance(self, kernel: str, method: str) -> Instance | oracle.Instance:
+    def _instance(self, kernel: str, method: str) -> Instance:
         if method not in self._traced:
             self._traced[method] = scene(self.derived, method, "vm")
-        make = oracle.Instance if kernel == "oracle" else Instance
-        return make(prepared(self._traced[method], kernel))
+        return instance(self._traced[method], kernel)
 
     def _fmu(self, folder: Path, kernel: str, method: str) -> Fmu:
         path, given = folder / f"{self.name}_{method}.fmu", {"solver.method": method}
