@@ -522,8 +522,9 @@ Run time is that of all steps and of reading all outputs at each point, without 
 LIMITS = """
 SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the oracle,
 and is not told of singular positions. Formulations other than the default take the default integrator alone, and are
-timed by the oracle first, which has no other. All runs share one machine and one process, in the order of `errors.csv`; small ratios
-of times are not to be trusted. Where the reference ends before the run, positions and reactions are judged up to there.
+timed by the oracle first, which has no other. All runs share one machine and one process, in the order of `errors.csv`;
+small ratios of times are not to be trusted. Where the reference ends before the run, positions and reactions are judged
+up to there.
 Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned to them
 with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is stepped in
 Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in full is that
