@@ -30,8 +30,15 @@ HARDLY = 1e-3
 SAME = 1e-11
 """Relative difference of coefficients that are the same at all places beside the start."""
 
-LARGE = 300
-"""Coordinates up to which the start is found by dense matrices, in seconds; larger ones are begun by the library."""
+LOOSE = 1e-12
+"""What is added to the diagonal of J J' of an assembly, over its largest entry: rows that depend on each other share a
+correction, and directions that rows hold less than some 1e-6 of what they hold others give way."""
+
+GAINED = 0.9
+"""Residue left by a pass of an assembly, over that before it, from which on another pass gains nothing."""
+
+DEPENDENT = 1e-10
+"""Pivot of C C' up to which a row is a combination of others, over its largest entry, where coordinates are many."""
 
 TOLERANCE = 1e-12
 """Residue of an assembly, over the coordinates, at which it is closed."""
@@ -50,6 +57,9 @@ TRIES = 32
 
 RANKED = 8
 """Places around the start at which the rank of C is found."""
+
+FEW_RANKED = 2
+"""The same where coordinates are many."""
 
 TORN = 0.3
 """Gap that a step may leave before it is closed, over the largest displacement in it."""

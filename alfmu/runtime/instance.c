@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "linear.h"
+
 
 #define FORMAT 2
 #define MAGIC 0x464d4c41u /* "ALMF" */
@@ -95,10 +95,10 @@ Instance *instance_new(const Scene *s)
         return NULL;
     i->scene = s;
     i->count = divided(i, NULL);
-    /* The matrices of the start are dense; a larger scene is begun with what is known of it. */
-    i->room = (s->n <= LARGE ? 12 * side * side : 0) + (size_t)64 * side
-        + (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries) + 4 * (size_t)(s->inputs + s->outputs)
-        + (size_t)(s->past + s->past_size - s->pace);
+    /* Matrices of the start that singular values are found of are dense, others sparse. */
+    i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
+        + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
+        + 4 * (size_t)(s->inputs + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
             + (size_t)s->past_size + least_norm_work(s->dense, s->dense),
@@ -316,33 +316,26 @@ double instance_get(const Instance *i, int reference)
 
 /* Equations -------------------------------------------------------------------------------------------------------- */
 
-void spread(const Pattern *pattern, const double *values, double *dense)
+/* A matrix of nonzeros within the first of `rows` rows of a dense one. */
+void spread(const Pattern *pattern, const double *values, double *dense, int rows)
 {
-    const size_t size = (size_t)pattern->rows * (size_t)pattern->columns;
-    if (!pattern->offsets) {
-        memcpy(dense, values, size * sizeof *dense);
-        return;
-    }
-    memset(dense, 0, size * sizeof *dense);
-    for (int c = 0; c < pattern->columns; c++)
+    for (int c = 0; c < pattern->columns; c++) {
+        memset(dense + c * rows, 0, (size_t)pattern->rows * sizeof *dense);
         for (int k = pattern->offsets[c]; k < pattern->offsets[c + 1]; k++)
-            dense[c * pattern->rows + pattern->indices[k]] = values[k];
+            dense[c * rows + pattern->indices[k]] = values[k];
+    }
 }
 
-/* M, C, Phi and C v; each may be NULL. */
+/* M, C (their nonzeros), Phi and C v; each may be NULL. */
 void constraints_at(
     Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, l = (size_t)s->l;
     const double *x[] = {q, v, field(i, s->p)};
-    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries);
-    double *y[] = {M, C, phi ? phi : take(i, l), cv ? cv : take(i, l)};
+    double *y[] = {mass ? mass : take(i, (size_t)s->mass.entries),
+        matrix ? matrix : take(i, (size_t)s->constraint.entries), phi ? phi : take(i, l), cv ? cv : take(i, l)};
     call(i, s->constraints, x, y);
-    if (mass)
-        spread(&s->mass, M, mass);
-    if (matrix)
-        spread(&s->constraint, C, matrix);
     i->used = used;
 }
 
@@ -625,18 +618,22 @@ static Outcome take_effect(Instance *i)
 /* Start ------------------------------------------------------------------------------------------------------------ */
 
 /* Whether |Phi|, or |Phi-dot|, of every row is within the tolerance, or within the round-off of the row. */
-static int closed(const Instance *i, const double *residue, const double *C, const double *x)
+static int closed(Instance *i, const double *residue, const double *C, const double *x)
 {
     const Scene *s = i->scene;
-    for (int r = 0; r < s->l; r++) {
-        double sum = 0.0;
-        for (int c = 0; c < s->n; c++)
-            sum += fabs(C[c * s->l + r] * x[c]);
-        if (i->penalty[r] > 0.0
-            && !(fabs(residue[r]) <= fmax(i->values[s->tolerance] * i->units[r], ROUND_OFF * sum)))
-            return 0;
-    }
-    return 1;
+    const Pattern *p = &s->constraint;
+    const size_t used = i->used;
+    double *sizes = take(i, (size_t)s->l);
+    int all = 1;
+    memset(sizes, 0, (size_t)s->l * sizeof *sizes);
+    for (int c = 0; c < s->n; c++)
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++)
+            sizes[p->indices[e]] += fabs(C[e] * x[c]);
+    for (int r = 0; r < s->l; r++)
+        all &= !(i->penalty[r] > 0.0)
+            || fabs(residue[r]) <= fmax(i->values[s->tolerance] * i->units[r], ROUND_OFF * sizes[r]);
+    i->used = used;
+    return all;
 }
 
 /* q and v brought back to the constraints. */
@@ -644,7 +641,8 @@ static Outcome projected(Instance *i, double *q, double *v)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, l = (size_t)s->l, n = (size_t)s->n;
-    double *C = take(i, l * n), *phi = take(i, l), *cv = take(i, l), *next = take(i, n), pivot, left[2];
+    double *C = take(i, (size_t)s->constraint.entries), *phi = take(i, l), *cv = take(i, l), *next = take(i, n);
+    double pivot, left[2];
     const double *x[] = {q, field(i, s->p), field(i, s->k)}, *at[] = {q, v, field(i, s->p), field(i, s->k)};
     double *y[] = {next}, *settled[] = {next, &pivot, left};
     char label[100];
@@ -770,33 +768,6 @@ static Outcome started(Instance *i)
     return DONE;
 }
 
-/* Begins at q and v, which keep the constraints, with what somebody else found out there: penalties, all of them and those
-   in force, units of rows, scales of pivots; degrees of freedom, logarithms of products of pivots (masses, regular), rank. */
-void instance_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
-    const double *units, const double *scales, const double known[4])
-{
-    const Scene *s = i->scene;
-    const size_t rows = (size_t)s->l * sizeof(double);
-    i->used = 0;
-    memcpy(i->full, full, rows);
-    memcpy(i->penalty, penalty, rows);
-    memcpy(i->units, units, rows);
-    memcpy(i->scales, scales, (size_t)s->n * sizeof(double));
-    *i->freedom = known[0];
-    *i->masses = known[1];
-    *i->regular = known[2];
-    *i->rank = known[3];
-    i->flags.brakes = i->flags.pending = i->flags.known = 0;
-    i->flags.scaled = i->values[s->penalty] == 0.0 && !i->flags.given;
-    for (int k = 0; k < s->switches; k++)
-        i->on[k] = i->wanted[k];
-    parameters(i);
-    hand_over(i);
-    begin_at(i, q, v, *instance_time(i));
-    settle_kernel(i);
-    i->flags.initialized = 1;
-}
-
 /* The tolerance of a run that the host wants, where the method controls its error. */
 Outcome instance_tolerate(Instance *i, double tolerance)
 {
@@ -812,10 +783,6 @@ Outcome instance_initialize(Instance *i)
             "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
             "solver.method rk4",
             s->name, s->choice[s->method_choice].values[0]);
-    if (s->n > LARGE)
-        return say(i, REFUSED, "%s: %d coordinates are more than the %d whose start this runtime finds by itself; run it by "
-                               "alfmu.simulate",
-            s->name, s->n, LARGE);
     i->used = 0;
     i->flags.initialized = i->flags.known = i->flags.pending = 0;
     hand_over(i);

@@ -18,7 +18,6 @@ from ..equations import Equations, Mobility
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
 from ..kernel.program import TIERS, Layout, Memory
-from ..kernel.thresholds import LARGE
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
@@ -200,25 +199,13 @@ class Instance:
         """Assemble the mechanism from its start values at `time`; parameters are fixed from here on."""
         self._unit.run_on(False)
         self.memory["passes"][:] = 0.0
-        outcome = self._begun() if self.equations.n > LARGE else self._unit.initialize()
+        outcome = self._unit.initialize()
         if outcome == BRAKES:
             self._rebuild(again(replace(self.equations, brakes=True)))
             outcome = self._unit.initialize()
         if outcome != DONE:
             raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, AssemblyError)(self._unit.text)
         self._unit.run_on(True)
-
-    def _begun(self) -> int:
-        """Begin a large scene where the oracle, whose matrices are sparse, finds a start."""
-        probe = oracle.Instance(self.equations, self._given)
-        for v in (*self.parameters, *self.input_variables):
-            probe.set(v.name, self.get(v.name))
-        probe.time = self.time
-        probe.initialize()
-        found = probe.known
-        arrays = [np.ascontiguousarray(x, float) for x in found]
-        self._scene.library.alfmu_begin(self._unit.address, *(x.ctypes.data for x in arrays))
-        return DONE
 
     def initialize_with(self, inputs: Mapping[str, float]) -> None:
         """Initialise with these inputs."""

@@ -52,13 +52,16 @@
 #define ALIKE 10.0
 #define HARDLY 0.001
 #define SAME 1e-11
-#define LARGE 300
+#define LOOSE 1e-12
+#define GAINED 0.9
+#define DEPENDENT 1e-10
 #define TOLERANCE 1e-12
 #define ROUGH 1e-09
 #define MOST 200
 #define LONGEST_TURN 0.3
 #define TRIES 32
 #define RANKED 8
+#define FEW_RANKED 2
 #define TORN 0.3
 #define SHORTEST 6.103515625e-05
 #define SAID 6

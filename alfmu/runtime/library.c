@@ -141,12 +141,6 @@ API int alfmu_initialize(Instance *i)
     return (int)instance_initialize(i);
 }
 
-API void alfmu_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
-    const double *units, const double *scales, const double *known)
-{
-    instance_begin(i, q, v, full, penalty, units, scales, known);
-}
-
 API int alfmu_step(Instance *i, double start, double h)
 {
     return (int)instance_step(i, start, h);

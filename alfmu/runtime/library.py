@@ -65,7 +65,6 @@ _SIGNATURES = {
     "run_on": (None, c_void_p, c_int),
     "initialized": (c_int, c_void_p),
     "initialize": (c_int, c_void_p),
-    "begin": (None, *[c_void_p] * 8),
     "step": (c_int, c_void_p, c_double, c_double),
     "read": (c_int, c_void_p, c_void_p),
     "state_size": (c_size_t, c_void_p),
