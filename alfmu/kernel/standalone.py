@@ -22,10 +22,10 @@ from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.singular import LONGER
 from .alternatives import OWN, Alternatives, alternatives, classic
-from .program import CHOICE, LOOP, Program, called
+from .program import CHOICE, LOOP, TIERS, Program, called
 from .trace import CAREFUL, Calls, Plan, Scene, Watch, _factors
 
-__all__ = ["passed", "standalone"]
+__all__ = ["beginning", "passed", "standalone"]
 
 
 def passed(equations: Equations) -> dict[str, int]:
@@ -70,6 +70,30 @@ def standalone(equations: Equations) -> Equations:
         kernel["sensitivity"] = tracer.sensitivity(plan)
         if "limit" in e.kernel:
             kernel["limit_sensitivity"] = tracer.limit_sensitivity(plan)
+    return replace(with_functions(e, tracer.functions), kernel=kernel)
+
+
+def beginning(equations: Equations) -> Equations:
+    """The same equations, untraced, with what they need to be started, and no steps.
+
+    What tells a singular position, and corrects what the assembly leaves, is not traced: stand-ins take its place.
+    """
+    e, kernel = equations, dict.fromkeys([*TIERS[:2], "instant"], Program(calls=[]))
+    tracer = _Patient(e)
+    if e.l:
+        moves = ["move", *(f"move_{name}" for name in alternatives(e))]
+        kernel |= dict.fromkeys([*moves, "close", "keep", "impact"], Program(calls=[]))
+        if any(switch.start and switch.holds for switch in e.switches):
+            kernel["impact"] = tracer.impact(Plan(CAREFUL, 3, weighted=True))
+        q, v, ones = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.ones(e.n)
+        p, k = tracer.known["p"], tracer.known["k"]
+        stand_ins = {
+            "pivots": ([q, p, k], [ones, ones, ones, 1]),
+            "weighted_place": ([q, p, k], [q]),
+            "weighted_return": ([q, ca.SX.sym("wanted", e.n), v, p, k], [q, v]),
+            "weighted_settle": ([q, v, p, k], [v, 1, ca.SX.zeros(2)]),
+        }
+        tracer.functions |= {name: ca.Function(name, *each) for name, each in stand_ins.items()}
     return replace(with_functions(e, tracer.functions), kernel=kernel)
 
 

@@ -25,7 +25,7 @@ from .emit import compiled_code
 from .joined import joined
 from .program import CHOICE, FACTOR, LEAST_NORM, LOOP, SOLVE, TIERS, Layout
 from .scene import CALLS, Code, Constants, Writer, code
-from .standalone import passed, standalone
+from .standalone import beginning, passed, standalone
 from .trace import CAREFUL, ROUND_OFF, Watch
 
 __all__ = [
@@ -37,6 +37,7 @@ __all__ = [
     "layout_header",
     "machine_code",
     "packed",
+    "packed_start",
 ]
 
 VERSION = 3
@@ -153,7 +154,11 @@ def layout_header() -> str:
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    e = joined(standalone(equations), HOT)
+    return _ordered(joined(standalone(equations), HOT))
+
+
+def _ordered(e: Equations) -> Equations:
+    """The same equations with no functions but those of the scene, in the order of its file."""
     used = dict.fromkeys(name for each in e.kernel.values() for name in program_module.called(each["calls"]))
     names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
     functions, signatures = ({name: table[name] for name in names} for table in (e.functions, e.signatures))
@@ -179,7 +184,18 @@ def function_sizes(equations: Equations) -> dict[str, int]:
 
 def packed(equations: Equations) -> bytes:
     """The scene file of traced equations."""
-    e = alone(equations)
+    return _file(equations, alone(equations))
+
+
+def packed_start(equations: Equations) -> bytes:
+    """The scene file of untraced equations with a start alone: it can be initialised, and makes no step."""
+    chosen = {name: value for name, value in equations.solver.items() if name not in ("method", "input_order")}
+    e = beginning(replace(equations, solver=chosen))
+    seen = {"inputs": [], "outputs": [[3 + len(variables_of(e).outputs), 1]], "matrices": 0}
+    return _file(replace(e, signatures={**e.signatures, "seen": seen}), _ordered(e))
+
+
+def _file(equations: Equations, e: Equations) -> bytes:
     w = Writer()
     w.text(e.name)
     table = _Table(equations, e)

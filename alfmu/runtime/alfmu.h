@@ -206,7 +206,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);
-Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here);
+Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place);
 Outcome instance_penalize(Instance *i, const double *penalties);
 
 size_t state_size(const Instance *i);

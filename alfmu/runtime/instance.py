@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import oracle
 from ..equations import Equations, Mobility
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
@@ -25,6 +24,7 @@ from ..model.registry import load
 from ..model.settings import FIXED, Settings
 from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
+from .probe import mobility, shared
 
 __all__ = ["Instance"]
 
@@ -296,16 +296,18 @@ class Instance:
 
     def mobility(self) -> Mobility:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
-        found = [ctypes.c_int() for _ in range(3)]
-        library = self._scene.library
-        self._judged(library.alfmu_mobility(self._unit.address, *map(ctypes.byref, found)))
-        return Mobility(*(x.value for x in found))
+        return self._mobility()[0]
+
+    def _mobility(self) -> tuple[Mobility, NDArray]:
+        outcome, found, place = mobility(self._unit, self.equations.n)
+        self._judged(outcome)
+        return found, place
 
     def shared(self) -> list[str]:
         """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
-        probe = oracle.Instance(self.equations)
-        probe.take(self.memory["p"], self.state, self.penalty)
-        return probe.shared()
+        found, place = self._mobility()
+        numbers = {"q": self.q, "u": self.inputs, "p": self.memory["p"], "t": self.state[-1:]}
+        return shared(self.equations, numbers, self.penalty > 0, place, self.equations.n - found.freedom)
 
     @property
     def penalty(self) -> NDArray:

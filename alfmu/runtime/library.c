@@ -198,9 +198,9 @@ API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
     return (int)instance_stabilise(i, zeta, omega, projection);
 }
 
-API int alfmu_mobility(Instance *i, int *freedom, int *redundant, int *here)
+API int alfmu_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place)
 {
-    return (int)instance_mobility(i, freedom, redundant, here);
+    return (int)instance_mobility(i, all, freedom, redundant, here, place);
 }
 
 /* Penalties of all constraints: those of the start where the instance is not initialised yet. */

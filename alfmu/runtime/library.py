@@ -72,7 +72,7 @@ _SIGNATURES = {
     "restore": (c_int, c_void_p, c_char_p, c_size_t),
     "state": (c_void_p, c_void_p),
     "stabilise": (c_int, c_void_p, c_double, c_double, c_int),
-    "mobility": (c_int, c_void_p, POINTER(c_int), POINTER(c_int), POINTER(c_int)),
+    "mobility": (c_int, c_void_p, c_int, POINTER(c_int), POINTER(c_int), POINTER(c_int), c_void_p),
     "penalize": (c_int, c_void_p, c_void_p),
     "penalties": (None, c_void_p, c_void_p),
     "counts": (None, c_void_p, c_void_p),

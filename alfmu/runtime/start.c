@@ -702,8 +702,8 @@ static void ranked_correction(Instance *i, const Rows *J, const double *r, doubl
     i->used = used;
 }
 
-/* Degrees of freedom at regular positions near q, and at q itself. */
-static int freedom_near(Instance *i, const double *q, const unsigned char *held, int *here)
+/* Degrees of freedom at regular positions near q, and at q itself; `place` is one where the rank is largest. */
+static int freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l, count = l + (size_t)s->ties;
@@ -732,6 +732,7 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
     weighted_at(i, q, weights, C, phi);
     rank = many ? rank_of_many(i, &J) : rank_of(i, C);
     *here = s->n - rank;
+    memcpy(place, q, n * sizeof *q);
     for (int k = 0; k < places; k++) {
         for (int c = 0; c < s->n; c++)
             aside[c] = size * s->normal[k * s->n + c];
@@ -756,8 +757,10 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
             for (int c = 0; c < s->n; c++)
                 near[c] -= dq[c];
         }
-        if (largest(phi, s->l) < 1e-9 && (found = many ? rank_of_many(i, &J) : rank_of(i, C)) > rank)
+        if (largest(phi, s->l) < 1e-9 && (found = many ? rank_of_many(i, &J) : rank_of(i, C)) > rank) {
             rank = found;
+            memcpy(place, near, n * sizeof *near);
+        }
     }
     i->used = used;
     return s->n - rank;
@@ -786,20 +789,11 @@ static int would_brake(Instance *i, const double *q, const double *way)
     const Scene *s = i->scene;
     const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l;
     const int rank = (int)*i->rank;
-    double *combinations, *sizes, *there, found = 0.0;
-    Matrix C;
-    int active = 0;
-    for (int r = 0; r < s->l; r++)
-        active += i->penalty[r] > 0.0;
-    if (rank >= active || rank < 1 || s->n > DENSE)
-        return 0;
-    combinations = take(i, l * l);
-    sizes = take(i, l);
-    there = take(i, n);
-    C = matrix_new(i, &s->constraint);
+    const Matrix C = matrix_new(i, &s->constraint);
+    double *combinations = take(i, l * l), *sizes = take(i, l), *there = take(i, n), found = 0.0;
     ranges(i, q, combinations, sizes);
     for (int c = 0; c < s->n; c++)
-        there[c] = q[c] + aside[3] * way[c];
+        there[c] = q[c] + aside[PLACES - 1] * way[c];
     constraints_at(i, there, way, NULL, C.values, NULL, NULL);
     for (int k = rank; k < s->l; k++)
         for (int c = 0; c < s->n; c++) {
@@ -812,6 +806,56 @@ static int would_brake(Instance *i, const double *q, const double *way)
         }
     i->used = used;
     return sizes[rank - 1] >= REGULAR * sizes[0] && found > REGULAR * REGULAR * REGULAR * sizes[0];
+}
+
+/* The same for any place on the motion near the start. */
+static int brakes_near(Instance *i, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n, count = (size_t)(s->l + s->ties);
+    Rows J;
+    double *way, *weights, *phi, *near, *dq, size;
+    int active = 0, found = 0;
+    for (int r = 0; r < s->l; r++)
+        active += i->penalty[r] > 0.0;
+    if (*i->rank >= active || *i->rank < 1.0 || s->n > DENSE)
+        return 0;
+    J = (Rows){matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    way = take(i, n);
+    near = take(i, n);
+    dq = take(i, n);
+    phi = take(i, count);
+    weights = take(i, (size_t)s->l);
+    memset(phi, 0, count * sizeof *phi);
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = i->penalty[r] > 0.0;
+    memcpy(way, v, n * sizeof *way);
+    if (largest(v, s->n) == 0.0) { /* Any motion will do. */
+        weighted_at(i, q, weights, J.constraints, phi);
+        times(J.constraints, s->normal, phi);
+        least_correction(i, &J, phi, CORRECTIONS, dq);
+        for (int c = 0; c < s->n; c++)
+            way[c] = s->normal[c] - dq[c];
+    }
+    size = fmax(largest(way, s->n), 1e-300);
+    for (int c = 0; c < s->n; c++)
+        way[c] /= size;
+    for (int a = 0; a < PLACES && !found; a++) {
+        for (int c = 0; c < s->n; c++)
+            near[c] = q[c] + aside[a] * way[c];
+        for (int pass = 0; pass <= CORRECTIONS; pass++) {
+            weighted_at(i, near, weights, J.constraints, phi);
+            if (pass == CORRECTIONS || largest(phi, s->l) <= TOLERANCE)
+                break;
+            least_correction(i, &J, phi, CORRECTIONS, dq);
+            for (int c = 0; c < s->n; c++)
+                near[c] -= dq[c];
+        }
+        found = largest(phi, s->l) <= GROSS && would_brake(i, near, way);
+    }
+    i->used = used;
+    return found;
 }
 
 void hold(Instance *i)
@@ -859,7 +903,7 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     double *places = take(i, (PLACES + 1) * n), *rate = take(i, n), *together = take(i, PLACES + 1), size;
     int freedom = s->freedom, count = 1, here;
     if (!usual || freedom < 0)
-        freedom = freedom_near(i, q, held, &here);
+        freedom = freedom_near(i, q, held, &here, there);
     *i->rank = s->n - freedom;
     /* Masses are not known yet. */
     k[5] = 0.0;
@@ -904,12 +948,11 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
         *i->freedom -= touched[c] == 0.0;
         inverse_scales[c] = *i->largest_penalty / i->scales[c];
     }
-    i->flags.brakes = 0;
+    i->flags.brakes = brakes_near(i, q, v);
     for (int a = 0; a < count; a++) {
         const double *x[] = {places + a * n, p, k};
         double *y[] = {pivots, diagonal, columns, &margin};
         int bad = 0;
-        i->flags.brakes |= would_brake(i, places + a * n, way);
         call(i, s->pivots, x, y);
         for (int c = 0; c < s->n; c++)
             bad |= !(pivots[c] > 0.0);
@@ -933,11 +976,13 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     i->used = used;
 }
 
-Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here)
+/* Of the constraints in force, or of all of them; also a place (n) near the present one at which they are told. */
+Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place)
 {
     const Scene *s = i->scene;
     unsigned char *held;
     i->used = 0;
+    memcpy(place, field(i, s->z), (size_t)s->n * sizeof *place);
     *freedom = *here = s->n;
     *redundant = 0;
     if (!i->flags.initialized)
@@ -946,10 +991,10 @@ Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here)
         return DONE;
     held = (unsigned char *)take(i, (size_t)s->l);
     for (int r = 0; r < s->l; r++) {
-        held[r] = i->penalty[r] > 0.0;
+        held[r] = all || i->penalty[r] > 0.0;
         *redundant += held[r];
     }
-    *freedom = freedom_near(i, field(i, s->z), held, here);
+    *freedom = freedom_near(i, field(i, s->z), held, here, place);
     *redundant -= s->n - *freedom;
     i->used = 0;
     return DONE;
