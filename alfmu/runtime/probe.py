@@ -95,7 +95,7 @@ class Probe:
         memory = np.array(block)
         field = {name: memory[begin : begin + size] for name, (begin, size) in layout.fields.items()}
         z, k = field["z"], field["k"]
-        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": field["u"], "p": field["p"], "t": z[layout.time]}
+        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": field["u"], "p": field["p"], "t": z[layout.time : layout.time + 1]}
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
         return cls(e, unit, brakes, numbers, 1 / k[SETTINGS + e.l : SETTINGS + 2 * e.l], penalty)
@@ -132,7 +132,7 @@ class Probe:
         M, C, F, xi, alpha, solve = self._dynamics()
 
         def done(change: NDArray, value: NDArray) -> bool:
-            return np.abs(change).max() <= settings.tolerance * np.abs(value).max(initial=0.0)
+            return np.abs(change).max(initial=0.0) <= settings.tolerance * np.abs(value).max(initial=0.0)
 
         most = settings.max_iterations
         a, lam, _, _ = method.residual(M, F, C, xi, alpha, solve, np.zeros(n), np.zeros(l), most, done)
