@@ -77,7 +77,7 @@ def symbols(equations: Equations) -> dict[str, ca.SX]:
 
 
 def evaluable(equations: Equations) -> Equations:
-    """The same equations with the functions that the oracle and the assembly call.
+    """The same equations with the functions that the start and the oracle call.
 
     dynamics(q, v, u, p, t): M, C, F = f - d, xi. constraints(q, v, p): M, C, Phi, C v. power(q, v, u, p, t): W.
     energy(q, v, p): J. closure(q, p, s): derivatives of gaps and ties, gaps, ties. guesses(p, s, sdot): q, v.

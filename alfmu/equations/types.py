@@ -141,7 +141,7 @@ class Equations:
     brakes: bool = False
     """Whether redundant constraints become independent beside the motion, and so would stop it (`Oracle.hold`)."""
     uneven: bool = False
-    """Whether constraints are in different units (`alfmu.runtime.scaling`), so that each has a penalty of its own."""
+    """Whether constraints are in different units (`alfmu.runtime.probe`), so that each has a penalty of its own."""
     compliances: list[Variable] = field(default_factory=list)
     """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
     switches: list[Switch] = field(default_factory=list)

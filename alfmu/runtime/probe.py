@@ -95,7 +95,8 @@ class Probe:
         memory = np.array(block)
         field = {name: memory[begin : begin + size] for name, (begin, size) in layout.fields.items()}
         z, k = field["z"], field["k"]
-        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": field["u"], "p": field["p"], "t": z[layout.time : layout.time + 1]}
+        time = z[layout.time : layout.time + 1]
+        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": field["u"], "p": field["p"], "t": time}
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
         return cls(e, unit, brakes, numbers, 1 / k[SETTINGS + e.l : SETTINGS + 2 * e.l], penalty)
