@@ -942,14 +942,14 @@ static void body(Reader *r)
 
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)
 {
-    static const unsigned char magic[8] = "ALFMU\r\n\x1a";
+    static const char magic[] = "ALFMU\r\n\x1a";
     Scene *s = calloc(1, sizeof *s);
     Reader r = {bytes, bytes + size, s, why, why_size, 0, 0};
     if (!s) {
         snprintf(why, why_size, "there is no memory for it");
         return NULL;
     }
-    if (size < HEAD || memcmp(bytes, magic, sizeof magic))
+    if (size < HEAD || memcmp(bytes, magic, sizeof magic - 1))
         spoil(&r, "it is not a scene file");
     else if (little(bytes + 8, 4) != SCENE_VERSION)
         spoil(&r, "its version is %u and this runtime reads %u; export it again", (unsigned)little(bytes + 8, 4),
@@ -960,6 +960,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
         spoil(&r, "its check sum does not agree; it is damaged");
     else {
         memcpy(s->guid, bytes + 24, sizeof s->guid - 1);
+        s->body = ~check_sum_from(CHECK_BEGIN, bytes + HEAD, size - HEAD);
         r.at = bytes + HEAD;
         body(&r);
     }
@@ -973,7 +974,9 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
 int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
 {
     Function *own = (Function *)s->functions; /* which the scene itself has made */
-    if (count != s->function_count || !between(spare, 0, MOST_NUMBERS) || strcmp(identity, s->guid))
+    char body[9];
+    snprintf(body, sizeof body, "%08x", s->body);
+    if (count != s->function_count || !between(spare, 0, MOST_NUMBERS) || strcmp(identity, body))
         return 0;
     for (int k = 0; k < count; k++)
         own[k].compiled = functions[k];
