@@ -203,6 +203,12 @@ API int alfmu_mobility(Instance *i, int all, int *freedom, int *redundant, int *
     return (int)instance_mobility(i, all, freedom, redundant, here, place);
 }
 
+/* Whether redundant constraints would brake the motion that begins at the start. */
+API int alfmu_brakes(const Instance *i)
+{
+    return i->flags.brakes;
+}
+
 /* Penalties of all constraints: those of the start where the instance is not initialised yet. */
 API int alfmu_penalize(Instance *i, const double *penalties)
 {

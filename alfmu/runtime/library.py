@@ -73,6 +73,7 @@ _SIGNATURES = {
     "state": (c_void_p, c_void_p),
     "stabilise": (c_int, c_void_p, c_double, c_double, c_int),
     "mobility": (c_int, c_void_p, c_int, POINTER(c_int), POINTER(c_int), POINTER(c_int), c_void_p),
+    "brakes": (c_int, c_void_p),
     "penalize": (c_int, c_void_p, c_void_p),
     "penalties": (None, c_void_p, c_void_p),
     "counts": (None, c_void_p, c_void_p),

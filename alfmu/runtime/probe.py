@@ -16,7 +16,7 @@ from ..kernel.program import SETTINGS, Layout
 from ..kernel.tables import packed_start
 from ..method import formulations as method
 from ..method import implicit
-from .library import BRAKES, DONE, Scene, Unit
+from .library import DONE, Scene, Unit
 
 __all__ = ["Probe", "mobility", "shared"]
 
@@ -81,15 +81,13 @@ class Probe:
     @classmethod
     def of(cls, equations: Equations) -> Self | None:
         """None where the defaults have no start, so that nothing is known of it."""
-        e, brakes = equations, False
-        unit = Unit(Scene(packed_start(replace(e, brakes=False))))
-        outcome = unit.initialize()
-        if outcome == BRAKES:
-            brakes, unit = True, Unit(Scene(packed_start(replace(e, brakes=True))))
-            outcome = unit.initialize()
-        if outcome != DONE:
+        e = equations
+        # With room for constraints that would brake, which are looked for where coordinates are few.
+        room = replace(e, kernel={}, brakes=e.n <= DENSE)
+        unit = Unit(Scene(packed_start(room)))
+        if unit.initialize() != DONE:
             return None
-        layout, library = Layout(replace(e, kernel={}, brakes=brakes)), unit.scene.library
+        layout, library = Layout(room), unit.scene.library
         offset = layout.fields["z"][0]
         block = (ctypes.c_double * layout.size).from_address(library.alfmu_state(unit.address) - 8 * offset)
         memory = np.array(block)
@@ -99,6 +97,7 @@ class Probe:
         numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": field["u"], "p": field["p"], "t": time}
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
+        brakes = bool(library.alfmu_brakes(unit.address))
         return cls(e, unit, brakes, numbers, 1 / k[SETTINGS + e.l : SETTINGS + 2 * e.l], penalty)
 
     def mobility(self, every: bool = False) -> Mobility:
