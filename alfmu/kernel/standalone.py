@@ -17,12 +17,13 @@ import casadi as ca
 
 from ..equations import Equations
 from ..equations.evaluation import with_functions
+from ..equations.interface import variables_of
 from ..method import formulations as method
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.singular import LONGER
 from .alternatives import OWN, Alternatives, alternatives, classic
-from .program import CHOICE, LOOP, TIERS, Program, called
+from .program import CHOICE, LOOP, Program, called
 from .trace import CAREFUL, Calls, Plan, Scene, Watch, _factors
 
 __all__ = ["beginning", "passed", "standalone"]
@@ -78,11 +79,12 @@ def beginning(equations: Equations) -> Equations:
 
     What tells a singular position, and corrects what the assembly leaves, is not traced: stand-ins take its place.
     """
-    e, kernel = equations, dict.fromkeys([*TIERS[:2], "instant"], Program(calls=[]))
-    tracer = _Patient(e)
+    e, tracer, nothing = equations, _Patient(equations), Program(calls=[])
+    kernel = {"quick": nothing, "careful": nothing, "instant": Program(calls=[["seen", [], ["seen"]]])}
+    tracer.functions["seen"] = ca.Function("seen", [], [ca.SX.zeros(3 + len(variables_of(e).outputs))])
     if e.l:
         moves = ["move", *(f"move_{name}" for name in alternatives(e))]
-        kernel |= dict.fromkeys([*moves, "close", "keep", "impact"], Program(calls=[]))
+        kernel |= dict.fromkeys([*moves, "close", "keep", "impact"], nothing)
         if any(switch.start and switch.holds for switch in e.switches):
             kernel["impact"] = tracer.impact(Plan(CAREFUL, 3, weighted=True))
         q, v, ones = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.ones(e.n)

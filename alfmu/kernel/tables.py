@@ -191,8 +191,7 @@ def packed_start(equations: Equations) -> bytes:
     """The scene file of untraced equations with a start alone: it can be initialised, and makes no step."""
     chosen = {name: value for name, value in equations.solver.items() if name not in ("method", "input_order")}
     e = beginning(replace(equations, solver=chosen))
-    seen = {"inputs": [], "outputs": [[3 + len(variables_of(e).outputs), 1]], "matrices": 0}
-    return _file(replace(e, signatures={**e.signatures, "seen": seen}), _ordered(e))
+    return _file(e, _ordered(e))
 
 
 def _file(equations: Equations, e: Equations) -> bytes:
