@@ -31,14 +31,15 @@ SAME = 1e-11
 """Relative difference of coefficients that are the same at all places beside the start."""
 
 LOOSE = 1e-12
-"""What is added to the diagonal of J J' of an assembly, over its largest entry: rows that depend on each other share a
-correction, and directions that rows hold less than some 1e-6 of what they hold others give way."""
+"""share of the largest entry [1]: it is added to the diagonal of J J' of an assembly, so that rows that depend on each
+other share a correction, and directions that rows hold less than some 1e-6 of what they hold others give way."""
 
 GAINED = 0.9
-"""Residue left by a pass of an assembly, over that before it, from which on another pass gains nothing."""
+"""ratio of residues [1]: another pass of a correction is made while the last one left less than this part."""
 
 DEPENDENT = 1e-10
-"""Pivot of C C' up to which a row is a combination of others, over its largest entry, where coordinates are many."""
+"""pivot of C C' over its largest entry [1]: up to it a row is a combination of others, where coordinates are many; LOOSE
+makes pivots of some 1e-12 of what round-off leaves of such a row."""
 
 TOLERANCE = 1e-12
 """Residue of an assembly, over the coordinates, at which it is closed."""
@@ -59,7 +60,7 @@ RANKED = 8
 """Places around the start at which the rank of C is found."""
 
 FEW_RANKED = 2
-"""The same where coordinates are many."""
+"""number of places [1]: the same where coordinates are many, along the motion."""
 
 TORN = 0.3
 """Gap that a step may leave before it is closed, over the largest displacement in it."""
