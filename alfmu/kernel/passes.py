@@ -95,13 +95,7 @@ def written(instructions: Instructions, constants: Constants, inputs: list[int],
 class _Writing:
     """A function while it is written, piece by piece."""
 
-    def __init__(
-        self,
-        operations: Operations,
-        constants: Constants,
-        inputs: list[int],
-        outputs: list[int],
-    ):
+    def __init__(self, operations: Operations, constants: Constants, inputs: list[int], outputs: list[int]):
         o = self._operations = operations
         self._inputs, self._outputs, self._constants = inputs, outputs, constants
         self._words: list[int] = []

@@ -17,7 +17,7 @@ from .. import oracle
 from ..equations import Equations, Mobility
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
-from ..kernel.program import TIERS, Layout, Memory
+from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..kernel.thresholds import LARGE
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
@@ -77,7 +77,7 @@ class Instance:
         address = self._scene.library.alfmu_state(self._unit.address) - 8 * layout.fields["z"][0]
         block = np.ctypeslib.as_array((ctypes.c_double * layout.size).from_address(address))
         self.memory = Memory(layout, block=block)
-        """Named fields of the numbers that evolve (`alfmu.kernel.program.Layout`), as views."""
+        """Named fields of the numbers that evolve (`alfmu.kernel.memory.Layout`), as views."""
         self.state = self.memory["z"][: layout.time + 1]
 
     # State -------------------------------------------------------------------------------------------------------
@@ -357,26 +357,26 @@ class Instance:
                 evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
                 c.steps += made
                 c.evaluations += evaluations
-                c.multiplier_iterations += evaluations * kernel[tier]["iterations"]
-                c.projection_iterations += 2 * made * kernel[tier]["corrections"]
+                c.multiplier_iterations += evaluations * kernel[tier].plan.iterations
+                c.projection_iterations += 2 * made * kernel[tier].plan.corrections
         if tried := covered + refused + beside:
             program = kernel["method"]
-            evaluations = tried * program["evaluations"] + int(self.memory["passes"].sum()) * program.get("nodes", 0)
-            evaluations += beside_limits * (2 * kernel["beside"]["side"] - 1) if beside else 0
+            evaluations = tried * program.evaluations + int(self.memory["passes"].sum()) * program.nodes
+            evaluations += beside_limits * (2 * kernel["beside"].plan.side - 1) if beside else 0
             c.steps += covered
             c.refused += refused
             c.evaluations += evaluations
-            c.multiplier_iterations += evaluations * program["iterations"]
-            c.projection_iterations += 2 * tried * program["corrections"]
+            c.multiplier_iterations += evaluations * program.plan.iterations
+            c.projection_iterations += 2 * tried * program.plan.corrections
         c.patient = int(counted["patient_steps"])
         reads = int(counted["reads"])
         c.evaluations += reads
-        c.multiplier_iterations += reads * kernel["instant"].get("iterations", 0)
+        c.multiplier_iterations += reads * kernel["instant"].plan.iterations
         c.unconverged = int(counted["unconverged"])
         return c
 
     def _counted(self) -> dict[str, float]:
-        raw = np.empty(len(_COUNTED) + len(TIERS) + 5)
+        raw = np.empty(len(_COUNTED) + len(TALLY))
         self._scene.library.alfmu_counts(self._unit.address, raw.ctypes.data)
         return dict(zip(_COUNTED, raw.tolist(), strict=False))
 
