@@ -132,6 +132,28 @@ def test_values_that_pass_far_ahead():
     assert source(f).count("for (") == 1
 
 
+@pytest.mark.parametrize("first", ["within", "before"])
+def test_a_value_that_the_first_pass_alone_finds_in_itself(first):
+    """A period of twelve parts has its indices in line, but for the first pass, which takes a value from elsewhere than
+    all others: one of its own, or one from before the loop."""
+    count, part = 600, 12
+    x, p = ca.SX.sym("x", count), ca.SX.sym("p")
+    before = [ca.tan(ca.exp(p) * (i + 1.5)) for i in range(part)]
+    made, products = [], []
+    for i in range(count):
+        made.append(ca.sin(x[i]))
+        block, place = divmod(i, part)
+        own, other = made[part * block], before[0]
+        if place < 9:
+            factor = made[i - part] if block else before[place]
+        else:
+            factor = own if (block == 0) == (first == "within") else other
+        products.append(made[i] * factor)
+    f = ca.Function("f", [x, p], [ca.vertcat(*before), ca.vertcat(*products)])
+    assert source(f).count("for (") > 1
+    check(f)
+
+
 def test_what_varies_in_a_period_is_part_of_it():
     """Two kinds of parts that alternate, and a third one in the middle."""
     x = ca.SX.sym("x", N)

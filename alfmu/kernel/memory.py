@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ..equations import Equations
 from ..method.inputs import memory_size
 
-__all__ = ["CONTROL", "GROSS", "PACE", "SEEN", "SETTINGS", "TALLY", "TIERS", "TURN", "Layout", "Memory"]
+__all__ = ["CONTROL", "GROSS", "NAMED", "PACE", "SEEN", "SETTINGS", "TALLY", "TIERS", "TURN", "Layout", "Memory"]
 
 TIERS = ("quick", "careful", "branch")
 """Steps in the order in which they are tried; `branch` at once where a position is nearly singular."""
@@ -44,6 +44,9 @@ last one was accepted."""
 
 SEEN = ("acceleration_error", "near", "trouble")
 """What `seen` ends with: largest |Phi-ddot|, whether a limit has to be read instead, trouble."""
+
+NAMED = {"SETTINGS": SETTINGS, "CONTROL": CONTROL, "TALLY": TALLY, "PACE": PACE, "SEEN": SEEN}
+"""Vectors whose entries have names in C too; SEEN counts from its own beginning, the end of what is read."""
 
 GROSS = 1e-6
 """Residue of a constraint, in units of its row [m, rad; per s], above which a projected step is refused."""

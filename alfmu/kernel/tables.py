@@ -173,7 +173,6 @@ def layout_header() -> str:
     """layout.h: what the C runtime shares with Python: names of the numbers of a scene, constants."""
     found = {
         "SCENE_VERSION": VERSION,
-        "SETTINGS": len(memory.SETTINGS),
         "GROSS": memory.GROSS,
         "TURN": memory.TURN,
         "CORRECTIONS": formulations.CORRECTIONS,
@@ -184,10 +183,6 @@ def layout_header() -> str:
         "QUARTER": math.pi / 2,
         "DENSE": DENSE,
         "TIERS": len(TIERS),
-        "WATCH": len(Watch._fields),
-        "PACE": len(memory.PACE),
-        **{f"PACE_{name.upper()}": i for i, name in enumerate(memory.PACE)},
-        **{f"WATCH_{name.upper()}": i for i, name in enumerate(Watch._fields)},
         "CHOICES": len(CHOICES),
         "FORMULATIONS": len(FORMULATIONS),
         **{f"{name.upper()}_FORMULATION": i for i, name in enumerate(FORMULATIONS)},
@@ -197,6 +192,8 @@ def layout_header() -> str:
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "ROUND_OFF": ROUND_OFF,
     }
+    for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):
+        found |= {vector: len(names), **{f"{vector}_{name.upper()}": i for i, name in enumerate(names)}}
     found |= {name: value for name, value in vars(thresholds).items() if name.isupper()}
     found |= {name: ", ".join(map(repr, x)) for name, x in found.items() if isinstance(x, tuple)}
     lines = [f"#define {name} {value}" for name, value in found.items()]

@@ -346,15 +346,16 @@ class Instance:
     @property
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
-        counted, tally = self._counted(), self.memory["tally"].astype(int).tolist()
+        counted, tally = self._counted(), dict(zip(TALLY, self.memory["tally"].astype(int).tolist(), strict=True))
         kernel, c = self.equations.kernel, Counters()
-        *steps, limits, covered, refused, beside, beside_limits = tally
+        covered, refused, beside = (tally[name] for name in ("covered", "refused", "beside"))
         errors = ("position_error", "velocity_error", "acceleration_error", "energy_error")
         for name in errors:
             setattr(c, name, float(counted[name]))
-        for made, tier in zip([*steps, int(counted["patient_steps"])], [*TIERS, "careful"], strict=True):
+        patient = int(counted["patient_steps"])
+        for tier, made in (*((tier, tally[tier]) for tier in TIERS), ("careful", patient)):
             if made:
-                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
+                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * tally["limits"]
                 c.steps += made
                 c.evaluations += evaluations
                 c.multiplier_iterations += evaluations * kernel[tier].plan.iterations
@@ -362,13 +363,13 @@ class Instance:
         if tried := covered + refused + beside:
             program = kernel["method"]
             evaluations = tried * program.evaluations + int(self.memory["passes"].sum()) * program.nodes
-            evaluations += beside_limits * (2 * kernel["beside"].plan.side - 1) if beside else 0
+            evaluations += tally["beside_limits"] * (2 * kernel["beside"].plan.side - 1) if beside else 0
             c.steps += covered
             c.refused += refused
             c.evaluations += evaluations
             c.multiplier_iterations += evaluations * program.plan.iterations
             c.projection_iterations += 2 * tried * program.plan.corrections
-        c.patient = int(counted["patient_steps"])
+        c.patient = patient
         reads = int(counted["reads"])
         c.evaluations += reads
         c.multiplier_iterations += reads * kernel["instant"].plan.iterations
