@@ -59,39 +59,29 @@ class Loop:
 
 
 @dataclass(frozen=True)
-class Factor:
+class Routine:
+    """Linear algebra that all scenes share, and no function of a scene does, on vectors of `side` numbers."""
+
+    arguments: tuple[str, ...]
+    results: tuple[str, ...]
+    side: int
+    count: int = 1
+
+
+class Factor(Routine):
     """Factorise the matrix of count x count blocks (side, side), sums of the parts of their row by weights.
 
     `arguments` are the weights, by row and column, and the parts; `results` the factors and the order of their rows.
     """
 
-    arguments: tuple[str, ...]
-    results: tuple[str, ...]
-    side: int
-    count: int
 
-
-@dataclass(frozen=True)
-class Solve:
+class Solve(Routine):
     """Solve with these factors: `arguments` are the factors, their order, and `count` vectors of `side` numbers."""
 
-    arguments: tuple[str, ...]
-    results: tuple[str, ...]
-    side: int
-    count: int
 
-
-@dataclass(frozen=True)
-class LeastNorm:
+class LeastNorm(Routine):
     """The least-squares solution of least norm of a system; `arguments` are its matrix (side, side) and its vector."""
 
-    arguments: tuple[str, ...]
-    results: tuple[str, ...]
-    side: int
-
-
-Routine = Factor | Solve | LeastNorm
-"""What all scenes share, and no function of a scene does."""
 
 Step = Call | Choice | Loop | Routine
 

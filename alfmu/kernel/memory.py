@@ -14,16 +14,8 @@ TIERS = ("quick", "careful", "branch")
 """Steps in the order in which they are tried; `branch` at once where a position is nearly singular."""
 
 SETTINGS = (
-    "alpha",
-    "tolerance",
-    "freedom",
-    "masses",
-    "regular",
-    "nothing",
-    "least_distance",
-    "continues",
-    "relative",
-    "absolute",
+    *("alpha", "tolerance", "freedom", "masses", "regular", "nothing", "least_distance", "continues"),
+    *("relative", "absolute"),
 )
 """What `k` begins with. Degrees of freedom, logarithm of the product of the pivots that masses make, product of all
 pivots below which a position may be singular, margin that is nothing, least distance of places beside a singular

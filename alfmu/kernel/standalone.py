@@ -24,7 +24,7 @@ from ..method.formulations import CORRECTIONS
 from ..method.singular import LONGER
 from .alternatives import OWN, Alternatives, alternatives
 from .form import Call, Choice, Loop, Plan, Program, Routine, called, rewritten
-from .symbolic import MATRICES, Watch
+from .symbolic import MATRICES, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, spaced
 
 __all__ = ["passed", "standalone"]
@@ -35,10 +35,10 @@ def passed(equations: Equations) -> dict[str, int]:
     where the motion may end; a direction of the inputs; the communication point and the time derivatives of the inputs
     there; iterations of (8) as printed after the first one; zeta and omega; whether steps end with projections; where
     past inputs are kept, whether the communication step under way began before."""
-    inputs = len(equations.inputs)
-    within = {"within": 1} if "reach" in equations.kernel else {}
-    others = {"again": 1, "stabilisation": 2, "projects": 1}
-    return {"most": 1, "patient": 1, "du": inputs, "slopes": 1 + inputs, **others, **within}
+    names = ["most", "patient", "du", "slopes", "again", "stabilisation", "projects"]
+    names += ["within"] * ("reach" in equations.kernel)
+    lengths = lengths_of(equations)
+    return {name: lengths[name] for name in names}
 
 
 def standalone(equations: Equations) -> Equations:

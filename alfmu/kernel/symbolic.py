@@ -71,7 +71,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
     alike = {
         "t tz tl step arrival power work pivot here zone spacing stretched near slow singular error": 1,
-        "renew before passes size": 1,
+        "renew before passes size most patient again projects within": 1,
         "left stabilisation": 2,
         "watch watched watchl dwatch": len(Watch._fields),
         "q qz ql v vz vl a al da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
