@@ -154,8 +154,8 @@ class Equations:
     """Sizes of the functions that run with numbers."""
     library: Any = field(default=None, repr=False)
     """Path of the functions of the scene compiled (`alfmu.kernel.build.compiled_scene`), where they are."""
-    made: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """What was made of these equations once for all their instances, and not for others that are made of them."""
+    programs: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """The scene as it was loaded, once for all instances of these equations, and not for others made of them."""
 
     @property
     def n(self) -> int:

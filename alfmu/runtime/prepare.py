@@ -160,8 +160,8 @@ _TRACED = ("method", "input_order")
 
 def loaded(equations: Equations) -> Scene:
     """The scene of traced equations, packed and loaded once for all their instances."""
-    if "scene" not in equations.made:
-        scene = equations.made["scene"] = Scene(packed(equations))
+    if "scene" not in equations.programs:
+        scene = equations.programs["scene"] = Scene(packed(equations))
         if equations.library:
             scene.compiled_by(equations.library)
-    return equations.made["scene"]
+    return equations.programs["scene"]
