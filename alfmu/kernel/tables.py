@@ -258,7 +258,7 @@ class _Table:
 
     def __init__(self, scene: Equations, own: Equations):
         self.e, self.layout = own, Layout(scene)
-        self.variables, self.known = interface(scene), known_choices(scene)
+        self.variables, self.known, self.passed = interface(scene), known_choices(scene), passed(scene)
         self.method = scene.solver.get("method", Settings.method)
         carried = own.kernel["method"].rule if "method" in own.kernel else None
         rule = explicit_rule(self.method, 1.0, carried) or implicit.RULES.get(self.method)
@@ -270,7 +270,7 @@ class _Table:
     def code(self) -> None:
         """Functions and programs, in the order of their numbers."""
         e = self.e
-        for name, length in {**dict.fromkeys(HANDED.values(), 0), **passed(e)}.items():
+        for name, length in {**dict.fromkeys(HANDED.values(), 0), **self.passed}.items():
             if length:
                 self._place(name, length)
         self.constants = Constants()
