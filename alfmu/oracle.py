@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from . import runtime
 from .equations import Equations
+from .equations.arrays import ArrayFunction, ArrayFunctions
 from .equations.evaluation import DENSE
 from .equations.interface import MONITORS, Counters, events
-from .kernel.program import GROSS, SETTINGS, TURN, Call
+from .kernel.memory import GROSS, SETTINGS, TURN
 from .kernel.thresholds import PATIENT, REGULAR, SHORTEST, TORN
-from .kernel.vm import Vm
 from .method import formulations as method
 from .method import singular as branch
 from .method.formulations import CORRECTIONS
@@ -53,9 +53,9 @@ class Instance(runtime.Instance):
 
     def _take(self, equations: Equations) -> None:
         super()._take(equations)
-        e, vm = self.equations, Vm(self.equations)
+        e, arrays = self.equations, ArrayFunctions(self.equations)
         names = ("dynamics", "constraints", "power", "energy", "readings")
-        self._functions = {name: Call(vm, name, e.signatures[name]) for name in names}
+        self._functions = {name: ArrayFunction(arrays, name, e.signatures[name]) for name in names}
         self._turns = np.array([c.unit == "rad" for c in e.coordinates])
         self._seen: tuple = (None, None, None)
         self.counters = Counters()
@@ -77,8 +77,9 @@ class Instance(runtime.Instance):
         self.continues = self.settings.continues and e.l > 0
         self.order = self.settings.input_order if e.inputs else 0
         self._past = Past(len(e.inputs), self.memory["past"]) if self.order else None
-        self.freedom, self.masses, self.regular, self.nothing, self.least_distance = k[2:7]
-        ends = np.cumsum([SETTINGS, e.l, e.l, e.n, len(e.compliances)])
+        for name in ("freedom", "masses", "regular", "nothing", "least_distance"):
+            setattr(self, name, float(k[SETTINGS.index(name)]))
+        ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances)])
         _, _, inverse_units, inverse_scales, stiffnesses, _ = np.split(k, ends)
         self.units, self.scales, self.stiffnesses = 1 / inverse_units, k[0] / inverse_scales, k[0] * stiffnesses
         self.alpha, self.active = np.diag(self.penalty), self.penalty > 0

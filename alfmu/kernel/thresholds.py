@@ -30,8 +30,16 @@ HARDLY = 1e-3
 SAME = 1e-11
 """Relative difference of coefficients that are the same at all places beside the start."""
 
-LARGE = 300
-"""Coordinates up to which the start is found by dense matrices, in seconds; larger ones are begun by the library."""
+LOOSE = 1e-12
+"""share of the largest entry [1]: it is added to the diagonal of J J' of an assembly, so that rows that depend on each
+other share a correction, and directions that rows hold less than some 1e-6 of what they hold others give way."""
+
+GAINED = 0.9
+"""ratio of residues [1]: another pass of a correction is made while the last one left less than this part."""
+
+DEPENDENT = 1e-10
+"""pivot of C C' over its largest entry [1]: up to it a row is a combination of others, where coordinates are many;
+LOOSE makes pivots of some 1e-12 of what round-off leaves of such a row."""
 
 TOLERANCE = 1e-12
 """Residue of an assembly, over the coordinates, at which it is closed."""
@@ -50,6 +58,9 @@ TRIES = 32
 
 RANKED = 8
 """Places around the start at which the rank of C is found."""
+
+FEW_RANKED = 2
+"""number of places [1]: the same where coordinates are many, along the motion."""
 
 TORN = 0.3
 """Gap that a step may leave before it is closed, over the largest displacement in it."""

@@ -17,7 +17,7 @@ from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
-from ..model.errors import AlfmuError, InputError
+from ..model.errors import InputError
 from ..model.settings import Settings
 from .library import Scene
 from .probe import Probe
@@ -42,22 +42,12 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
     equations, probe = decided(equations), None
     if not equations.kernel or equations.shared is None:
-        probe = _started(equations)
+        probe = Probe.of(untraced(equations))
         equations = _surveyed(equations, probe)
     e = equations if equations.kernel else _traced(equations, probe)
     if kernel == "compiled" or (kernel == "auto" and compiler()):
         return e if e.library else replace(e, library=compiled_scene(e, packed(e)))
     return replace(e, library=None) if e.library else e
-
-
-def _started(equations: Equations) -> Probe | None:
-    """An instance at the start, None where the defaults have none, so that nothing is known of its freedoms."""
-    probe = Probe(equations)
-    try:
-        probe.initialize()
-    except AlfmuError:
-        return None
-    return probe
 
 
 def decided(equations: Equations) -> Equations:
@@ -76,8 +66,7 @@ def _chosen(equations: Equations) -> tuple[str, str]:
     """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
     if equations.n > DENSE:
         return "explicit", f"explicit: more than {DENSE} coordinates"
-    solver = {**equations.solver, "method": "stiff"}
-    probe = _started(replace(with_tangents(equations), kernel={}, solver=solver))
+    probe = Probe.of(untraced(with_tangents(equations)))
     if probe is None:
         return "explicit", "explicit: the defaults have no start"
     values = probe.spectrum()
@@ -97,14 +86,9 @@ def _surveyed(equations: Equations, probe: Probe | None) -> Equations:
     shared = probe.shared()
     note = "; not unique: of all that redundant constraints allow, that of least norm"
     outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
-    uneven = len(set(probe.oracle.units)) > 1
-    brakes = probe.oracle.brakes or _may_brake(probe)
-    return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=uneven)
-
-
-def _may_brake(probe: Probe) -> bool:
-    """Whether constraints that come into force may be redundant, so that they would stop the motion beside it."""
-    return bool(probe.equations.switches) and probe.redundant_with_all() > 0
+    # Constraints that come into force may be redundant, so that they would stop the motion beside it.
+    brakes = probe.brakes or (bool(equations.switches) and probe.mobility(every=True).redundant > 0)
+    return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=len(set(probe.units)) > 1)
 
 
 def _traced(equations: Equations, probe: Probe | None) -> Equations:
@@ -113,8 +97,7 @@ def _traced(equations: Equations, probe: Probe | None) -> Equations:
     mobility = probe.mobility()
     if mobility.freedom_here > mobility.freedom:
         return traced(equations, mobility, controlled=controlled)  # a singular start says nothing of other positions
-    needed = probe.oracle.iterations_needed(probe.q, probe.v, probe.inputs, 0.0)
-    return traced(equations, mobility, needed, controlled)
+    return traced(equations, mobility, probe.iterations_needed(), controlled)
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
@@ -141,7 +124,7 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
 
 
 def retraced(equations: Equations, settings: Settings) -> Equations:
-    """The same equations, traced with the method of integration and the order of inputs that settings ask for: once."""
+    """The same equations, traced with the method of integration and the order of inputs that settings ask for."""
     e = equations
     wanted = {name: getattr(settings, name) for name in _TRACED}
     default = {name: getattr(Settings, name) for name in _TRACED}

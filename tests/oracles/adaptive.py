@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from alfmu.equations.arrays import ArrayFunction, ArrayFunctions
 from alfmu.equations.evaluation import with_tangents
-from alfmu.kernel.program import Call
 from alfmu.kernel.thresholds import FIRST_STEP
-from alfmu.kernel.vm import Vm
 from alfmu.method import formulations as method
 from alfmu.method import implicit
 from alfmu.method import singular as branch
@@ -95,8 +94,8 @@ class Adaptive:
         """Steps, refused ones, tries made on the branch, iterations of Newton's method."""
         self._error, self._why = math.inf, ""
         if not isinstance(rule, Explicit):
-            vm = Vm(with_tangents(oracle.equations))
-            self._tangents = Call(vm, "tangents", vm.equations.signatures["tangents"])
+            vm = ArrayFunctions(with_tangents(oracle.equations))
+            self._tangents = ArrayFunction(vm, "tangents", vm.equations.signatures["tangents"])
         self.place(oracle.time, oracle.q, oracle.v, oracle.work)
         units = [c.unit for c in oracle.equations.coordinates]
         self._turning = np.array([unit == "rad" for unit in units] + [False] * len(units))
