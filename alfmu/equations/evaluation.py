@@ -8,7 +8,7 @@ from itertools import accumulate, pairwise
 
 import casadi as ca
 
-from .types import Equations
+from .types import Equations, Signature
 
 __all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "with_functions", "with_tangents"]
 
@@ -153,8 +153,8 @@ def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> E
     )
 
 
-def _signature(f: ca.Function, matrices: int = 0) -> dict:
-    """Sizes of arguments and results, see `alfmu.kernel.program.Signature`."""
+def _signature(f: ca.Function, matrices: int = 0) -> Signature:
+    """Sizes of arguments and results, see `Signature`."""
     outputs = []
     for i in range(f.n_out()):
         pattern = f.sparsity_out(i)

@@ -238,6 +238,7 @@ double *take(Instance *i, size_t count);
 void spread(const Pattern *pattern, const double *nonzeros, double *dense, int rows);
 const char *row_label(const Instance *i, int row, char *label, size_t size);
 double *field(const Instance *i, int offset);
+double verdict(const Instance *i, int which);
 void constraints_at(
     Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv);
 double widest(Instance *i, const double *q, const double *v, int of_velocity, int *row);

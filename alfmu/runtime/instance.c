@@ -33,6 +33,12 @@ double *field(const Instance *i, int offset)
     return i->m + offset;
 }
 
+/* One of the numbers that what can be read ends with. */
+double verdict(const Instance *i, int which)
+{
+    return i->m[i->scene->seen + i->scene->seen_size - SEEN + which];
+}
+
 double *instance_time(Instance *i)
 {
     return i->m + i->scene->z + i->scene->time;
@@ -440,8 +446,8 @@ static void weigh(Instance *i)
     double *k = field(i, s->k), *rows = k + SETTINGS, most = largest(i->penalty, s->l);
     double *matrix = rows + 2 * s->l + s->n + s->compliances;
     *i->largest_penalty = most = most > 0.0 ? most : 1.0;
-    k[0] = most;
-    k[1] = i->values[s->tolerance];
+    k[SETTINGS_ALPHA] = most;
+    k[SETTINGS_TOLERANCE] = i->values[s->tolerance];
     for (int r = 0; r < s->l; r++) {
         rows[r] = i->penalty[r] / most;
         rows[s->l + r] = 1 / i->units[r];
@@ -454,27 +460,27 @@ static void weigh(Instance *i)
 static void settle_kernel(Instance *i)
 {
     const Scene *s = i->scene;
-    double *k = field(i, s->k), *rows = k + SETTINGS, least = INFINITY;
+    double *k = field(i, s->k), *rows = k + SETTINGS, *control = field(i, s->control), least = INFINITY;
     const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
     const double pivot_of_mass = *i->freedom > 0.0 ? exp(*i->masses / *i->freedom) : 0.0;
     weigh(i);
-    k[2] = *i->freedom;
-    k[3] = *i->masses;
-    k[4] = exp(*i->regular);
-    k[5] = NOTHING * pivot_of_mass;
-    k[6] = fmax(LEAST, CONVERGING * sqrt(pivot_of_mass));
-    k[7] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
-    k[8] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
-    k[9] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
+    k[SETTINGS_FREEDOM] = *i->freedom;
+    k[SETTINGS_MASSES] = *i->masses;
+    k[SETTINGS_REGULAR] = exp(*i->regular);
+    k[SETTINGS_NOTHING] = NOTHING * pivot_of_mass;
+    k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST, CONVERGING * sqrt(pivot_of_mass));
+    k[SETTINGS_CONTINUES] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
+    k[SETTINGS_RELATIVE] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
+    k[SETTINGS_ABSOLUTE] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
     for (int r = 0; r < s->compliances; r++)
         least = fmin(least, i->compliances[r]);
     for (int r = 0; r < s->compliances; r++)
         rows[2 * s->l + s->n + r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
-    field(i, s->dt)[0] = field(i, s->control)[0] = i->values[s->step_size];
-    field(i, s->control)[1] = !(i->flags.scaled || s->same_tiers);
-    field(i, s->control)[2] = s->method;
+    field(i, s->dt)[0] = control[CONTROL_STEP_SIZE] = i->values[s->step_size];
+    control[CONTROL_TIER] = !(i->flags.scaled || s->same_tiers);
+    control[CONTROL_METHOD] = s->method;
     i->flags.fast = !s->l || (all_serve(i) && i->values[s->max_iterations] >= s->careful_iterations);
     i->flags.whole = i->flags.fast && !i->flags.brakes;
     if (i->flags.brakes)
@@ -719,7 +725,7 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     field(i, s->pace)[0] = FIRST_STEP;
     field(i, s->pace)[1] = LEAST_BEFORE;
     memset(i->counts, 0, COUNTED * sizeof *i->counts);
-    memset(field(i, s->tally), 0, (TIERS + 5) * sizeof(double));
+    memset(field(i, s->tally), 0, TALLY * sizeof(double));
     i->counts[ENERGY_START] = energy(i);
 }
 
@@ -1214,7 +1220,7 @@ static void watch_errors(Instance *i)
     c[READS] += 1.0;
     c[POSITION_ERROR] = s->monitor_position < 0 ? NAN : fmax(c[POSITION_ERROR], seen[s->monitor_position]);
     c[VELOCITY_ERROR] = s->monitor_velocity < 0 ? NAN : fmax(c[VELOCITY_ERROR], seen[s->monitor_velocity]);
-    c[ACCELERATION_ERROR] = fmax(c[ACCELERATION_ERROR], seen[s->seen_size - 3]);
+    c[ACCELERATION_ERROR] = fmax(c[ACCELERATION_ERROR], verdict(i, SEEN_ACCELERATION_ERROR));
     c[ENERGY_ERROR] = s->monitor_energy < 0
         ? NAN
         : fmax(c[ENERGY_ERROR],
@@ -1225,13 +1231,12 @@ static void watch_errors(Instance *i)
 static void read_patiently(Instance *i)
 {
     const Scene *s = i->scene;
-    const double *seen = i->m + s->seen + s->seen_size;
     const int instant = instant_by(s, formulation(i));
     double value;
     i->iterations = 0;
     run(i, instant);
-    i->counts[UNCONVERGED] += seen[-1] != 0.0;
-    if (seen[-2] != 0.0 && s->limit_patient >= 0) {
+    i->counts[UNCONVERGED] += verdict(i, SEEN_TROUBLE) != 0.0;
+    if (verdict(i, SEEN_NEAR) != 0.0 && s->limit_patient >= 0) {
         run(i, s->limit_patient);
         if (not_finite(i, &value))
             run(i, instant);
@@ -1309,7 +1314,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     if (s->l && formulation(i) > CLASSIC_FORMULATION)
         differences(i, w + s->du, w + s->dy);
     else /* Where a limit is read, its derivative is. */
-        run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
+        run(i, verdict(i, SEEN_NEAR) != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
                                                                                     : s->sensitivity);
     for (size_t k = 0; k < unknown_count; k++)
         if ((int)unknowns[k] - outputs < s->readings)
@@ -1500,10 +1505,11 @@ static Outcome sound(Instance *i)
         for (int k = 0; k < parts[part].count; k++)
             if (!isfinite(parts[part].numbers[k]))
                 return unsound(i, parts[part].name, parts[part].numbers[k]);
-    if (control[0] != i->values[s->step_size] || (control[1] != 0.0 && control[1] != 1.0))
-        return unsound(i, "the first tier", control[1]);
-    if (control[2] != s->method)
-        return unsound(i, "the method", control[2]);
+    if (control[CONTROL_STEP_SIZE] != i->values[s->step_size] ||
+        (control[CONTROL_TIER] != 0.0 && control[CONTROL_TIER] != 1.0))
+        return unsound(i, "the first tier", control[CONTROL_TIER]);
+    if (control[CONTROL_METHOD] != s->method)
+        return unsound(i, "the method", control[CONTROL_METHOD]);
     return DONE;
 }
 

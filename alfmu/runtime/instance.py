@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..equations import Equations, Mobility
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
-from ..kernel.program import TIERS, Layout, Memory
+from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
@@ -76,7 +76,7 @@ class Instance:
         address = self._scene.library.alfmu_state(self._unit.address) - 8 * layout.fields["z"][0]
         block = np.ctypeslib.as_array((ctypes.c_double * layout.size).from_address(address))
         self.memory = Memory(layout, block=block)
-        """Named fields of the numbers that evolve (`alfmu.kernel.program.Layout`), as views."""
+        """Named fields of the numbers that evolve (`alfmu.kernel.memory.Layout`), as views."""
         self.state = self.memory["z"][: layout.time + 1]
 
     # State -------------------------------------------------------------------------------------------------------
@@ -335,37 +335,38 @@ class Instance:
     @property
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
-        counted, tally = self._counted(), self.memory["tally"].astype(int).tolist()
+        counted, tally = self._counted(), dict(zip(TALLY, self.memory["tally"].astype(int).tolist(), strict=True))
         kernel, c = self.equations.kernel, Counters()
-        *steps, limits, covered, refused, beside, beside_limits = tally
+        covered, refused, beside = (tally[name] for name in ("covered", "refused", "beside"))
         errors = ("position_error", "velocity_error", "acceleration_error", "energy_error")
         for name in errors:
             setattr(c, name, float(counted[name]))
-        for made, tier in zip([*steps, int(counted["patient_steps"])], [*TIERS, "careful"], strict=True):
+        patient = int(counted["patient_steps"])
+        for tier, made in (*((tier, tally[tier]) for tier in TIERS), ("careful", patient)):
             if made:
-                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
+                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * tally["limits"]
                 c.steps += made
                 c.evaluations += evaluations
-                c.multiplier_iterations += evaluations * kernel[tier]["iterations"]
-                c.projection_iterations += 2 * made * kernel[tier]["corrections"]
+                c.multiplier_iterations += evaluations * kernel[tier].plan.iterations
+                c.projection_iterations += 2 * made * kernel[tier].plan.corrections
         if tried := covered + refused + beside:
             program = kernel["method"]
-            evaluations = tried * program["evaluations"] + int(self.memory["passes"].sum()) * program.get("nodes", 0)
-            evaluations += beside_limits * (2 * kernel["beside"]["side"] - 1) if beside else 0
+            evaluations = tried * program.evaluations + int(self.memory["passes"].sum()) * program.nodes
+            evaluations += tally["beside_limits"] * (2 * kernel["beside"].plan.side - 1) if beside else 0
             c.steps += covered
             c.refused += refused
             c.evaluations += evaluations
-            c.multiplier_iterations += evaluations * program["iterations"]
-            c.projection_iterations += 2 * tried * program["corrections"]
-        c.patient = int(counted["patient_steps"])
+            c.multiplier_iterations += evaluations * program.plan.iterations
+            c.projection_iterations += 2 * tried * program.plan.corrections
+        c.patient = patient
         reads = int(counted["reads"])
         c.evaluations += reads
-        c.multiplier_iterations += reads * kernel["instant"].get("iterations", 0)
+        c.multiplier_iterations += reads * kernel["instant"].plan.iterations
         c.unconverged = int(counted["unconverged"])
         return c
 
     def _counted(self) -> dict[str, float]:
-        raw = np.empty(len(_COUNTED) + len(TIERS) + 5)
+        raw = np.empty(len(_COUNTED) + len(TALLY))
         self._scene.library.alfmu_counts(self._unit.address, raw.ctypes.data)
         return dict(zip(_COUNTED, raw.tolist(), strict=False))
 

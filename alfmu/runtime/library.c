@@ -223,7 +223,7 @@ API void alfmu_penalties(const Instance *i, double *penalties)
 API void alfmu_counts(const Instance *i, double *counts)
 {
     memcpy(counts, i->counts, COUNTED * sizeof *counts);
-    memcpy(counts + COUNTED, i->m + i->scene->tally, (TIERS + 5) * sizeof *counts);
+    memcpy(counts + COUNTED, i->m + i->scene->tally, TALLY * sizeof *counts);
 }
 
 static int row_of_run(Instance *i, const Run *r, long row)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..equations import Equations, Mobility
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
-from ..kernel.program import SETTINGS, Layout
+from ..kernel.memory import SETTINGS, Layout
 from ..kernel.tables import packed_start
 from ..method import formulations as method
 from ..method import implicit
@@ -98,7 +98,7 @@ class Probe:
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
         brakes = bool(library.alfmu_brakes(unit.address))
-        return cls(e, unit, brakes, numbers, 1 / k[SETTINGS + e.l : SETTINGS + 2 * e.l], penalty)
+        return cls(e, unit, brakes, numbers, 1 / k[len(SETTINGS) + e.l : len(SETTINGS) + 2 * e.l], penalty)
 
     def mobility(self, every: bool = False) -> Mobility:
         """Of the constraints in force, or with `every` of all."""

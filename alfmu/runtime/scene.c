@@ -857,7 +857,7 @@ static void memory(Reader *r)
     const struct {
         int place, length;
     } fields[] = {{s->z, state}, {s->after, state}, {s->begin, state}, {s->u, s->inputs}, {s->p, s->own + s->held},
-        {s->k, settings_length(s)}, {s->dt, 1}, {s->control, 3}, {s->tally, TIERS + 5}, {s->pace, PACE},
+        {s->k, settings_length(s)}, {s->dt, 1}, {s->control, CONTROL}, {s->tally, TALLY}, {s->pace, PACE},
         {s->past, s->past_size}, {s->seen, s->seen_size}},
       handed[] = {{s->most, 1}, {s->patient, 1}, {s->du, s->inputs}, {s->slopes, s->inputs + 1}, {s->within, 1},
           {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
@@ -873,9 +873,9 @@ static void memory(Reader *r)
         || !between(s->monitor_energy, -1, s->outputs - s->event_count)
         || !between(s->monitor_iterations, -1, s->outputs - s->event_count))
         spoil(r, "its monitors contradict each other");
-    if (s->seen_size < 3 + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
+    if (s->seen_size < SEEN + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
         spoil(r, "its outputs contradict each other");
-    if (s->pace > s->past || (int64_t)s->tally + TIERS + 5 > s->pace || s->dt > s->tally)
+    if (s->pace > s->past || (int64_t)s->tally + TALLY > s->pace || s->dt > s->tally)
         spoil(r, "its fields are not in order");
     for (size_t k = 0; k < sizeof fields / sizeof *fields; k++)
         if (fields[k].place < 0 || fields[k].place + (int64_t)fields[k].length > s->size)

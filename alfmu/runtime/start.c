@@ -906,7 +906,7 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
         freedom = freedom_near(i, q, held, &here, there);
     *i->rank = s->n - freedom;
     /* Masses are not known yet. */
-    k[5] = 0.0;
+    k[SETTINGS_NOTHING] = 0.0;
     for (int c = 0; c < s->n; c++)
         inverse_scales[c] = 1.0;
     memcpy(way, v, n * sizeof *way);
