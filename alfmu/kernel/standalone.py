@@ -20,7 +20,7 @@ from ..equations.evaluation import with_functions
 from ..method import formulations as method
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
-from ..method.singular import LONGER
+from ..method.singular import DOUBLINGS
 from .alternatives import OWN, Alternatives, alternatives, classic
 from .program import CHOICE, LOOP, Program, called
 from .trace import CAREFUL, Calls, Plan, Scene, Watch, _factors
@@ -333,7 +333,7 @@ class _Patient(Alternatives):
 
         known = {"stretched": stretched, zone: near, "spacing": spacing}
         again("longer", known, longer, ["stretched", "slow"])
-        self._repeat(calls, "slow", LONGER, again.made)
+        self._repeat(calls, "slow", DOUBLINGS, again.made)
         calls("told", {zone: near, "slow": slow}, lambda: {"zone": near * (1 - slow)}, [zone])
 
     def _read_places(self, calls: Calls, scene: Scene, places: list[str], dt: str = "dt") -> None:
@@ -348,7 +348,7 @@ class _Patient(Alternatives):
             return {"stretched": stretched * (1 + more), "slow": more}
 
         again("longer_places", {"stretched": stretched, places[0]: first}, longer, ["stretched", "slow"])
-        self._repeat(calls, "slow", LONGER, again.made)
+        self._repeat(calls, "slow", DOUBLINGS, again.made)
 
     def _least_by_loop(self, calls: Calls, scene: Scene, name: str) -> None:
         """Multipliers of least norm by passes until they change no more."""

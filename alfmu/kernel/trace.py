@@ -85,7 +85,7 @@ class Plan:
     """Whether each constraint may have a penalty of its own."""
     spacing: float = branch.SPACING
     """Of the places from which limits are taken on the branch, over the step."""
-    side: int = 2
+    side: int = branch.PLACES
     """How many of these places there are on either side."""
     branch: bool = False
     """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
@@ -523,7 +523,7 @@ class Watch:
 
     FIELDS = ("change", "size", "pivot", "near", "margin")
     """Last change of a, and a itself (both squared); smallest pivot of H; whether the margin to a singular position may
-    be below `alfmu.method.singular.GUARD`, and that margin, of which the quick step knows nothing (1)."""
+    be below `alfmu.method.singular.BRANCH_MARGIN`, and that margin, of which the quick step knows nothing (1)."""
 
     def __init__(self, vector: ca.SX):
         self.change, self.size, self.pivot, self.near, self.margin = ca.vertsplit(vector)
@@ -598,12 +598,12 @@ class Scene:
         return {"a": a, "lam": lam, "watch": watch}
 
     def margin(self, pivots: ca.SX, order: list[int]) -> tuple[ca.SX, ca.SX]:
-        """Whether the margin may be below `alfmu.method.singular.GUARD`, and the margin."""
+        """Whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
         ratios = pivots * self.inverse_scales[order]
-        near = self.freedom < ca.sum1(ratios < branch.GUARD)
+        near = self.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
         if self.kind == "plain" and not self.e.turns:  # The quick step asks no more than whether it may go on.
             return near, ca.SX(1)
-        small, few = ratios < branch.SMALL, self.e.n <= DENSE
+        small, few = ratios < branch.SMALL_PIVOT, self.e.n <= DENSE
         if self.e.turns and few:
             irregular = _product(ratios) < self.regular
             near, small = near * irregular, small * irregular
@@ -625,7 +625,7 @@ class Scene:
         """The margin at q, and whether a limit may have to be taken there; also q after a correction (10), most of
         which is known then."""
         here = self._margin(q)
-        farthest = branch.ZONE * ca.fmax(branch.MOST, self.least_distance)
+        farthest = branch.LIMIT_ZONE * ca.fmax(branch.MOST_DISTANCE, self.least_distance)
         near = 1 - (ca.sqrt(here) >= farthest)
         return {"here": here, "zone": near, "spacing": ca.SX(0), "placed": self.placed(q)}
 
@@ -633,8 +633,8 @@ class Scene:
         """Whether the limit has to be taken at q of a known margin, and the spacing [s] of the places that it is taken
         from."""
         rate = self._rate(here, q, v, spacing)
-        wanted = ca.fmax(ca.fmin(rate, branch.MOST), self.least_distance)
-        zone = ca.sqrt(here) < branch.ZONE * wanted
+        wanted = ca.fmax(ca.fmin(rate, branch.MOST_DISTANCE), self.least_distance)
+        zone = ca.sqrt(here) < branch.LIMIT_ZONE * wanted
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         zone = ca.if_else(rate > 0, zone, here <= self.nothing)
         return {"zone": zone, "spacing": spacing * wanted / rate}
@@ -667,7 +667,7 @@ class Scene:
     def returned(self, q: ca.SX, wanted: ca.SX, v: ca.SX) -> dict[str, ca.SX]:
         """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion."""
         heavy, telling = ca.SX(self.e.n, 1), self.e.telling
-        heavy[telling] = branch.HEAVY / branch.NOTHING * self.nothing / self.inverse_scales[telling]
+        heavy[telling] = branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.nothing / self.inverse_scales[telling]
         C, _, solve = self._augmented(q)
         M = self.scale * self.e.M(q, self.p)
         way, d = (branch.tangential(C, self.weights, solve, x) for x in (v, wanted - q))
@@ -812,7 +812,7 @@ class Scene:
         inverse = {k: 1 / x for k, x in largest.items()}
         zero = branch.mean(inverse)
         pole = steepest > ca.mmax(far)
-        passed = ca.fabs(zero) > branch.ZERO * ca.mmax(ca.fabs(ca.vertcat(*inverse.values())))
+        passed = ca.fabs(zero) > branch.POLE_ZERO * ca.mmax(ca.fabs(ca.vertcat(*inverse.values())))
         through = branch.mean({k: x * inverse[k] for k, x in lam.items()}) / zero
         chosen = ca.vertcat(
             *(pole * passed * (n > f) for n, f in zip(ca.vertsplit(near), ca.vertsplit(far), strict=True))
@@ -877,7 +877,7 @@ class Scene:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
             trouble += 1 - self.continues
         elif e.l:
-            near = sum(x.margin < branch.GUARD if plan.margins else x.near for x in evaluations)
+            near = sum(x.margin < branch.BRANCH_MARGIN if plan.margins else x.near for x in evaluations)
             trouble += near if plan.quick and not plan.margins else near * self.continues
             near *= self.continues
         if e.l:
@@ -922,7 +922,7 @@ class Scene:
 
         An iteration gains the margin over that of a singular position at least, which masses make.
         """
-        next_change = seen.change * (self.nothing / branch.NOTHING / seen.margin) ** 2
+        next_change = seen.change * (self.nothing / branch.NOISE_FLOOR / seen.margin) ** 2
         expected = ca.fmin(seen.change, next_change)
         watch = ca.vertcat(expected, seen.size, seen.pivot, seen.near, seen.margin)
         return {"more": self.unconverged(plan, [Watch(watch)]), "watch": watch}

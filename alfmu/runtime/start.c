@@ -697,7 +697,7 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     }
     /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller. */
     sort(together, count);
-    *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(USUAL_PRODUCT);
+    *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(REGULAR_PRODUCT);
     sort(found, count);
     while (count > 1 && !(found[count - 1] <= found[1] + FAR_RATIO))
         count--;
