@@ -1,4 +1,4 @@
-"""What each threshold of `alfmu.method.singular` and `alfmu.kernel.thresholds` is worth: runs with half and twice its value.
+"""What each threshold of singular positions and of the start is worth: runs with half and with twice its value.
 
 Each variant runs in a process of its own, which sets the constant before anything is traced and, where C has it too,
 builds a runtime of its own. `docs/singular.md` has the figures, between two markers; `--write` puts them there. The

@@ -98,7 +98,7 @@ class _Patient(Alternatives):
         return {**program, "calls": program["calls"][: names.index("sum") + 1]}
 
     def close(self, plan: Plan) -> Program:
-        """q and v after `move` brought back to the constraints, and the state that they make."""
+        """S5: q and v after `move`, brought back to the constraints, and the state that they make."""
         e, (_, _, p, k, _) = self.e, self.known.values()
         scene, calls = Scene(e, True, p, k), Calls(self)
         q, v = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
@@ -212,7 +212,7 @@ class _Patient(Alternatives):
         calls("sensitivity", {"z": z, "u": u, "p": p, "k": k, "du": du, **at}, reading, ["dy"])
 
     def pivots(self, plan: Plan) -> None:
-        """Traces pivots of H over their scales, its diagonal and the weights of C in each column, the margin."""
+        """S1, S2: traces pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
         e, (_, _, p, k, _) = self.e, self.known.values()
         scene, q = Scene(e, plan.weighted, p, k), ca.SX.sym("q", e.n)
         names = "pivots", "diagonal", "columns", "margin"
@@ -256,7 +256,7 @@ class _Patient(Alternatives):
             yield [name, arguments, results, *sizes]
 
     def _on_branch(self, calls: Calls, scene: Scene, plan: Plan, i: str, u: str, length: str, kept: bool) -> None:
-        """Where the motion does not reach the places of a limit, accelerations are taken as they are."""
+        """S4: where the motion does not reach the places of a limit, accelerations are taken as they are."""
         super()._on_branch(calls, scene, plan, i, u, length, kept)
         watch, last = f"watch{i}", Calls(self)
         seen = ca.SX.sym("watch", len(Watch.FIELDS))

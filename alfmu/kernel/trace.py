@@ -222,7 +222,7 @@ class Tracer:
         return {**asdict(plan), "calls": calls.made}
 
     def reach(self) -> Program:
-        """Take note of the inputs at a communication point."""
+        """Records the inputs at a communication point."""
         z, u, *_ = self.known.values()
         calls, t = Calls(self), z[self.layout.time]
 
@@ -310,7 +310,7 @@ class Tracer:
         return {**asdict(plan), "calls": calls.made}
 
     def limit(self, plan: Plan, redundant: bool) -> Program:
-        """What `instant` gives, with the limits of accelerations and reactions along the motion."""
+        """S4: what `instant` gives, with the limits of accelerations and reactions along the motion."""
         e, layout = self.e, self.layout
         z, _, p, k, _ = self.known.values()
         scene, calls, n = Scene(e, plan.weighted, p, k), Calls(self), e.n
@@ -370,7 +370,7 @@ class Tracer:
         calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *symbols[:2], **results)}, ["seen"])
 
     def _on_branch(self, calls: Calls, scene: Scene, plan: Plan, i: str, u: str, length: str, kept: bool) -> None:
-        """a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
+        """S2 to S4: a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
 
         `u` and `length` are the names of the inputs and of the step; `kept` says that q and v keep the constraints.
         """
@@ -427,7 +427,7 @@ class Tracer:
         calls("reached", known, lambda: {"watch": seen + lost}, [watch])
 
     def _brought(self, calls: Calls, scene: Scene, plan: Plan, place: str, placed: str, velocity: str) -> None:
-        """q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a
+        """S3: q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a
         first correction put the place."""
         n = self.e.n
         _, _, p, k, _ = self.known.values()
@@ -598,7 +598,7 @@ class Scene:
         return {"a": a, "lam": lam, "watch": watch}
 
     def margin(self, pivots: ca.SX, order: list[int]) -> tuple[ca.SX, ca.SX]:
-        """Whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
+        """S2: whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
         ratios = pivots * self.inverse_scales[order]
         near = self.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
         if self.kind == "plain" and not self.e.turns:  # The quick step asks no more than whether it may go on.
@@ -615,14 +615,14 @@ class Scene:
         return near, ca.fmin(ca.if_else(more > 0, ca.exp((logarithm - self.masses) / more), 1), 1)
 
     def spacing(self, plan: Plan, v: ca.SX, dt: ca.SX) -> ca.SX:
-        """Of places along v that tell a singular position [s]; steps of error control may be too short for it."""
+        """S4: distance [s] of places along v; steps of error control may be too short to tell the places apart."""
         spacing = plan.spacing * dt
         if plan.side == Plan.side:
             return spacing
         return ca.fmax(spacing, ca.sqrt(_TOLD * self.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
 
     def probed(self, q: ca.SX) -> dict[str, ca.SX]:
-        """The margin at q, and whether a limit may have to be taken there; also q after a correction (10), most of
+        """S2: the margin at q, and whether a limit may have to be taken; also q after a correction (10), most of
         which is known then."""
         here = self._margin(q)
         farthest = branch.LIMIT_ZONE * ca.fmax(branch.MOST_DISTANCE, self.least_distance)
@@ -630,7 +630,7 @@ class Scene:
         return {"here": here, "zone": near, "spacing": ca.SX(0), "placed": self.placed(q)}
 
     def approached(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
-        """Whether the limit has to be taken at q of a known margin, and the spacing [s] of the places that it is taken
+        """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places that it is taken
         from."""
         rate = self._rate(here, q, v, spacing)
         wanted = ca.fmax(ca.fmin(rate, branch.MOST_DISTANCE), self.least_distance)
@@ -640,24 +640,24 @@ class Scene:
         return {"zone": zone, "spacing": spacing * wanted / rate}
 
     def _rate(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> ca.SX:
-        """How much distance one spacing along v makes from q of a known margin; 0 where that cannot be told."""
+        """S2: the distance that one spacing along v covers at q of a known margin; 0 where that cannot be told."""
         before, after = (self._margin(q + k * spacing * v) for k in (-1, 1))
         squared = branch.curvature(before, here, after)
         told = ca.logic_or(here > self.nothing, squared > self.nothing)
         return ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
 
     def _margin(self, q: ca.SX) -> ca.SX:
-        """The margin at q."""
+        """S2: the margin at q."""
         M, C = self.scale * self.e.M(q, self.p), self.e.C(q, self.p)
         D, _, order = _factors(self.e, self.augmented_mass(M, C))
         return self.margin(D, order)[1]
 
     def places(self, q: ca.SX, v: ca.SX, spacing: ca.SX, side: int) -> dict[str, ca.SX]:
-        """The places from which a limit is taken."""
+        """S4: the places from which a limit is taken."""
         return {str(k): q + k * spacing * v for k in branch.weights(side)}
 
     def mean(self, accelerations: list[ca.SX], watches: list[ca.SX], side: int) -> dict[str, ca.SX]:
-        """The limit, and the worst of what the evaluations say."""
+        """S4: the limit, and the worst of what the evaluations say."""
         a = branch.mean(dict(zip(branch.weights(side), accelerations, strict=True)))
         seen = [Watch(x) for x in watches]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
@@ -665,7 +665,7 @@ class Scene:
         return {"a": a, "watch": watch}
 
     def returned(self, q: ca.SX, wanted: ca.SX, v: ca.SX) -> dict[str, ca.SX]:
-        """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion."""
+        """S3: q displaced along the motion to the place nearest to the wanted one, and the v of that motion."""
         heavy, telling = ca.SX(self.e.n, 1), self.e.telling
         heavy[telling] = branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.nothing / self.inverse_scales[telling]
         C, _, solve = self._augmented(q)
@@ -792,13 +792,13 @@ class Scene:
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
 
     def read_places(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
-        """The places from which a limit is read; not finite where they cannot be told from the singular position."""
+        """S4: the places from which a limit is read; not finite where they cannot be told from the position itself."""
         spacing = branch.SPACING * dt
         spacing *= branch.READ_DISTANCE / self._rate(self._margin(q), q, v, spacing)
         return {str(k): q + k * spacing * v for k in branch.READ_MEAN}
 
     def limits(self, found: list[ca.SX], watch: ca.SX) -> dict[str, ca.SX]:
-        """Limits of a and lam from those at the places, whether lam has one (1) or a pole (2): `branch.with_pole`."""
+        """S4: limits of a and lam from those at the places, whether lam has one (1) or a pole (2), as `with_pole`."""
         count = len(branch.READ_MEAN)
         a, lam, watches = (
             dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)

@@ -137,7 +137,7 @@ def with_pole(values: dict[int, NDArray]) -> tuple[NDArray, bool]:
 
 
 def tangential(C: Array, alpha: Array, solve: Callable[[Array], Array], d: Array) -> Array:
-    """S3: the part of a displacement d (n,) that keeps the constraints; the rest is orthogonal to it in the metric of M."""
+    """S3: the part of a displacement d (n,) that keeps the constraints; the rest is orthogonal to it in metric M."""
     return d - solve(C.T @ (alpha @ (C @ d)))
 
 

@@ -946,7 +946,7 @@ static void watch_gaps(Instance *i)
     i->used = used;
 }
 
-/* One internal step by loops that stop on convergence, and whether it came near a singular position. */
+/* S2 to S5: one internal step by loops that stop on convergence, and whether it came near a singular position. */
 static Outcome follow(Instance *i, double start, double dt, int *near)
 {
     const Scene *s = i->scene;
@@ -999,7 +999,7 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     return DONE;
 }
 
-/* An internal step near a singular position in shorter ones. */
+/* S5: an internal step near a singular position in shorter ones. */
 static Outcome subdivided(Instance *i, double start, double dt)
 {
     const Scene *s = i->scene;

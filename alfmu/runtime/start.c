@@ -328,7 +328,7 @@ static int radians(const Scene *s, int coordinate)
     return !strcmp(s->coordinates[coordinate].unit, "rad");
 }
 
-/* Displacements to places beside the start, the start first. */
+/* S1: displacements to places beside the start, the start first. */
 static const double aside[] = {0.0, ASIDE};
 #define PLACES (int)(sizeof aside / sizeof *aside)
 
@@ -501,7 +501,7 @@ static int rank_of(Instance *i, const double *C)
     return rank;
 }
 
-/* Degrees of freedom at regular positions near q. */
+/* S1: degrees of freedom at regular positions near q. */
 static int freedom_near(Instance *i, const double *q, const unsigned char *held)
 {
     const Scene *s = i->scene;
@@ -544,7 +544,7 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held)
     return s->n - rank;
 }
 
-/* Combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at q. */
+/* S5: combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at q. */
 static void ranges(Instance *i, const double *q, double *combinations, double *sizes)
 {
     const Scene *s = i->scene;
@@ -559,7 +559,7 @@ static void ranges(Instance *i, const double *q, double *combinations, double *s
     i->used = used;
 }
 
-/* Whether constraints that are redundant at q become independent beside the motion, and so would stop it. */
+/* S5: whether constraints that are redundant at q become independent beside the motion, and so would stop it. */
 static int would_brake(Instance *i, const double *q, const double *way)
 {
     const Scene *s = i->scene;
@@ -588,6 +588,7 @@ static int would_brake(Instance *i, const double *q, const double *way)
     return sizes[rank - 1] >= REGULAR * sizes[0] && found > REGULAR * REGULAR * REGULAR * sizes[0];
 }
 
+/* S5: freezes the rank of C at the state before a step. */
 void hold(Instance *i)
 {
     const Scene *s = i->scene;
@@ -598,7 +599,7 @@ void hold(Instance *i)
         return;
     combinations = take(i, l * l);
     sizes = take(i, l);
-    /* At a singular position those before it still tell. */
+    /* S5: at a singular position the combinations of the place before it are kept. */
     ranges(i, field(i, s->z), combinations, sizes);
     if (sizes[rank - 1] > REGULAR * sizes[0])
         for (int a = 0; a < s->l; a++)
@@ -622,6 +623,7 @@ static void sort(double *x, int count)
         }
 }
 
+/* S1: scales of coordinates, pivots contributed by masses, degrees of freedom, rank. */
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual)
 {
     const Scene *s = i->scene;
