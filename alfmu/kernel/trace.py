@@ -370,7 +370,7 @@ class Tracer:
         calls("seen", known, lambda: {"seen": scene.seen(plan, z, u, *symbols[:2], **results)}, ["seen"])
 
     def _on_branch(self, calls: Calls, scene: Scene, plan: Plan, i: str, u: str, length: str, kept: bool) -> None:
-        """S2 to S4: a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
+        """S2 to S4: a, power, watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
 
         `u` and `length` are the names of the inputs and of the step; `kept` says that q and v keep the constraints.
         """
@@ -630,8 +630,7 @@ class Scene:
         return {"here": here, "zone": near, "spacing": ca.SX(0), "placed": self.placed(q)}
 
     def approached(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
-        """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places that it is taken
-        from."""
+        """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places for it."""
         rate = self._rate(here, q, v, spacing)
         wanted = ca.fmax(ca.fmin(rate, branch.MOST_DISTANCE), self.least_distance)
         zone = ca.sqrt(here) < branch.LIMIT_ZONE * wanted
