@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -26,10 +25,13 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-# Modules that read the constants are imported by a variant alone, after it has set one.
+# Modules of alfmu that read the constants are imported by a variant alone, after it has set one.
+SHARED = ("casadi", "matplotlib.figure", "scipy.integrate", "tqdm")
+"""What every variant imports; they are forked with it."""
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "singular.md"
+BEGIN, END = "<!-- thresholds: begin -->", "<!-- thresholds: end -->"
 MODULES = ("method.singular", "kernel.thresholds")
 FACTORS = {"half": 0.5, "twice": 2.0}
 FAR = {"a hundredth": 0.01, "a hundredfold": 100.0}
@@ -67,7 +69,7 @@ class Threshold:
     @property
     def row(self) -> str:
         """The cells of its row in the page that repeat the module."""
-        return f"| `{self.name}` | {self.shown} | {self.unit} | {self.noun}: {self.why} |".replace("||", "|")
+        return f"| `{self.name}` | {self.shown} | {self.unit} | {self.noun}: {self.why} |"
 
 
 FORM = re.compile(r"(?P<noun>[^\[\]]+) \[(?P<unit>[^\]]+)\]: (?P<why>.+)", re.S)
@@ -275,19 +277,20 @@ def _own_runtime() -> None:
     library.library = partial(library.library, folder)
 
 
-def variant(name: str, module: str, value: Any, exact: Mapping[str, Any]) -> dict[str, Found | str]:
-    """What the cases give with one constant changed; the message where a case stopped."""
+def variant(changed: tuple[str, str, Any], exact: Mapping[str, Any], cases: Sequence[str]) -> dict[str, Found | str]:
+    """What the cases give with one constant changed, by name, module and value; the message where a case stopped."""
+    name, module, value = changed
     if module:
         setattr(import_module(f"alfmu.{module}"), name, value)
     _own_runtime()
     from alfmu.model.errors import AlfmuError
 
     found: dict[str, Found | str] = {}
-    for case, run in CASES.items():
+    for case in cases:
         if module and case in SLOW and name not in SLOW[case]:
             continue
         try:
-            found[case] = run(exact.get(case))
+            found[case] = CASES[case](exact.get(case))
         except AlfmuError as error:
             found[case] = str(error)
     return found
@@ -316,36 +319,57 @@ def compared(found: Mapping[str, Found | str], usual: Mapping[str, Found | str])
     return "; ".join(parts) or f"within {100 * ROUGHLY:g} %"
 
 
+def measured(page: str) -> dict[str, list[str]]:
+    """What the page has of each constant, by name: a cell for each factor."""
+    rows = re.findall(r"^\| `(\w+)` \|.*\| ([^|]+) \| ([^|]+) \|$", page.split(BEGIN)[1].split(END)[0], re.M)
+    return {name: list(cells) for name, *cells in rows}
+
+
 def table(rows: Mapping[str, Sequence[str]]) -> str:
-    """The table of the page: constants as they are in the modules, and what was measured, by name."""
+    """The tables of the page: constants as they are in the modules, and what was measured, by name."""
     lines = []
     for module in MODULES:
         lines += [f"`alfmu.{module}`:", "", "| Name | Value | Unit | Why | Half | Twice |", "|---|---|---|---|---|---|"]
-        for x in thresholds([module]):
-            lines.append(" ".join([x.row, *(f"{cell} |" for cell in rows.get(x.name, ["-"] * len(FACTORS)))]))
+        lines += [f"{x.row} {' | '.join(rows.get(x.name, ['-'] * len(FACTORS)))} |" for x in thresholds([module])]
         lines.append("")
     return "\n".join(lines)
+
+
+def write(cells: Mapping[str, Sequence[str]]) -> None:
+    """Put what was measured into the page, and constants as they are now; what was not measured stays."""
+    page = PAGE.read_text(encoding="utf-8")
+    head, tail = page.split(BEGIN)[0], page.split(END)[1]
+    PAGE.write_text(f"{head}{BEGIN}\n{table({**measured(page), **cells})}{END}{tail}", encoding="utf-8")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line asks for."""
     parser = argparse.ArgumentParser(description="Halve and double each threshold, and compare errors and evaluations.")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="some of the constants")
+    parser.add_argument("--only", nargs="*", metavar="NAME", help="some of the constants; without a name none")
+    parser.add_argument("--cases", nargs="+", metavar="CASE", choices=CASES, help="some of the runs")
     parser.add_argument("--far", action="store_true", help="by factors of 100 instead")
     parser.add_argument("--write", action="store_true", help="put the figures into docs/singular.md")
     chosen = parser.parse_args(arguments)
-    factors, exact = FAR if chosen.far else FACTORS, references()
-    wanted = [x for x in thresholds() if not chosen.only or x.name in chosen.only]
+    if chosen.write and (chosen.far or chosen.cases):
+        parser.error("--write takes all cases, and half and twice")
+    factors = FAR if chosen.far else FACTORS
+    wanted = [x for x in thresholds() if chosen.only is None or x.name in chosen.only]
     jobs = [("", "", None), *((x.name, x.module, x.times(f)) for x in wanted for f in factors.values())]
     cells: dict[str, list[str]] = {}
-    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn"), max_tasks_per_child=1) as pool:
-        results = pool.map(partial(variant, exact=exact), *zip(*jobs, strict=True))
-        usual = next(results)
-        for case, x in usual.items():
-            print(f"{case}: {x}")
-        for (name, _, value), found in zip(jobs[1:], results, strict=True):
-            cells.setdefault(name, []).append(compared(found, usual))
-            print(name, value, cells[name][-1], sep=" | ", flush=True)
+    if wanted:
+        for name in SHARED:
+            import_module(name)
+        with get_context("fork").Pool(os.cpu_count(), maxtasksperchild=1) as pool:
+            run = partial(variant, exact=pool.apply(references), cases=chosen.cases or list(CASES))
+            results = pool.imap(run, jobs)
+            usual = next(results)
+            for case, x in usual.items():
+                print(f"{case}: {x}")
+            for (name, _, value), found in zip(jobs[1:], results, strict=True):
+                cells.setdefault(name, []).append(compared(found, usual))
+                print(name, value, cells[name][-1], sep=" | ", flush=True)
+    if chosen.write:
+        write(cells)
     return 0
 
 

@@ -28,8 +28,8 @@ REGULAR = 1e-3
 combinations are larger; at a singular position the rank of the place before is kept."""
 
 PENALTY_RATIO = 1e8
-"""penalty over the largest mass that the rows hold [1]: three iterations of (8) in residual form reach round-off from
-1e6 to 1e10 (README, How exact); the middle is the default."""
+"""penalty over the largest mass that the rows hold [1]: the residual form of (8) needs three iterations to
+round-off at it, and four at 1e6 and at 1e10 (`scripts/paper_study.py`)."""
 
 ALIKE = 10.0
 """ratio of the units of rows [1]: rows whose units are not known and differ by less share one."""

@@ -83,10 +83,8 @@ class Plan:
     """Whether few iterations are judged by how they shrink; otherwise the last change must be within the tolerance."""
     weighted: bool = False
     """Whether each constraint may have a penalty of its own."""
-    spacing: float = branch.SPACING
-    """Of the places from which limits are taken on the branch, over the step."""
     side: int = branch.PLACES
-    """How many of these places there are on either side."""
+    """How many places there are on either side, from which limits are taken on the branch."""
     branch: bool = False
     """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
     margins: bool = False
@@ -616,7 +614,7 @@ class Scene:
 
     def spacing(self, plan: Plan, v: ca.SX, dt: ca.SX) -> ca.SX:
         """S4: distance [s] of places along v; steps of error control may be too short to tell the places apart."""
-        spacing = plan.spacing * dt
+        spacing = branch.SPACING * dt
         if plan.side == Plan.side:
             return spacing
         return ca.fmax(spacing, ca.sqrt(_TOLD * self.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
@@ -625,18 +623,16 @@ class Scene:
         """S2: the margin at q, and whether a limit may have to be taken; also q after a correction (10), most of
         which is known then."""
         here = self._margin(q)
-        farthest = branch.LIMIT_ZONE * ca.fmax(branch.MOST_DISTANCE, self.least_distance)
-        near = 1 - (ca.sqrt(here) >= farthest)
+        near = 1 - (ca.sqrt(here) >= branch.LIMIT_ZONE * self.least_distance)
         return {"here": here, "zone": near, "spacing": ca.SX(0), "placed": self.placed(q)}
 
     def approached(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
         """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places for it."""
         rate = self._rate(here, q, v, spacing)
-        wanted = ca.fmax(ca.fmin(rate, branch.MOST_DISTANCE), self.least_distance)
-        zone = ca.sqrt(here) < branch.LIMIT_ZONE * wanted
+        zone = ca.sqrt(here) < branch.LIMIT_ZONE * self.least_distance
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         zone = ca.if_else(rate > 0, zone, here <= self.nothing)
-        return {"zone": zone, "spacing": spacing * wanted / rate}
+        return {"zone": zone, "spacing": spacing * self.least_distance / rate}
 
     def _rate(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> ca.SX:
         """S2: the distance that one spacing along v covers at q of a known margin; 0 where that cannot be told."""

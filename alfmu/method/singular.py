@@ -19,8 +19,8 @@ __all__ = ["along", "curvature", "mean", "tangential", "weights", "with_pole"]
 Array = Any
 
 BRANCH_MARGIN = 2.5e-4
-"""margin [1]: a step that comes below it is made on the branch; its distance is twice that at which limits begin to be
-taken, so that all stages of such a step are on the branch."""
+"""margin [1]: a step that comes below it is made on the branch; its distance, 0.016 rad, is that up
+to which a stage that is off the constraints by the error of a long step has a wrong acceleration."""
 
 SMALL_PIVOT = 0.03
 """pivot over its scale [1]: only pivots below it enter the margin; larger ones vary with the position and do not
@@ -34,19 +34,17 @@ NOISE_FLOOR = 25.0
 """margin over the pivot contributed by masses [1]: up to it a margin cannot be told from that of the singular position
 itself, where masses contribute several such pivots."""
 
-SPACING = 0.25
-"""distance between places over the internal step [1]: a limit then errs like the step, of order 4, where the two
-distances below set no bound."""
+SPACING = 0.1
+"""distance between places over the step [1]: the margin is compared at these places; near enough that it is a parabola
+there, also over long steps of integrators of order 8."""
 
-LEAST_DISTANCE = 0.003
-"""distance of the first place [rad]: nearer ones magnify the round-off of the acceleration."""
-
-MOST_DISTANCE = 0.015
-"""distance of the first place [rad]: the error of a limit from four places grows with its fourth power."""
+PLACE_DISTANCE = 0.003
+"""distance of the first place from which a limit is taken [rad]: nearer places magnify the round-off of accelerations,
+and the error of the limit grows with the fourth power of it."""
 
 CONVERGENCE = 7.0
 """distance of the first place over the root of the pivot contributed by masses [1]: each multiplier iteration gains
-the square of it, 50, so that five of them reach round-off."""
+the square of it, 49, and the five of the careful step gain 3e8; it counts where the penalty is small."""
 
 DOUBLINGS = 20
 """doublings of a spacing [1]: a slow motion, whose places are too near to be told apart, gets a spacing of up to a
@@ -74,9 +72,6 @@ PLACES = 2
 LONG_PLACES = 4
 """places on either side where reactions are read, and of integrators beside RK4 [1]: a limit of order 8, the order of
 the best integrator."""
-
-LONG_SPACING = 0.1
-"""distance between places over the step of integrators beside RK4 [1]: their steps are longer than those of RK4."""
 
 LONG_NOISE = 2e-11
 """error [m or rad; per s]: error control accepts so much of a step on the branch, as the return to the branch magnifies
@@ -150,5 +145,6 @@ def along(M: Array, heavy: Array, way: Array, d: Array) -> Array:
 
 # Former names, which alfmu.oracle reads.
 GUARD, SMALL, FAR, NOTHING = BRANCH_MARGIN, SMALL_PIVOT, REGULAR_PRODUCT, NOISE_FLOOR
-LEAST, MOST, CONVERGING, LONGER = LEAST_DISTANCE, MOST_DISTANCE, CONVERGENCE, DOUBLINGS
-ZONE, HEAVY, LONG_MEAN = LIMIT_ZONE, INDEPENDENT_MASS, READ_MEAN
+LEAST, MOST, CONVERGING, LONGER = PLACE_DISTANCE, PLACE_DISTANCE, CONVERGENCE, DOUBLINGS
+ZONE, HEAVY = LIMIT_ZONE, INDEPENDENT_MASS
+LONG_MEAN, LONG_SPACING = READ_MEAN, SPACING
