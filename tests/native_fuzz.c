@@ -731,6 +731,17 @@ static void derivatives(Fuzz *f, Unit *u, int legal)
 }
 
 /* States in all ways: taken, given back, written, changed, read, and those of nobody. */
+static uint32_t crc32(const unsigned char *bytes, size_t size)
+{
+    uint32_t sum = ~0u;
+    for (size_t k = 0; k < size; k++) {
+        sum ^= bytes[k];
+        for (int bit = 0; bit < 8; bit++)
+            sum = sum >> 1 ^ (sum & 1 ? 0xedb88320u : 0);
+    }
+    return ~sum;
+}
+
 static void states(Fuzz *f, Unit *u, int legal)
 {
     static uint64_t nobody[64];
@@ -808,8 +819,7 @@ static void states(Fuzz *f, Unit *u, int legal)
     }
     case 5: { /* A number of it is another one, and the check sum right. */
         const unsigned from = below(f, SLOTS);
-        uint64_t sum = 0xcbf29ce484222325u, word;
-        uint32_t phase;
+        uint32_t sum = 0;
         double number = nonsense(f);
         unsigned char *copy;
         if (!f->bytes[from] || !legal || f->states[k])
@@ -817,14 +827,10 @@ static void states(Fuzz *f, Unit *u, int legal)
         size = f->sizes[from];
         copy = malloc(size);
         memcpy(copy, f->bytes[from], size);
-        memcpy(copy + 24 + 8 * (next(f) % ((size - 24) / 8)), &number, sizeof number);
-        memcpy(&phase, copy + 4, sizeof phase);
-        sum = (sum ^ phase) * 0x100000001b3u;
-        for (size_t at = 24; at + 8 <= size; at += 8) {
-            memcpy(&word, copy + at, sizeof word);
-            sum = (sum ^ word) * 0x100000001b3u;
-        }
-        memcpy(copy + 16, &sum, sizeof sum);
+        memcpy(copy + 8 * (2 + next(f) % (size / 8 - 2)), &number, sizeof number);
+        memcpy(copy + 8, &sum, sizeof sum);
+        sum = crc32(copy, size);
+        memcpy(copy + 8, &sum, sizeof sum);
         if (CALLED(READ, ONLY(OK) | ONLY(ERROR_), u->handle, (const Byte *)copy, size, &f->states[k]) == OK)
             f->state_phase[k] = -1;
         free(copy);

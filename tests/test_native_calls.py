@@ -209,7 +209,7 @@ def test_a_changed_state_is_refused(made):
         fmu.initialize()
         fmu.step(0.02, 0.0)
         state, before = fmu.save(), fmu.read()
-        for k in [*range(24, 140), *range(140, len(state), 37)]:
+        for k in [*range(140), *range(140, len(state), 37)]:
             changed = bytearray(state)
             changed[k] ^= 1 << k % 8
             with pytest.raises(alfmu.StepError, match=r"check sum|not one of this mechanism"):

@@ -164,7 +164,7 @@ def machine_code(equations: Equations, scene: bytes) -> list[str]:
     """C files with the functions of a scene file of these equations, for `scene_compiled` of the runtime."""
     e = alone(equations)
     kept = {name: dict(enumerate(e.signatures[name]["inputs"])) for name in FUNCTIONS.values() if name in e.signatures}
-    return compiled_code(e, kept, scene[HEAD - IDENTITY : HEAD].rstrip(b"\0").decode())
+    return compiled_code(e, kept, f"{zlib.crc32(scene[HEAD:]):08x}")
 
 
 def function_sizes(equations: Equations) -> dict[str, int]:

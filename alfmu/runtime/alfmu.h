@@ -100,6 +100,7 @@ typedef struct {
 typedef struct {
     const char *name;
     char guid[40];
+    unsigned body; /* check sum of the file but for its head: machine code names it */
 #define NUMBER(name) int name;
     SCENE_NUMBERS(NUMBER)
 #undef NUMBER
@@ -154,8 +155,21 @@ typedef enum {
     BRAKES  /* redundant constraints that the scene is not traced for */
 } Outcome;
 
+/* Phases of life, as bits, so that a call can name all in which it is legal. */
+typedef enum {
+    INSTANTIATED = 1,
+    INITIALIZING = 2,
+    STEPPING = 4,
+    TERMINATED = 8,
+    LOOKING = 16, /* the host reads between internal steps */
+    BORN = INSTANTIATED | INITIALIZING | STEPPING,
+    RUN = STEPPING | TERMINATED,
+    ANY = BORN | TERMINATED,
+    KNOWN = INITIALIZING | STEPPING | TERMINATED | LOOKING
+} Phase;
+
 typedef struct {
-    int initialized, running, known, scaled, fast, whole, pending, brakes, given;
+    int phase, initialized, known, scaled, fast, whole, pending, brakes, given;
     int choice[CHOICES];
 } Flags;
 
@@ -210,7 +224,7 @@ Outcome instance_penalize(Instance *i, const double *penalties);
 
 size_t state_size(const Instance *i);
 void state_save(const Instance *i, unsigned char *state);
-int state_running(const unsigned char *state);
+int state_whole(const Instance *i, const unsigned char *state, size_t size);
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size);
 
 /* Between the parts of the runtime. */

@@ -16,6 +16,11 @@
 const char *const category_names[CATEGORIES] = {
     "logAll", "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal"};
 
+static int phase(const Component *c)
+{
+    return c->instance->flags.phase;
+}
+
 /* Life ------------------------------------------------------------------------------------------------------------- */
 
 Component *component_new(
@@ -41,7 +46,6 @@ Component *component_new(
         return NULL;
     }
     c->magic = HANDLE;
-    c->phase = INSTANTIATED;
     c->logged = ALWAYS;
     c->name = malloc(strlen(name) + 1);
     c->host = calloc(1, host);
@@ -58,7 +62,7 @@ void component_free(Component *c)
 {
     if (!component_good(c))
         return;
-    if (c->phase == LOOKING) {
+    if (c->instance && phase(c) == LOOKING) {
         component_refuse(c, ERROR_, "FreeInstance", "not while a step is made");
         return;
     }
@@ -106,13 +110,13 @@ int component_in(Component *c, int phases, const char *call)
 {
     if (!component_good(c))
         return 0;
-    if (c->phase & phases)
+    if (phase(c) & phases)
         return 1;
     component_refuse(c, ERROR_, call,
-        c->phase == INSTANTIATED       ? "not before initialisation has begun"
-            : c->phase == INITIALIZING ? "not during initialisation"
-            : c->phase == STEPPING     ? "not after initialisation"
-            : c->phase == LOOKING      ? "not while a step is made"
+        phase(c) == INSTANTIATED       ? "not before initialisation has begun"
+            : phase(c) == INITIALIZING ? "not during initialisation"
+            : phase(c) == STEPPING     ? "not after initialisation"
+            : phase(c) == LOOKING      ? "not while a step is made"
                                        : "not after the run has ended");
     return 0;
 }
@@ -153,7 +157,7 @@ Status component_enter(Component *c, const char *call)
 {
     if (!component_in(c, INSTANTIATED, call))
         return WRONG;
-    c->phase = INITIALIZING;
+    c->instance->flags.phase = INITIALIZING;
     return FINE;
 }
 
@@ -165,8 +169,7 @@ Status component_initialized(Component *c, const char *call)
     i = c->instance;
     if ((!i->flags.initialized && instance_initialize(i) != DONE) || instance_read(i) != DONE)
         return refused(c, WRONG);
-    i->flags.running = 1;
-    c->phase = STEPPING;
+    i->flags.phase = STEPPING;
     return FINE;
 }
 
@@ -174,7 +177,7 @@ Status component_terminated(Component *c, const char *call)
 {
     if (!component_in(c, STEPPING, call))
         return WRONG;
-    c->phase = TERMINATED;
+    c->instance->flags.phase = TERMINATED;
     return FINE;
 }
 
@@ -183,7 +186,6 @@ Status component_reset(Component *c, const char *call)
     if (!component_in(c, ANY, call))
         return WRONG;
     instance_reset(c->instance);
-    c->phase = INSTANTIATED;
     return FINE;
 }
 
@@ -281,7 +283,7 @@ Status component_get(Component *c, const unsigned *references, size_t count, voi
     for (size_t k = 0; k < count; k++)
         outputs |= !is_time(c, references[k]) && i->scene->variables[references[k]].kind == OUTPUT;
     if (outputs && !i->flags.initialized) {
-        if (c->phase != INITIALIZING)
+        if (phase(c) != INITIALIZING)
             return component_refuse(c, ERROR_, call, "outputs are known after initialising");
         if (instance_initialize(i) != DONE)
             return refused(c, WRONG);
@@ -307,7 +309,7 @@ Status component_set(Component *c, const unsigned *references, size_t count, con
         const Kind kind = is_time(c, references[k]) ? OUTPUT : c->instance->scene->variables[references[k]].kind;
         if (kind == OUTPUT)
             return component_refuse(c, ERROR_, call, "an output cannot be set");
-        if ((kind == PARAMETER || kind == CHOICE) && c->phase == STEPPING)
+        if ((kind == PARAMETER || kind == CHOICE) && phase(c) == STEPPING)
             return component_refuse(c, ERROR_, call, "a parameter is fixed once the run has begun");
     }
     for (size_t k = 0; k < count; k++)
@@ -356,7 +358,7 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
         || !addressed_kind(c, knowns, known_count, directions, direction_count, INPUT, call))
         return WRONG;
     i = c->instance;
-    if (!i->flags.initialized && (c->phase != INITIALIZING || instance_initialize(i) != DONE))
+    if (!i->flags.initialized && (phase(c) != INITIALIZING || instance_initialize(i) != DONE))
         return component_refuse(c, ERROR_, call, "outputs are known after initialising");
     if (instance_read(i) != DONE
         || instance_derivative(i, unknowns, unknown_count, knowns, known_count, directions, changes) != DONE)
@@ -398,9 +400,9 @@ static Status watched(Component *c, double point, double step, int *early)
         *early = may_return && k < count;
         if (k == count)
             *instance_time(i) = point + step;
-        c->phase = LOOKING;
+        c->instance->flags.phase = LOOKING;
         c->look(c->host, *instance_time(i), *early, &until);
-        c->phase = STEPPING;
+        c->instance->flags.phase = STEPPING;
         if (*early && *instance_time(i) >= until)
             return FINE;
     }
@@ -421,18 +423,6 @@ Status component_step(Component *c, double point, double step, int *early, const
 
 /* State ------------------------------------------------------------------------------------------------------------ */
 
-/* Fowler, Noll and Vo's hash of what is in a state beside it, by words of 64 bits: no change of one word escapes it. */
-static unsigned long long check_sum(const State *state)
-{
-    unsigned long long sum = 0xcbf29ce484222325u, word;
-    sum = (sum ^ state->phase) * 0x100000001b3u;
-    for (size_t k = 0; k + sizeof word <= state->size; k += sizeof word) {
-        memcpy(&word, state->bytes + k, sizeof word);
-        sum = (sum ^ word) * 0x100000001b3u;
-    }
-    return sum;
-}
-
 static State *new_state(const Component *c)
 {
     const size_t size = state_size(c->instance);
@@ -449,11 +439,8 @@ static State *saved(Component *c, State *state)
 {
     if (!state)
         state = new_state(c);
-    if (state) {
-        state->phase = c->phase;
+    if (state)
         state_save(c->instance, state->bytes);
-        state->sum = check_sum(state);
-    }
     return state;
 }
 
@@ -483,18 +470,9 @@ Status component_save(Component *c, void **state, const char *call)
 Status component_restore(Component *c, void *state, const char *call)
 {
     const State *s = state;
-    int running;
     if (!state_known(c, s, call))
         return WRONG;
-    if (s->sum != check_sum(s))
-        return component_refuse(c, ERROR_, call, "the state has changed since it was saved (check sum); save it again");
-    running = state_running(s->bytes);
-    if (!(s->phase & ANY) || (s->phase & (s->phase - 1)) || running != ((s->phase & RUN) != 0))
-        return component_refuse(c, ERROR_, call, "the state is of no phase of a run; save it again");
-    if (state_restore(c->instance, s->bytes, s->size) != DONE)
-        return refused(c, WRONG);
-    c->phase = s->phase;
-    return FINE;
+    return state_restore(c->instance, s->bytes, s->size) == DONE ? FINE : refused(c, WRONG);
 }
 
 Status component_forget(Component *c, void **state, const char *call)
@@ -511,7 +489,7 @@ Status component_state_size(Component *c, void *state, size_t *size, const char 
     const State *s = state;
     if (!state_known(c, s, call) || !size)
         return WRONG;
-    *size = sizeof *s + s->size;
+    *size = s->size;
     return FINE;
 }
 
@@ -520,29 +498,25 @@ Status component_write(Component *c, void *state, void *bytes, size_t size, cons
     const State *s = state;
     if (!state_known(c, s, call))
         return WRONG;
-    if (!bytes || size < sizeof *s + s->size)
+    if (!bytes || size < s->size)
         return component_refuse(c, ERROR_, call, "there is no room for the state");
-    memcpy(bytes, s, sizeof *s + s->size);
+    memcpy(bytes, s->bytes, s->size);
     return FINE;
 }
 
-/* A state of its own, even where the bytes are not: it is looked at when it is restored, but for what is compared here. */
+/* A copy of the bytes: what they say is looked at when they are restored. */
 Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call)
 {
     State *made;
     if (!component_in(c, ANY, call) || !bytes || !state)
         return WRONG;
+    if (!state_whole(c->instance, bytes, size))
+        return component_refuse(c, ERROR_, call,
+            "the saved state is not one of this mechanism, or has changed since (check sum); save it again");
     made = new_state(c);
     if (!made)
         return component_refuse(c, ERROR_, call, "there is not enough memory");
-    if (size == sizeof *made + made->size) {
-        memcpy(made, bytes, size);
-        if (state_good(c, made) && made->sum == check_sum(made)) {
-            *state = made;
-            return FINE;
-        }
-    }
-    free(made);
-    return component_refuse(c, ERROR_, call,
-        "the saved state is not one of this mechanism, or has changed since (check sum); save it again");
+    memcpy(made->bytes, bytes, size);
+    *state = made;
+    return FINE;
 }

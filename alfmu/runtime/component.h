@@ -11,19 +11,6 @@
 #pragma GCC visibility push(hidden)
 #endif
 
-/* Phases of life, as bits, so that a call can name all in which it is legal. */
-typedef enum {
-    INSTANTIATED = 1,
-    INITIALIZING = 2,
-    STEPPING = 4,
-    TERMINATED = 8,
-    LOOKING = 16, /* the host reads between internal steps */
-    BORN = INSTANTIATED | INITIALIZING | STEPPING,
-    RUN = STEPPING | TERMINATED,
-    ANY = BORN | TERMINATED,
-    KNOWN = INITIALIZING | STEPPING | TERMINATED | LOOKING
-} Phase;
-
 /* What a call comes to, with the numbers of fmi2Status and fmi3Status. */
 typedef enum { FINE, WARNED, DISCARDED, WRONG } Status;
 
@@ -44,18 +31,15 @@ typedef enum {
    the time from which on. */
 typedef void Look(void *host, double time, int can_return, double *until);
 
-/* A saved state; its numbers follow. */
+/* A saved state: the bytes of the instance follow. */
 typedef struct {
     unsigned magic;
-    Phase phase;
     size_t size;
-    unsigned long long sum;
     unsigned char bytes[];
 } State;
 
 typedef struct {
     unsigned magic;
-    Phase phase;
     Scene *scene;
     Instance *instance;
     char *name;

@@ -135,6 +135,7 @@ void instance_reset(Instance *i)
     const Variable *v = s->variables;
     memset(i->numbers, 0, i->count * sizeof *i->numbers);
     memset(&i->flags, 0, sizeof i->flags);
+    i->flags.phase = INSTANTIATED;
     i->stabilisation[0] = ZETA;
     i->stabilisation[1] = OMEGA;
     *i->projection = -1.0;
@@ -189,7 +190,7 @@ static Outcome checked(Instance *i, const Variable *v, double value)
 /* Whether a parameter can still be changed. */
 static Outcome open_to_change(Instance *i, const Variable *v)
 {
-    if (i->flags.running)
+    if (i->flags.phase & RUN)
         return say(i, REFUSED, "%s: %s is fixed once the run has begun; set it before initialising", i->scene->name,
             v->name);
     i->flags.initialized = 0;
@@ -269,7 +270,7 @@ Outcome instance_set(Instance *i, int reference, double value)
    the formulation has it. No variable of a scene: a binding sets them. */
 Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection)
 {
-    if (i->flags.running)
+    if (i->flags.phase & RUN)
         return say(i, REFUSED, "%s: zeta, omega and the projection are fixed once the run has begun; set them before "
                                "initialising",
             i->scene->name);
@@ -535,8 +536,7 @@ static Outcome knowledge(Instance *i, const double *q, const double *v)
         know(i, q, v, held, usual(i));
     if (i->flags.brakes && !s->brakes)
         outcome = say(i, BRAKES,
-            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set), or "
-            "with --kind python",
+            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
             s->name);
     i->used = used;
     return outcome;
@@ -1057,7 +1057,7 @@ static Outcome covered(Instance *i, double end, double dt)
         if (!cover(i, end, tries))
             return say(i, FAILED,
                 "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and "
-                "where constraints stay open, use --kind python or rk4",
+                "where constraints stay open, use explicit or rk4",
                 s->name, *time, s->choice[s->method_choice].values[0]);
     }
     return DONE;
@@ -1461,12 +1461,16 @@ void state_save(const Instance *i, unsigned char *state)
     memcpy(state, &h, sizeof h);
 }
 
-/* Whether a saved state is of a run that has begun. */
-int state_running(const unsigned char *state)
+/* Whether a saved state is one of this mechanism that has not changed since. */
+int state_whole(const Instance *i, const unsigned char *state, size_t size)
 {
+    const Head mine = head(i);
     Head h;
+    if (size != state_size(i))
+        return 0;
     memcpy(&h, state, sizeof h);
-    return h.flags.running;
+    return h.magic == mine.magic && h.format == mine.format && h.count == mine.count
+        && !memcmp(h.guid, mine.guid, sizeof h.guid) && h.sum == state_sum(state, size);
 }
 
 static Outcome unsound(Instance *i, const char *what, double value)
@@ -1482,7 +1486,7 @@ static Outcome sound(Instance *i)
     const Flags *f = &i->flags;
     const Variable *inputs = s->variables + s->parameters + s->choices;
     const double *control = field(i, s->control);
-    const int flags[] = {f->initialized, f->running, f->known, f->scaled, f->fast, f->whole, f->pending, f->brakes};
+    const int flags[] = {f->initialized, f->known, f->scaled, f->fast, f->whole, f->pending, f->brakes};
     const struct {
         const char *name;
         const double *numbers;
@@ -1519,8 +1523,8 @@ static Outcome sound(Instance *i)
     for (int k = 0; k < s->switches; k++)
         if ((i->wanted[k] != 0.0 && i->wanted[k] != 1.0) || (i->on[k] != 0.0 && i->on[k] != 1.0))
             return unsound(i, inputs[s->inputs + k].name, i->wanted[k]);
-    if (f->running && !f->initialized)
-        return unsound(i, "a flag", f->running);
+    if (!(f->phase & ANY) || (f->phase & (f->phase - 1)) || (f->phase & RUN && !f->initialized))
+        return unsound(i, "the phase", f->phase);
     if (!isfinite(*instance_time(i)))
         return unsound(i, "the time", *instance_time(i));
     if (!f->initialized) /* What follows is found when a run begins. */
@@ -1539,19 +1543,13 @@ static Outcome sound(Instance *i)
 /* Nothing has changed where a state is refused. */
 Outcome state_restore(Instance *i, const unsigned char *state, size_t size)
 {
-    const Head mine = head(i);
     Head h;
     Outcome outcome;
-    unsigned sum = 0;
-    if (size == state_size(i)) {
-        memcpy(&h, state, sizeof h);
-        sum = h.sum;
-    }
-    if (size != state_size(i) || h.magic != mine.magic || h.format != mine.format || h.count != mine.count
-        || memcmp(h.guid, mine.guid, sizeof h.guid) != 0)
-        return say(i, REFUSED, "%s: the saved state is not one of this mechanism; save it again", i->scene->name);
-    if (sum != state_sum(state, size))
-        return say(i, REFUSED, "%s: the check sum of the saved state does not agree; save it again", i->scene->name);
+    if (!state_whole(i, state, size))
+        return say(i, REFUSED,
+            "%s: the saved state is not one of this mechanism, or has changed since (check sum); save it again",
+            i->scene->name);
+    memcpy(&h, state, sizeof h);
     remember(i);
     i->flags = h.flags;
     memcpy(i->numbers, state + sizeof h, i->count * sizeof *i->numbers);

@@ -128,7 +128,7 @@ API int alfmu_tolerate(Instance *i, double tolerance)
 /* From here on parameters are fixed, or can be changed again. */
 API void alfmu_run_on(Instance *i, int running)
 {
-    i->flags.running = running;
+    i->flags.phase = running ? STEPPING : INITIALIZING;
 }
 
 API int alfmu_initialized(const Instance *i)
@@ -233,7 +233,7 @@ static int row_of_run(Instance *i, const Run *r, long row)
         outcome = instance_set(i, r->inputs[k], r->table[row * r->input_count + k]);
     if (outcome == DONE && row == 0 && !i->flags.initialized)
         outcome = instance_initialize(i);
-    i->flags.running = i->flags.initialized;
+    alfmu_run_on(i, i->flags.initialized);
     return outcome == DONE ? alfmu_get_many(i, r->wanted, r->wanted_count, r->values + row * r->wanted_count)
                            : (int)outcome;
 }

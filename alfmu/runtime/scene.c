@@ -821,6 +821,7 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
         spoil(&r, "its check sum does not agree; it is damaged");
     else {
         memcpy(s->guid, bytes + 24, sizeof s->guid - 1);
+        s->body = ~check_sum_from(CHECK_BEGIN, bytes + HEAD, size - HEAD);
         r.at = bytes + HEAD;
         body(&r);
     }
@@ -834,7 +835,9 @@ Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why
 int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
 {
     Function *own = (Function *)s->functions; /* which the scene itself has made */
-    if (count != s->function_count || !between(spare, 0, MOST_NUMBERS) || strcmp(identity, s->guid))
+    char body[9];
+    snprintf(body, sizeof body, "%08x", s->body);
+    if (count != s->function_count || !between(spare, 0, MOST_NUMBERS) || strcmp(identity, body))
         return 0;
     for (int k = 0; k < count; k++)
         own[k].compiled = functions[k];
