@@ -268,15 +268,17 @@ def _own_runtime() -> None:
     header = layout_header()
     if header == (source / "layout.h").read_text(encoding="utf-8"):
         return
-    folder = Path(tempfile.mkdtemp(prefix="alfmu_thresholds_"))
-    for path in source.glob("*.[ch]"):
-        shutil.copy(path, folder)
-    # To optimise takes longer than the runs, and changes no number.
-    script = (source / "build.py").read_text(encoding="utf-8").replace('"-O2"', '"-O0"')
-    (folder / "build.py").write_text(script, encoding="utf-8")
-    (folder / "layout.h").write_text(header, encoding="utf-8")
-    subprocess.run([sys.executable, folder / "build.py"], check=True, capture_output=True)
-    library.library = partial(library.library, folder)
+    with tempfile.TemporaryDirectory(prefix="alfmu_thresholds_") as made:
+        folder = Path(made)
+        for path in source.glob("*.[ch]"):
+            shutil.copy(path, folder)
+        # To optimise takes longer than the runs, and changes no number.
+        script = (source / "build.py").read_text(encoding="utf-8").replace('"-O2"', '"-O0"')
+        (folder / "build.py").write_text(script, encoding="utf-8")
+        (folder / "layout.h").write_text(header, encoding="utf-8")
+        subprocess.run([sys.executable, folder / "build.py"], check=True, capture_output=True)
+        loaded = library.library(folder)
+    library.library = lambda: loaded
 
 
 def variant(changed: tuple[str, str, Any], exact: Mapping[str, Any], cases: Sequence[str]) -> dict[str, Found | str]:
@@ -317,7 +319,7 @@ def compared(found: Mapping[str, Found | str], usual: Mapping[str, Found | str])
                 ratios[case] = after / before if before else math.inf if after else 1.0
         for case, ratio in (max(ratios.items(), key=lambda x: x[1]), min(ratios.items(), key=lambda x: x[1])):
             if abs(ratio - 1) > ROUGHLY:
-                parts.append(f"{what} x {ratio:.2g} ({case})")
+                parts.append(f"{what} x {ratio:.3g} ({case})")
     return "; ".join(parts) or f"within {100 * ROUGHLY:g} %"
 
 
