@@ -34,9 +34,9 @@ NOISE_FLOOR = 25.0
 """margin over the pivot contributed by masses [1]: up to it a margin cannot be told from that of the singular position
 itself, where masses contribute several such pivots."""
 
-SPACING = 0.1
-"""distance between places over the step [1]: the margin is compared at these places; near enough that it is a parabola
-there, also over long steps of integrators of order 8."""
+SPACING = 0.25
+"""distance between places over the step [1]: the margin is compared at these places; at 0.1 its round-off costs the
+N-four-bar of 10 loops in natural coordinates 1.5e-6 rad over 10 s instead of less than 1e-8."""
 
 PLACE_DISTANCE = 0.003
 """distance of the first place from which a limit is taken [rad]: nearer places magnify the round-off of accelerations,
