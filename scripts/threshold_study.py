@@ -286,6 +286,9 @@ def variant(changed: tuple[str, str, Any], exact: Mapping[str, Any], cases: Sequ
     name, module, value = changed
     if module:
         setattr(import_module(f"alfmu.{module}"), name, value)
+        from alfmu.method import singular
+
+        singular.MEAN, singular.READ_MEAN = singular.weights(singular.PLACES), singular.weights(singular.LONG_PLACES)
     _own_runtime()
     from alfmu.model.errors import AlfmuError
 

@@ -783,7 +783,7 @@ class Scene:
         seen, near = Watch(watch), ca.SX(0)
         trouble = self.unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
         if e.l:
-            near = self.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
+            near = self.continues * (1 - (seen.margin > (branch.LIMIT_ZONE * branch.PLACE_DISTANCE) ** 2))
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
 
     def read_places(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:
