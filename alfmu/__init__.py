@@ -20,6 +20,7 @@ _HOME = {
     "Joint": "model.mechanism",
     "Marker": "model.mechanism",
     "Mechanism": "model.mechanism",
+    "Recipe": "fmi.recipe",
     "Result": "simulation",
     "Settings": "model.settings",
     "StepError": "model.errors",
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from .equations import Equations as Equations
     from .equations.derivation import derive as derive
     from .fmi.export import export as export
+    from .fmi.recipe import Recipe as Recipe
     from .model.errors import AlfmuError as AlfmuError
     from .model.errors import AssemblyError as AssemblyError
     from .model.errors import DeclarationError as DeclarationError

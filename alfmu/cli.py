@@ -7,14 +7,16 @@ import json
 import os
 import re
 import sys
-import zipfile
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
+
+if TYPE_CHECKING:
+    from .fmi.recipe import Recipe
 
 __all__ = ["main"]
 
@@ -29,7 +31,12 @@ five_bar and slider_crank (pip install 'alfmu[bench]'). Also in it: tolerances h
 on particle_on_circle, five_bar and four_bar, what a scene leaves out, small maps of stability (`alfmu stability` has
 the full ones). What there was no time for, or what is not installed, is listed."""
 
+_EXPORT = """A recipe is a Python file that says what an FMU is made of: `recipe = alfmu.Recipe("five_bar",
+outputs=["*.angle"])`. What the options say takes precedence over it, those of --option and --set one by one."""
+
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
+
+_EITHER_HELP = "a registered mechanism or recipe (see `alfmu list`), or a Python file that declares one"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -69,36 +76,41 @@ def _parser() -> argparse.ArgumentParser:
     command("list", _list, "list the registered mechanisms")
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
-    sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
+    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
     sub.add_argument(
         "--sizes", action="store_true", help="export it as well, to show what its FMUs carry, in kB by part"
     )
     _add_scene(sub)
 
-    sub = command("export", _export, "write the FMU (co-simulation) of a mechanism")
-    sub.add_argument("mechanism", metavar="NAME", help=_NAME_HELP)
+    sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
+    sub.epilog = _EXPORT
+    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
         choices=("python", "native"),
-        default="python",
         help="python, the default, runs in hosts that have Python; native is C and nothing else, for every host",
     )
-    sub.add_argument("--fmi", type=int, choices=(2, 3), default=2, help="version of FMI; 3 for native FMUs alone")
+    sub.add_argument("--fmi", type=int, choices=(2, 3), help="version of FMI (default: 2); 3 for native FMUs alone")
     sub.add_argument(
         "--platform",
         metavar="all|NAMES",
         type=_names,
-        default=[],
         help="what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
         "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang)",
     )
     _add_kernel(sub)
-    sub.add_argument("--no-reference", action="store_true", help="leave out the reference results: smaller")
+    sub.add_argument("--stop-time", type=float, metavar="S", help="end of the default experiment in s")
+    sub.add_argument("--step", type=float, metavar="S", help="communication step of the default experiment in s")
+    sub.add_argument(
+        "--reference",
+        action=argparse.BooleanOptionalAction,
+        help="have reference results inside (default) or, to be smaller, leave them out",
+    )
     _add_scene(sub)
 
     sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
-    sub.add_argument("unit", metavar="NAME|FMU", help=f"{_NAME_HELP}, or an .fmu file")
+    sub.add_argument("unit", metavar="NAME|FMU", help=f"{_EITHER_HELP}, or an .fmu file")
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the unit's own)")
     sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the unit's own)")
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
@@ -166,37 +178,36 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument(
         "--compliances",
-        action="store_true",
+        action=argparse.BooleanOptionalAction,
         help="add a compliance of each constraint as a parameter: redundant constraints share a load accordingly",
     )
     sub.add_argument(
         "--lock",
         metavar="JOINTS",
         type=_names,
-        default=[],
         help="joints that Boolean inputs JOINT.locked can stop while running, as B,C",
     )
     sub.add_argument(
         "--release",
         metavar="JOINTS",
         type=_names,
-        default=[],
         help="joints that Boolean inputs JOINT.released can open while running, as E,F",
     )
 
 
-def _declared(chosen: argparse.Namespace, name: str) -> Any:
-    """A mechanism with the options, locks and releases that were chosen."""
-    from .model.registry import load
+def _changed(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
+    """A recipe with what the command line says of its scene."""
+    of_scene = ("outputs", "freeze", "lock", "release", "compliances")
+    own = {name: getattr(chosen, name) for name in of_scene}
+    return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
 
-    mechanism = load(name, **dict(chosen.option))
-    for joint in chosen.lock:
-        mechanism.lock(joint)
-    for joint in chosen.release:
-        mechanism.release(joint)
-    if chosen.compliances:
-        mechanism.compliances()
-    return mechanism
+
+def _recipe(chosen: argparse.Namespace, name: str) -> Recipe:
+    """What is shown or run: a mechanism, or a recipe where no mechanism is called so."""
+    from .fmi.recipe import Recipe, load
+    from .model.registry import mechanisms
+
+    return _changed(chosen, Recipe(name) if name in mechanisms() else load(name))
 
 
 def _names(text: str) -> list[str]:
@@ -239,12 +250,16 @@ def _pair(text: str) -> tuple[str, float | str]:
 
 
 def _list(chosen: argparse.Namespace) -> None:
+    from .fmi.recipe import recipes
     from .model.registry import choices, load, mechanisms
 
     for name in mechanisms():
         print(f"{name:20} {load(name).description}")
         for option, values in choices(name).items():
             print(f"{'':20}   --option {option}={'|'.join(values)}")
+    for name, recipe in recipes().items():
+        if said := recipe.said():
+            print(f"{name:20} FMU of {recipe.mechanism}: {said}")
 
 
 def _info(chosen: argparse.Namespace) -> None:
@@ -256,14 +271,15 @@ def _info(chosen: argparse.Namespace) -> None:
     from .simulation import prepared, with_defaults
     from .studies.cost import described
 
-    mechanism = _declared(chosen, chosen.mechanism)
-    everything = with_defaults(derive(mechanism), dict(chosen.set))
-    equations = specialised(everything, chosen.outputs, chosen.freeze)
+    recipe = _recipe(chosen, chosen.mechanism)
+    mechanism = recipe.declared()
+    everything = with_defaults(derive(mechanism), recipe.parameters)
+    equations = specialised(everything, recipe.outputs, recipe.freeze)
     instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
     instance.initialize()
     size = instance.mobility()
     print(f"{mechanism.name}: {mechanism.description}\n\n{mechanism.sketch.strip()}\n")
-    for option, values in choices(chosen.mechanism).items():
+    for option, values in choices(recipe.mechanism).items():
         print(f"option {option} = {mechanism.options[option]} ({' | '.join(values)})")
     coordinates = _merged((f"{c.name} [{c.unit}]",) for c in equations.coordinates)
     print(f"\ncoordinates ({equations.n}): {', '.join(text for (text,) in coordinates)}")
@@ -295,7 +311,7 @@ def _info(chosen: argparse.Namespace) -> None:
     if chosen.sizes:
         from .fmi.sizes import sizes
 
-        print("\n" + "\n".join(sizes(mechanism, dict(chosen.set), chosen.outputs, chosen.freeze)))
+        print("\n" + "\n".join(sizes(mechanism, recipe.parameters, recipe.outputs, recipe.freeze)))
 
 
 def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -320,16 +336,22 @@ def _range(texts: Sequence[str]) -> str:
 
 def _export(chosen: argparse.Namespace) -> None:
     from .fmi.export import export
+    from .fmi.native import libraries_in
+    from .fmi.recipe import load
 
-    given = {"parameters": dict(chosen.set), "outputs": chosen.outputs, "freeze": chosen.freeze}
-    mechanism = _declared(chosen, chosen.mechanism)
-    form = {"fmi": chosen.fmi, "kernel": chosen.kernel}
-    form["reference"] = not chosen.no_reference
-    path = export(mechanism, chosen.output, **given, **form, kind=chosen.kind, platforms=chosen.platform)
-    with zipfile.ZipFile(path) as archive:
-        platforms = sorted({name.split("/")[1] for name in archive.namelist() if name.startswith("binaries/")})
-    where = "every host" if chosen.kind == "native" else "hosts with Python (use --kind native for others)"
-    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB), kind {chosen.kind}: {where} on {', '.join(platforms)}")
+    recipe = _changed(chosen, load(chosen.mechanism)).changed(
+        kind=chosen.kind,
+        fmi=chosen.fmi,
+        platforms=chosen.platform,
+        kernel=chosen.kernel,
+        stop_time=chosen.stop_time,
+        interval=chosen.step,
+        reference=chosen.reference,
+    )
+    path = export(recipe, chosen.output)
+    platforms = libraries_in(path, recipe.kind)
+    where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
+    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
 
 
 def _simulate(chosen: argparse.Namespace) -> None:
@@ -391,17 +413,26 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
                 "is exported; give them to `alfmu export`"
             )
         fmu = Fmu(chosen.unit)
-        about = {"mechanism": fmu.name, "options": fmu.options, "parameters": fmu.parameters, "set": dict(chosen.set)}
+        about = {
+            "mechanism": fmu.mechanism,
+            "options": fmu.options,
+            "parameters": fmu.parameters,
+            "set": dict(chosen.set),
+        }
         return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
     from .equations.derivation import derive
     from .equations.specialisation import specialised
     from .runtime import Instance
     from .simulation import prepared, with_defaults
 
-    mechanism = _declared(chosen, chosen.unit)
-    equations = specialised(with_defaults(derive(mechanism), dict(chosen.set)), chosen.outputs, chosen.freeze)
-    equations = prepared(equations, chosen.kernel or DEFAULT)
-    about = {"mechanism": chosen.unit, "options": mechanism.options, "parameters": {}, "set": {}}
+    recipe = _recipe(chosen, chosen.unit)
+    mechanism = recipe.declared()
+    equations = with_defaults(derive(mechanism), recipe.parameters)
+    equations = prepared(
+        specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT
+    )
+    source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
+    about = {"mechanism": str(source), "options": mechanism.options, "parameters": recipe.parameters, "set": {}}
     return Instance(equations), {**about, "stop_time": equations.stop_time, "interval": equations.interval}
 
 

@@ -1,7 +1,10 @@
-"""FMU entry of Bennett's linkage: the class that pythonfmu runs, packed by `alfmu export bennett`."""
+"""FMU of Bennett's linkage, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("bennett")
 
 
-class Bennett(Slave):
+class Bennett(Entry, recipe=recipe):
     """Bennett's linkage behind FMI 2.0."""

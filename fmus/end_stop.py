@@ -1,7 +1,10 @@
-"""FMU entry of the slider-crank with an end stop: the class that pythonfmu runs, packed by `alfmu export end_stop`."""
+"""FMU of the slider-crank with an end stop, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("end_stop")
 
 
-class EndStop(Slave):
+class EndStop(Entry, recipe=recipe):
     """The slider-crank with an end stop behind FMI 2.0."""

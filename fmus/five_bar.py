@@ -1,7 +1,10 @@
-"""FMU entry of the five-bar linkage: the class that pythonfmu runs, packed by `alfmu export five_bar`."""
+"""FMU of the five-bar linkage, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("five_bar")
 
 
-class FiveBar(Slave):
+class FiveBar(Entry, recipe=recipe):
     """The five-bar linkage behind FMI 2.0."""

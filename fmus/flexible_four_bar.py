@@ -1,7 +1,10 @@
-"""FMU entry of the flexible four-bar: the class that pythonfmu runs, packed by `alfmu export flexible_four_bar`."""
+"""FMU of the flexible four-bar, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("flexible_four_bar")
 
 
-class FlexibleFourBar(Slave):
+class FlexibleFourBar(Entry, recipe=recipe):
     """The flexible four-bar behind FMI 2.0."""

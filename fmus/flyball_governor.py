@@ -1,7 +1,10 @@
-"""FMU entry of the flyball governor: the class that pythonfmu runs, packed by `alfmu export flyball_governor`."""
+"""FMU of the flyball governor, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("flyball_governor")
 
 
-class FlyballGovernor(Slave):
+class FlyballGovernor(Entry, recipe=recipe):
     """The flyball governor behind FMI 2.0."""

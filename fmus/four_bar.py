@@ -1,7 +1,10 @@
-"""FMU entry of the parallel four-bar linkage: the class that pythonfmu runs, packed by `alfmu export four_bar`."""
+"""FMU of the parallel four-bar linkage, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("four_bar")
 
 
-class FourBar(Slave):
+class FourBar(Entry, recipe=recipe):
     """The parallel four-bar linkage behind FMI 2.0."""

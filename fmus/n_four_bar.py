@@ -1,7 +1,10 @@
-"""FMU entry of the N-four-bar: the class that pythonfmu runs, packed by `alfmu export n_four_bar`."""
+"""FMU of the N-four-bar, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("n_four_bar")
 
 
-class NFourBar(Slave):
+class NFourBar(Entry, recipe=recipe):
     """The N-four-bar behind FMI 2.0."""

@@ -1,7 +1,10 @@
-"""FMU entry of the particle on a circle: the class that pythonfmu runs, packed by `alfmu export particle_on_circle`."""
+"""FMU of the particle on a circle, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("particle_on_circle")
 
 
-class ParticleOnCircle(Slave):
+class ParticleOnCircle(Entry, recipe=recipe):
     """The particle on a circle behind FMI 2.0."""

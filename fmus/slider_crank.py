@@ -1,7 +1,10 @@
-"""FMU entry of the slider-crank: the class that pythonfmu runs, packed by `alfmu export slider_crank`."""
+"""FMU of the slider-crank, by `alfmu export` or `pythonfmu build`."""
 
-from alfmu.fmi.slave import Slave
+from alfmu import Recipe
+from alfmu.fmi.entry import Entry
+
+recipe = Recipe("slider_crank")
 
 
-class SliderCrank(Slave):
+class SliderCrank(Entry, recipe=recipe):
     """The slider-crank behind FMI 2.0."""

@@ -74,13 +74,8 @@ def test_a_mechanism_of_the_users_own_works_wherever_a_name_does(here, capsys):
     assert (here / "file.gif").read_bytes().startswith(b"GIF89a")
 
 
-def test_another_distribution_can_register_a_mechanism(here, monkeypatch, capsys):
-    (here / "their_linkages.py").write_text(PENDULUM)
-    about = here / "their_linkages-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: their-linkages\nVersion: 1.0\n")
-    (about / "entry_points.txt").write_text("[alfmu.mechanisms]\ntheir_pendulum = their_linkages:pendulum\n")
-    monkeypatch.syspath_prepend(here)
+def test_another_distribution_can_register_a_mechanism(here, distribution, capsys):
+    distribution("their_linkages", PENDULUM, "[alfmu.mechanisms]\ntheir_pendulum = their_linkages:pendulum\n")
     assert main(["list"]) == 0
     assert "their_pendulum" in capsys.readouterr().out
     assert main(["export", "their_pendulum", "-o", "p.fmu"]) == 0

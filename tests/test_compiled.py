@@ -25,7 +25,7 @@ from alfmu.fmi.slave import COMPILED
 from alfmu.kernel import build, emit, stream
 from alfmu.kernel.program import SUFFIX
 from alfmu.kernel.tables import machine_code, packed
-from alfmu.runtime.build import HERE
+from alfmu.runtime.build import HERE, zig
 from alfmu.runtime.library import Scene
 from alfmu.simulation import prepared, run
 
@@ -111,16 +111,39 @@ def test_an_operation_that_has_no_c_is_named():
         stream.Instructions.of(f).check("some_scene", f.name())
 
 
+STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-c", "-o", os.devnull]
+
+by_each_compiler = pytest.mark.parametrize(
+    "command",
+    {" ".join(each): each for each in (build.compiler(), zig()) if each}.values(),
+    ids=lambda command: Path(command[0]).name,
+)
+"""The system's, which is gcc as a rule, and clang as zig has it."""
+
+
+def warnings(command: list[str], files: Mapping[str, str], folder: Path) -> str:
+    """What a compiler says of C files."""
+    for name, text in files.items():
+        (folder / name).write_text(text)
+    said = ""
+    for name in files:
+        if name.endswith(".c"):
+            done = subprocess.run([*command, *STRICT, name], cwd=folder, capture_output=True, text=True, check=False)
+            said += done.stderr if done.stderr or not done.returncode else f"{name}: exit code {done.returncode}"
+    return said
+
+
+@by_each_compiler
 @scenes
-def test_the_c_is_free_of_warnings(name, options, tmp_path):
-    if not (command := build.compiler()):
-        pytest.skip("no compiler")
+def test_the_c_is_free_of_warnings(name, options, command, tmp_path):
     e = prepared(derived(name, **options))
-    for i, text in enumerate(machine_code(e, packed(e))):
-        (tmp_path / f"{i}.c").write_text(text)
-        flags = ["-Wall", "-Wextra", "-Werror", "-c", f"{i}.c"]
-        done = subprocess.run([*command, *flags], cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
+    files = {f"{i}.c": text for i, text in enumerate(machine_code(e, packed(e)))}
+    assert warnings(command, files, tmp_path) == ""
+
+
+@by_each_compiler
+def test_the_c_of_the_runtime_is_free_of_warnings(command, tmp_path):
+    assert warnings(command, native.sources(), tmp_path) == ""
 
 
 def values(e: Equations) -> NDArray:

@@ -506,3 +506,22 @@ def test_validation_finds_what_is_wrong(exported, tmp_path):
         validate(nothing)
     with pytest.raises(alfmu.ExportError, match=r"does not end in \.fmu"):
         alfmu.export("five_bar", tmp_path / "five_bar.zip")
+
+
+def test_a_folder_that_pythonfmu_cannot_read_is_refused_and_native_fmus_run_there(exported, tmp_path, monkeypatch):
+    """pythonfmu's library would end the process: it decodes blanks in a URI alone."""
+    native = alfmu.export("particle_on_circle", tmp_path / "native.fmu", kind="native")
+    for folder in ("ü", "a#b", "50%", "a+b", "it's", "a b"):
+        (tmp_path / folder).mkdir()
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path / folder))
+        runs = [native]
+        if folder == "a b":
+            runs.append(exported("particle_on_circle"))
+        else:
+            with pytest.raises(alfmu.ExportError, match=r"is of kind python, .* set TMPDIR to another one"):
+                Fmu(exported("particle_on_circle"))
+        for path in runs:
+            with Fmu(path) as fmu:
+                fmu.initialize()
+                fmu.step(0.02, 0.0)
+        assert not list((tmp_path / folder).iterdir())

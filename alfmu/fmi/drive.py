@@ -76,9 +76,11 @@ class Fmu:
         }
         """Defaults of the numbers that can be set before the run."""
         self._folder = extract(str(path))
-        options = Path(self._folder, "resources", OPTIONS)
-        self.options = json.loads(options.read_text())["options"] if options.is_file() else {}
-        """Options that the mechanism was exported with, if alfmu exported it."""
+        self._check_folder(path)
+        facts = Path(self._folder, "resources", OPTIONS)
+        known = json.loads(facts.read_text()) if facts.is_file() else {}
+        self.mechanism, self.options = known.get("mechanism", self.name), known.get("options", {})
+        """The mechanism, and the options that it was exported with, if alfmu exported it."""
         try:
             self.slave = instantiate_fmu(
                 self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
@@ -177,6 +179,17 @@ class Fmu:
     def reference(self) -> tuple[Experiment, Result] | None:
         """The experiment and the reference results inside, None where there are none."""
         return Experiment.read(Path(self._folder), self.description.coSimulation.modelIdentifier)
+
+    def _check_folder(self, path: str | Path) -> None:
+        """ExportError where pythonfmu's library would end the process: of a URI, it decodes blanks alone."""
+        resources = Path(self._folder, "resources")
+        if (resources / "slavemodule.txt").is_file() and "%" in resources.as_uri().replace("%20", ""):
+            self._clean()
+            raise ExportError(
+                f"{path} is of kind python, and cannot be started in {resources.parent}, where FMUs are unpacked: "
+                "pythonfmu takes ASCII letters, digits, blanks and -._~ in a path alone; set TMPDIR to another one, or "
+                "export with --kind native"
+            )
 
     def _of(self, causality: str) -> Iterator[ModelVariable]:
         return (v for v in self._by_name.values() if v.causality == causality)

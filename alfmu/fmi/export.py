@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import importlib.util
 import json
 import os
 import re
@@ -17,6 +16,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 from pythonfmu.builder import FmuBuilder
 
@@ -28,7 +28,6 @@ from ..kernel.build import compiled_scene, verified
 from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
-from ..model.registry import load
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..simulation import prepared, with_defaults
@@ -43,19 +42,11 @@ from .description import (
     model_description3,
 )
 from .experiment import reference_results
+from .recipe import Recipe, load
 from .slave import COMPILED, OPTIONS, SCENE
 from .terminals import document, terminals
 
-__all__ = ["KINDS", "RUN_SIDE", "export", "packed_scene"]
-
-KINDS = {
-    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
-    "native": "a C library and nothing else: for every host, on the platforms that it carries",
-}
-"""Kinds of FMUs."""
-
-GROUP = "alfmu.fmus"
-"""Entry-point group of modules with a pythonfmu class for the mechanism of the same name."""
+__all__ = ["RUN_SIDE", "described", "export", "packed_scene"]
 
 RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
 """Modules of alfmu that travel inside an FMU for Python, beside the C library."""
@@ -63,12 +54,12 @@ RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
 HOSTS = ("linux64", "win64")
 """Platforms that pythonfmu has a library for."""
 
-_ENTRY = '''"""FMU entry of a mechanism that has none of its own."""
+_ENTRY = '''"""FMU entry of {name}: the class that pythonfmu runs."""
 
-from alfmu.fmi.slave import Slave
+from {package}.fmi.slave import Slave
 
 
-class Entry(Slave):
+class {title}(Slave):
     """The mechanism behind FMI 2.0."""
 '''
 
@@ -77,7 +68,7 @@ _PINNED = (1980, 1, 1, 0, 0, 0)
 
 
 def export(
-    mechanism: str | Path | Mechanism,
+    mechanism: str | Path | Mechanism | Recipe,
     path: str | Path | None = None,
     *,
     options: Mapping[str, Any] | None = None,
@@ -85,34 +76,22 @@ def export(
     outputs: Sequence[str] | None = None,
     freeze: Sequence[str] | None = None,
     kernel: str | None = None,
-    kind: str = "python",
-    platforms: Sequence[str] = (),
-    fmi: int = 2,
-    reference: bool = True,
+    kind: str | None = None,
+    platforms: Sequence[str] | None = None,
+    fmi: int | None = None,
+    reference: bool | None = None,
 ) -> Path:
-    """Write the FMU (co-simulation) of a mechanism and return its path, `<name>.fmu` by default.
+    """Write the FMU (co-simulation) of a mechanism or a recipe and return its path, `<name>.fmu` by default.
 
-    `options` are the mechanism's own; `parameters` changes the defaults of parameters, start values, inputs and solver
-    variables. Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are there, None for all; the
-    parameters in `freeze` become constants, `["all"]` for every one. `kind` is one of `KINDS`. `kernel` is what runs in
-    one that runs in Python (`alfmu.kernel.KERNELS`, but for `oracle`): one with compiled functions runs without them on
-    other platforms. A native one is for `platforms` (`alfmu.fmi.native.PLATFORMS`, or
-    `all`), this one by default, and may be of FMI 3 (`fmi`). Reference results (`alfmu.fmi.experiment`) are inside
-    unless `reference` is False. The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot
-    start from the defaults, and ExportError where the file cannot be written or compiled.
+    A name or a Python file stands for the recipe that is registered or declared there, or else for a mechanism. The
+    other arguments are fields of `Recipe`: they take precedence over the recipe, `options` and `parameters` one by one.
+    The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults, and
+    ExportError where the file cannot be written or compiled.
     """
-    if kind not in KINDS:
-        raise ExportError(f"there is no kind {kind!r} of FMU; use one of {', '.join(KINDS)}")
-    if kernel == "oracle":
-        raise ExportError("no FMU carries the oracle, which is for comparison in the library; leave --kernel out")
-    if kind == "native" and kernel is not None:
-        raise ExportError("a native FMU has a kernel of its own; leave --kernel out")
-    if kind == "python" and platforms:
-        raise ExportError("an FMU that runs in Python is for no platform of its own; leave --platform out")
-    if fmi not in (2, 3) or (fmi == 3 and kind != "native"):
-        raise ExportError(f"there is no {kind} FMU of FMI {fmi}; use FMI 2, or a native one of FMI 3")
-    declared = load(mechanism, **(options or {}))
-    derived, equations = packed_scene(declared, parameters, outputs, freeze, kernel, kind)
+    own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
+    recipe = load(mechanism).changed(**own, kernel=kernel, kind=kind, platforms=platforms, fmi=fmi)
+    declared = recipe.declared()
+    derived, equations = _scene(recipe, declared)
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
         path = path / f"{equations.name}.fmu"
@@ -120,45 +99,42 @@ def export(
         raise ExportError(f"{equations.name}: {path} does not end in .fmu")
 
     version = importlib.metadata.version("alfmu")
-    posed = {name: value for name, value in (parameters or {}).items() if not name.startswith("solver.")}
+    posed = {name: value for name, value in recipe.parameters.items() if not name.startswith("solver.")}
     picture = model_png(declared, posed, equations=derived)
-    results = reference_results(equations) if reference else {}
-    if kind == "native":
-        _archive(path, {**results, **_native(equations, declared, version, picture, platforms, fmi)})
+    results = reference_results(equations) if recipe.reference else {}
+    if recipe.kind == "native":
+        _archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
         return path
-    generator = f"alfmu {version} with pythonfmu {importlib.metadata.version('pythonfmu')}"
-    sources, scene, entry = {name: _source(name) for name in RUN_SIDE}, packed(equations), _entry(equations.name)
-    hosts = [name for name in native.platforms(equations.name, ()) if name in HOSTS]
-    libraries = {native.file_name(name): data for name, data in native.libraries(equations.name, hosts).items()}
-    content = [entry.encode(), *(text.encode() for text in sources.values()), scene]
+    sources, scene, name = {each: _source(each) for each in RUN_SIDE}, packed(equations), equations.name
+    hosts = [each for each in native.platforms(name, ()) if each in HOSTS]
+    libraries = {native.file_name(each): data for each, data in native.libraries(name, hosts).items()}
+    content = [_ENTRY.encode(), *(text.encode() for text in sources.values()), scene]
     digest = hashlib.sha256(b"\0".join(content)).hexdigest()[:16]
-    package = f"alfmu_{equations.name}_{digest}"
+    package, generator = f"alfmu_{name}_{digest}", _generator()
     guid = _guid(generator, digest)
-    resources = {SCENE: identified(scene, guid), OPTIONS: _options(equations), **libraries}
-    if equations.library:
-        library = compiled_scene(equations, resources[SCENE])
-        resources[f"{COMPILED}{HERE}{library.suffix}"] = verified(equations.name, library)
+    entry = _ENTRY.format(name=name, package=package, title=name.title().replace("_", ""))
+    resources = {**_resources(recipe, equations, scene, guid), **libraries}
 
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)
-        script = _write(top / f"{equations.name}_{digest}.py", entry.replace("alfmu.fmi.slave", f"{package}.fmi.slave"))
+        script = _write(top / f"{name}_{digest}.py", entry)
         _write(top / package / "__init__.py", '"""The run side of alfmu."""\n')
-        for name in sorted({str(Path(module).parent) for module in sources} - {"."}):
-            _write(top / package / name / "__init__.py", '"""Part of the run side."""\n')
-        for name, text in sources.items():
-            _write(top / package / name, text)
-        for name, data in resources.items():
-            (top / name).write_bytes(data)
+        for room in sorted({str(Path(module).parent) for module in sources} - {"."}):
+            _write(top / package / room / "__init__.py", '"""Part of the run side."""\n')
+        for module, text in sources.items():
+            _write(top / package / module, text)
+        for file, data in resources.items():
+            (top / file).write_bytes(data)
         documents, needs = top / "documentation", dependencies()
         page = documentation(equations, declared.sketch, declared.documentation, generator, needs)
         _write(documents / "index.html", page)
         _write(documents / "externalDependencies.txt", needs + "\n")
-        for name in ("alfmu", "pythonfmu"):
-            _write(documents / "licenses" / f"{name}.txt", _license(name))
+        for each in ("alfmu", "pythonfmu"):
+            _write(documents / "licenses" / f"{each}.txt", _license(each))
         (documents / "model.png").write_bytes(picture)
-        made = top / f"{equations.name}.fmu"
+        made = top / f"{name}.fmu"
         with _imports_undone(package, script.stem):
-            FmuBuilder.build_FMU(script, made, [top / package, *(top / name for name in resources)], documents)
+            FmuBuilder.build_FMU(script, made, [top / package, *(top / file for file in resources)], documents)
         described = {
             "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
             "model.png": picture,
@@ -167,6 +143,37 @@ def export(
             files = {info.filename: archive.read(info) for info in archive.infolist() if not info.is_dir()}
         _archive(path, {**files, **described, **results})
     return path
+
+
+def described(recipe: Recipe) -> tuple[ET.Element, dict[str, bytes]]:
+    """The description of an FMU of kind python, and the files of its scene, for pythonfmu's own command."""
+    recipe = recipe.changed(kind="python")
+    declared = recipe.declared()
+    _, equations = _scene(recipe, declared)
+    scene, generator = packed(equations), _generator()
+    guid = _guid(generator, hashlib.sha256(scene).hexdigest())
+    version = importlib.metadata.version("alfmu")
+    text = model_description(equations, version, generator, guid, credits=_credits(declared))
+    return ET.fromstring(text), _resources(recipe, equations, scene, guid)
+
+
+def _scene(recipe: Recipe, declared: Mechanism) -> tuple[Equations, Equations]:
+    r = recipe
+    return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel, r.kind)
+
+
+def _resources(recipe: Recipe, equations: Equations, scene: bytes, guid: str) -> dict[str, bytes]:
+    """The files of a scene by name, with compiled functions where there are any."""
+    files = {SCENE: identified(scene, guid), OPTIONS: _options(recipe, equations)}
+    if equations.library:
+        library = compiled_scene(equations, files[SCENE])
+        files[f"{COMPILED}{HERE}{library.suffix}"] = verified(equations.name, library)
+    return files
+
+
+def _generator() -> str:
+    """What makes FMUs of kind python."""
+    return f"alfmu {importlib.metadata.version('alfmu')} with pythonfmu {importlib.metadata.version('pythonfmu')}"
 
 
 def packed_scene(
@@ -188,11 +195,11 @@ def packed_scene(
 
 
 def _native(
-    equations: Equations, declared: Mechanism, version: str, picture: bytes, platforms: Sequence[str], fmi: int
+    recipe: Recipe, equations: Equations, declared: Mechanism, version: str, picture: bytes
 ) -> dict[str, bytes]:
     """The files of a native FMU."""
-    e = equations
-    chosen = native.platforms(e.name, platforms)
+    e, fmi = equations, recipe.fmi
+    chosen = native.platforms(e.name, recipe.platforms)
     files, scene = native.sources(), packed(e)
     generator = f"alfmu {version}"
     guid = _guid(generator, hashlib.sha256(scene).hexdigest())
@@ -223,7 +230,7 @@ def _native(
         "documentation/model.png": picture,
         "documentation/licenses/alfmu.txt": _license("alfmu").encode(),
         f"resources/{SCENE}": identified(scene, guid),
-        f"resources/{OPTIONS}": _options(e),
+        f"resources/{OPTIONS}": _options(recipe, e),
         **{f"sources/{name}": text.encode() for name, text in files.items()},
         **libraries,
     }
@@ -245,20 +252,15 @@ def _credits(declared: Mechanism) -> dict[str, str]:
     return {name: value for name, value in found.items() if value}
 
 
-def _options(equations: Equations) -> bytes:
-    return json.dumps({"options": equations.options}, indent=1).encode()
+def _options(recipe: Recipe, equations: Equations) -> bytes:
+    """What the FMU is of: the mechanism, by which it is drawn, and its options."""
+    registered = isinstance(recipe.mechanism, str) and not recipe.mechanism.endswith(".py")
+    facts = {"mechanism": recipe.mechanism if registered else equations.name, "options": equations.options}
+    return json.dumps(facts, indent=1).encode()
 
 
 def _guid(generator: str, digest: str) -> str:
     return "{" + str(uuid.uuid5(uuid.NAMESPACE_URL, f"alfmu:{generator}:{digest}")) + "}"
-
-
-def _entry(name: str) -> str:
-    for entry in importlib.metadata.entry_points(group=GROUP):
-        if entry.name == name:
-            spec = importlib.util.find_spec(entry.module)
-            return Path(spec.origin).read_text(encoding="utf-8")
-    return _ENTRY
 
 
 def _source(name: str) -> str:

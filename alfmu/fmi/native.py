@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from ..model.settings import Settings
 from ..runtime import build
 from ..runtime.build import HERE, PLATFORMS, file_name
 
-__all__ = ["PLATFORMS", "checked", "file_name", "libraries", "platforms", "sources"]
+__all__ = ["PLATFORMS", "checked", "file_name", "libraries", "libraries_in", "platforms", "sources"]
 
 
 def checked(equations: Equations) -> None:
@@ -54,6 +55,16 @@ def platforms(scene: str, names: Iterable[str]) -> list[str]:
 def libraries(scene: str, names: Iterable[str]) -> dict[str, bytes]:
     """The library of each platform, with which alfmu came or which zig builds now."""
     return {name: (_there(name) if _there(name).is_file() else _built(scene, name)).read_bytes() for name in names}
+
+
+def libraries_in(path: Path, kind: str) -> list[str]:
+    """Names of the platforms for which an FMU of a kind carries the runtime."""
+    with zipfile.ZipFile(path) as archive:
+        files = archive.namelist()
+    folders = {file.split("/")[1] for file in files if file.startswith("binaries/")}
+    if kind == "python":  # its binaries are pythonfmu's
+        return [name for name in PLATFORMS if f"resources/{file_name(name)}" in files]
+    return [name for name, platform in PLATFORMS.items() if folders & {name, platform.fmi3}]
 
 
 def _there(name: str) -> Path:

@@ -13,7 +13,8 @@ from ..kernel.tables import alone, function_sizes, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
 from . import native
-from .export import KINDS, export, packed_scene
+from .export import export, packed_scene
+from .recipe import KINDS
 
 __all__ = ["sizes"]
 

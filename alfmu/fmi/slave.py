@@ -81,13 +81,17 @@ class Slave(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         folder = Path(self.resources)
-        self.scene = Scene((folder / SCENE).read_bytes(), folder)
+        self.scene = self._scene(folder)
         for path in folder.glob(f"{COMPILED}*"):
             with suppress(OSError):  # one for another platform
                 self.scene.compiled_by(path)
         self.unit = Unit(self.scene)
         self.modelName = self.scene.name
         self._refused: dict[int, str] = {}
+
+    def _scene(self, folder: Path) -> Scene:
+        """The scene among the resources, run by the library there."""
+        return Scene((folder / SCENE).read_bytes(), folder)
 
     # Life --------------------------------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from typing import Any
 from .errors import AlfmuError, InputError
 from .mechanism import Mechanism
 
-__all__ = ["GROUP", "choices", "load", "mechanisms", "options"]
+__all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options"]
 
 GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
@@ -69,8 +69,10 @@ def options(mechanism: str | Path) -> dict[str, tuple]:
     }
 
 
-def choices(mechanism: str | Path) -> dict[str, list[str]]:
-    """Options of a mechanism: name -> the values it takes, or a word for them."""
+def choices(mechanism: str | Path | Mechanism) -> dict[str, list[str]]:
+    """Options of a mechanism: name -> the values it takes, or a word for them; none of one that is declared already."""
+    if isinstance(mechanism, Mechanism):
+        return {}
     hints = _hints(mechanism, _factory(mechanism))
     words = {int: "whole number", float: "number", str: "text"}
     return {
@@ -108,9 +110,7 @@ def _factory(mechanism: str | Path) -> Factory:
 
 
 def _from_file(path: Path) -> Factory:
-    if not path.is_file():
-        raise InputError(f"there is no file {path}")
-    names = _guarded(path, lambda: runpy.run_path(str(path), run_name=path.stem))
+    names = executed(path)
     functions = {k: f for k, f in names.items() if inspect.isfunction(f) and f.__module__ == path.stem}
     if path.stem in functions:
         return functions[path.stem]
@@ -124,6 +124,13 @@ def _from_file(path: Path) -> Factory:
         f"{path} declares no single mechanism; give it a function {path.stem}() that returns a Mechanism, or one "
         "Mechanism object"
     )
+
+
+def executed(path: Path) -> dict[str, Any]:
+    """Run a user's Python file; returns its names. Raises InputError where it is not there or fails, with the line."""
+    if not path.is_file():
+        raise InputError(f"there is no file {path}")
+    return _guarded(path, lambda: runpy.run_path(str(path), run_name=path.stem))
 
 
 def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:

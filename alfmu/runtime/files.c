@@ -92,7 +92,7 @@ void own_resources(char *path)
     }
 #endif
     for (int k = 0; k < 3; k++) {
-        end = strrchr(path, '/');
+        end = (strrchr)(path, '/'); /* the function: in new headers the macro of its name is no C99 */
         if (!end) {
             *path = 0;
             return;

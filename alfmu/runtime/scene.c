@@ -803,14 +803,14 @@ static void body(Reader *r)
 
 Scene *scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)
 {
-    static const unsigned char magic[8] = "ALFMU\r\n\x1a";
+    static const char magic[] = "ALFMU\r\n\x1a";
     Scene *s = calloc(1, sizeof *s);
     Reader r = {bytes, bytes + size, s, why, why_size, 0, 0};
     if (!s) {
         snprintf(why, why_size, "there is no memory for it");
         return NULL;
     }
-    if (size < HEAD || memcmp(bytes, magic, sizeof magic))
+    if (size < HEAD || memcmp(bytes, magic, sizeof magic - 1))
         spoil(&r, "it is not a scene file");
     else if (little(bytes + 8, 4) != SCENE_VERSION)
         spoil(&r, "its version is %u and this runtime reads %u; export it again", (unsigned)little(bytes + 8, 4),

@@ -1,0 +1,231 @@
+"""Recipes: what an FMU is made of, declared in a Python file that `alfmu export` and `pythonfmu build` read."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from copy import copy
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
+from importlib.metadata import entry_points
+from numbers import Real
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+from ..kernel import KERNELS
+from ..model.errors import ExportError, InputError
+
+if TYPE_CHECKING:
+    from ..model.mechanism import Mechanism
+
+__all__ = ["GROUP", "KINDS", "Recipe", "load", "recipes"]
+
+GROUP = "alfmu.fmus"
+"""Entry-point group in which any package can register modules that declare a recipe."""
+
+KINDS = {
+    "python": "runs in Python, in hosts that have it: Linux and Windows on x86-64",
+    "native": "a C library and nothing else: for every host, on the platforms that it carries",
+}
+"""Kinds of FMUs."""
+
+_OF_A_KIND = ("kernel", "platforms", "fmi")
+"""Fields that hold for one kind of FMU alone."""
+
+
+def _dictionary(value: object) -> bool:
+    return isinstance(value, Mapping) and all(isinstance(key, str) for key in value)
+
+
+def _text(value: object) -> str:
+    return ", ".join(f"{k}={x}" for k, x in value.items()) if isinstance(value, Mapping) else str(value)
+
+
+def _names(value: object) -> bool:
+    return isinstance(value, tuple) and all(isinstance(each, str) for each in value)
+
+
+def _seconds(value: object) -> bool:
+    return value is None or (isinstance(value, Real) and value is not True and 0 < value < math.inf)
+
+
+def _one_of(*known: object) -> tuple[Callable[[object], bool], str]:
+    text = " or ".join(map(str, known))
+    return lambda value: any(type(value) is type(each) and value == each for each in known), text
+
+
+_LISTS = ("lock", "release", "outputs", "freeze", "platforms")
+"""Fields that are lists of names; one name stands for a list of one."""
+
+_FORM: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "mechanism": (lambda x: isinstance(x, (str, Path)) or hasattr(x, "experiment"), "a name, a path or a Mechanism"),
+    "name": (
+        lambda x: isinstance(x, str) and re.fullmatch(r"([A-Za-z_][A-Za-z_0-9]*)?", x),
+        "letters, digits and underscores; rename the file, or give the recipe a name",
+    ),
+    "options": (_dictionary, "a dictionary from names to values"),
+    "parameters": (
+        lambda x: _dictionary(x) and all(isinstance(value, (Real, str)) for value in x.values()),
+        "a dictionary from names to numbers or texts",
+    ),
+    **dict.fromkeys(("lock", "release", "platforms"), (_names, "a list of names")),
+    **dict.fromkeys(("outputs", "freeze"), (lambda x: x is None or _names(x), "a list of names, or None")),
+    **dict.fromkeys(("compliances", "reference"), _one_of(True, False)),
+    **dict.fromkeys(("stop_time", "interval"), (_seconds, "a finite number of seconds above zero, or None")),
+    "kernel": _one_of(*KERNELS, None),
+}
+"""Fields of a recipe: whether a value can be one, and in words."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """One exported FMU: a mechanism, what of it the FMU has, and its form. Checked when it is made.
+
+    `mechanism` is a registered name, the path of a Python file that declares one (relative to the recipe's file), or a
+    `Mechanism`. Raises InputError where a field is not what it says below, ExportError where fields contradict each
+    other; names of variables, joints and options are checked when the FMU is exported.
+    """
+
+    mechanism: str | Path | Mechanism
+    _: KW_ONLY
+    name: str = ""
+    """Name of the model; by default that of the recipe's file, or of the mechanism where there is no file."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Of the mechanism, such as its coordinates."""
+    lock: Sequence[str] = ()
+    """Joints that Boolean inputs can stop."""
+    release: Sequence[str] = ()
+    """Joints that Boolean inputs can open."""
+    compliances: bool = False
+    """Whether each constraint has a compliance as a parameter."""
+    parameters: Mapping[str, float | str] = field(default_factory=dict)
+    """Other defaults of parameters, start values, inputs and solver variables; the tolerance of the experiment is
+    `solver.relative_tolerance`, the internal step `solver.step_size`."""
+    outputs: Sequence[str] | None = None
+    """The outputs that are computed, as names or patterns such as `link*.angle`; None for all."""
+    freeze: Sequence[str] | None = None
+    """Parameters of the mechanism that become constants, `["all"]` for every one."""
+    stop_time: float | None = None
+    """End of the default experiment [s]; None for the mechanism's own."""
+    interval: float | None = None
+    """Communication step of the default experiment [s]; None for the mechanism's own."""
+    kind: str = "python"
+    """One of KINDS."""
+    kernel: str | None = None
+    """What runs an FMU of kind python, of `alfmu.kernel.KERNELS`; with compiled functions it runs without them on other
+    platforms."""
+    platforms: Sequence[str] = ()
+    """Of a native FMU, of `alfmu.fmi.native.PLATFORMS`, or `["all"]`; empty for those that alfmu came with."""
+    fmi: int = 2
+    """Version of FMI; 3 for native FMUs."""
+    reference: bool = True
+    """Whether reference results (`alfmu.fmi.experiment`) are inside."""
+
+    def __post_init__(self) -> None:
+        for name, (good, what) in _FORM.items():
+            value = getattr(self, name)
+            if name in _LISTS and isinstance(value, Iterable):
+                value = (value,) if isinstance(value, str) else tuple(value)
+            if not good(value):
+                raise InputError(f"recipe of {self}: {name} is {value!r}; it must be {what}")
+            object.__setattr__(self, name, MappingProxyType({**value}) if isinstance(value, Mapping) else value)
+        # Options of the command line and fields of a recipe are called alike.
+        if self.kind not in list(KINDS):
+            raise ExportError(f"{self}: there is no kind {self.kind!r} of FMU; use one of {', '.join(KINDS)}")
+        if self.kernel == "oracle":
+            raise ExportError(
+                f"{self}: no FMU carries the oracle, which is for comparison in the library; leave --kernel out"
+            )
+        if self.kind == "native" and self.kernel is not None:
+            raise ExportError(f"{self}: a native FMU has a kernel of its own; leave --kernel out")
+        if self.kind == "python" and self.platforms:
+            raise ExportError(f"{self}: an FMU that runs in Python is for no platform of its own; leave --platform out")
+        if self.fmi not in (2, 3) or (self.fmi == 3 and self.kind != "native"):
+            raise ExportError(
+                f"{self}: there is no {self.kind} FMU of FMI {self.fmi}; use FMI 2, or a native one of FMI 3"
+            )
+
+    def __str__(self) -> str:
+        return self.name or getattr(self.mechanism, "name", str(self.mechanism))
+
+    def said(self) -> str:
+        """What it says beyond the mechanism's name, for a reader."""
+        plain = Recipe(self.mechanism)
+        own = [f.name for f in fields(self) if f.name != "name" and getattr(self, f.name) != getattr(plain, f.name)]
+        texts = {name: getattr(self, name) for name in own}
+        return "; ".join(f"{name} {', '.join(x) if isinstance(x, tuple) else _text(x)}" for name, x in texts.items())
+
+    def changed(self, **given: Any) -> Recipe:
+        """The same recipe with other fields, of which None changes nothing; options and parameters are added.
+
+        Fields that hold for one kind alone are dropped where the kind changes.
+        """
+        given = {name: value for name, value in given.items() if value is not None}
+        for name in ("options", "parameters"):
+            given[name] = {**getattr(self, name), **given.get(name, {})}
+        if given.get("kind", self.kind) != self.kind:
+            given = {f.name: f.default for f in fields(self) if f.name in _OF_A_KIND} | given
+        return replace(self, **given)
+
+    def in_file(self, path: Path) -> Recipe:
+        """The recipe that a file declares: called after it, paths relative to it."""
+        where = self.mechanism
+        if isinstance(where, (str, Path)) and str(where).endswith(".py"):
+            where = path.parent / where
+        return replace(self, mechanism=where, name=self.name or path.stem)
+
+    def declared(self) -> Mechanism:
+        """The mechanism with its options, locks, releases and compliances, by the name of the model."""
+        from ..model.registry import load
+
+        mechanism = load(self.mechanism, **self.options)
+        if mechanism is self.mechanism:
+            if self.lock or self.release or self.compliances:
+                raise InputError(f"{self}: the mechanism is declared already; give it locks and compliances itself")
+            mechanism = copy(mechanism)
+        for joint in self.lock:
+            mechanism.lock(joint)
+        for joint in self.release:
+            mechanism.release(joint)
+        if self.compliances:
+            mechanism.compliances()
+        mechanism.name = self.name or mechanism.name
+        own = {"stop_time": self.stop_time, "interval": self.interval}
+        own = {name: value for name, value in own.items() if value is not None}
+        mechanism.experiment = replace(mechanism.experiment, **own)
+        return mechanism
+
+
+def recipes() -> dict[str, Recipe]:
+    """All registered recipes by name, in alphabetical order."""
+    return {name: load(name) for name in sorted({entry.name for entry in entry_points(group=GROUP)})}
+
+
+def load(which: str | Path | Mechanism | Recipe) -> Recipe:
+    """The recipe of a registered name or a Python file; that of a mechanism as it is where there is no recipe.
+
+    A file declares one as a `Recipe` object. Raises InputError where there is no such file, its code fails, or it
+    declares several.
+    """
+    if isinstance(which, Recipe):
+        return which
+    if str(which).endswith(".py"):
+        from ..model.registry import executed
+
+        return _declared(Path(which), executed(Path(which))) or Recipe(which)
+    for entry in entry_points(group=GROUP):
+        if entry.name == which:
+            module = entry.load()
+            if found := _declared(Path(module.__file__), vars(module)):
+                return found
+            raise InputError(f"{entry.value}, registered as the recipe {which}, declares none; give it a Recipe object")
+    return Recipe(which)
+
+
+def _declared(path: Path, names: Mapping[str, Any]) -> Recipe | None:
+    """The recipe among the names of a file."""
+    found = {id(x): x for x in names.values() if isinstance(x, Recipe)}
+    if len(found) > 1:
+        raise InputError(f"{path} declares {len(found)} recipes; a file declares one, so give each a file")
+    return next((recipe.in_file(path) for recipe in found.values()), None)
