@@ -120,7 +120,7 @@ def layout_header() -> str:
         "TURN": program_module.TURN,
         "CORRECTIONS": formulations.CORRECTIONS,
         "NOISE_FLOOR": singular.NOISE_FLOOR,
-        "PLACE_DISTANCE": singular.PLACE_DISTANCE,
+        "LEAST_DISTANCE": singular.LEAST_DISTANCE,
         "REGULAR_PRODUCT": singular.REGULAR_PRODUCT,
         "CONVERGENCE": singular.CONVERGENCE,
         "QUARTER": math.pi / 2,

@@ -83,8 +83,10 @@ class Plan:
     """Whether few iterations are judged by how they shrink; otherwise the last change must be within the tolerance."""
     weighted: bool = False
     """Whether each constraint may have a penalty of its own."""
+    spacing: float = branch.SPACING
+    """Of the places from which limits are taken on the branch, over the step."""
     side: int = branch.PLACES
-    """How many places there are on either side, from which limits are taken on the branch."""
+    """How many of these places there are on either side."""
     branch: bool = False
     """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
     margins: bool = False
@@ -614,7 +616,7 @@ class Scene:
 
     def spacing(self, plan: Plan, v: ca.SX, dt: ca.SX) -> ca.SX:
         """S4: distance [s] of places along v; steps of error control may be too short to tell the places apart."""
-        spacing = branch.SPACING * dt
+        spacing = plan.spacing * dt
         if plan.side == Plan.side:
             return spacing
         return ca.fmax(spacing, ca.sqrt(_TOLD * self.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
@@ -623,16 +625,18 @@ class Scene:
         """S2: the margin at q, and whether a limit may have to be taken; also q after a correction (10), most of
         which is known then."""
         here = self._margin(q)
-        near = 1 - (ca.sqrt(here) >= branch.LIMIT_ZONE * self.least_distance)
+        farthest = branch.LIMIT_ZONE * ca.fmax(branch.MOST_DISTANCE, self.least_distance)
+        near = 1 - (ca.sqrt(here) >= farthest)
         return {"here": here, "zone": near, "spacing": ca.SX(0), "placed": self.placed(q)}
 
     def approached(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> dict[str, ca.SX]:
         """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places for it."""
         rate = self._rate(here, q, v, spacing)
-        zone = ca.sqrt(here) < branch.LIMIT_ZONE * self.least_distance
+        wanted = ca.fmax(ca.fmin(rate, branch.MOST_DISTANCE), self.least_distance)
+        zone = ca.sqrt(here) < branch.LIMIT_ZONE * wanted
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         zone = ca.if_else(rate > 0, zone, here <= self.nothing)
-        return {"zone": zone, "spacing": spacing * self.least_distance / rate}
+        return {"zone": zone, "spacing": spacing * wanted / rate}
 
     def _rate(self, here: ca.SX, q: ca.SX, v: ca.SX, spacing: ca.SX) -> ca.SX:
         """S2: the distance that one spacing along v covers at q of a known margin; 0 where that cannot be told."""
@@ -783,7 +787,7 @@ class Scene:
         seen, near = Watch(watch), ca.SX(0)
         trouble = self.unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
         if e.l:
-            near = self.continues * (1 - (seen.margin > (branch.LIMIT_ZONE * branch.PLACE_DISTANCE) ** 2))
+            near = self.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
 
     def read_places(self, q: ca.SX, v: ca.SX, dt: ca.SX) -> dict[str, ca.SX]:

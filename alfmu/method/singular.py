@@ -35,12 +35,16 @@ NOISE_FLOOR = 25.0
 itself, where masses contribute several such pivots."""
 
 SPACING = 0.25
-"""distance between places over the step [1]: the margin is compared at these places; at 0.1 its round-off costs the
-N-four-bar of 10 loops in natural coordinates 1.5e-6 rad over 10 s instead of less than 1e-8."""
+"""distance between places over the step [1]: limits then err like the step, of order 4; at 0.1 the N-four-bar of 10
+loops in natural coordinates is 1.5e-6 rad off after 10 s instead of less than 1e-8, by the round-off of margins."""
 
-PLACE_DISTANCE = 0.01
-"""distance of the first place from which a limit is taken [rad]: from 0.003 to 0.015 errors of runs change by 0.7 % at
-most; below 0.0075 `stiff` at 1e-9 refuses steps, as near places magnify the round-off of accelerations."""
+LEAST_DISTANCE = 0.003
+"""distance of the first place [rad]: nearer ones magnify round-off; with 0.01 for all steps the N-four-bar loses its
+order under drive (`tests/test_n_four_bar.py`)."""
+
+MOST_DISTANCE = 0.015
+"""distance of the first place [rad]: the error of a limit grows with its fourth power; with 0.003 for all steps `stiff`
+at 1e-9 refuses seven steps in 3 s instead of none (`tests/test_methods.py`)."""
 
 CONVERGENCE = 7.0
 """distance of the first place over the root of the pivot contributed by masses [1]: each multiplier iteration gains
@@ -51,8 +55,8 @@ DOUBLINGS = 20
 million times its own."""
 
 LIMIT_ZONE = 0.5
-"""distance to the singular position over that of the first place [1]: stages closer than 0.005 rad take the limit, and
-reactions read there are limits; its places are then on both sides of the position."""
+"""distance to the singular position over that of the first place [1]: closer stages take the limit; at this distance
+its places are on both sides of the position."""
 
 INDEPENDENT_MASS = 1e3
 """mass added to independent coordinates over that of the motion [1]: large enough that a stage is brought to the branch
@@ -62,12 +66,20 @@ READ_DISTANCE = 0.03
 """distance of the first place where reactions are read [rad]: reactions lose digits with its fourth power, so it is
 larger than that of accelerations."""
 
+READ_ZONE = 0.2
+"""distance to the singular position over READ_DISTANCE [1]: reactions read closer than this are limits; farther ones
+are as exact by themselves."""
+
 PLACES = 2
 """places on either side [1]: a limit of order 4, the order of RK4."""
 
 LONG_PLACES = 4
 """places on either side where reactions are read, and of integrators beside RK4 [1]: a limit of order 8, the order of
 the best integrator."""
+
+LONG_SPACING = 0.1
+"""distance between places over the step of integrators beside RK4 [1]: their steps are longer, and a margin is a
+parabola only near the position."""
 
 LONG_NOISE = 2e-11
 """error [m or rad; per s]: error control accepts so much of a step on the branch, as the return to the branch magnifies
@@ -141,6 +153,5 @@ def along(M: Array, heavy: Array, way: Array, d: Array) -> Array:
 
 # Former names, for modules that still read them.
 GUARD, SMALL, FAR, NOTHING = BRANCH_MARGIN, SMALL_PIVOT, REGULAR_PRODUCT, NOISE_FLOOR
-LEAST, MOST, CONVERGING, LONGER = PLACE_DISTANCE, PLACE_DISTANCE, CONVERGENCE, DOUBLINGS
-ZONE, HEAVY, ZERO = LIMIT_ZONE, INDEPENDENT_MASS, POLE_ZERO
-LONG_MEAN, LONG_SPACING, READ_ZONE = READ_MEAN, SPACING, LIMIT_ZONE * PLACE_DISTANCE / READ_DISTANCE
+LEAST, MOST, CONVERGING, LONGER = LEAST_DISTANCE, MOST_DISTANCE, CONVERGENCE, DOUBLINGS
+ZONE, HEAVY, ZERO, LONG_MEAN = LIMIT_ZONE, INDEPENDENT_MASS, POLE_ZERO, READ_MEAN

@@ -469,7 +469,7 @@ static void settle_kernel(Instance *i)
     k[3] = *i->masses;
     k[4] = exp(*i->regular);
     k[5] = NOISE_FLOOR * pivot_of_mass;
-    k[6] = fmax(PLACE_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
+    k[6] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
     k[7] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
     k[8] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
     k[9] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
