@@ -37,6 +37,12 @@ def test_every_constant_stands_in_the_page_as_it_is(study):
     assert {each.name for each in known} == set(measured)
 
 
+def test_every_constant_was_measured(study):
+    for name, cells in study.measured(PAGE).items():
+        for cell in cells:
+            assert re.match(r"same$|within|stops: |error x |evaluations x ", cell), f"{name}: {cell}"
+
+
 def test_steps_that_the_code_cites_are_those_of_the_page():
     assert cited() == set(re.findall(r"^### (S\d): ", PAGE, re.M)) == {f"S{k}" for k in range(1, 6)}
 
