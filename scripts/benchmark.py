@@ -39,16 +39,16 @@ from tqdm import tqdm
 
 import alfmu
 from alfmu import oracle
+from alfmu.equations.arrays import ArrayFunctions
 from alfmu.equations.specialisation import specialised
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.form import called
 from alfmu.kernel.joined import joined
-from alfmu.kernel.program import TIERS as KINDS
-from alfmu.kernel.trace import parts
-from alfmu.kernel.vm import Vm
+from alfmu.kernel.memory import TIERS as KINDS
 from alfmu.model.registry import mechanisms
 from alfmu.runtime.build import HERE, PLATFORMS, compiler
 from alfmu.simulation import prepared
-from alfmu.studies.cost import cost, operations
+from alfmu.studies.cost import cost, operations, parts
 from alfmu.studies.tables import Chapter, Row, environment, rounded
 
 KERNELS = ("vm", "compiled")
@@ -212,13 +212,13 @@ def functions(instance: alfmu.Instance) -> dict[str, Call]:
     state = [instance.q, instance.v, memory["u"], memory["p"], [instance.time], memory["k"]]
     x = ca.SX.sym("x")
     bound = {"empty call": (ca.Function("empty", [x], [x]), [[0.0]])}
-    bound |= {name: (f, state) for name, f in zip(ONCE[1:], parts(e, program)[0].values(), strict=True)}
+    bound |= {name: (f, state) for name, f in zip(ONCE[1:], parts(e, program.plan)[0].values(), strict=True)}
     together = joined(e, ["quick"])
-    [[step, given, _]] = together.kernel["quick"]["calls"]
-    bound["step, function alone"] = together.functions[step], [memory[name] for name in given]
+    [step] = together.kernel["quick"].steps
+    bound["step, function alone"] = together.functions[step.function], [memory[name] for name in step.arguments]
     calls = {}
     for name, (function, arguments) in bound.items():
-        vm, x = Vm(e), [np.array(each, float) for each in arguments]
+        vm, x = ArrayFunctions(e), [np.array(each, float) for each in arguments]
         y = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         run = vm.bound(function, x, y)
         run.alive = vm, x, y  # as long as the call, which knows their addresses
@@ -499,9 +499,11 @@ def build(coordinates: str, loops: int, effort: Effort, kernels: Sequence[str], 
     calls = {f"{kernel} step": stepping(instance, steps=STRETCH) for kernel, instance in instances.items()}
     laps = in_turns({"solve": solve_call(), **calls}, math.ceil(effort.rounds / effort.builds), effort.lap)
     row |= {f"{kernel} quick steps [%]": quick_share(instance) for kernel, instance in instances.items()}
-    called = [name for name, _, _ in scene["vm"].kernel["quick"]["calls"]]
     row |= {"n": derived.n, "l": derived.l, "steps in a call": STRETCH}
-    return row | {"operations": sum(operations(scene["vm"].functions[name]) for name in called)}, laps
+    traced = scene["vm"]
+    return row | {
+        "operations": sum(operations(traced.functions[name]) for name in called(traced.kernel["quick"]))
+    }, laps
 
 
 def peak_memory() -> float | None:

@@ -10,7 +10,7 @@ from oracles.parallelogram import Parallelogram
 
 import alfmu
 from alfmu import oracle
-from alfmu.kernel.vm import Vm
+from alfmu.equations.arrays import ArrayFunctions
 from alfmu.oracle.oracle import Oracle
 from alfmu.simulation import prepared
 
@@ -126,7 +126,7 @@ def evaluate(
     """Everything that can be read of a mechanism put into the state q, v, with multipliers of least norm."""
     q, v, u = (np.array(x, float) for x in (q, v, u))
     p = np.array([x.start for x in equations.parameters] if p is None else p, float)
-    oracle = Oracle(equations, Vm(equations))
+    oracle = Oracle(equations, ArrayFunctions(equations))
     oracle.prepare(alfmu.Settings(), p, q)
     a, lam, _, _ = oracle.accelerations(q, v, u, t)
     y = oracle.outputs(q, v, a, oracle.minimum_norm(q, v, lam, t), u, t)

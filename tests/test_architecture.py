@@ -17,7 +17,7 @@ ROOMS: dict[str, set[str]] = {
     "method": set(),
     "kernel": {"equations", "method", "model"},
     "oracle": {"equations", "kernel", "method", "model"},
-    "runtime": {"equations", "kernel", "method", "model", "oracle"},
+    "runtime": {"equations", "kernel", "method", "model"},
     "simulation": {"equations", "kernel", "model", "oracle", "runtime"},
     "view": {"equations", "model", "runtime", "simulation"},
     "fmi": {"equations", "kernel", "model", "runtime", "simulation", "view"},

@@ -23,7 +23,7 @@ from alfmu.fmi import export, native
 from alfmu.fmi.drive import Fmu, validate
 from alfmu.fmi.slave import COMPILED
 from alfmu.kernel import build, emit, stream
-from alfmu.kernel.program import SUFFIX
+from alfmu.kernel.build import SUFFIX
 from alfmu.kernel.tables import machine_code, packed
 from alfmu.runtime.build import HERE, zig
 from alfmu.runtime.library import Scene

@@ -15,7 +15,7 @@ import alfmu
 from alfmu import runtime
 from alfmu.fmi.drive import Fmu, validate
 from alfmu.kernel import build
-from alfmu.kernel.program import PACE, Layout
+from alfmu.kernel.memory import PACE, Layout
 from alfmu.kernel.tables import packed
 from alfmu.method.inputs import Past
 from alfmu.method.stepping import Control, judged, landing, newton

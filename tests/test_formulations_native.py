@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import casadi as ca
 import fmpy
 import numpy as np
 import pytest
@@ -18,9 +17,9 @@ from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu
 from alfmu.kernel import alternatives as traced
 from alfmu.kernel.alternatives import SYSTEMS, alternatives, formulations
-from alfmu.kernel.program import Layout
+from alfmu.kernel.memory import Layout
 from alfmu.kernel.tables import known_choices
-from alfmu.kernel.trace import Tracer
+from alfmu.kernel.trace import Calls, Tracer
 from alfmu.model.settings import FORMULATIONS
 from alfmu.simulation import prepared, run, with_defaults
 
@@ -302,7 +301,7 @@ def test_two_meanings_of_a_name_are_refused():
     """Programs share functions and memory by name: by these two once, implicit methods lost their numbers."""
     e = prepared(with_defaults(derived("particle_on_circle"), {"solver.method": "stiff"}))
     tracer = Tracer(e)
-    calls, x = traced.Calls(tracer), ca.SX.sym("x", 2)
-    calls("twice", {"x": x}, lambda: {"y": 2 * x}, ["y"])
+    calls = Calls(tracer)
+    calls("twice", "stabilisation", "y", lambda x: 2 * x)
     with pytest.raises(ValueError, match="two functions are called twice"):
-        calls("twice", {"x": ca.SX.sym("x", 3)}, lambda: {"y": x}, ["y"])
+        calls("twice", "watch", "y", lambda x: x)

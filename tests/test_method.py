@@ -13,7 +13,7 @@ from scenes import by_the_oracle as started
 from scenes import derived, readings
 
 import alfmu
-from alfmu.kernel.vm import Vm
+from alfmu.equations.arrays import ArrayFunctions
 from alfmu.method import formulations as method
 from alfmu.oracle.oracle import Oracle
 
@@ -496,6 +496,6 @@ def test_unconverged_iterations_are_counted() -> None:
 )
 def test_settings_that_make_no_sense(settings: dict, says: str) -> None:
     """InputError with the mechanism, the number and what it may be."""
-    oracle = Oracle(derived("five_bar"), Vm(derived("five_bar")))
+    oracle = Oracle(derived("five_bar"), ArrayFunctions(derived("five_bar")))
     with pytest.raises(alfmu.InputError, match=f"five_bar: .*{says}"):
         oracle.prepare(alfmu.Settings(**settings), np.ones(6), np.zeros(8))

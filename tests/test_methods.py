@@ -189,7 +189,7 @@ def test_auto_says_what_it_chose_and_why(capsys):
         e = prepared(with_defaults(derived(name), {"solver.method": "auto"}), "oracle")
         assert e.solver["method"] == expected
         assert e.reason.startswith(f"{expected}: the fastest small motion at the start has ")
-        again = alfmu.Equations.from_json(e.to_json())
+        again = prepared(e)
         assert (again.solver["method"], again.reason) == (expected, e.reason)
     assert main(["info", "four_bar", "--set", "solver.method=auto"]) == 0
     assert "method of integration: explicit: the fastest small motion" in capsys.readouterr().out

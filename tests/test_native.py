@@ -21,7 +21,7 @@ from alfmu.cli import main
 from alfmu.equations.interface import CHOICES
 from alfmu.fmi import native
 from alfmu.fmi.drive import Fmu, validate
-from alfmu.kernel.program import Layout
+from alfmu.kernel.memory import Layout
 from alfmu.model.settings import BRANCHES, FIXED, FORMULATIONS
 from alfmu.runtime import build
 from alfmu.simulation import prepared, run, with_defaults

@@ -10,12 +10,11 @@ from scenes import derived
 from test_compiled import Functions
 
 from alfmu.equations import Equations
+from alfmu.equations.arrays import ArrayFunction, ArrayFunctions
 from alfmu.equations.evaluation import elimination, with_functions
 from alfmu.kernel import build, emit, loops
-from alfmu.kernel.program import Call
 from alfmu.kernel.repeat import Repeat, repeats
 from alfmu.kernel.stream import Instructions, Operations
-from alfmu.kernel.vm import Vm
 from alfmu.simulation import prepared
 
 LONG = "weighted_evaluate", "weighted_iterate", "weighted_correct"
@@ -42,7 +41,7 @@ def numbers(backend, e: Equations) -> dict[str, np.ndarray]:
     """Results of all functions, for the same arguments each time."""
     rng, found = np.random.default_rng(1), {}
     for name, signature in e.signatures.items():
-        call = Call(backend, name, {**signature, "matrices": 0, "outputs": shapes(signature)})
+        call = ArrayFunction(backend, name, {**signature, "matrices": 0, "outputs": shapes(signature)})
         results = call(*(rng.uniform(0.5, 1.5, size) for size in signature["inputs"]))
         found[name] = np.concatenate([y.copy().reshape(-1) for y in results])
     return found
@@ -56,7 +55,7 @@ def shapes(signature: dict) -> list:
 def check(*functions: ca.Function) -> None:
     """The compiled functions give the numbers of CasADi."""
     e = scene(*functions)
-    compiled, expected = numbers(Functions(e), e), numbers(Vm(e), e)
+    compiled, expected = numbers(Functions(e), e), numbers(ArrayFunctions(e), e)
     for name in expected:
         assert np.array_equal(compiled[name], expected[name]), name
 
@@ -133,6 +132,28 @@ def test_values_that_pass_far_ahead():
     assert source(f).count("for (") == 1
 
 
+@pytest.mark.parametrize("first", ["within", "before"])
+def test_a_value_that_the_first_pass_alone_finds_in_itself(first):
+    """A period of twelve parts has its indices in line, but for the first pass, which takes a value from elsewhere than
+    all others: one of its own, or one from before the loop."""
+    count, part = 600, 12
+    x, p = ca.SX.sym("x", count), ca.SX.sym("p")
+    before = [ca.tan(ca.exp(p) * (i + 1.5)) for i in range(part)]
+    made, products = [], []
+    for i in range(count):
+        made.append(ca.sin(x[i]))
+        block, place = divmod(i, part)
+        own, other = made[part * block], before[0]
+        if place < 9:
+            factor = made[i - part] if block else before[place]
+        else:
+            factor = own if (block == 0) == (first == "within") else other
+        products.append(made[i] * factor)
+    f = ca.Function("f", [x, p], [ca.vertcat(*before), ca.vertcat(*products)])
+    assert source(f).count("for (") > 1
+    check(f)
+
+
 def test_what_varies_in_a_period_is_part_of_it():
     """Two kinds of parts that alternate, and a third one in the middle."""
     x = ca.SX.sym("x", N)
@@ -190,7 +211,7 @@ def test_a_chain_of_loops_gives_the_same_numbers(chains, monkeypatch):
     assert rolled.path != straight.path
     assert sum(map(len, rolled.files)) < sum(map(len, straight.files)) / 5
     assert 0 < rolled.spare < 2 * straight.spare
-    found = [numbers(backend, e) for backend in (rolled, straight, Vm(e))]
+    found = [numbers(backend, e) for backend in (rolled, straight, ArrayFunctions(e))]
     for name in LONG:
         assert np.isfinite(found[0][name]).any()
         for other in found[1:]:

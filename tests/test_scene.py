@@ -17,8 +17,8 @@ import alfmu
 from alfmu.equations import Equations
 from alfmu.equations.evaluation import with_functions
 from alfmu.kernel import build, passes, stream, tables
+from alfmu.kernel.memory import Layout
 from alfmu.kernel.passes import Code, Constants, in_line, written
-from alfmu.kernel.program import Layout
 from alfmu.kernel.scene import operations_header
 from alfmu.kernel.stream import Instructions
 from alfmu.simulation import prepared
@@ -97,7 +97,7 @@ def host(tmp_path_factory) -> Host:
 def small() -> Equations:
     """The smallest scene: no program does anything, and there are no more functions than every scene has."""
     own = tables.alone(prepared(derived("particle_on_circle"), "vm"))
-    kernel = {name: {**program, "calls": []} for name, program in own.kernel.items()}
+    kernel = {name: replace(program, steps=()) for name, program in own.kernel.items()}
     names = [name for name in tables.FUNCTIONS.values() if name in own.signatures]
     functions, signatures = ({name: x[name] for name in names} for x in (own.functions, own.signatures))
     return replace(own, kernel=kernel, functions=functions, signatures={**signatures, "seen": own.signatures["seen"]})

@@ -8,7 +8,7 @@ from itertools import accumulate, pairwise
 
 import casadi as ca
 
-from .types import Equations
+from .types import Equations, Signature
 
 __all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "with_functions", "with_tangents"]
 
@@ -77,7 +77,7 @@ def symbols(equations: Equations) -> dict[str, ca.SX]:
 
 
 def evaluable(equations: Equations) -> Equations:
-    """The same equations with the functions that the oracle and the assembly call.
+    """The same equations with the functions that the start and the oracle call.
 
     dynamics(q, v, u, p, t): M, C, F = f - d, xi. constraints(q, v, p): M, C, Phi, C v. power(q, v, u, p, t): W.
     energy(q, v, p): J. closure(q, p, s): derivatives of gaps and ties, gaps, ties. guesses(p, s, sdot): q, v.
@@ -153,8 +153,8 @@ def with_functions(equations: Equations, functions: dict[str, ca.Function]) -> E
     )
 
 
-def _signature(f: ca.Function, matrices: int = 0) -> dict:
-    """Sizes of arguments and results, see `alfmu.kernel.program.Signature`."""
+def _signature(f: ca.Function, matrices: int = 0) -> Signature:
+    """Sizes of arguments and results, see `Signature`."""
     outputs = []
     for i in range(f.n_out()):
         pattern = f.sparsity_out(i)

@@ -5,17 +5,18 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import casadi as ca
 
-__all__ = ["Equations", "Mobility", "Row", "Switch", "Variable"]
+__all__ = ["Equations", "Mobility", "Row", "Signature", "Switch", "Variable"]
 
-FORMAT = 4
-"""Version of the scene file and of the functions beside it; raised whenever their content changes meaning."""
+Signature = dict[str, Any]
+"""Of a function: `inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns,
+column offsets, row indices] where it is sparse; `matrices`, how many of the results are matrices, the rest being
+vectors."""
 
 
 @dataclass(frozen=True)
@@ -122,8 +123,8 @@ class Equations:
     """Communication step when nobody says otherwise [s]."""
     options: dict[str, Any] = field(default_factory=dict)
     """Options that the mechanism was declared with."""
-    kernel: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Once traced, the programs of the kernel (`alfmu.kernel.program`): a quick and a careful step, and `instant`."""
+    kernel: dict[str, Any] = field(default_factory=dict)
+    """Once traced, the programs of the kernel by name (`alfmu.kernel.form.Program`)."""
     solver: dict[str, float | str] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
     reason: str = ""
@@ -149,15 +150,12 @@ class Equations:
     held: list[str] = field(default_factory=list)
     """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
-    signatures: dict[str, dict[str, Any]] = field(default_factory=dict, repr=False)
-    """Sizes of the functions that run with numbers (`alfmu.kernel.program.Signature`)."""
-    workspace: int = 0
-    """Numbers that compiled functions need beside the memory of an instance."""
+    signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
+    """Sizes of the functions that run with numbers."""
     library: Any = field(default=None, repr=False)
     """Path of the functions of the scene compiled (`alfmu.kernel.build.compiled_scene`), where they are."""
-    programs: dict[str, ca.Function] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """Programs of the kernel as one function each (`alfmu.kernel.fusion`), as far as they were wanted; shared by all
-    instances of these equations, and not by others that are made of them."""
+    programs: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """The scene as it was loaded, once for all instances of these equations, and not for others made of them."""
 
     @property
     def n(self) -> int:
@@ -179,32 +177,3 @@ class Equations:
         if name in functions:
             return functions[name]
         raise AttributeError(name)
-
-    def to_json(self) -> str:
-        """The scene file: everything but the functions as plain JSON, the same bytes for the same equations."""
-        data = {k: v for k, v in asdict_shallow(self).items() if k not in ("functions", "library", "programs")}
-        data["format"] = FORMAT
-        return json.dumps(data, indent=1)
-
-    @classmethod
-    def from_json(cls, text: str) -> Equations:
-        """The equations that `to_json` wrote, without functions."""
-        data = json.loads(text)
-        if (found := data.pop("format", None)) != FORMAT:
-            raise ValueError(f"scene file of format {found}, this alfmu reads {FORMAT}; export it again")
-        for key in ("coordinates", "parameters", "starts", "start_rates", "compliances", "inputs", "outputs"):
-            data[key] = [Variable(**v) for v in data[key]]
-        data["rows"] = [Row(**r) for r in data["rows"]]
-        data["switches"] = [Switch(**s) for s in data["switches"]]
-        return cls(**data)
-
-
-def asdict_shallow(equations: Equations) -> dict[str, Any]:
-    """Fields as plain data, functions left alone (they cannot be copied)."""
-    plain = {}
-    for key in Equations.__dataclass_fields__:
-        value = getattr(equations, key)
-        if isinstance(value, list):
-            value = [asdict(v) if hasattr(v, "__dataclass_fields__") else v for v in value]
-        plain[key] = value
-    return plain

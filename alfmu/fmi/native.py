@@ -12,7 +12,6 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
 from ..kernel.alternatives import formulations
-from ..kernel.thresholds import LARGE
 from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
@@ -25,9 +24,7 @@ def checked(equations: Equations) -> None:
     """ExportError where a scene asks for what native FMUs do not have."""
     e, chosen = equations, default_settings(equations)
     known = formulations(e)
-    if e.n > LARGE:
-        what = f"more than {LARGE} coordinates (here {e.n}; its start would take minutes); use fewer"
-    elif chosen.formulation not in known:
+    if chosen.formulation not in known:
         what = f"solver.formulation {chosen.formulation} of more than {DENSE} coordinates; use {', '.join(known)}"
     elif e.l and chosen.formulation != Settings.formulation and chosen.method != Settings.method:
         what = f"solver.method {chosen.method} with solver.formulation {chosen.formulation}; use solver.method rk4"

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..equations import Equations
-from ..kernel.program import called
+from ..kernel.form import called
 from ..kernel.tables import alone, function_sizes, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
@@ -91,7 +91,7 @@ def _parts(equations: Equations) -> dict[str, int]:
     left, found, kernel = function_sizes(equations), {}, alone(equations).kernel
     whole = len(packed(equations))
     for what, programs in _PARTS.items():
-        names = {name for program in programs if program in kernel for name in called(kernel[program]["calls"])}
+        names = {name for program in programs if program in kernel for name in called(kernel[program])}
         found[what] = sum(left.pop(name, 0) for name in names)
     found["what the start takes, other formulations"] = sum(left.values())
     found["calls of these in programs, variables"] = whole - sum(found.values())

@@ -2,8 +2,8 @@
 
 An evaluation of another formulation begins with that of `residual`, whose long functions it shares, and goes on with
 short ones of its own: iterations of (8) as printed, the solutions of (5) and (6), or the system of (9), which a routine
-solves in the sense of least norm (`program.LEAST_NORM`). All but that system are in units of the largest penalty, as
-`trace.Scene` has them; (9) keeps the units of the equations, as its singular values are compared with each other.
+solves in the sense of least norm (`form.LeastNorm`). All but that system are in units of the largest penalty, as
+`symbolic.Scene` has them; (9) keeps the units of the equations, as its singular values are compared with each other.
 """
 
 from __future__ import annotations
@@ -13,15 +13,17 @@ from collections.abc import Mapping
 from typing import Self
 
 import casadi as ca
+from casadi import SX
 
 from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..method import formulations as method
 from ..model.settings import FORMULATIONS, Settings
-from .program import LEAST_NORM
-from .trace import Calls, Scene, Tracer, Watch, _factors, _solver
+from .form import Call, LeastNorm
+from .symbolic import MATRICES, Scene, Watch
+from .trace import Calls, Tracer, spaced
 
-__all__ = ["OWN", "SYSTEMS", "Alternatives", "alternatives", "classic", "formulations"]
+__all__ = ["OWN", "SYSTEMS", "Alternatives", "alternatives", "formulations"]
 
 OWN = Settings.formulation
 """The formulation of every program whose name says no other."""
@@ -52,134 +54,97 @@ class Alternatives(Tracer):
         other.formulation = formulation
         return other
 
-    def once(self, calls: Calls, scene: Scene, names: Mapping[str, str]) -> None:
-        """a, lam (times `scale`) and watch by a formulation that does not iterate, after an evaluation by `residual`.
+    def classic(self, calls: Calls, a: str, lam: str, watch: str) -> None:
+        """a, lam and watch after one more iteration (8) as printed."""
+        found = f"{a} {lam} {watch}"
+        calls("classic_iterate", spaced("k", MATRICES, found), found, lambda *x: _classic(calls.scene, *x))
+
+    def once(self, calls: Calls, names: Mapping[str, str]) -> None:
+        """a, lam and watch by a formulation that does not iterate, after an evaluation by `residual`.
 
         `names` are those of q, v, a, lam and watch.
         """
-        own = {"penalty": self._penalty, "stiffness": self._stiffness}
-        own.get(self.formulation, self._system)(calls, scene, names)
-
-    def _penalty(self, calls: Calls, scene: Scene, names: Mapping[str, str]) -> None:
-        """(6)."""
-        matrices, watch = self.matrices(scene), _watch_symbol()
-        self._stabilised(calls, scene, names)
-        known = {"k": self.known["k"], **{x: matrices[x] for x in ("C", "F", "D", "L")}}
-        known |= {"stabilised": matrices["xi"], names["watch"]: watch}
-        calls("by_penalty", known, lambda: penalty(scene, matrices, watch), [names[x] for x in ("a", "lam", "watch")])
-
-    def _stiffness(self, calls: Calls, scene: Scene, names: Mapping[str, str]) -> None:
-        """(5)."""
-        matrices, watch = self.matrices(scene), _watch_symbol()
-        Phi, numbers = ca.SX.sym("Phi", self.e.l), ca.SX.sym("stabilisation", 2)
-        self._residues(calls, names)
-        known = {"k": self.known["k"], **{x: matrices[x] for x in ("M", "C", "F")}}
-        known |= {"Phi": Phi, "stabilisation": numbers, names["watch"]: watch}
-        results = [names[x] for x in ("a", "lam", "watch")]
-        calls("by_stiffness", known, lambda: stiffness(scene, matrices, Phi, numbers, watch), results)
-
-    def _system(self, calls: Calls, scene: Scene, names: Mapping[str, str]) -> None:
-        """(9), with Baumgarte's stabilisation or without."""
-        e, k = self.e, self.known["k"]
-        matrices, watch, solution = self.matrices(scene), _watch_symbol(), ca.SX.sym("solution", e.n + e.l)
+        e, scene, watch = self.e, calls.scene, names["watch"]
+        # Phi and C v are those of a function that the start needs anyway.
+        residues = ("residue_mass", "residue_matrix", "Phi", "Cv")
+        results = spaced([names[x] for x in ("a", "lam", "watch")])
         right = "xi"
-        if self.formulation == "baumgarte":
-            self._stabilised(calls, scene, names)
+        if self.formulation != "dae":
+            calls.made.append(Call("constraints", (names["q"], names["v"], "p"), residues))
+        if self.formulation in ("penalty", "baumgarte"):
             right = "stabilised"
-        terms, both = {x: matrices[x] for x in ("M", "C", "F")}, _System(scene, matrices, solution)
-        calls("by_system", {"k": k, **terms, right: matrices["xi"]}, both.system, ["system", "system_right"])
-        calls.made.append([LEAST_NORM, ["system", "system_right"], ["system_solution"], e.n + e.l])
-        known = {"k": k, "system_solution": solution, names["watch"]: watch}
-        calls("by_solution", known, lambda: both.solved(watch), [names[x] for x in ("a", "lam", "watch")])
-
-    def _stabilised(self, calls: Calls, scene: Scene, names: Mapping[str, str]) -> None:
-        """xi with damping and frequency."""
-        xi, Phi, Cv = self.matrices(scene)["xi"], ca.SX.sym("Phi", self.e.l), ca.SX.sym("Cv", self.e.l)
-        numbers = ca.SX.sym("stabilisation", 2)
-        self._residues(calls, names)
-        known = {"xi": xi, "Phi": Phi, "Cv": Cv, "stabilisation": numbers}
-        values = xi, Cv, Phi, *ca.vertsplit(numbers)
-        calls("by_stabilised", known, lambda: {"xi": method.stabilised(*values)}, ["stabilised"])
-
-    def _residues(self, calls: Calls, names: Mapping[str, str]) -> None:
-        """Phi and C v, by a function that the start needs anyway."""
-        calls.made.append(
-            ["constraints", [names["q"], names["v"], "p"], ["residue_mass", "residue_matrix", "Phi", "Cv"]]
-        )
+            calls("by_stabilised", "xi Phi Cv stabilisation", right, _stabilised)
+        if self.formulation == "penalty":  # (6)
+            calls("by_penalty", f"k C F D L {right} {watch}", results, lambda *x: _penalty(scene, *x))
+        elif self.formulation == "stiffness":  # (5)
+            known = f"k M C F Phi stabilisation {watch}"
+            calls("by_stiffness", known, results, lambda *x: _stiffness(scene, *x))
+        else:  # (9), with Baumgarte's stabilisation or without
+            system, solution = ("system", "system_right"), "system_solution"
+            calls("by_system", f"k M C F {right}", spaced(system), lambda *x: _system(scene, *x))
+            calls.made.append(LeastNorm(system, (solution,), e.n + e.l))
+            calls("by_solution", f"k {solution} {watch}", results, lambda *x: _solved(scene, *x))
 
 
-def classic(scene: Scene, nonzeros: dict[str, ca.SX], a: ca.SX, lam: ca.SX, watch: ca.SX) -> dict[str, ca.SX]:
-    """a and lam (times `scale`) after one more iteration (8) as printed; its changes are judged as the oracle does."""
-    M, C, F, xi, D, L = (scene.matrix(name, nonzeros) for name in ("M", "C", "F", "xi", "D", "L"))
-    sizes: list[ca.SX] = []
+def _stabilised(xi: SX, Phi: SX, Cv: SX, stabilisation: SX) -> SX:
+    return method.stabilised(xi, Cv, Phi, *ca.vertsplit(stabilisation))
 
-    def done(change: ca.SX, value: ca.SX) -> bool:
-        scale = _largest(F) / ca.fmax(_largest(nonzeros["M"]), 1e-300)
+
+def _classic(scene: Scene, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
+    """Changes are judged as the oracle does."""
+    sizes: list[SX] = []
+
+    def done(change: SX, value: SX) -> bool:
+        scale = _largest(F) / ca.fmax(_largest(ca.vec(M.nz[:])), 1e-300)
         sizes[:] = [_largest(change) ** 2, ca.fmax(_largest(value), scale) ** 2]
         return False
 
-    a, lam, _, _ = method.classic(M, F, C, xi, scene.weights, _solver(D, L, scene.e.order), a, lam, 1, done)
-    return {"a": a, "lam": lam, "watch": _watch(watch, *sizes)}
+    a, lam, _, _ = method.classic(M, F, C, xi, scene.weights, scene.solver(D, L), a, lam, 1, done)
+    change, size = sizes
+    return a, lam, Watch.of(watch)._replace(change=change, size=size).vector()
 
 
-def penalty(scene: Scene, nonzeros: dict[str, ca.SX], watch: ca.SX) -> dict[str, ca.SX]:
-    """a and lam (times `scale`) by (6); xi is stabilised already."""
-    C, F, xi, D, L = (scene.matrix(name, nonzeros) for name in ("C", "F", "xi", "D", "L"))
-    a, lam = method.penalty(F, C, xi, scene.weights, _solver(D, L, scene.e.order))
-    return {"a": a, "lam": lam, "watch": _watch(watch)}
+def _penalty(scene: Scene, C: SX, F: SX, D: SX, L: SX, xi: SX, watch: SX) -> tuple[SX, SX, SX]:
+    """xi is stabilised already."""
+    a, lam = method.penalty(F, C, xi, scene.weights, scene.solver(D, L))
+    return a, lam, _at_once(watch)
 
 
-def stiffness(
-    scene: Scene, nonzeros: dict[str, ca.SX], Phi: ca.SX, stabilisation: ca.SX, watch: ca.SX
-) -> dict[str, ca.SX]:
-    """a and lam (times `scale`) by (5) with the stiffness omega^2 alpha; the pivots that are watched are those of M."""
-    M, C, F = (scene.matrix(name, nonzeros) for name in ("M", "C", "F"))
-    D, L, order = _factors(scene.e, M)
-    a, lam = method.stiffness(F, C, Phi, stabilisation[1] ** 2 * scene.weights, _solver(D, L, order))
-    return {"a": a, "lam": lam, "watch": _watch(watch, pivot=ca.mmin(ca.densify(D)))}
+def _stiffness(scene: Scene, M: SX, C: SX, F: SX, Phi: SX, stabilisation: SX, watch: SX) -> tuple[SX, SX, SX]:
+    """The stiffness is omega^2 alpha; the pivots that are watched are those of M."""
+    D, L = scene.factors(M)
+    a, lam = method.stiffness(F, C, Phi, stabilisation[1] ** 2 * scene.weights, scene.solver(D, L))
+    return a, lam, _at_once(watch, ca.mmin(ca.densify(D)))
 
 
-class _System:
-    """(9), before it is solved and after that."""
+def _system(scene: Scene, M: SX, C: SX, F: SX, xi: SX) -> tuple[SX, SX]:
+    """The matrix of (9), by columns, and the right-hand side."""
+    # A constraint that is not in force leaves a row and a column of zeros, and its multiplier is zero.
+    C, xi = ca.diag(scene.held) @ C, scene.held * xi
+    found: list[SX] = []
 
-    def __init__(self, scene: Scene, nonzeros: dict[str, ca.SX], solution: ca.SX):
-        self._scale, n = scene.scale, scene.e.n
-        M, C, F, xi = (scene.matrix(name, nonzeros) for name in ("M", "C", "F", "xi"))
-        # A constraint that is not in force leaves a row and a column of zeros, and its multiplier is zero.
-        C, xi = ca.diag(scene.held) @ C, scene.held * xi
+    def solve(blocks: list, right: list) -> tuple[SX, SX]:
+        (M, Ct), (C, _) = blocks
+        nothing = SX(C.size1(), C.size1())
+        found[:] = [ca.vec(ca.densify(ca.blockcat([[M, Ct], [C, nothing]]))), ca.vertcat(*right)]
+        return tuple(right)
 
-        def solve(blocks: list, right: list) -> tuple[ca.SX, ca.SX]:
-            (M, Ct), (C, _) = blocks
-            nothing = ca.SX(C.size1(), C.size1())
-            self._K, self._right = ca.blockcat([[M, Ct], [C, nothing]]), ca.vertcat(*right)
-            return solution[:n], solution[n:]
-
-        self._a, self._lam = method.dae(M / scene.scale, F / scene.scale, C, xi, solve)
-
-    def system(self) -> dict[str, ca.SX]:
-        """The matrix, by columns, and the right-hand side."""
-        return {"K": ca.vec(ca.densify(self._K)), "right": self._right}
-
-    def solved(self, watch: ca.SX) -> dict[str, ca.SX]:
-        """a and lam (times `scale`); there is no pivot that could be too small."""
-        return {"a": self._a, "lam": self._scale * self._lam, "watch": _watch(watch, pivot=ca.SX(1))}
+    method.dae(M / scene.scale, F / scene.scale, C, xi, solve)
+    matrix, right = found
+    return matrix, right
 
 
-def _watch(watch: ca.SX, change: ca.SX | None = None, size: ca.SX | None = None, pivot: ca.SX | None = None) -> ca.SX:
-    """What an evaluation says of itself, with another change (none where it does not iterate), size or pivot."""
-    seen = Watch(watch)
-    return ca.vertcat(
-        ca.SX(0) if change is None else change,
-        seen.size if size is None else size,
-        seen.pivot if pivot is None else pivot,
-        seen.near,
-        seen.margin,
-    )
+def _solved(scene: Scene, solution: SX, watch: SX) -> tuple[SX, SX, SX]:
+    """There is no pivot that could be too small."""
+    n = scene.e.n
+    return solution[:n], scene.scale * solution[n:], _at_once(watch, SX(1))
 
 
-def _watch_symbol() -> ca.SX:
-    return ca.SX.sym("watch", len(Watch.FIELDS))
+def _at_once(watch: SX, pivot: SX | None = None) -> SX:
+    """What an evaluation says of itself that does not iterate, with another pivot."""
+    seen = Watch.of(watch)
+    return seen._replace(change=SX(0), pivot=seen.pivot if pivot is None else pivot).vector()
 
 
-def _largest(x: ca.SX) -> ca.SX:
+def _largest(x: SX) -> SX:
     return ca.mmax(ca.fabs(ca.densify(x)))

@@ -31,12 +31,7 @@ _PRODUCTS = (ca.OP_MUL, ca.OP_SQ)
 _JOINED = (ca.OP_ADD, ca.OP_SUB, *_PRODUCTS, ca.OP_TWICE, ca.OP_NEG, ca.OP_ASSIGN)
 """Operations of CasADi that sums of products stand for."""
 
-KINDS = (
-    *SUMS,
-    ca.OP_DIV,
-    SINE_COSINE,
-    *(x for x in (*BINARY, *UNARY) if x not in (*_JOINED, ca.OP_DIV, ca.OP_INV)),
-)
+KINDS = (*SUMS, ca.OP_DIV, SINE_COSINE, *(x for x in (*BINARY, *UNARY) if x not in (*_JOINED, ca.OP_DIV, ca.OP_INV)))
 """Kinds of operations in a scene; their places here are their numbers."""
 
 _CYCLES = {SUMS[0]: 14, SUMS[1]: 17, ca.OP_DIV: 20, SINE_COSINE: 50}

@@ -21,13 +21,15 @@ from pathlib import Path
 
 from ..equations import Equations
 from ..model.errors import ExportError
-from .program import SUFFIX
 from .tables import machine_code
 
-__all__ = ["FLAGS", "build", "cache", "compiled_scene", "compiler", "kept", "verified", "version", "whole"]
+__all__ = ["FLAGS", "SUFFIX", "build", "cache", "compiled_scene", "compiler", "kept", "verified", "version", "whole"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off`: the same operations as in the virtual machine, so the same numbers."""
+
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
+"""Of shared libraries here."""
 
 
 def compiler() -> list[str] | None:

@@ -2,16 +2,18 @@
 
 Implicit ones have loops of Newton's method: passes with the same tangents as long as they gain enough, then with new
 ones (`method.stepping.newton`). Tangents are those of the augmented equation (`method.implicit.stiffness`). A step
-that cannot be judged (a stage near a singular position, constraints that stay open) is troubled: the oracle makes it.
+that cannot be judged (a stage near a singular position, constraints that stay open) is troubled: the patient tier
+makes it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import asdict, replace
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import casadi as ca
+from casadi import SX
 
 from ..method import formulations as method
 from ..method import implicit
@@ -29,8 +31,9 @@ from ..method.stepping import (
     newton,
 )
 from ..model.settings import Settings
-from .program import FACTOR, LOOP, PACE, SOLVE, Program
-from .trace import Calls, Plan, Scene, Tracer, Watch
+from .form import Call, Factor, Loop, Plan, Program, Solve
+from .memory import PACE
+from .trace import Calls, Tracer, spaced
 
 __all__ = ["controlled"]
 
@@ -50,7 +53,7 @@ RETURNS = 4
 """Projections of q and v after them."""
 
 LEFT = 1e3
-"""Steps below so many of the shortest are left to the oracle, which says why."""
+"""Steps below so many of the shortest are left to the patient tier, which says why."""
 
 
 def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
@@ -81,65 +84,62 @@ class _Step:
 
     def __init__(self, tracer: Tracer, plan: Plan):
         self.tracer, self.plan, self.e, self.layout = tracer, plan, tracer.e, tracer.layout
-        self.z, self.u, self.p, self.k, self.dt = tracer.known.values()
-        self.scene = Scene(self.e, plan.weighted, self.p, self.k)
-        self.calls = Calls(tracer)
-        self.pace = ca.SX.sym("pace", len(PACE))
+        self.calls = Calls(tracer, plan)
+        self.scene = self.calls.scene
         self.name = "beside" if plan.branch else "method"
 
     def begin(self) -> None:
         """The length of the step and the time at its end, from what step control remembers."""
-        known, t = dict(zip(PACE, ca.vertsplit(self.pace), strict=True)), self.z[self.layout.time]
-        left, fixed = known["end"] - t, known["fixed"]
-        step = ca.if_else(fixed, ca.fmin(fixed, left), landing(known["dt"], left, ca.if_else))
-        arrival = ca.if_else(step >= left * (1 - 1e-9), known["end"], t + step)
-        found = {"step": step, "arrival": arrival}
-        self.calls("pace", {"z": self.z, "pace": self.pace}, lambda: found, list(found))
 
-    def project(self, q: ca.SX, v: ca.SX) -> None:
+        def found(z: SX, pace: SX) -> tuple[SX, SX]:
+            known, t = _known(pace), z[self.layout.time]
+            left, fixed = known["end"] - t, known["fixed"]
+            step = ca.if_else(fixed, ca.fmin(fixed, left), landing(known["dt"], left, ca.if_else))
+            return step, ca.if_else(step >= left * (1 - 1e-9), known["end"], t + step)
+
+        self.calls("pace", "z pace", "step arrival", found)
+
+    def project(self) -> None:
         """q and v brought back to the constraints."""
         for _ in range(self.plan.corrections):
-            self.tracer.place(self.calls, self.scene, "q", "q")
+            self.tracer.place(self.calls, "q", "q")
         if self.e.l:
-            known = {"q": q, "v": v, "p": self.p, "k": self.k}
-            self.tracer.settle(self.calls, self.scene, self.plan, known, ["v", "pivot", "left"])
+            self.tracer.settle(self.calls)
 
-    def end(self, watches: list[str], order: int, **kept: ca.SX) -> None:
-        """The state after the step and what step control remembers; `kept` is the history with its part that is new."""
-        e, scene, calls = self.e, self.scene, self.calls
-        known = {"z": self.z, "arrival": ca.SX.sym("arrival"), "q": ca.SX.sym("q", e.n), "v": ca.SX.sym("v", e.n)}
-        known |= {"work": ca.SX.sym("work"), "p": self.p, "k": self.k, "error": ca.SX.sym("error")}
-        known |= {name: ca.SX.sym("watch", len(Watch.FIELDS)) for name in watches}
-        if e.l:
-            known |= {"pivot": ca.SX.sym("pivot"), "left": ca.SX.sym("left", 2)}
+    def end(self, watches: Sequence[str], order: int, kept: Sequence[str] = ()) -> None:
+        """The state after the step and what step control remembers; `kept` is the history and what is new of it."""
+        names = ["z", "arrival", "q", "v", "work", "p", "k", "error", *watches]
+        if self.e.l:
+            names += ["pivot", "left"]
         if self.plan.branch:
-            known |= {watch.replace("watch", "zone"): ca.SX.sym("zone") for watch in watches}
-        calls(f"{self.name}_close", known, lambda: {"after": scene.closed(self.plan, known)}, ["after"])
-        after, step = ca.SX.sym("after", self.z.numel()), self.dt
-        known = {"after": after, "pace": self.pace, "step": step, **kept}
-        results = ["after", "pace", *list(kept)[:1]]
-        calls(f"{self.name}_judge", known, lambda: self._judged(order, after, *kept.values()), results)
+            names += [watch.replace("watch", "zone") for watch in watches]
+        self.calls(f"{self.name}_close", spaced(names), "after", lambda *_: self.scene.closed(self.plan, names))
+        self.calls(
+            f"{self.name}_judge",
+            spaced("after pace step", kept),
+            spaced("after pace", kept[:1]),
+            lambda *known: self._judged(order, *known),
+        )
 
-    def _judged(self, order: int, after: ca.SX, *kept: ca.SX) -> dict[str, ca.SX]:
-        layout, pace, step = self.layout, self.pace, self.dt
-        known = dict(zip(PACE, ca.vertsplit(pace), strict=True))
+    def _judged(self, order: int, after: SX, pace: SX, step: SX, *kept: SX) -> list[SX]:
+        layout, known = self.layout, _known(pace)
         error, trouble, near = after[layout.change], after[layout.trouble], after[layout.near]
         numbers = [known[name] for name in ("dt", "before", "refused")]
         *following, accepted = judged(order, numbers, step, error, ca.if_else)
         fixed = known["fixed"] != 0
         # Steps of one length are not judged, but for Newton's method.
-        near = ca.SX(0) if self.plan.branch else near
+        near = SX(0) if self.plan.branch else near
         trouble = ca.if_else(fixed, trouble + 1 - (error < math.inf), ca.if_else(accepted, trouble, near))
         trouble += ca.logic_not(fixed) * (1 - (step >= LEFT * SHORTEST))
         accepted = ca.logic_or(fixed, accepted)
         following = [ca.if_else(fixed, old, new) for old, new in zip(numbers, following, strict=True)]
         last = ca.if_else(accepted, step, known["last"])
         following = ca.vertcat(*following, known["fixed"], known["end"], last, accepted)
-        results = {"after": ca.vertcat(after[: layout.trouble], trouble, after[layout.change :])}
-        results["pace"] = ca.if_else(trouble, pace, following)
+        results = [ca.vertcat(after[: layout.trouble], trouble, after[layout.change :])]
+        results.append(ca.if_else(trouble, pace, following))
         if kept:
             before, new = kept
-            results["history"] = ca.if_else(ca.logic_and(trouble == 0, accepted), new, before)
+            results.append(ca.if_else(ca.logic_and(trouble == 0, accepted), new, before))
         return results
 
 
@@ -149,73 +149,51 @@ class _Explicit(_Step):
     mark = "method"
 
     def program(self, rule: Explicit) -> Program:
-        e, layout, z, dt, calls, scene = self.e, self.layout, self.z, self.dt, self.calls, self.scene
+        n, layout, calls, scene = self.e.n, self.layout, self.calls, self.scene
+        z, dt = map(scene.symbol, ("z", "step"))
         self.begin()
-        rates: dict[str, ca.SX] = {}
-        q, v, work = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.sym("work")
-        settled: dict[str, ca.SX] = {}
+        rates: list[str] = []
+        settled: list[str] = []
 
-        def settle(y: ca.SX) -> ca.SX:
-            after = {"q": y[: e.n], "v": y[e.n : 2 * e.n], "work": y[2 * e.n]}
-            calls(f"{self.mark}_sum", {"z": z, "step": dt, **rates}, lambda: after, list(after))
-            self.project(q, v)
-            settled.update({"q": q, "v": v, "work": work})
-            return ca.vertcat(q, v, work)
+        def settle(y: SX) -> SX:
+            after = y[:n], y[n : 2 * n], y[2 * n]
+            calls(f"{self.mark}_sum", spaced("z step", rates), "q v work", lambda *_: after)
+            self.project()
+            settled.extend(["q", "v", "work"])
+            return ca.vertcat(*map(scene.symbol, settled))
 
-        rate = self.tracer.rate(calls, scene, self.plan, f"{self.mark}_stage", rates, settled, "step")
-        start = ca.vertcat(z[: 2 * e.n], z[layout.work])
+        rate = self.tracer.rate(calls, f"{self.mark}_stage", rates, settled, "step")
+        start = ca.vertcat(z[: 2 * n], z[layout.work])
         _, [error], _ = explicit(rule, rate, z[layout.time], start, dt, None, settle)
-        known = {"z": z, "step": dt, **rates, "q": q, "v": v, "p": self.p, "k": self.k}
-        least = LONG_NOISE * self.plan.branch
-        calls(f"{self.name}_error", known, lambda: {"error": scene.error_size(z, q, v, error, least)}, ["error"])
+        q, v, least = scene.symbol("q"), scene.symbol("v"), LONG_NOISE * self.plan.branch
+        known = spaced("z step", rates, "q v p k")
+        calls(f"{self.name}_error", known, "error", lambda *_: scene.error_size(z, q, v, error, least))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
-        return {**asdict(self.plan), "rule": rule.name, "evaluations": len(rates), "calls": calls.made}
+        return Program(calls.steps, self.plan, rule.name, len(rates))
 
 
 class _Implicit(_Step):
     """What methods with Newton's method have."""
 
-    def __init__(self, tracer: Tracer, plan: Plan):
-        super().__init__(tracer, plan)
-        n, l = self.e.n, self.e.l
-        self.q, self.v, self.a = (ca.SX.sym(name, n) for name in "qva")
-        self.t, self.lam = ca.SX.sym("t"), ca.SX.sym("lam", l)
-        self.matrices = tracer.matrices(self.scene)
-
     def inputs(self, i: str) -> str:
         """Name of the inputs at a place."""
         return f"u{i}" if self.tracer.order else "u"
 
-    def evaluate(self, i: str) -> None:
+    def start(self) -> None:
+        """An evaluation where the step begins."""
+        n, time = self.e.n, self.layout.time
+        self.calls("unpack_method", "z", "t0 q0 v0", lambda z: (z[time], z[:n], z[n : 2 * n]))
+        self.evaluate(self.calls, "0")
+
+    def evaluate(self, calls: Calls, i: str) -> None:
         """a, lam, power and watch of a place, with the inputs at its time."""
-        self.tracer.evaluation(self.calls, self.scene, self.plan, i, {"u": self.tracer.inputs(self.calls, i)})
+        self.tracer.evaluation(calls, i, {"u": self.tracer.inputs(calls, i)})
 
-    def stiff(self, i: str) -> None:
-        """H, Q, V of a place that was evaluated last, each by columns."""
-        scene = self.scene
-        some = {name: self.matrices[name] for name in ("M", "C")}
-        known = {f"t{i}": self.t, f"q{i}": self.q, f"v{i}": self.v, f"a{i}": self.a, f"lam{i}": self.lam}
-        known |= {self.inputs(i): self.u, "p": self.p, "k": self.k, **some}
+    def factor(self, calls: Calls, weights: str, parts: Sequence[str], to: str, count: int) -> None:
+        calls.made.append(Factor((weights, *parts), (to, f"{to}_order"), self.e.n, count))
 
-        def found() -> dict[str, ca.SX]:
-            found = scene.stiffness(self.q, self.v, self.a, self.lam, self.u, self.t, some)
-            return {name: ca.vec(ca.densify(x)) for name, x in zip("HQV", found, strict=True)}
-
-        self.calls("stiffness", known, found, [f"H{i}", f"Q{i}", f"V{i}"])
-
-    def factor(self, weights: str, parts: list[str], to: str, nodes: int) -> None:
-        self.calls.made.append([FACTOR, [weights, *parts], [to, f"{to}_order"], self.e.n, nodes])
-
-    def solve(self, factors: str, right: list[str], to: str) -> None:
-        self.calls.made.append([SOLVE, [factors, f"{factors}_order", *right], [to], self.e.n, len(right)])
-
-    def loop(self, number: str, times: int, passes: list[list]) -> None:
-        self.calls.made.append([LOOP, number, times, passes])
-
-    def inside(self) -> list[list]:
-        """The calls that are made from here on, apart."""
-        self.calls.made = []
-        return self.calls.made
+    def solve(self, calls: Calls, factors: str, right: Sequence[str], to: str) -> None:
+        calls.made.append(Solve((factors, f"{factors}_order", *right), (to,), self.e.n, len(right)))
 
 
 class _Collocation(_Implicit):
@@ -224,96 +202,74 @@ class _Collocation(_Implicit):
     def __init__(self, tracer: Tracer, plan: Plan, rule: Collocation):
         super().__init__(tracer, plan)
         self.rule, self.nodes = rule, [str(i + 1) for i in range(len(rule.nodes))]
-        self.rates = ca.SX.sym("rates", self.e.n * len(rule.nodes))
+        self.count = self.e.n * len(rule.nodes)
+        tracer.lengths |= dict.fromkeys(("history", "rates", "changes"), self.count)
 
     def program(self) -> Program:
-        rule, z, dt, k, calls, made = self.rule, self.z, self.dt, self.k, self.calls, self.calls.made
-        n, s = self.e.n, len(self.nodes)
+        n, rule, calls, s = self.e.n, self.rule, self.calls, len(self.nodes)
         self.begin()
-        q0, v0, a0 = z[:n], z[n : 2 * n], ca.SX.sym("a0", n)
-        here = {"t0": z[self.layout.time], "q0": q0, "v0": v0}
-        calls("unpack_method", {"z": z}, lambda: here, list(here))
-        self.evaluate("0")
-        self.stiff("0")
-        calls("filter", {"step": dt}, lambda: {"w": _flat(implicit.filter_weights(rule.gamma * dt))}, ["filter"])
-        self.factor("filter", ["H0", "Q0", "V0"], "filtered", 1)
-        history = ca.SX.sym("history", n * s)
+        self.start()
+        self.stiff(calls, "0")
+        calls("filter", "step", "filter", lambda dt: _flat(implicit.filter_weights(rule.gamma * dt)))
+        self.factor(calls, "filter", ["H0", "Q0", "V0"], "filtered", 1)
 
-        def guess() -> dict[str, ca.SX]:
-            last = self.pace[PACE.index("last")]
+        def guess(pace: SX, dt: SX, history: SX, a0: SX) -> tuple[SX, SX]:
+            last = pace[PACE.index("last")]
             there = ca.vertcat(*continued(rule, ca.vertsplit(history, n), dt / last))
-            rates = ca.if_else(last, there, ca.repmat(a0, s))
-            return {"rates": rates, "renew": ca.SX(1)}
+            return ca.if_else(last, there, ca.repmat(a0, s)), SX(1)
 
-        calls("guess_rates", {"pace": self.pace, "step": dt, "history": history, "a0": a0}, guess, ["rates", "renew"])
-        outer = self.inside()
-        self._pass(fresh=True)
-        again = self.inside()
-        self._pass(fresh=False)
-        calls.made = outer
-        self.loop("go", PASSES, again)
-        calls.made = made
-        self.loop("renew", RENEWALS, outer)
-
+        calls("guess_rates", "pace step history a0", "rates renew", guess)
+        outer, again = calls.inside(), calls.inside()
+        self._pass(outer, fresh=True)
+        self._pass(again, fresh=False)
+        outer.made.append(Loop("go", PASSES, again.steps))
+        calls.made.append(Loop("renew", RENEWALS, outer.steps))
         self._sum()
-        q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
-        dq, dv, renew = ca.SX.sym("dq", n), ca.SX.sym("dv", n), ca.SX.sym("renew")
-        first = dict(zip(("dq", "dv"), self._estimate(q0, v0, a0), strict=True))
-        calls("estimate", {"z": z, "step": dt, "rates": self.rates, "a0": a0}, lambda: first, list(first))
-        H, Q, by = ca.SX.sym("H", n * n), ca.SX.sym("Q", n * n), rule.gamma * dt
-        known = {"step": dt, "H0": H, "Q0": Q, "dq": dq, "dv": dv}
-        for _ in range(2):
-            right = ca.reshape(H, n, n) @ dv + by * (ca.reshape(Q, n, n) @ dq)
-            calls("filtering", known, lambda right=right: {"b": right}, ["estimate"])
-            self.solve("filtered", ["estimate"], "dv")
-            calls("moving", {"step": dt, "dq": dq, "dv": dv}, lambda: {"dq": dq + by * dv}, ["dq"])
-        self.project(q, v)
+        self._judge()
+        self.end([f"watch{i}" for i in ("0", *self.nodes)], rule.estimate + 1, ("history", "rates"))
+        return Program(calls.steps, self.plan, rule.name, 1, s, self.count)
 
-        def size() -> dict[str, ca.SX]:
-            size = self.scene.error_size(z, q, v, ca.vertcat(dq, dv))
-            return {"error": ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf)}
+    def stiff(self, calls: Calls, i: str) -> None:
+        """H, Q, V of a place that was evaluated last, each by columns."""
 
-        known = {"z": z, "q": q, "v": v, "dq": dq, "dv": dv, "renew": renew, "p": self.p, "k": k}
-        calls("method_error", known, size, ["error"])
-        self.end([f"watch{i}" for i in ("0", *self.nodes)], rule.estimate + 1, history=history, rates=self.rates)
-        own = {"rule": rule.name, "evaluations": 1, "nodes": s, "history": n * s}
-        return {**asdict(self.plan), **own, "calls": made}
+        def found(*known: SX) -> list[SX]:
+            return [ca.vec(ca.densify(x)) for x in self.scene.stiffness(*known)]
 
-    def _place(self, i: str) -> None:
+        calls("stiffness", f"t{i} q{i} v{i} a{i} lam{i} {self.inputs(i)} p k M C", f"H{i} Q{i} V{i}", found)
+
+    def _place(self, calls: Calls, i: str) -> None:
         """Time, q and v at a node, and the acceleration that they were found with."""
-        z, n, number = self.z, self.e.n, int(i) - 1
-        rates = ca.vertsplit(self.rates, n)
-        q, v = implicit.at_node(self.rule, number, self.dt, z[:n], z[n : 2 * n], rates)
-        found = {f"t{i}": z[self.layout.time] + self.rule.nodes[number] * self.dt, f"q{i}": q, f"v{i}": v}
-        found[f"guess{i}"] = rates[number]
-        self.calls(f"node{i}", {"z": z, "step": self.dt, "rates": self.rates}, lambda: found, list(found))
+        n, number, rule = self.e.n, int(i) - 1, self.rule
 
-    def _pass(self, fresh: bool) -> None:
+        def found(z: SX, dt: SX, rates: SX) -> tuple[SX, ...]:
+            each = ca.vertsplit(rates, n)
+            q, v = implicit.at_node(rule, number, dt, z[:n], z[n : 2 * n], each)
+            return z[self.layout.time] + rule.nodes[number] * dt, q, v, each[number]
+
+        calls(f"node{i}", "z step rates", f"t{i} q{i} v{i} guess{i}", found)
+
+    def _pass(self, calls: Calls, fresh: bool) -> None:
         """A pass of Newton's method: accelerations at all nodes, and what they change."""
-        n, s, calls, dt = self.e.n, len(self.nodes), self.calls, self.dt
-        H, guess = ca.SX.sym("H", n * n), ca.SX.sym("guess", n)
+        n = self.e.n
         for i in self.nodes:
-            self._place(i)
-            self.evaluate(i)
+            self._place(calls, i)
+            self.evaluate(calls, i)
             if fresh:
-                self.stiff(i)
-            known = {f"a{i}": self.a, f"guess{i}": guess, f"H{i}": H}
-            calls("lacking", known, lambda: {"b": ca.reshape(H, n, n) @ (self.a - guess)}, [f"lacking{i}"])
+                self.stiff(calls, i)
+            known = f"a{i} guess{i} H{i}"
+            calls("lacking", known, f"lacking{i}", lambda a, guess, H: ca.reshape(H, n, n) @ (a - guess))
         if fresh:
 
-            def weights() -> dict[str, ca.SX]:
-                return {"weights": _flat(implicit.stage_weights(self.rule, dt)), "before": ca.SX(math.inf)}
+            def weights(dt: SX) -> tuple[SX, SX]:
+                return _flat(implicit.stage_weights(self.rule, dt)), SX(math.inf)
 
-            calls("weights", {"step": dt}, weights, ["weights", "before"])
-            self.factor("weights", [f"{x}{i}" for x in "HQV" for i in self.nodes], "factors", s)
-        self.solve("factors", [f"lacking{i}" for i in self.nodes], "changes")
-        known = {"z": self.z, "step": dt, "rates": self.rates, "changes": ca.SX.sym("changes", n * s), "k": self.k}
-        known |= {name: ca.SX.sym(name) for name in ("before", "passes")}
-        calls("pass", known, lambda: self._passed(**known), ["rates", "go", "renew", "before", "passes"])
+            calls("weights", "step", "weights before", weights)
+            self.factor(calls, "weights", [f"{x}{i}" for x in "HQV" for i in self.nodes], "factors", len(self.nodes))
+        self.solve(calls, "factors", [f"lacking{i}" for i in self.nodes], "changes")
+        calls("pass", "z step rates changes k before passes", "rates go renew before passes", self._passed)
 
-    def _passed(
-        self, z: ca.SX, step: ca.SX, rates: ca.SX, changes: ca.SX, k: ca.SX, before: ca.SX, passes: ca.SX
-    ) -> dict[str, ca.SX]:
+    def _passed(self, z: SX, step: SX, rates: SX, changes: SX, before: SX, passes: SX) -> tuple[SX, ...]:
+        """Rates, whether to go on, whether tangents have to be renewed, the change, passes."""
         n, parts = self.e.n, ca.vertsplit(changes, self.e.n)
         allowed = self.scene.allowed(ca.fabs(z[: 2 * n]))
         sizes = [step * combined(row, parts) for row in self.rule.matrix], parts
@@ -321,178 +277,159 @@ class _Collocation(_Implicit):
         finite = ca.sumsqr(changes) < math.inf
         converged, worth = newton(change, before, ca.if_else)
         converged = ca.logic_and(finite, converged)
-        return {
-            "rates": rates + changes,
-            "go": ca.logic_and(finite, worth),
-            "renew": ca.logic_not(converged),
-            "before": change,
-            "passes": passes + 1,
-        }
+        return rates + changes, ca.logic_and(finite, worth), ca.logic_not(converged), change, passes + 1
 
     def _sum(self) -> None:
         """q, v and work after the step."""
-        z, n, rule, dt = self.z, self.e.n, self.rule, self.dt
-        known = {"z": z, "step": dt, "rates": self.rates}
+        n, rule, powers = self.e.n, self.rule, []
         if self.e.works:
             for i in self.nodes:
-                self._place(i)
-                self.calls.made.append(["power", [f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"], [f"power{i}"]])
-            known |= {f"power{i}": ca.SX.sym("power") for i in self.nodes}
-        powers = [known[f"power{i}"] for i in self.nodes] if self.e.works else []
+                self._place(self.calls, i)
+                known = f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"
+                self.calls.made.append(Call("power", known, (f"power{i}",)))
+            powers = [f"power{i}" for i in self.nodes]
 
-        def found() -> dict[str, ca.SX]:
-            q, v = implicit.at_node(rule, -1, dt, z[:n], z[n : 2 * n], ca.vertsplit(self.rates, n))
+        def found(z: SX, dt: SX, rates: SX, *powers: SX) -> tuple[SX, SX, SX]:
+            q, v = implicit.at_node(rule, -1, dt, z[:n], z[n : 2 * n], ca.vertsplit(rates, n))
             work = z[self.layout.work]
-            return {"q": q, "v": v, "work": work + dt * combined(rule.matrix[-1], powers) if powers else work}
+            return q, v, work + dt * combined(rule.matrix[-1], list(powers)) if powers else work
 
-        self.calls("method_sum", known, found, ["q", "v", "work"])
+        self.calls("method_sum", spaced("z step rates", powers), "q v work", found)
 
-    def _estimate(self, q0: ca.SX, v0: ca.SX, a0: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """What the estimate of the error filters, as in `alfmu.method.stepping.collocation_error`."""
-        rule, n = self.rule, self.e.n
-        rates = ca.vertsplit(self.rates, n)
-        velocities = [implicit.at_node(rule, i, self.dt, q0, v0, rates)[1] for i in range(len(rates))]
-        begins = (v0, velocities), (a0, rates)
-        return tuple(self.dt * (rule.gamma * first + combined(rule.errors, each)) for first, each in begins)
+    def _judge(self) -> None:
+        """The error of the step, filtered twice as in `alfmu.method.stepping.collocation_error`."""
+        n, rule, calls, scene = self.e.n, self.rule, self.calls, self.scene
+
+        def first(z: SX, dt: SX, rates: SX, a0: SX) -> list[SX]:
+            q0, v0, each = z[:n], z[n : 2 * n], ca.vertsplit(rates, n)
+            velocities = [implicit.at_node(rule, i, dt, q0, v0, each)[1] for i in range(len(each))]
+            begins = (v0, velocities), (a0, each)
+            return [dt * (rule.gamma * begin + combined(rule.errors, x)) for begin, x in begins]
+
+        def filtering(dt: SX, H: SX, Q: SX, dq: SX, dv: SX) -> SX:
+            return ca.reshape(H, n, n) @ dv + rule.gamma * dt * (ca.reshape(Q, n, n) @ dq)
+
+        def size(z: SX, q: SX, v: SX, dq: SX, dv: SX, renew: SX) -> SX:
+            size = scene.error_size(z, q, v, ca.vertcat(dq, dv))
+            return ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf)
+
+        calls("estimate", "z step rates a0", "dq dv", first)
+        for _ in range(2):
+            calls("filtering", "step H0 Q0 dq dv", "estimate", filtering)
+            self.solve(calls, "filtered", ["estimate"], "dv")
+            calls("moving", "step dq dv", "dq", lambda dt, dq, dv: dq + rule.gamma * dt * dv)
+        self.project()
+        calls("method_error", "z q v dq dv renew p k", "error", size)
 
 
 class _Newmark(_Implicit):
-    """A step of the index-3 form: Newton's method on the positions, then projections in the metric of its tangent."""
+    """A step of the index-3 form: Newton's method on the positions, then projections in the metric of its tangent.
+
+    Between steps it keeps the accelerations `a`, those of the rule `w`, and the multipliers `force`.
+    """
 
     def __init__(self, tracer: Tracer, plan: Plan, rule: implicit.Newmark):
         super().__init__(tracer, plan)
-        n, l = self.e.n, self.e.l
-        self.rule = rule
-        self.history = {"a": ca.SX.sym("a", n), "w": ca.SX.sym("w", n), "force": ca.SX.sym("force", l)}
-        """Accelerations, those of the rule, and multipliers (times `scale`) that a step begins with."""
-        self.change = ca.SX.sym("change", n)
+        self.rule, self.count = rule, 2 * self.e.n + self.e.l
+        tracer.lengths |= dict.fromkeys(("history", "kept"), self.count)
 
     def program(self) -> Program:
-        n, l, calls, made, z = self.e.n, self.e.l, self.calls, self.calls.made, self.z
-        q, v = ca.SX.sym("q", n), ca.SX.sym("v", n)
+        n, l, calls = self.e.n, self.e.l, self.calls
         self.begin()
-        here = {"t0": z[self.layout.time], "q0": z[:n], "v0": z[n : 2 * n]}
-        calls("unpack_method", {"z": z}, lambda: here, list(here))
-        self.evaluate("0")
-        history = ca.SX.sym("history", 2 * n + l)
+        self.start()
 
-        def start() -> dict[str, ca.SX]:
-            begun = ca.if_else(self.pace[PACE.index("last")], history, ca.vertcat(self.a, self.a, self.lam))
-            a, w, lam = ca.vertsplit(begun, [0, n, 2 * n, 2 * n + l])
-            return {"a": a, "w": w, "force": lam, "change": ca.SX.zeros(n), "go": ca.SX(1)}
+        def start(pace: SX, history: SX, a0: SX, lam0: SX) -> tuple[SX, ...]:
+            begun = ca.if_else(pace[PACE.index("last")], history, ca.vertcat(a0, a0, lam0))
+            return *ca.vertsplit(begun, [0, n, 2 * n, 2 * n + l]), SX.zeros(n), SX(1)
 
-        known = {"pace": self.pace, "history": history, "a0": self.a, "lam0": self.lam}
-        calls("start", known, start, ["a", "w", "force", "change", "go"])
-        again = self.inside()
-        self._pass()
-        calls.made = made
-        self.loop("go", NEWMARK_PASSES, again)
-        self._moved("1")
+        calls("start", "pace history a0 lam0", "a w force change go", start)
+        again = calls.inside()
+        self._pass(again)
+        calls.made.append(Loop("go", NEWMARK_PASSES, again.steps))
+        self._moved(calls)
         for _ in range(RETURNS * bool(l)):
-            self._returned("q1", "closing", {"q1": q}, lambda: self.e.Phi(q, self.p))
-            self._returned("v1", "slowing", {"q1": q, "v1": v}, lambda: self.e.C(q, self.p) @ v)
+            self._returned("q1", "closing", "q1", lambda q: self.e.Phi(q, self.scene.p))
+            self._returned("v1", "slowing", "q1 v1", lambda q, v: self.e.C(q, self.scene.p) @ v)
         self._settled()
-        kept = ca.SX.sym("kept", 2 * n + l)
-        self.end(["watch0", "watch1"], 3, history=history, kept=kept)
-        own = {"rule": self.rule.name, "evaluations": 2, "nodes": 0, "history": 2 * n + l}
-        return {**asdict(self.plan), **own, "calls": made}
+        self.end(["watch0", "watch1"], 3, ("history", "kept"))
+        return Program(calls.steps, self.plan, self.rule.name, 2, 0, self.count)
 
-    def _moved(self, i: str) -> None:
+    def _moved(self, calls: Calls) -> None:
         """Time, q, v and the accelerations of the rule after the step."""
-        z, n, h = self.z, self.e.n, self.history
-        known = {"z": z, "step": self.dt, "w": h["w"], "a": h["a"], "change": self.change}
+        n = self.e.n
 
-        def found() -> dict[str, ca.SX]:
-            q, v, w = implicit.moved(self.rule, self.dt, z[:n], z[n : 2 * n], h["w"], h["a"], self.change)
-            return {"t": z[self.layout.time] + self.dt, "q": q, "v": v, "w": w}
+        def found(z: SX, dt: SX, w: SX, a: SX, change: SX) -> tuple[SX, ...]:
+            return z[self.layout.time] + dt, *implicit.moved(self.rule, dt, z[:n], z[n : 2 * n], w, a, change)
 
-        self.calls("moved", known, found, [f"t{i}", f"q{i}", f"v{i}", "after_w"])
+        calls("moved", "z step w a change", "t1 q1 v1 after_w", found)
 
-    def _pass(self) -> None:
+    def _pass(self, calls: Calls) -> None:
         """A pass of Newton's method, with new tangents."""
-        n, l, calls, dt = self.e.n, self.e.l, self.calls, self.dt
-        self._moved("1")
+        rule, scene = self.rule, self.scene
+        self._moved(calls)
         u = self.tracer.inputs(calls, "1")
-        a, change, lam = self.history["a"], self.change, self.history["force"]
-        known = {"t1": self.t, "q1": self.q, "v1": self.v, "a": a, "change": change, "force": lam}
-        known |= {u: self.u, "p": self.p, "k": self.k, "step": dt}
-        names = ["H", "Rq", "Rv", "rows", "Phi", "right"]
 
-        def found() -> dict[str, ca.SX]:
-            *parts, C, Phi, right = self.scene.positions(self.rule, dt, self.q, self.v, a + change, lam, self.u, self.t)
-            return {
-                **{str(i): ca.vec(ca.densify(x)) for i, x in enumerate(parts)},
-                "rows": C,
-                "Phi": Phi,
-                "right": right,
-            }
+        def found(t: SX, q: SX, v: SX, a: SX, change: SX, lam: SX, u: SX, dt: SX) -> list[SX]:
+            *tangents, C, Phi, right = scene.positions(rule, dt, t, q, v, a + change, lam, u)
+            return [*(ca.vec(ca.densify(x)) for x in tangents), C, Phi, right]
 
-        calls("positions", known, found, names)
-        calls("weights", {"step": dt}, lambda: {"w": _flat(implicit.position_weights(self.rule, dt))}, ["weights"])
-        self.factor("weights", ["H", "Rq", "Rv"], "factors", 1)
-        self.solve("factors", ["right"], "dq")
-        C, Phi, dq = ca.SX.sym("C", l * n), ca.SX.sym("Phi", l), ca.SX.sym("dq", n)
-        known = {"z": self.z, "step": dt, "rows": C, "Phi": Phi, "dq": dq, "change": change, "force": lam, "k": self.k}
-        known["passes"] = ca.SX.sym("passes")
-        results = ["change", "force", "go", "size", "passes"]
-        calls("pass", known, lambda: self._passed(C, Phi, dq, known["passes"]), results)
+        calls("positions", f"t1 q1 v1 a change force {u} p k step", "H Rq Rv rows Phi right", found)
+        calls("weights", "step", "weights", lambda dt: _flat(implicit.position_weights(rule, dt)))
+        self.factor(calls, "weights", ["H", "Rq", "Rv"], "factors", 1)
+        self.solve(calls, "factors", ["right"], "dq")
+        calls("pass", "z step rows Phi dq change force k passes", "change force go size passes", self._passed)
 
-    def _passed(self, C: ca.SX, Phi: ca.SX, dq: ca.SX, passes: ca.SX) -> dict[str, ca.SX]:
+    def _passed(self, z: SX, dt: SX, C: SX, Phi: SX, dq: SX, change: SX, lam: SX, passes: SX) -> tuple[SX, ...]:
+        """The change of accelerations, multipliers, whether to go on, how much that changed, passes."""
         n, l = self.e.n, self.e.l
-        _, by_a = implicit.changes(self.rule, self.dt)
-        size = ca.mmax(ca.fabs(dq) / ca.fmax(ca.fabs(self.z[:n]), 1))
+        _, by_a = implicit.changes(self.rule, dt)
+        size = ca.mmax(ca.fabs(dq) / ca.fmax(ca.fabs(z[:n]), 1))
         size = ca.if_else(ca.sumsqr(dq) < math.inf, size, math.inf)
-        lam = self.history["force"]
         if l:
             lam = lam + by_a * (self.scene.weights @ (Phi + ca.reshape(C, l, n) @ dq))
         go = ca.logic_and(size > implicit.CONVERGED, size < math.inf)
-        return {"change": self.change + by_a * dq, "force": lam, "go": go, "size": size, "passes": passes + 1}
+        return change + by_a * dq, lam, go, size, passes + 1
 
-    def _returned(self, what: str, name: str, known: dict[str, ca.SX], residue: Callable[[], ca.SX]) -> None:
+    def _returned(self, what: str, name: str, known: str, residue: Callable[..., SX]) -> None:
         """q or v after a correction (10) with the factors of the last pass."""
-        n, l, scene, x = self.e.n, self.e.l, self.scene, known[what]
-        C, dx = ca.SX.sym("C", l * n), ca.SX.sym("dx", n)
-        known = {**known, "rows": C, "p": self.p, "k": self.k}
+        n, l, weights = self.e.n, self.e.l, self.scene.weights
 
-        def right() -> dict[str, ca.SX]:
-            return {"b": method.project(ca.reshape(C, l, n), scene.weights, lambda b: b, residue())}
+        def right(*known: SX) -> SX:
+            *known, C = known
+            return method.project(ca.reshape(C, l, n), weights, lambda b: b, residue(*known))
 
-        self.calls(name, known, right, ["right"])
-        self.solve("factors", ["right"], "dx")
-        self.calls("corrected", {what: x, "dx": dx}, lambda: {"x": x + dx}, [what])
+        self.calls(name, f"{known} rows p k", "right", right)
+        self.solve(self.calls, "factors", ["right"], "dx")
+        self.calls("corrected", f"{what} dx", what, lambda x, dx: x + dx)
 
     def _settled(self) -> None:
         """q, v, the accelerations that the next step begins with, work, and what tells whether all that was enough."""
-        n, l, scene, z, calls = self.e.n, self.e.l, self.scene, self.z, self.calls
-        u = self.inputs("1")
-        known = {"t1": self.t, "q1": self.q, "v1": self.v, u: self.u, "p": self.p, "k": self.k}
-        names = ["q", "v", "power1", "pivot", "left"] if l else ["q", "v", "power1"]
-        if u == "u1":
-            self.tracer.inputs(calls, "1")
+        l, scene, calls, plan = self.e.l, self.scene, self.calls, self.plan
+        u = self.tracer.inputs(calls, "1")
 
-        def found() -> dict[str, ca.SX]:
-            _, pivot, left = scene.settled(self.q, self.v, 0)
-            power = scene.power(self.q, self.v, self.u, self.t)
-            return dict(zip(names, (self.q, self.v, power, pivot, left), strict=False))
+        def arrived(t: SX, q: SX, v: SX, u: SX) -> tuple[SX, ...]:
+            power, (_, pivot, left) = scene.power(t, q, v, u), scene.settled(q, v, 0)
+            return (q, v, power, pivot, left) if l else (q, v, power)
 
-        calls("arrived", known, found, names)
+        def nearest(t: SX, q: SX, v: SX, a: SX, change: SX, w: SX, lam: SX, u: SX) -> tuple[SX, SX]:
+            found, watch = scene.nearest(plan, t, q, v, u, a + change)
+            return ca.vertcat(found, w, lam), watch
+
+        def summed(z: SX, dt: SX, power0: SX, power1: SX, size: SX) -> tuple[SX, SX]:
+            work = z[self.layout.work] + dt / 2 * (power0 + power1)
+            # Steps of one length have no error to be judged by, but must have converged.
+            return work, ca.if_else(size <= implicit.CONVERGED, 0, math.inf)
+
+        calls("arrived", f"t1 q1 v1 {u} p k", "q v power1" + " pivot left" * bool(l), arrived)
         # Of all accelerations that keep the constraints, the nearest in the metric of M.
-        change, a, w, lam = self.change, self.history["a"], ca.SX.sym("w", n), self.history["force"]
-        known = {"t1": self.t, "q1": self.q, "v1": self.v, "a": a, "change": change, "after_w": w, "force": lam}
-        known |= {u: self.u, "p": self.p, "k": self.k}
-
-        def nearest() -> dict[str, ca.SX]:
-            found, watch = scene.nearest(self.plan, self.q, self.v, self.u, self.t, a + change)
-            return {"kept": ca.vertcat(found, w, lam), "watch": watch}
-
-        calls("nearest", known, nearest, ["kept", "watch1"])
-        size, power0, power1 = ca.SX.sym("size"), ca.SX.sym("power"), ca.SX.sym("power")
-        known = {"z": z, "step": self.dt, "power0": power0, "power1": power1, "size": size}
-        work = z[self.layout.work] + self.dt / 2 * (power0 + power1)
-        # Steps of one length have no error to be judged by, but must have converged.
-        error = ca.if_else(size <= implicit.CONVERGED, 0, math.inf)
-        calls("method_sum", known, lambda: {"work": work, "error": error}, ["work", "error"])
+        calls("nearest", f"t1 q1 v1 a change after_w force {u} p k", "kept watch1", nearest)
+        calls("method_sum", "z step power0 power1 size", "work error", summed)
 
 
-def _flat(weights: list[list[list[ca.SX]]]) -> ca.SX:
+def _known(pace: SX) -> dict[str, SX]:
+    """What step control remembers, by name."""
+    return dict(zip(PACE, ca.vertsplit(pace), strict=True))
+
+
+def _flat(weights: list[list[list[SX]]]) -> SX:
     return ca.vertcat(*(x for rows in weights for row in rows for x in row))

@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 
 from ..equations import Equations
+from .form import Call, every
 from .loops import blocks, c_function
-from .program import CHOICE, FACTOR, LEAST_NORM, LOOP, SOLVE
 from .stream import BINARY, UNARY, Instructions, Operations, number
 
-__all__ = ["HEAD", "compiled_code", "lengths"]
+__all__ = ["HEAD", "compiled_code"]
 
 BLOCK = 400
 """Operations in one C function of a long one; compilers take more than linear time for longer blocks."""
@@ -77,41 +77,19 @@ def compiled_code(equations: Equations, kept: Mapping[str, dict[int, int]], iden
 
     `kept` are further arguments of functions that results may be written over, and their lengths.
     """
-    files, spare = _files(_functions(equations, kept))
-    names = list(equations.signatures)
+    e, files, spare, overwritten = equations, [""], 0, _overwritten(equations)
+    for name in e.signatures:
+        for text, workspace in _function(name, e.functions[name], overwritten[name] | kept.get(name, {}), e.name):
+            if len(files[-1]) > UNIT:
+                files.append("")
+            files[-1] += text
+            spare = max(spare, workspace)
+    names = list(e.signatures)
     declared = "".join(f"extern Function {name};\n" for name in names)
     files[-1] += declared + _TABLE.format(
         names=",\n    ".join(names), count=len(names), spare=spare, identity=json.dumps(identity)
     )
     return [HEAD + text for text in files]
-
-
-def _files(functions: Iterable[tuple[str, str, int]]) -> tuple[list[str], int]:
-    """What `_functions` gives, in files of bounded length, and the workspace that they need."""
-    files, needed = [""], 0
-    for _, text, workspace in functions:
-        if len(files[-1]) > UNIT:
-            files.append("")
-        files[-1] += text
-        needed = max(needed, workspace)
-    return files, needed
-
-
-def lengths(equations: Equations) -> dict[str, int]:
-    """Bytes of C of each function."""
-    found = dict.fromkeys(equations.signatures, 0)
-    for name, text, _ in _functions(equations, {}):
-        found[name] += len(text)
-    return found
-
-
-def _functions(e: Equations, kept: Mapping[str, dict[int, int]]) -> Iterator[tuple[str, str, int]]:
-    """The name of each function, and what `_function` gives of it; `kept` are arguments that others write over."""
-    overwritten = _overwritten(e)
-    for name in e.signatures:
-        written_over = overwritten[name] | kept.get(name, {})
-        for text, workspace in _function(name, e.functions[name], written_over, e.name):
-            yield name, text, workspace
 
 
 def _function(name: str, f: ca.Function, kept: dict[int, int], scene: str) -> Iterator[tuple[str, int]]:
@@ -165,19 +143,8 @@ def _overwritten(e: Equations) -> dict[str, dict[int, int]]:
     """Arguments of functions, and their lengths, that some call writes a result over."""
     found: dict[str, dict[int, int]] = {name: {} for name in e.signatures}
     for program in e.kernel.values():
-        for name, arguments, results in _flat(program["calls"]):
-            lengths = e.signatures[name]["inputs"]
-            found[name] |= {i: lengths[i] for i, key in enumerate(arguments) if key in results}
+        for call in every(program.steps):
+            if isinstance(call, Call):
+                lengths = e.signatures[call.function]["inputs"]
+                found[call.function] |= {i: lengths[i] for i, key in enumerate(call.arguments) if key in call.results}
     return found
-
-
-def _flat(calls: list[list]) -> Iterator[list]:
-    """All calls of functions, those of either choice and in loops too."""
-    for call in calls:
-        if call[0] == CHOICE:
-            yield from _flat(call[2])
-            yield from _flat(call[3])
-        elif call[0] == LOOP:
-            yield from _flat(call[3])
-        elif call[0] not in (FACTOR, SOLVE, LEAST_NORM):
-            yield call

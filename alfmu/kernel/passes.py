@@ -95,13 +95,7 @@ def written(instructions: Instructions, constants: Constants, inputs: list[int],
 class _Writing:
     """A function while it is written, piece by piece."""
 
-    def __init__(
-        self,
-        operations: Operations,
-        constants: Constants,
-        inputs: list[int],
-        outputs: list[int],
-    ):
+    def __init__(self, operations: Operations, constants: Constants, inputs: list[int], outputs: list[int]):
         o = self._operations = operations
         self._inputs, self._outputs, self._constants = inputs, outputs, constants
         self._words: list[int] = []
@@ -314,10 +308,7 @@ def _carried(operations: Operations, piece: Repeat) -> dict[tuple[int, int], tup
     cells: dict[tuple[int, int], int] = {}
     for j in (0, 1):
         value, made = o.kind[j, part].reshape(shape) == VALUE, o.made[j, part].reshape(shape)
-        local = value & (made >= begin)
-        if ((local != local[0]) | (local & (made - begin != made[0] - piece.start))).any():
-            return None
-        for column in np.flatnonzero((value & ~local & (made >= piece.start)).any(axis=0)).tolist():
+        for column in np.flatnonzero((value & (made < begin) & (made >= piece.start)).any(axis=0)).tolist():
             row, which = np.divmod(made[:, column] - piece.start, piece.period)
             back = piece.count - 1 - int(row[-1])
             later = slice(back, None)

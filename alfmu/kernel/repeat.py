@@ -199,7 +199,16 @@ class _Lines:
             left = given.period * given.count - way.period * way.count
             return self._tables(way, ends) * way.count + _LINE * (way.period + left)
 
-        return min((way for way in ways if way.count >= FEWEST and way.period <= LONGEST), key=cost, default=given)
+        fit = (way for way in ways if way.count >= FEWEST and way.period <= LONGEST and self._alike(way))
+        return min(fit, key=cost, default=given)
+
+    def _alike(self, way: Repeat) -> bool:
+        """Whether the same operands are made in the same pass, in all passes: a longer period may take in values that
+        one pass alone finds there."""
+        o, part, begin = self._operations, slice(way.start, way.end), way.passes(0)[:, None]
+        made = np.where(o.kind[:, part] == VALUE, o.made[:, part], -1).reshape(2, way.count, way.period)
+        here = np.where(made >= begin, made - begin, -1)
+        return bool((here == here[:, :1]).all())
 
     def _tables(self, repeat: Repeat, ends: bool) -> int:
         """Tables that a loop needs; entries of the first and the last pass may differ unless `ends` says otherwise."""

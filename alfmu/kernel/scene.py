@@ -8,6 +8,7 @@ run (`runtime/interpret.c`). What repeats in a long function is a loop over plac
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterable
 
@@ -16,12 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .arrangement import KINDS, SINE_COSINE, SUMS
+from .form import Call, Choice, Factor, LeastNorm, Loop, Solve
 from .passes import BEHIND, EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, UNARY, Instructions
 
 __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
-CALLS = ("call", "choice", "loop", "factor", "solve", "least_norm")
+CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm)
 """What a program is made of, in the order of their numbers."""
 
 
@@ -41,13 +43,18 @@ def operations_header() -> str:
         f"#define GATHER_KIND {GATHER_KIND}",
         f"#define OPERAND_COUNTS {counts}",
         "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
-        f"enum {{ {', '.join(f'{name.upper()}_CODE' for name in CALLS)} }};",
+        f"enum {{ {', '.join(f'{_macro(step.__name__)}_CODE' for step in CALLS)} }};",
     ]
     return "\n".join([*lines, ""])
 
 
 OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | {kind: 3 + 2 * i for i, kind in enumerate(SUMS)}
 """How many operands operations of a kind have."""
+
+
+def _macro(name: str) -> str:
+    """A name in C."""
+    return re.sub("(?<=[a-z])(?=[A-Z])", "_", name).upper()
 
 
 def code(f: ca.Function, constants: Constants, scene: str) -> Code:

@@ -10,22 +10,25 @@ ends a step without projections.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from types import MappingProxyType
 
 import casadi as ca
+from casadi import SX
 
 from ..equations import Equations
 from ..equations.evaluation import with_functions
+from ..equations.interface import variables_of
 from ..method import formulations as method
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.singular import DOUBLINGS
-from .alternatives import OWN, Alternatives, alternatives, classic
-from .program import CHOICE, LOOP, Program, called
-from .trace import CAREFUL, Calls, Plan, Scene, Watch, _factors
+from .alternatives import OWN, Alternatives, alternatives
+from .form import Call, Choice, Loop, Plan, Program, Routine, called, rewritten
+from .symbolic import MATRICES, Watch, lengths_of
+from .trace import CAREFUL, NO_NAMES, Calls, spaced
 
-__all__ = ["passed", "standalone"]
+__all__ = ["beginning", "passed", "standalone"]
 
 
 def passed(equations: Equations) -> dict[str, int]:
@@ -33,27 +36,27 @@ def passed(equations: Equations) -> dict[str, int]:
     where the motion may end; a direction of the inputs; the communication point and the time derivatives of the inputs
     there; iterations of (8) as printed after the first one; zeta and omega; whether steps end with projections; where
     past inputs are kept, whether the communication step under way began before."""
-    inputs = len(equations.inputs)
-    within = {"within": 1} if "reach" in equations.kernel else {}
-    others = {"again": 1, "stabilisation": 2, "projects": 1}
-    return {"most": 1, "patient": 1, "du": inputs, "slopes": 1 + inputs, **others, **within}
+    names = ["most", "patient", "du", "slopes", "again", "stabilisation", "projects"]
+    names += ["within"] * ("reach" in equations.kernel)
+    lengths = lengths_of(equations)
+    return {name: lengths[name] for name in names}
 
 
 def standalone(equations: Equations) -> Equations:
     """The same equations, traced, with the programs and functions that a native FMU has beside those of the kernel."""
     e = equations
     tracer = _Patient(e)
-    kernel = {name: _extrapolating(tracer, program) for name, program in e.kernel.items() if name not in _APART}
+    kernel = {name: tracer.extrapolated(program) for name, program in e.kernel.items() if name not in _APART}
     kernel |= {name: program for name, program in e.kernel.items() if name in _APART}
     if "reach" in kernel:
-        kernel["reach"] = {"calls": [[CHOICE, "within", [], kernel["reach"]["calls"]]]}
+        kernel["reach"] = Program((Choice("within", zero=kernel["reach"].steps),))
     if e.l:
         careful = Plan(CAREFUL, 3, weighted=True)
         for name, plan in {"move": careful, "move_on_branch": replace(careful, branch=True)}.items():
-            kernel[name] = _extrapolating(tracer, tracer.move(plan))
+            kernel[name] = tracer.extrapolated(tracer.move(plan))
         kernel["close"] = tracer.close(careful)
         kernel["keep"] = tracer.keep()
-        read, redundant = len(e.kernel["instant"]["calls"]) > 1, tracer.redundant
+        read, redundant = len(e.kernel["instant"].steps) > 1, tracer.redundant
         if read:
             kernel["instant_patient"] = tracer.instant(careful, redundant)
         if "limit" in e.kernel:
@@ -61,7 +64,7 @@ def standalone(equations: Equations) -> Equations:
         kernel["impact"] = tracer.impact(careful)
         for name in alternatives(e):
             other = tracer.by(name)
-            kernel[f"move_{name}"] = _extrapolating(other, other.move(careful))
+            kernel[f"move_{name}"] = other.extrapolated(other.move(careful))
             if read:
                 kernel[f"instant_{name}"] = other.instant(careful, redundant)
         tracer.pivots(careful)
@@ -73,13 +76,33 @@ def standalone(equations: Equations) -> Equations:
     return replace(with_functions(e, tracer.functions), kernel=kernel)
 
 
+def beginning(equations: Equations) -> Equations:
+    """The same equations, untraced, with what they need to be started, and no steps.
+
+    What tells a singular position, and corrects what the assembly leaves, is not traced: stand-ins take its place.
+    """
+    e, tracer, nothing = equations, _Patient(equations), Program((), Plan(CAREFUL, 3))
+    kernel = {"quick": nothing, "careful": nothing, "instant": Program((Call("seen", (), ("seen",)),))}
+    tracer.functions["seen"] = ca.Function("seen", [], [ca.SX.zeros(3 + len(variables_of(e).outputs))])
+    if e.l:
+        moves = ["move", *(f"move_{name}" for name in alternatives(e))]
+        kernel |= dict.fromkeys([*moves, "close", "keep", "impact"], nothing)
+        if any(switch.start and switch.holds for switch in e.switches):
+            kernel["impact"] = tracer.impact(Plan(CAREFUL, 3, weighted=True))
+        q, v, ones = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n), ca.SX.ones(e.n)
+        p, k = (ca.SX.sym(name, lengths_of(e)[name]) for name in "pk")
+        stand_ins = {
+            "pivots": ([q, p, k], [ones, ones, ones, 1]),
+            "weighted_place": ([q, p, k], [q]),
+            "weighted_return": ([q, ca.SX.sym("wanted", e.n), v, p, k], [q, v]),
+            "weighted_settle": ([q, v, p, k], [v, 1, ca.SX.zeros(2)]),
+        }
+        tracer.functions |= {name: ca.Function(name, *each) for name, each in stand_ins.items()}
+    return replace(with_functions(e, tracer.functions), kernel=kernel)
+
+
 _APART = ("instant", "limit", "reach")
 """Programs at a communication point."""
-
-
-def _extrapolating(tracer: _Patient, program: Program) -> Program:
-    """A step with inputs that go on from the communication point by their derivatives."""
-    return {**program, "calls": tracer.extrapolated(program["calls"])}
 
 
 class _Patient(Alternatives):
@@ -87,290 +110,250 @@ class _Patient(Alternatives):
 
     def __init__(self, equations: Equations):
         super().__init__(equations)
-        used = {name for program in equations.kernel.values() for name in called(program["calls"])}
+        used = {name for program in equations.kernel.values() for name in called(program)}
         self.functions = {name: equations.functions[name] for name in used}
         self.redundant = any(name in ("least", "distribute") for name in self.functions)
 
+    # Programs ------------------------------------------------------------------------------------------------------
+
     def move(self, plan: Plan) -> Program:
         """A step of RK4 up to its end, which does not keep the constraints yet."""
-        program = self.step(plan)
-        names = [call[0] for call in program["calls"]]
-        return {**program, "calls": program["calls"][: names.index("sum") + 1]}
+        calls = Calls(self, plan)
+        self._moved(calls)
+        return Program(calls.steps, plan)
 
     def close(self, plan: Plan) -> Program:
         """S5: q and v after `move`, brought back to the constraints, and the state that they make."""
-        e, (_, _, p, k, _) = self.e, self.known.values()
-        scene, calls = Scene(e, True, p, k), Calls(self)
-        q, v = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
-        self.place(calls, scene, "q", "q")
-        self.settle(calls, scene, plan, {"q": q, "v": v, "p": p, "k": k}, ["v", "pivot", "left"])
-        self.unsettled(calls, scene)
-        end = self.e.kernel["careful"]["calls"][-1]
-        repeated = Calls(self)
-        self._repeat(repeated, "more", CORRECTIONS, calls.made)
-        return {"calls": [*repeated.made, end]}
+        calls, again = Calls(self, plan), Calls(self, plan)
+        self.place(again, "q", "q")
+        self.settle(again)
+        self.unsettled(again)
+        self._repeat(calls, "more", CORRECTIONS, again)
+        return self._ended(calls)
 
     def keep(self) -> Program:
         """The state that q and v after `move` make as they are."""
-        calls, end = Calls(self), self.e.kernel["careful"]["calls"][-1]
-        nothing = {"pivot": ca.SX(math.inf), "left": ca.SX.zeros(2)}
-        calls("unprojected", {"k": self.known["k"]}, lambda: nothing, list(nothing))
-        return {"calls": [*calls.made, end]}
+        calls = Calls(self)
+        calls("unprojected", "k", "pivot left", lambda: (SX(math.inf), SX.zeros(2)))
+        return self._ended(calls)
+
+    def _ended(self, calls: Calls) -> Program:
+        """With the end of a careful step."""
+        return Program((*calls.steps, self.e.kernel["careful"].steps[-1]))
 
     def impact(self, plan: Plan) -> Program:
         """The velocity after constraints came into force, the impulses of all, and the energy that was lost."""
-        e, (z, _, p, k, _) = self.e, self.known.values()
-        scene, calls = Scene(e, plan.weighted, p, k), Calls(self)
-        matrices = self.matrices(scene)
-        q, v, nothing = z[: e.n], z[e.n : 2 * e.n], ca.SX(len(e.inputs), 1)
+        e, calls, nothing = self.e, Calls(self, plan), SX(len(self.e.inputs), 1)
+        scene = calls.scene
 
-        def begun() -> dict[str, ca.SX]:
-            M, C, F, _ = scene.terms(q, v, nothing, ca.SX(0))
+        def begun(z: SX) -> list[SX]:
+            _, q, v = self._position(z)
+            M, C, F, _ = scene.terms(SX(0), q, v, nothing)
             return scene.begun((M, C, 0 * F, -C @ v))
 
-        calls("impact", {"z": z, "p": p, "k": k}, begun, [*matrices, "a0", "lam0", "watch0"])
-        self._iterate(calls, scene, plan, ("a0", "lam0", "watch0"))
+        def end(z: SX, M: SX, dv: SX, lam: SX) -> tuple[SX, SX, SX]:
+            return z[e.n : 2 * e.n] + dv, -lam / scene.scale, dv.T @ M @ dv / 2 / scene.scale
+
+        calls("impact", "z p k", spaced(MATRICES, "a0 lam0 watch0"), begun)
+        self._iterate(calls, "a0", "lam0", "watch0")
         if self.redundant:
-            self._least(calls, scene, "lam0")
-        M, dv, lam = matrices["M"], ca.SX.sym("a", e.n), ca.SX.sym("lam", e.l)
-
-        def end() -> dict[str, ca.SX]:
-            lost = dv.T @ scene.matrix("M", matrices) @ dv / 2 / scene.scale
-            return {"struck": v + dv, "impulses": -lam / scene.scale, "lost": lost}
-
-        calls("impact_end", {"z": z, "M": M, "a0": dv, "lam0": lam, "k": k}, end, ["struck", "impulses", "lost"])
-        return {"calls": calls.made}
+            self._least(calls, "lam0")
+        calls("impact_end", "z M a0 lam0 k", "struck impulses lost", end)
+        return Program(calls.steps)
 
     def sensitivity(self, plan: Plan) -> Program:
         """How outputs change with the inputs in the direction `du`: accelerations and multipliers by one more solve."""
-        e, layout, (z, _, p, k, _) = self.e, self.layout, self.known.values()
-        scene, calls = Scene(e, plan.weighted, p, k), Calls(self)
-        unpacked = {"t0": z[layout.time], "q0": z[: e.n], "v0": z[e.n : 2 * e.n], "singular": ca.SX(0)}
-        calls("unpack", {"z": z}, lambda: unpacked, list(unpacked))
-        self.evaluation(calls, scene, plan, "0")
-        self._forced(calls, scene, plan, "t0", "0")
-        self._changed(calls, scene, "a0", "lam0", "da0", "dlam0")
-        return {"calls": calls.made}
+        calls = Calls(self, plan)
+        self._unpacked(calls)
+        self.evaluation(calls, "0")
+        self._forced(calls, "t0", "0")
+        self._changed(calls, "a0 lam0 da0 dlam0")
+        return Program(calls.steps)
 
     def limit_sensitivity(self, plan: Plan) -> Program:
         """The same where limits are read: the derivative of the limit by what it is taken from."""
-        e, (z, _, p, k, _) = self.e, self.known.values()
-        scene, calls, count = Scene(e, plan.weighted, p, k), Calls(self), range(len(branch.READ_MEAN))
-        places = [f"place{j}" for j in count]
-        sizes = {"a": e.n, "lam": e.l, "watch": len(Watch.FIELDS), "da": e.n, "dlam": e.l}
-        found = {name: {f"{name}{j}": ca.SX.sym(name, size) for j in count} for name, size in sizes.items()}
-        unpacked = {"tz": z[self.layout.time], "qz": z[: e.n], "vz": z[e.n : 2 * e.n]}
-        calls("unpack_limit", {"z": z}, lambda: unpacked, list(unpacked))
-        self._read_places(calls, scene, places)
-        for j in count:
-            self._beside(calls, scene, plan, places[j], str(j))
-            self._forced(calls, scene, plan, "tz", str(j))
-        self.evaluation(calls, scene, plan, "l", {"tl": "tz", "ql": "qz", "vl": "vz"})
-        watch = ca.SX.sym("watch", len(Watch.FIELDS))
-        values, changes = ({**found[x], **found[y]} for x, y in (("a", "lam"), ("da", "dlam")))
+        calls, count = Calls(self, plan), len(branch.READ_MEAN)
+        scene = calls.scene
+        self._unpacked_limit(calls)
+        self._read_places(calls, [f"place{j}" for j in range(count)])
+        for j in range(count):
+            self._beside(calls, f"place{j}", str(j))
+            self._forced(calls, "tz", str(j))
+        self.evaluation(calls, "l", {"tl": "tz", "ql": "qz", "vl": "vz"})
 
-        def derived() -> dict[str, ca.SX]:
-            known = scene.limits([*values.values(), *found["watch"].values()], watch)
-            a, lam = known["a"], known["lam"]
-            change = ca.jtimes(ca.vertcat(a, lam), ca.vertcat(*values.values()), ca.vertcat(*changes.values()))
-            return {"a": a, "lam": lam, "da": change[: e.n], "dlam": change[e.n :]}
+        def derived(*known: SX) -> tuple[SX, ...]:
+            values, watches, changes = known[: 2 * count], known[2 * count : 3 * count + 1], known[3 * count + 1 :]
+            a, lam, *_ = scene.limits(*values, *watches)
+            change = ca.jtimes(ca.vertcat(a, lam), ca.vertcat(*values), ca.vertcat(*changes))
+            return a, lam, change[: self.e.n], change[self.e.n :]
 
-        known = {**values, **found["watch"], "watchl": watch, **changes}
-        calls("limit_change", known, derived, ["al", "laml", "dal", "dlaml"])
-        self._changed(calls, scene, "al", "laml", "dal", "dlaml")
-        return {"calls": calls.made}
+        values, watches, changes = (
+            [f"{name}{j}" for name in names.split() for j in range(count)] for names in ("a lam", "watch", "da dlam")
+        )
+        calls("limit_change", spaced(values, watches, "watchl", changes), "al laml dal dlaml", derived)
+        self._changed(calls, "al laml dal dlaml")
+        return Program(calls.steps)
 
-    def _forced(self, calls: Calls, scene: Scene, plan: Plan, time: str, i: str) -> None:
-        """da and dlam (times `scale`), with i in their names, by the forces of `du` at q0, v0; lam of least norm."""
-        e, (_, u, p, k, _) = self.e, self.known.values()
-        t, q, v, du = (ca.SX.sym(x, size) for x, size in (("t", 1), ("q", e.n), ("v", e.n), ("du", len(e.inputs))))
-        names = "F", "xi", f"da{i}", f"dlam{i}", "dwatch"
+    def _forced(self, calls: Calls, time: str, i: str) -> None:
+        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam of least norm."""
+        e, scene = self.e, calls.scene
 
-        def forces() -> dict[str, ca.SX]:
-            F = ca.jtimes(scene.terms(q, v, u, t)[2], u, du)
-            sizes = e.l, e.n, e.l, len(Watch.FIELDS)
-            return dict(zip(names, (F, *(ca.SX(size, 1) for size in sizes)), strict=True))
+        def forces(t: SX, q: SX, v: SX, u: SX, du: SX) -> tuple[SX, ...]:
+            F = ca.jtimes(scene.terms(t, q, v, u)[2], u, du)
+            return F, *(SX(size, 1) for size in (e.l, e.n, e.l, len(Watch._fields)))
 
         if self.redundant:
-            self._least(calls, scene, f"lam{i}")
-        calls("forced", {time: t, "q0": q, "v0": v, "u": u, "p": p, "k": k, "du": du}, forces, list(names))
-        self._iterate(calls, scene, plan, names[2:])
+            self._least(calls, f"lam{i}")
+        calls("forced", f"{time} q0 v0 u p k du", f"F xi da{i} dlam{i} dwatch", forces)
+        self._iterate(calls, f"da{i}", f"dlam{i}", "dwatch")
         if self.redundant:
-            self._least(calls, scene, f"dlam{i}")
+            self._least(calls, f"dlam{i}")
 
-    def _changed(self, calls: Calls, scene: Scene, a: str, lam: str, da: str, dlam: str) -> None:
+    def _changed(self, calls: Calls, found: str) -> None:
         """The changes of outputs."""
-        e, layout, (z, u, p, k, _) = self.e, self.layout, self.known.values()
-        q, v, t, du = z[: e.n], z[e.n : 2 * e.n], z[layout.time], ca.SX.sym("du", len(e.inputs))
-        sizes = {a: e.n, lam: e.l, da: e.n, dlam: e.l}
-        at = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        e, scene = self.e, calls.scene
 
-        def reading() -> dict[str, ca.SX]:
-            y = e.readings(q, v, at[a], at[lam] / scene.scale, u, p, t)
-            return {"dy": ca.jtimes(y, ca.vertcat(at[a], at[lam], u), ca.vertcat(at[da], at[dlam], du))}
+        def reading(z: SX, u: SX, du: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
+            t, q, v = self._position(z)
+            y = e.readings(q, v, a, lam / scene.scale, u, scene.p, t)
+            return ca.jtimes(y, ca.vertcat(a, lam, u), ca.vertcat(da, dlam, du))
 
-        calls("sensitivity", {"z": z, "u": u, "p": p, "k": k, "du": du, **at}, reading, ["dy"])
+        calls("sensitivity", f"z u p k du {found}", "dy", reading)
 
     def pivots(self, plan: Plan) -> None:
         """S1, S2: traces pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
-        e, (_, _, p, k, _) = self.e, self.known.values()
-        scene, q = Scene(e, plan.weighted, p, k), ca.SX.sym("q", e.n)
-        names = "pivots", "diagonal", "columns", "margin"
+        e, calls = self.e, Calls(self, plan)
+        scene = calls.scene
 
-        def found() -> dict[str, ca.SX]:
-            C = e.C(q, p)
-            H = method.augmented_mass(scene.scale * e.M(q, p), C, scene.weights)
-            D, _, order = _factors(e, H)
-            _, margin = scene.margin(D, order)
+        def found(q: SX) -> tuple[SX, ...]:
+            C = e.C(q, scene.p)
+            H = method.augmented_mass(scene.scale * e.M(q, scene.p), C, scene.weights)
+            D, _ = scene.factors(H)
             columns = ca.sum1(scene.weights @ ca.fabs(C)).T
-            return dict(zip(names, (D * scene.inverse_scales[order], ca.diag(H), columns, margin), strict=True))
+            return D * scene.inverse_scales[e.order], ca.diag(H), columns, scene.margin(D)[1]
 
-        Calls(self)("pivots", {"q": q, "p": p, "k": k}, found, list(names))
+        calls("pivots", "q p k", "pivots diagonal columns margin", found)
 
-    def extrapolated(self, calls: list[list]) -> list[list]:
-        """The same calls with inputs at the time of each; of past ones, those that have no derivative."""
-        count = len(self.e.inputs)
-        if not count:
-            return calls
-        u, slopes, t, past = self.known["u"], ca.SX.sym("slopes", 1 + count), ca.SX.sym("t"), ca.SX.sym("past", count)
-        known, there = {"u": u, "slopes": slopes, "t": t}, u + (t - slopes[0]) * slopes[1:]
-        if self.order:
-            known, there = {**known, "inputs": past}, ca.if_else(slopes[1:] < ca.inf, there, past)
-        Calls(self)("inputs_at", known, lambda: {"inputs": there}, ["inputs"])
-        return list(self._moved(calls))
+    def extrapolated(self, program: Program) -> Program:
+        """The same program with inputs that go on from the communication point by their derivatives, to the time of
+        each call; of past ones, those that have no derivative."""
+        if not self.e.inputs:
+            return program
 
-    def _moved(self, calls: list[list]):
-        for name, *rest in calls:
-            if not isinstance(rest[0], list):
-                yield [name, *(list(self._moved(x)) if isinstance(x, list) else x for x in rest)]
-                continue
-            arguments, results, *sizes = rest
-            if name == "inputs":
-                yield [name, arguments, results]
-                yield ["inputs_at", ["u", "slopes", arguments[1], *results], results]
-                continue
-            if "u" in arguments:
-                time = next(x for x in arguments if x[0] == "t")
-                yield ["inputs_at", ["u", "slopes", time], ["inputs"]]
-                arguments = ["inputs" if x == "u" else x for x in arguments]
-            yield [name, arguments, results, *sizes]
+        def there(u: SX, slopes: SX, t: SX, past: SX | None = None) -> SX:
+            moved = u + (t - slopes[0]) * slopes[1:]
+            return moved if past is None else ca.if_else(slopes[1:] < ca.inf, moved, past)
 
-    def _on_branch(self, calls: Calls, scene: Scene, plan: Plan, i: str, u: str, length: str, kept: bool) -> None:
+        # This names and traces the function; a program calls it where its inputs are used.
+        Calls(self)("inputs_at", spaced("u slopes t", "inputs" * bool(self.order)), "inputs", there)
+        return replace(program, steps=rewritten(program.steps, _inputs_moved))
+
+    # Loops that stop on convergence --------------------------------------------------------------------------------
+
+    def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
         """S4: where the motion does not reach the places of a limit, accelerations are taken as they are."""
-        super()._on_branch(calls, scene, plan, i, u, length, kept)
-        watch, last = f"watch{i}", Calls(self)
-        seen = ca.SX.sym("watch", len(Watch.FIELDS))
-        [*_, [_, _, limit, _], _] = calls.made
-        end = Calls(self)
-        end("unreached", {watch: seen}, lambda: {"unreached": 1 - (seen[0] < ca.inf)}, ["unreached"])
-        self.place(last, scene, f"q{i}", "placed")
-        self._brought(last, scene, plan, f"q{i}", "placed", f"v{i}")
-        names = {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": watch}
-        self.evaluation(last, scene, plan, "0", names, "patient")
+        super()._on_branch(calls, i, u, length, kept)
+        watch, scene, plan = f"watch{i}", calls.scene, calls.plan
+        end, last = calls.inside(), calls.inside()
+        end("unreached", watch, "unreached", lambda watch: 1 - (watch[0] < ca.inf))
+        self.place(last, f"q{i}", "placed")
+        self._brought(last, f"q{i}", "placed", f"v{i}")
+        self.evaluation(last, "0", {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": watch}, most="patient")
 
-        def given_up() -> dict[str, ca.SX]:
-            lost = scene.unconverged(plan, [Watch(seen)])
-            return {"watch": ca.vertcat(ca.if_else(lost, ca.inf, seen[0]), seen[1:])}
+        def given_up(watch: SX) -> SX:
+            lost = scene.unconverged(plan, [Watch.of(watch)])
+            return ca.vertcat(ca.if_else(lost, ca.inf, watch[0]), watch[1:])
 
-        last("given_up", {"k": self.known["k"], watch: seen}, given_up, [watch])
+        last("given_up", f"k {watch}", watch, given_up)
         self._reached(last, watch)
-        limit += [*end.made, [CHOICE, "unreached", last.made, []]]
+        end.choice("unreached", last)
+        [*_, limit, _] = calls.made
+        calls.made[-2] = replace(limit, nonzero=limit.nonzero + end.steps)
 
     def evaluation(
         self,
         calls: Calls,
-        scene: Scene,
-        plan: Plan,
         i: str,
-        names: MappingProxyType = MappingProxyType({}),
-        times: str = "most",
+        names: Mapping[str, str] = NO_NAMES,
+        iterations: int | None = None,
+        most: str = "most",
     ) -> None:
-        super().evaluation(calls, scene, replace(plan, iterations=1), i, names)
+        super().evaluation(calls, i, names, 1)
         own = {x: names.get(x + i, x + i) for x in ("q", "v", "a", "lam", "watch")}
-        if self.formulation == OWN:
-            self._iterate(calls, scene, plan, (own["a"], own["lam"], own["watch"]), times)
-        elif self.formulation == "classic":
-            self._iterate(calls, scene, plan, (own["a"], own["lam"], own["watch"]), "again")
+        if self.formulation in (OWN, "classic"):
+            self._iterate(calls, own["a"], own["lam"], own["watch"], most if self.formulation == OWN else "again")
         else:
-            self.once(calls, scene, own)
+            self.once(calls, own)
 
-    def _iterate(
-        self, calls: Calls, scene: Scene, plan: Plan, names: tuple[str, str, str], times: str = "most"
-    ) -> None:
+    def _iterate(self, calls: Calls, a: str, lam: str, watch: str, most: str = "most") -> None:
         """The multiplier iteration until it converges."""
         if not self.e.l:
             return
-        k, matrices = self.known["k"], self.matrices(scene)
-        a, lam, watch = (
-            ca.SX.sym(name, size) for name, size in zip("alw", (self.e.n, self.e.l, len(Watch.FIELDS)), strict=True)
-        )
-        again = Calls(self)
-        known = {"k": k, **matrices, **dict(zip(names, (a, lam, watch), strict=True))}
-        if self.formulation == OWN:
-            again(f"{scene.kind}_iterate", known, lambda: scene.iterated_again(matrices, a, lam, watch), list(names))
-        else:
-            again("classic_iterate", known, lambda: classic(scene, matrices, a, lam, watch), list(names))
-        done = {"k": k, names[2]: watch}
-        again("unconverged", done, lambda: {"more": scene.unconverged(plan, [Watch(watch)])}, ["more"])
-        self._repeat(calls, "more", times, again.made)
+        again, plan = calls.inside(), calls.plan
+        (self._iterate_once if self.formulation == OWN else self.classic)(again, a, lam, watch)
+        again("unconverged", f"k {watch}", "more", lambda watch: again.scene.unconverged(plan, [Watch.of(watch)]))
+        self._repeat(calls, "more", most, again)
 
-    def _repeat(self, calls: Calls, number: str, times: int | str, again: list[list]) -> None:
-        """Calls that are made, and again until a number is zero that they give."""
-        calls("begin", {"k": self.known["k"]}, lambda: {"number": ca.SX(1)}, [number])
-        calls.made.append([LOOP, number, times, again])
+    def _repeat(self, calls: Calls, number: str, most: int | str, again: Calls) -> None:
+        """What is called, and again until a number is zero that it gives."""
+        calls("begin", "k", number, lambda: SX(1))
+        calls.made.append(Loop(number, most, again.steps))
 
-    def _probe(self, calls: Calls, scene: Scene, plan: Plan, i: str, length: str) -> None:
+    def _probe(self, calls: Calls, i: str, length: str) -> None:
         """With spacings that are doubled until they can tell."""
-        near, spacing, stretched, slow = (ca.SX.sym(name) for name in ("zone", "spacing", "dt", "slow"))
-        zone = f"zone{i}"
-        calls("stretch", {length: stretched}, lambda: {"stretched": stretched}, ["stretched"])
-        again = Calls(self)
-        super()._probe(again, scene, plan, i, "stretched")
+        zone, again = f"zone{i}", calls.inside()
+        calls("stretch", length, "stretched", lambda dt: dt)
+        super()._probe(again, i, "stretched")
 
-        def longer() -> dict[str, ca.SX]:
+        def longer(stretched: SX, near: SX, spacing: SX) -> tuple[SX, SX]:
             more = ca.logic_and(near, 1 - (spacing < ca.inf))
-            return {"stretched": stretched * (1 + more), "slow": more}
+            return stretched * (1 + more), more
 
-        known = {"stretched": stretched, zone: near, "spacing": spacing}
-        again("longer", known, longer, ["stretched", "slow"])
-        self._repeat(calls, "slow", DOUBLINGS, again.made)
-        calls("told", {zone: near, "slow": slow}, lambda: {"zone": near * (1 - slow)}, [zone])
+        again("longer", f"stretched {zone} spacing", "stretched slow", longer)
+        self._repeat(calls, "slow", DOUBLINGS, again)
+        calls("told", f"{zone} slow", zone, lambda near, slow: near * (1 - slow))
 
-    def _read_places(self, calls: Calls, scene: Scene, places: list[str], dt: str = "dt") -> None:
+    def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
         """With spacings that are doubled until they can tell."""
-        stretched, first = ca.SX.sym("dt"), ca.SX.sym("place", self.e.n)
-        calls("stretch", {dt: stretched}, lambda: {"stretched": stretched}, ["stretched"])
-        again = Calls(self)
-        super()._read_places(again, scene, places, "stretched")
+        again = calls.inside()
+        calls("stretch", length, "stretched", lambda dt: dt)
+        super()._read_places(again, places, "stretched")
 
-        def longer() -> dict[str, ca.SX]:
+        def longer(stretched: SX, first: SX) -> tuple[SX, SX]:
             more = 1 - (ca.sumsqr(first) < ca.inf)
-            return {"stretched": stretched * (1 + more), "slow": more}
+            return stretched * (1 + more), more
 
-        again("longer_places", {"stretched": stretched, places[0]: first}, longer, ["stretched", "slow"])
-        self._repeat(calls, "slow", DOUBLINGS, again.made)
+        again("longer_places", f"stretched {places[0]}", "stretched slow", longer)
+        self._repeat(calls, "slow", DOUBLINGS, again)
 
-    def _least_by_loop(self, calls: Calls, scene: Scene, name: str) -> None:
-        """Multipliers of least norm by passes until they change no more."""
-        matrices, lam, z = self.matrices(scene), ca.SX.sym("lam", self.e.l), ca.SX.sym("z", self.e.n)
-        some = {each: matrices[each] for each in ("C", "D", "L")}
-        calls("least_begin", {"k": self.known["k"]}, lambda: {"z": ca.SX(self.e.n, 1)}, ["least_z"])
-        again, known = Calls(self), {"k": self.known["k"], **some, name: lam, "least_z": z}
-        again("least_again", known, lambda: scene.least_again(some, lam, z), ["least_z", "least_norm", "more"])
-        self._repeat(calls, "more", CORRECTIONS, again.made)
-        calls("least_end", {"least_norm": lam}, lambda: {"lam": lam}, [name])
-
-    def _least(self, calls: Calls, scene: Scene, name: str) -> None:
-        """By other formulations where steps end with projections, as in the oracle."""
+    def _least(self, calls: Calls, lam: str) -> None:
+        """By passes until they change no more; of other formulations where a step projects, as in the oracle."""
         if self.formulation != OWN:
-            made = Calls(self)
-            self.by(OWN)._least(made, scene, name)
-            calls.made.append([CHOICE, "projects", made.made, []])
+            own = calls.inside()
+            self.by(OWN)._least(own, lam)
+            calls.choice("projects", own)
             return
-        if not self.e.compliances:
-            self._least_by_loop(calls, scene, name)
+        scene = calls.scene
+        if self.e.compliances:
+            calls("share", f"k M C {lam}", lam, lambda M, C, lam: scene.distributed(M, C, lam, CORRECTIONS))
             return
-        matrices, lam = self.matrices(scene), ca.SX.sym("lam", self.e.l)
-        some = {each: matrices[each] for each in ("M", "C")}
-        known = {"k": self.known["k"], **some, name: lam}
-        calls("share", known, lambda: {"lam": scene.distributed(some, lam, CORRECTIONS)}, [name])
+        again = calls.inside()
+        calls("least_begin", "k", "least_z", lambda: SX(self.e.n, 1))
+        again("least_again", f"k C D L {lam} least_z", "least_z least_norm more", scene.least_again)
+        self._repeat(calls, "more", CORRECTIONS, again)
+        calls("least_end", "least_norm", lam, lambda lam: lam)
+
+
+def _inputs_moved(step: Call | Routine) -> Iterator[Call | Routine]:
+    """A call with its inputs at its own time; past ones are moved where they are found."""
+    if not isinstance(step, Call):
+        yield step
+    elif step.function == "inputs":
+        yield step
+        yield Call("inputs_at", ("u", "slopes", step.arguments[1], *step.results), step.results)
+    elif "u" in step.arguments:
+        time = next(x for x in step.arguments if x[0] == "t")
+        yield Call("inputs_at", ("u", "slopes", time), ("inputs",))
+        yield replace(step, arguments=tuple("inputs" if x == "u" else x for x in step.arguments))
+    else:
+        yield step

@@ -6,8 +6,9 @@ import hashlib
 import math
 import struct
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,16 +18,17 @@ from ..equations.interface import CHOICES, SOLVER_VARIABLES, Interface, events, 
 from ..method import formulations, implicit, singular, stepping
 from ..method.stepping import Collocation, Explicit, explicit_rule, share
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, Settings
-from . import program as program_module
-from . import thresholds
+from . import memory, thresholds
 from .alternatives import OWN
 from .alternatives import formulations as carried
 from .emit import compiled_code
+from .form import Call, Choice, Factor, LeastNorm, Loop, Routine, Step, called
 from .joined import joined
-from .program import CHOICE, FACTOR, LEAST_NORM, LOOP, SOLVE, TIERS, Layout
+from .memory import TIERS, Layout
 from .scene import CALLS, Code, Constants, Writer, code
-from .standalone import passed, standalone
-from .trace import CAREFUL, ROUND_OFF, Watch
+from .standalone import beginning, passed, standalone
+from .symbolic import ROUND_OFF, Watch
+from .trace import CAREFUL
 
 __all__ = [
     "alone",
@@ -37,6 +39,7 @@ __all__ = [
     "layout_header",
     "machine_code",
     "packed",
+    "packed_start",
 ]
 
 VERSION = 3
@@ -47,44 +50,100 @@ MAGIC = b"ALFMU\r\n\x1a"
 HEAD, IDENTITY = 64, 40
 """Bytes before the body: MAGIC, version, length, check sum; at their end the identity."""
 
-COUNTS = (
-    *("parameters", "choices", "inputs", "switches", "outputs", "own", "starts", "compliances", "solver", "held"),
-    *("impulses", "event_count", "n", "l", "angles", "readings", "ties"),
-)
 REFERENCES = ("step_size", "penalty", "tolerance", "max_iterations", "relative_tolerance", "absolute_tolerance")
+"""Numbers of the solver that the runtime reads."""
+
 FIELDS = ("z", "after", "begin", "u", "p", "k", "dt", "control", "tally", "pace", "past", "seen")
+"""Fields of the memory that the runtime reads and writes."""
+
+
+def _same(names: str) -> dict[str, str]:
+    return {name: name for name in names.split()}
+
+
 HANDED = {
-    **{name: name for name in ("most", "patient", "du", "slopes", "within", "q", "v", "dy", "struck", "lost")},
-    **{name: name for name in ("again", "stabilisation", "projects")},
+    **_same("most patient du slopes within q v dy struck lost again stabilisation projects"),
     "impulse": "impulses",
-    **{f"{name}{i}": f"{name}{i}" for name in ("watch", "q", "v") for i in (1, 2, 3, 4)},
+    **_same(" ".join(f"{name}{i}" for name in ("watch", "q", "v") for i in (1, 2, 3, 4))),
     "watch0": "watch0",
 }
+"""What the runtime and programs hand to each other, by its name in C."""
+
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **{name: name for name in ("dynamics", "constraints", "energy", "closure", "guesses", "displacements", "pivots")},
+    **_same("dynamics constraints energy closure guesses displacements pivots"),
     **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
+"""Functions that the runtime calls, by their names in C."""
+
 PROGRAMS = {
-    **{name: name for name in ("quick", "careful", "instant", "limit", "move", "move_on_branch", "close", "impact")},
-    **{name: name for name in ("sensitivity", "limit_sensitivity", "reach", "beside")},
+    **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
     **{"branch_step": "branch", "method_step": "method"},
-    **{name: name for name in ("instant_patient", "limit_patient", "keep")},
-    **{f"{program}_{name}": f"{program}_{name}" for program in ("move", "instant") for name in OTHERS},
+    **_same("instant_patient limit_patient keep"),
+    **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
 }
-NUMBERS = (
-    *COUNTS,
-    *REFERENCES,
-    *("formulation", "branch", "continues", "method_choice"),
-    *("freedom", "brakes", "weighted", "same_tiers", "careful_iterations"),
-    *("monitor_position", "monitor_velocity", "monitor_energy", "monitor_iterations"),
-    *("method", *FIELDS, "past_size", "seen_size", "time", "work", "trouble", "near", "size", "workspace"),
-    *(*HANDED, *FUNCTIONS, *PROGRAMS),
-)
-REALS = ("no_slope", "share", "exponent")
+"""Programs that the runtime runs, by their names in C."""
+
+Number = Callable[["_Table"], float]
+
+COUNTS: dict[str, Number] = {
+    "parameters": lambda t: len(t.variables.parameters),
+    "choices": lambda t: len(CHOICES),
+    "inputs": lambda t: len(t.e.inputs),
+    "switches": lambda t: len(t.e.switches),
+    "outputs": lambda t: len(t.variables.outputs),
+    "own": lambda t: len(t.e.parameters),
+    "starts": lambda t: len(t.e.starts),
+    "compliances": lambda t: len(t.e.compliances),
+    "solver": lambda t: len(SOLVER_VARIABLES),
+    "held": lambda t: len(t.e.held),
+    "impulses": lambda t: sum(len(switch.rows) for switch in t.e.switches),
+    "event_count": lambda t: len(events(t.e)),
+    "n": lambda t: t.e.n,
+    "l": lambda t: t.e.l,
+    "angles": lambda t: len(t.e.wrapped),
+    "readings": lambda t: len(t.e.outputs),
+    "ties": lambda t: len(t.e.tied),
+}
+"""Of what a scene has, each checked when it is loaded."""
 
 _WATCHED = {"position": "position_error", "velocity": "velocity_error", "energy": "energy", "iterations": "iterations"}
 """Monitors whose largest values an instance keeps, and the one that it counts where loops stop on convergence."""
+
+NUMBERS: dict[str, Number] = {
+    **COUNTS,
+    **{name: partial(lambda name, t: t.causal(f"solver.{name}"), name) for name in REFERENCES},
+    "formulation": lambda t: list(CHOICES).index("solver.formulation"),
+    "branch": lambda t: list(CHOICES).index("solver.branch"),
+    "continues": lambda t: list(t.known["solver.branch"]).index("continue"),
+    "method_choice": lambda t: list(CHOICES).index("solver.method"),
+    "freedom": lambda t: -1 if t.e.freedom is None else t.e.freedom,
+    "brakes": lambda t: t.e.brakes,
+    "weighted": lambda t: t.e.kernel["quick"].plan.weighted,
+    "same_tiers": lambda t: t.e.kernel["quick"] == t.e.kernel["careful"],
+    "careful_iterations": lambda t: CAREFUL if t.e.l else 1,
+    **{f"monitor_{name}": partial(lambda key, t: t.output(f"monitor.{key}"), key) for name, key in _WATCHED.items()},
+    "method": lambda t: 0 if t.method == Settings.method else 1 + (t.method in FIXED),
+    **{name: partial(lambda name, t: t.layout.fields[name][0], name) for name in FIELDS},
+    "past_size": lambda t: t.layout.fields["past"][1],
+    "seen_size": lambda t: t.layout.fields["seen"][1],
+    **{name: partial(lambda name, t: getattr(t.layout, name), name) for name in ("time", "work", "trouble", "near")},
+    "size": lambda t: t.layout.size,
+    # What a scene does not hand on has a place at the beginning, which has room for it.
+    "workspace": lambda t: max(
+        t.workspace, t.e.n + t.e.l + len(t.e.outputs) + len(t.e.inputs) + len(Watch._fields) + 1
+    ),
+    **{name: partial(lambda key, t: t.places.get(key, (0, 0))[0], key) for name, key in HANDED.items()},
+    **{name: partial(lambda key, t: t.number.get(key, -1), key) for name, key in FUNCTIONS.items()},
+    **{name: partial(lambda key, t: t.program.get(key, -1), key) for name, key in PROGRAMS.items()},
+}
+"""Numbers of a scene that the runtime knows by name."""
+
+REALS: dict[str, Number] = {
+    "no_slope": lambda t: math.inf if "reach" in t.e.kernel else 0.0,
+    "share": lambda t: t.share[0],
+    "exponent": lambda t: t.share[1],
+}
 
 HOT = ("quick", "instant", "method")
 """Programs whose calls are joined: they run in every step."""
@@ -115,9 +174,8 @@ def layout_header() -> str:
     """layout.h: what the C runtime shares with Python: names of the numbers of a scene, constants."""
     found = {
         "SCENE_VERSION": VERSION,
-        "SETTINGS": program_module.SETTINGS,
-        "GROSS": program_module.GROSS,
-        "TURN": program_module.TURN,
+        "GROSS": memory.GROSS,
+        "TURN": memory.TURN,
         "CORRECTIONS": formulations.CORRECTIONS,
         "NOISE_FLOOR": singular.NOISE_FLOOR,
         "LEAST_DISTANCE": singular.LEAST_DISTANCE,
@@ -126,10 +184,6 @@ def layout_header() -> str:
         "QUARTER": math.pi / 2,
         "DENSE": DENSE,
         "TIERS": len(TIERS),
-        "WATCH": len(Watch.FIELDS),
-        "PACE": len(program_module.PACE),
-        **{f"PACE_{name.upper()}": i for i, name in enumerate(program_module.PACE)},
-        **{f"WATCH_{name.upper()}": i for i, name in enumerate(Watch.FIELDS)},
         "CHOICES": len(CHOICES),
         "FORMULATIONS": len(FORMULATIONS),
         **{f"{name.upper()}_FORMULATION": i for i, name in enumerate(FORMULATIONS)},
@@ -139,6 +193,8 @@ def layout_header() -> str:
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "ROUND_OFF": ROUND_OFF,
     }
+    for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):
+        found |= {vector: len(names), **{f"{vector}_{name.upper()}": i for i, name in enumerate(names)}}
     found |= {name: value for name, value in vars(thresholds).items() if name.isupper()}
     found |= {name: ", ".join(map(repr, x)) for name, x in found.items() if isinstance(x, tuple)}
     lines = [f"#define {name} {value}" for name, value in found.items()]
@@ -153,8 +209,12 @@ def layout_header() -> str:
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    e = joined(standalone(equations), HOT)
-    used = dict.fromkeys(name for each in e.kernel.values() for name in program_module.called(each["calls"]))
+    return _ordered(joined(standalone(equations), HOT))
+
+
+def _ordered(e: Equations) -> Equations:
+    """The same equations with no functions but those of the scene, in the order of its file."""
+    used = dict.fromkeys(name for each in e.kernel.values() for name in called(each))
     names = dict.fromkeys([*(name for name in FUNCTIONS.values() if name in e.signatures), *used])
     functions, signatures = ({name: table[name] for name in names} for table in (e.functions, e.signatures))
     return replace(e, functions=functions, signatures=signatures)
@@ -179,16 +239,25 @@ def function_sizes(equations: Equations) -> dict[str, int]:
 
 def packed(equations: Equations) -> bytes:
     """The scene file of traced equations."""
-    e = alone(equations)
+    return _file(equations, alone(equations))
+
+
+def packed_start(equations: Equations) -> bytes:
+    """The scene file of untraced equations with a start alone: it can be initialised, and makes no step."""
+    chosen = {name: value for name, value in equations.solver.items() if name not in ("method", "input_order")}
+    e = beginning(replace(equations, solver=chosen))
+    return _file(e, _ordered(e))
+
+
+def _file(equations: Equations, e: Equations) -> bytes:
     w = Writer()
     w.text(e.name)
     table = _Table(equations, e)
     table.code()
-    numbers = table.numbers()
-    for name in NUMBERS:
-        w.integer(int(numbers[name]))
-    for name in REALS:
-        w.real(float(numbers[name]))
+    for number in NUMBERS.values():
+        w.integer(int(number(table)))
+    for real in REALS.values():
+        w.real(float(real(table)))
     table.write(w)
     return identified(bytes(HEAD) + b"".join(w.parts), hashlib.sha256(b"".join(w.parts)).hexdigest()[:32])
 
@@ -203,8 +272,12 @@ class _Table:
     """What stands in the file of a scene."""
 
     def __init__(self, scene: Equations, own: Equations):
-        self.scene, self.e = scene, own
-        self.layout = Layout(scene)
+        self.e, self.layout = own, Layout(scene)
+        self.variables, self.known, self.passed = interface(scene), known_choices(scene), passed(scene)
+        self.method = scene.solver.get("method", Settings.method)
+        carried = own.kernel["method"].rule if "method" in own.kernel else None
+        rule = explicit_rule(self.method, 1.0, carried) or implicit.RULES.get(self.method)
+        self.share = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
         self.places: dict[str, tuple[int, int]] = {}
         """Where values stand in the workspace that programs hand on, and their lengths."""
         self.workspace = 0
@@ -212,14 +285,14 @@ class _Table:
     def code(self) -> None:
         """Functions and programs, in the order of their numbers."""
         e = self.e
-        for name, length in {**dict.fromkeys(HANDED.values(), 0), **passed(e)}.items():
+        for name, length in {**dict.fromkeys(HANDED.values(), 0), **self.passed}.items():
             if length:
                 self._place(name, length)
         self.constants = Constants()
         self.functions: list[Code] = [code(each, self.constants, e.name) for each in e.functions.values()]
         self.number = {name: i for i, name in enumerate(e.functions)}
-        self.program_names = list(e.kernel)
-        self.programs = [self._program(e.kernel[name]["calls"]) for name in self.program_names]
+        self.program = {name: i for i, name in enumerate(e.kernel)}
+        self.programs = [self._program(program.steps) for program in e.kernel.values()]
 
     def _place(self, name: str, length: int) -> int:
         self.places[name] = self.workspace, length
@@ -235,107 +308,52 @@ class _Table:
         fields = self.layout.fields
         return fields[name][0] if name in fields else self.layout.size + self.places[name][0]
 
-    def _program(self, calls: list[list]) -> list[int]:
+    def _program(self, steps: Iterable[Step]) -> list[int]:
         words: list[int] = []
-        for name, *rest in calls:
-            if name == CHOICE:
-                number, *ways = rest
-                first, second = map(self._program, ways)
-                words += [CALLS.index("choice"), self._at(number), len(first), len(second), *first, *second]
-            elif name == LOOP:
-                number, times, again = rest
-                body = self._program(again)
-                limit = times if isinstance(times, int) else -1 - self._at(times)
-                words += [CALLS.index("loop"), self._at(number), limit, len(body), *body]
+        for step in steps:
+            words.append(CALLS.index(type(step)))
+            if isinstance(step, Choice):
+                nonzero, zero = map(self._program, (step.nonzero, step.zero))
+                words += [self._at(step.number), len(nonzero), len(zero), *nonzero, *zero]
+            elif isinstance(step, Loop):
+                body = self._program(step.body)
+                most = step.most if isinstance(step.most, int) else -1 - self._at(step.most)
+                words += [self._at(step.number), most, len(body), *body]
             else:
-                inputs, outputs, *sizes = rest
-                if sizes:
-                    side = math.prod(sizes)
-                    lengths = [side * side, side] if name == FACTOR else [side]
-                else:
-                    lengths = self.functions[self.number[name]].outputs
-                for each, length in zip(outputs, lengths, strict=True):
-                    if each not in self.layout.fields and each not in self.places:
-                        self._place(each, length)
-                    if self._length(each) != length:
-                        raise ValueError(f"{each} has {self._length(each)} entries, and {name} gives {length}")
-                at = [self._at(each) for each in (*inputs, *outputs)]
-                if name == FACTOR:
-                    terms = (len(inputs) - 1) // sizes[1]
-                    words += [CALLS.index("factor"), *sizes, terms, *at]
-                elif name == SOLVE:
-                    words += [CALLS.index("solve"), *sizes, *at]
-                elif name == LEAST_NORM:
-                    words += [CALLS.index("least_norm"), *sizes, *at]
-                else:
-                    words += [CALLS.index("call"), self.number[name], *at]
+                words += self._called(step)
         return words
 
-    def numbers(self) -> dict[str, float]:
-        """The numbers of the scene by name."""
-        e, layout = self.e, self.layout
-        variables, known = interface(self.scene), known_choices(self.scene)
-        at = {v.name: k for k, (_, v) in enumerate(variables.causalities)}
-        names, seen = list(CHOICES), {v.name: k for k, v in enumerate(variables.outputs)}
-        quick, careful = (e.kernel[name] for name in ("quick", "careful"))
-        method = self.scene.solver.get("method", Settings.method)
-        rule = explicit_rule(method, 1.0, e.kernel.get("method", {}).get("rule")) or implicit.RULES.get(method)
-        factor, exponent = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
-        offsets = {name: self.places.get(key, (0, 0))[0] for name, key in HANDED.items()}
-        return {
-            "parameters": len(variables.parameters),
-            "choices": len(CHOICES),
-            "inputs": len(e.inputs),
-            "switches": len(e.switches),
-            "outputs": len(variables.outputs),
-            "own": len(e.parameters),
-            "starts": len(e.starts),
-            "compliances": len(e.compliances),
-            "solver": len(SOLVER_VARIABLES),
-            "held": len(e.held),
-            "impulses": sum(len(switch.rows) for switch in e.switches),
-            "event_count": len(events(e)),
-            "n": e.n,
-            "l": e.l,
-            "angles": len(e.wrapped),
-            "readings": len(e.outputs),
-            "ties": len(e.tied),
-            **{name: at[f"solver.{name}"] for name in REFERENCES},
-            "formulation": names.index("solver.formulation"),
-            "branch": names.index("solver.branch"),
-            "continues": list(known["solver.branch"]).index("continue"),
-            "method_choice": names.index("solver.method"),
-            "freedom": -1 if e.freedom is None else e.freedom,
-            "brakes": e.brakes,
-            "weighted": quick.get("weighted", False),
-            "same_tiers": quick == careful,
-            "careful_iterations": CAREFUL if e.l else 1,
-            **{f"monitor_{name}": seen.get(f"monitor.{key}", -1) for name, key in _WATCHED.items()},
-            "method": 0 if method == Settings.method else 1 + (method in FIXED),
-            **{name: layout.fields[name][0] for name in FIELDS},
-            "past_size": layout.fields["past"][1],
-            "seen_size": layout.fields["seen"][1],
-            "time": layout.time,
-            "work": layout.work,
-            "trouble": layout.trouble,
-            "near": layout.near,
-            "size": layout.size,
-            # What a scene does not hand on has a place at the beginning, which has room for it.
-            "workspace": max(self.workspace, e.n + e.l + len(e.outputs) + len(e.inputs) + len(Watch.FIELDS) + 1),
-            **offsets,
-            **{name: self.number.get(key, -1) for name, key in FUNCTIONS.items()},
-            **{
-                name: self.program_names.index(key) if key in self.program_names else -1
-                for name, key in PROGRAMS.items()
-            },
-            "no_slope": math.inf if "reach" in e.kernel else 0.0,
-            "share": factor,
-            "exponent": exponent,
-        }
+    def _called(self, step: Call | Routine) -> list[int]:
+        """What is called, and where its arguments and its results are; results have their places from here on."""
+        if isinstance(step, Call):
+            what = [self.number[step.function]]
+            lengths = self.functions[what[0]].outputs
+        elif isinstance(step, LeastNorm):
+            what, lengths = [step.side], [step.side]
+        else:
+            what, length = [step.side, step.count], step.side * step.count
+            lengths = [length]
+            if isinstance(step, Factor):
+                what.append((len(step.arguments) - 1) // step.count)
+                lengths = [length**2, length]
+        for each, length in zip(step.results, lengths, strict=True):
+            if each not in self.layout.fields and each not in self.places:
+                self._place(each, length)
+            if self._length(each) != length:
+                raise ValueError(f"{self.e.name}: {each} has {self._length(each)} entries, and {step} gives {length}")
+        return [*what, *(self._at(each) for each in (*step.arguments, *step.results))]
+
+    def causal(self, name: str) -> int:
+        """Number of a variable that a user may set, among all of them."""
+        return next(k for k, (_, v) in enumerate(self.variables.causalities) if v.name == name)
+
+    def output(self, name: str) -> int:
+        """Number of an output; -1 where it is left out."""
+        return next((k for k, v in enumerate(self.variables.outputs) if v.name == name), -1)
 
     def write(self, w: Writer) -> None:
         """Everything behind the numbers."""
-        e, known, variables = self.e, known_choices(self.scene), interface(self.scene)
+        e, known, variables = self.e, self.known, self.variables
         for _, v in variables.causalities:
             self._variable(w, v)
         for v in variables.choices:

@@ -42,9 +42,16 @@ SAME = 1e-11
 """relative difference of coefficients [1]: coefficients that differ by less at all places beside the start are
 constant; round-off leaves 1e-15 of them."""
 
-LARGE = 300
-"""number of coordinates [1]: up to it the start is found by dense matrices within seconds; the library begins larger
-scenes with sparse ones."""
+LOOSE = 1e-12
+"""share of the largest entry [1]: it is added to the diagonal of J J' of an assembly, so that rows that depend on each
+other share a correction, and directions that rows hold less than some 1e-6 of what they hold others give way."""
+
+GAINED = 0.9
+"""ratio of residues [1]: another pass of a correction is made while the last one left less than this part."""
+
+DEPENDENT = 1e-10
+"""pivot of C C' over its largest entry [1]: up to it a row is a combination of others, where coordinates are many;
+LOOSE makes pivots of some 1e-12 of what round-off leaves of such a row."""
 
 TOLERANCE = 1e-12
 """gap over the coordinates [1]: an assembly is closed below it; some hundred times round-off."""
@@ -67,6 +74,9 @@ refused."""
 RANKED = 8
 """number of places [1]: S1 finds the rank of C at so many places around the start, as the start itself may be
 singular."""
+
+FEW_RANKED = 2
+"""number of places [1]: the same where coordinates are many, along the motion."""
 
 TORN = 0.3
 """gap that a step leaves over its largest displacement [1]: a step that opens more than this is refused; corrections

@@ -52,7 +52,8 @@ def adaptive(oracle: Oracle, inputs: Callable[[float], NDArray], pace: NDArray) 
     """What makes the steps of the oracle's `solver.method`, all but RK4; `pace` keeps what step control remembers."""
     settings = oracle.settings
     run = settings.relative_tolerance
-    carried = oracle.equations.kernel.get("method", {}).get("rule")
+    kernel = oracle.equations.kernel
+    carried = kernel["method"].rule if "method" in kernel else None
     rule: Rule | None = explicit_rule(settings.method, run, carried) or implicit.RULES.get(settings.method)
     if rule is None:
         raise InputError(

@@ -11,6 +11,7 @@
 #include <stdint.h>
 
 #include "layout.h"
+#include "linear.h"
 
 /* Also where an importer compiles this: other libraries have such names too (glibc: advance). */
 #if defined(__GNUC__) && !defined(_WIN32)
@@ -72,7 +73,7 @@ typedef struct {
     int holds, value, start;
 } Switch;
 
-/* Where the nonzeros of a matrix stand, by columns; without `offsets` it is dense. */
+/* Where the nonzeros of a matrix stand, by columns. */
 typedef struct {
     int rows, columns, entries;
     const int *offsets, *indices;
@@ -119,6 +120,8 @@ typedef struct {
     const int *tied;         /* start values that are kept */
     const double *normal;    /* standard normal numbers, TRIES x n */
     Pattern mass, constraint, gaps, tie_rows;
+    Envelope closing; /* J J' of the start, J being C or the gaps, and below them the start values that are kept */
+    Envelope holding; /* M + C' C */
     const double *constants;
     const Function *functions;
     const Program *programs;
@@ -217,9 +220,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);
-void instance_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
-    const double *units, const double *scales, const double known[4]);
-Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here);
+Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place);
 Outcome instance_penalize(Instance *i, const double *penalties);
 
 size_t state_size(const Instance *i);
@@ -234,9 +235,10 @@ Outcome say(Instance *i, Outcome outcome, const char *format, ...)
 #endif
     ;
 double *take(Instance *i, size_t count);
-void spread(const Pattern *pattern, const double *nonzeros, double *dense);
+void spread(const Pattern *pattern, const double *nonzeros, double *dense, int rows);
 const char *row_label(const Instance *i, int row, char *label, size_t size);
 double *field(const Instance *i, int offset);
+double verdict(const Instance *i, int which);
 void constraints_at(
     Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv);
 double widest(Instance *i, const double *q, const double *v, int of_velocity, int *row);

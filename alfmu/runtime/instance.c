@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "linear.h"
+
 
 #define FORMAT 2
 #define MAGIC 0x464d4c41u /* "ALMF" */
@@ -31,6 +31,12 @@ int variable_count(const Scene *s)
 double *field(const Instance *i, int offset)
 {
     return i->m + offset;
+}
+
+/* One of the numbers that what can be read ends with. */
+double verdict(const Instance *i, int which)
+{
+    return i->m[i->scene->seen + i->scene->seen_size - SEEN + which];
 }
 
 double *instance_time(Instance *i)
@@ -95,10 +101,10 @@ Instance *instance_new(const Scene *s)
         return NULL;
     i->scene = s;
     i->count = divided(i, NULL);
-    /* The matrices of the start are dense; a larger scene is begun with what is known of it. */
-    i->room = (s->n <= LARGE ? 12 * side * side : 0) + (size_t)64 * side
-        + (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries) + 4 * (size_t)(s->inputs + s->outputs)
-        + (size_t)(s->past + s->past_size - s->pace);
+    /* Matrices of the start that singular values are found of are dense, others sparse. */
+    i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
+        + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
+        + 4 * (size_t)(s->inputs + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
             + (size_t)s->past_size + least_norm_work(s->dense, s->dense),
@@ -317,33 +323,26 @@ double instance_get(const Instance *i, int reference)
 
 /* Equations -------------------------------------------------------------------------------------------------------- */
 
-void spread(const Pattern *pattern, const double *values, double *dense)
+/* A matrix of nonzeros within the first of `rows` rows of a dense one. */
+void spread(const Pattern *pattern, const double *values, double *dense, int rows)
 {
-    const size_t size = (size_t)pattern->rows * (size_t)pattern->columns;
-    if (!pattern->offsets) {
-        memcpy(dense, values, size * sizeof *dense);
-        return;
-    }
-    memset(dense, 0, size * sizeof *dense);
-    for (int c = 0; c < pattern->columns; c++)
+    for (int c = 0; c < pattern->columns; c++) {
+        memset(dense + c * rows, 0, (size_t)pattern->rows * sizeof *dense);
         for (int k = pattern->offsets[c]; k < pattern->offsets[c + 1]; k++)
-            dense[c * pattern->rows + pattern->indices[k]] = values[k];
+            dense[c * rows + pattern->indices[k]] = values[k];
+    }
 }
 
-/* M, C, Phi and C v; each may be NULL. */
+/* M, C (their nonzeros), Phi and C v; each may be NULL. */
 void constraints_at(
     Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, l = (size_t)s->l;
     const double *x[] = {q, v, field(i, s->p)};
-    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries);
-    double *y[] = {M, C, phi ? phi : take(i, l), cv ? cv : take(i, l)};
+    double *y[] = {mass ? mass : take(i, (size_t)s->mass.entries),
+        matrix ? matrix : take(i, (size_t)s->constraint.entries), phi ? phi : take(i, l), cv ? cv : take(i, l)};
     call(i, s->constraints, x, y);
-    if (mass)
-        spread(&s->mass, M, mass);
-    if (matrix)
-        spread(&s->constraint, C, matrix);
     i->used = used;
 }
 
@@ -447,8 +446,8 @@ static void weigh(Instance *i)
     double *k = field(i, s->k), *rows = k + SETTINGS, most = largest(i->penalty, s->l);
     double *matrix = rows + 2 * s->l + s->n + s->compliances;
     *i->largest_penalty = most = most > 0.0 ? most : 1.0;
-    k[0] = most;
-    k[1] = i->values[s->tolerance];
+    k[SETTINGS_ALPHA] = most;
+    k[SETTINGS_TOLERANCE] = i->values[s->tolerance];
     for (int r = 0; r < s->l; r++) {
         rows[r] = i->penalty[r] / most;
         rows[s->l + r] = 1 / i->units[r];
@@ -461,27 +460,27 @@ static void weigh(Instance *i)
 static void settle_kernel(Instance *i)
 {
     const Scene *s = i->scene;
-    double *k = field(i, s->k), *rows = k + SETTINGS, least = INFINITY;
+    double *k = field(i, s->k), *rows = k + SETTINGS, *control = field(i, s->control), least = INFINITY;
     const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
     const double pivot_of_mass = *i->freedom > 0.0 ? exp(*i->masses / *i->freedom) : 0.0;
     weigh(i);
-    k[2] = *i->freedom;
-    k[3] = *i->masses;
-    k[4] = exp(*i->regular);
-    k[5] = NOISE_FLOOR * pivot_of_mass;
-    k[6] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
-    k[7] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
-    k[8] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
-    k[9] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
+    k[SETTINGS_FREEDOM] = *i->freedom;
+    k[SETTINGS_MASSES] = *i->masses;
+    k[SETTINGS_REGULAR] = exp(*i->regular);
+    k[SETTINGS_NOTHING] = NOISE_FLOOR * pivot_of_mass;
+    k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
+    k[SETTINGS_CONTINUES] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
+    k[SETTINGS_RELATIVE] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
+    k[SETTINGS_ABSOLUTE] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
     for (int r = 0; r < s->compliances; r++)
         least = fmin(least, i->compliances[r]);
     for (int r = 0; r < s->compliances; r++)
         rows[2 * s->l + s->n + r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
-    field(i, s->dt)[0] = field(i, s->control)[0] = i->values[s->step_size];
-    field(i, s->control)[1] = !(i->flags.scaled || s->same_tiers);
-    field(i, s->control)[2] = s->method;
+    field(i, s->dt)[0] = control[CONTROL_STEP_SIZE] = i->values[s->step_size];
+    control[CONTROL_TIER] = !(i->flags.scaled || s->same_tiers);
+    control[CONTROL_METHOD] = s->method;
     i->flags.fast = !s->l || (all_serve(i) && i->values[s->max_iterations] >= s->careful_iterations);
     i->flags.whole = i->flags.fast && !i->flags.brakes;
     if (i->flags.brakes)
@@ -625,18 +624,22 @@ static Outcome take_effect(Instance *i)
 /* Start ------------------------------------------------------------------------------------------------------------ */
 
 /* Whether |Phi|, or |Phi-dot|, of every row is within the tolerance, or within the round-off of the row. */
-static int closed(const Instance *i, const double *residue, const double *C, const double *x)
+static int closed(Instance *i, const double *residue, const double *C, const double *x)
 {
     const Scene *s = i->scene;
-    for (int r = 0; r < s->l; r++) {
-        double sum = 0.0;
-        for (int c = 0; c < s->n; c++)
-            sum += fabs(C[c * s->l + r] * x[c]);
-        if (i->penalty[r] > 0.0
-            && !(fabs(residue[r]) <= fmax(i->values[s->tolerance] * i->units[r], ROUND_OFF * sum)))
-            return 0;
-    }
-    return 1;
+    const Pattern *p = &s->constraint;
+    const size_t used = i->used;
+    double *sizes = take(i, (size_t)s->l);
+    int all = 1;
+    memset(sizes, 0, (size_t)s->l * sizeof *sizes);
+    for (int c = 0; c < s->n; c++)
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++)
+            sizes[p->indices[e]] += fabs(C[e] * x[c]);
+    for (int r = 0; r < s->l; r++)
+        all &= !(i->penalty[r] > 0.0)
+            || fabs(residue[r]) <= fmax(i->values[s->tolerance] * i->units[r], ROUND_OFF * sizes[r]);
+    i->used = used;
+    return all;
 }
 
 /* q and v brought back to the constraints. */
@@ -644,7 +647,8 @@ static Outcome projected(Instance *i, double *q, double *v)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, l = (size_t)s->l, n = (size_t)s->n;
-    double *C = take(i, l * n), *phi = take(i, l), *cv = take(i, l), *next = take(i, n), pivot, left[2];
+    double *C = take(i, (size_t)s->constraint.entries), *phi = take(i, l), *cv = take(i, l), *next = take(i, n);
+    double pivot, left[2];
     const double *x[] = {q, field(i, s->p), field(i, s->k)}, *at[] = {q, v, field(i, s->p), field(i, s->k)};
     double *y[] = {next}, *settled[] = {next, &pivot, left};
     char label[100];
@@ -721,7 +725,7 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     field(i, s->pace)[0] = FIRST_STEP;
     field(i, s->pace)[1] = LEAST_BEFORE;
     memset(i->counts, 0, COUNTED * sizeof *i->counts);
-    memset(field(i, s->tally), 0, (TIERS + 5) * sizeof(double));
+    memset(field(i, s->tally), 0, TALLY * sizeof(double));
     i->counts[ENERGY_START] = energy(i);
 }
 
@@ -770,33 +774,6 @@ static Outcome started(Instance *i)
     return DONE;
 }
 
-/* Begins at q and v, which keep the constraints, with what somebody else found out there: penalties, all of them and those
-   in force, units of rows, scales of pivots; degrees of freedom, logarithms of products of pivots (masses, regular), rank. */
-void instance_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
-    const double *units, const double *scales, const double known[4])
-{
-    const Scene *s = i->scene;
-    const size_t rows = (size_t)s->l * sizeof(double);
-    i->used = 0;
-    memcpy(i->full, full, rows);
-    memcpy(i->penalty, penalty, rows);
-    memcpy(i->units, units, rows);
-    memcpy(i->scales, scales, (size_t)s->n * sizeof(double));
-    *i->freedom = known[0];
-    *i->masses = known[1];
-    *i->regular = known[2];
-    *i->rank = known[3];
-    i->flags.brakes = i->flags.pending = i->flags.known = 0;
-    i->flags.scaled = i->values[s->penalty] == 0.0 && !i->flags.given;
-    for (int k = 0; k < s->switches; k++)
-        i->on[k] = i->wanted[k];
-    parameters(i);
-    hand_over(i);
-    begin_at(i, q, v, *instance_time(i));
-    settle_kernel(i);
-    i->flags.initialized = 1;
-}
-
 /* The tolerance of a run that the host wants, where the method controls its error. */
 Outcome instance_tolerate(Instance *i, double tolerance)
 {
@@ -812,10 +789,6 @@ Outcome instance_initialize(Instance *i)
             "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
             "solver.method rk4",
             s->name, s->choice[s->method_choice].values[0]);
-    if (s->n > LARGE)
-        return say(i, REFUSED, "%s: %d coordinates are more than the %d whose start this runtime finds by itself; run it by "
-                               "alfmu.simulate",
-            s->name, s->n, LARGE);
     i->used = 0;
     i->flags.initialized = i->flags.known = i->flags.pending = 0;
     hand_over(i);
@@ -1247,7 +1220,7 @@ static void watch_errors(Instance *i)
     c[READS] += 1.0;
     c[POSITION_ERROR] = s->monitor_position < 0 ? NAN : fmax(c[POSITION_ERROR], seen[s->monitor_position]);
     c[VELOCITY_ERROR] = s->monitor_velocity < 0 ? NAN : fmax(c[VELOCITY_ERROR], seen[s->monitor_velocity]);
-    c[ACCELERATION_ERROR] = fmax(c[ACCELERATION_ERROR], seen[s->seen_size - 3]);
+    c[ACCELERATION_ERROR] = fmax(c[ACCELERATION_ERROR], verdict(i, SEEN_ACCELERATION_ERROR));
     c[ENERGY_ERROR] = s->monitor_energy < 0
         ? NAN
         : fmax(c[ENERGY_ERROR],
@@ -1258,13 +1231,12 @@ static void watch_errors(Instance *i)
 static void read_patiently(Instance *i)
 {
     const Scene *s = i->scene;
-    const double *seen = i->m + s->seen + s->seen_size;
     const int instant = instant_by(s, formulation(i));
     double value;
     i->iterations = 0;
     run(i, instant);
-    i->counts[UNCONVERGED] += seen[-1] != 0.0;
-    if (seen[-2] != 0.0 && s->limit_patient >= 0) {
+    i->counts[UNCONVERGED] += verdict(i, SEEN_TROUBLE) != 0.0;
+    if (verdict(i, SEEN_NEAR) != 0.0 && s->limit_patient >= 0) {
         run(i, s->limit_patient);
         if (not_finite(i, &value))
             run(i, instant);
@@ -1342,7 +1314,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     if (s->l && formulation(i) > CLASSIC_FORMULATION)
         differences(i, w + s->du, w + s->dy);
     else /* Where a limit is read, its derivative is. */
-        run(i, i->m[s->seen + s->seen_size - 2] != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
+        run(i, verdict(i, SEEN_NEAR) != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
                                                                                     : s->sensitivity);
     for (size_t k = 0; k < unknown_count; k++)
         if ((int)unknowns[k] - outputs < s->readings)
@@ -1533,10 +1505,11 @@ static Outcome sound(Instance *i)
         for (int k = 0; k < parts[part].count; k++)
             if (!isfinite(parts[part].numbers[k]))
                 return unsound(i, parts[part].name, parts[part].numbers[k]);
-    if (control[0] != i->values[s->step_size] || (control[1] != 0.0 && control[1] != 1.0))
-        return unsound(i, "the first tier", control[1]);
-    if (control[2] != s->method)
-        return unsound(i, "the method", control[2]);
+    if (control[CONTROL_STEP_SIZE] != i->values[s->step_size] ||
+        (control[CONTROL_TIER] != 0.0 && control[CONTROL_TIER] != 1.0))
+        return unsound(i, "the first tier", control[CONTROL_TIER]);
+    if (control[CONTROL_METHOD] != s->method)
+        return unsound(i, "the method", control[CONTROL_METHOD]);
     return DONE;
 }
 

@@ -13,12 +13,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import oracle
 from ..equations import Equations, Mobility
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
-from ..kernel.program import TIERS, Layout, Memory
-from ..kernel.thresholds import LARGE
+from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
@@ -26,6 +24,7 @@ from ..model.registry import load
 from ..model.settings import FIXED, Settings
 from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
+from .probe import mobility, shared
 
 __all__ = ["Instance"]
 
@@ -77,7 +76,7 @@ class Instance:
         address = self._scene.library.alfmu_state(self._unit.address) - 8 * layout.fields["z"][0]
         block = np.ctypeslib.as_array((ctypes.c_double * layout.size).from_address(address))
         self.memory = Memory(layout, block=block)
-        """Named fields of the numbers that evolve (`alfmu.kernel.program.Layout`), as views."""
+        """Named fields of the numbers that evolve (`alfmu.kernel.memory.Layout`), as views."""
         self.state = self.memory["z"][: layout.time + 1]
 
     # State -------------------------------------------------------------------------------------------------------
@@ -200,25 +199,13 @@ class Instance:
         """Assemble the mechanism from its start values at `time`; parameters are fixed from here on."""
         self._unit.run_on(False)
         self.memory["passes"][:] = 0.0
-        outcome = self._begun() if self.equations.n > LARGE else self._unit.initialize()
+        outcome = self._unit.initialize()
         if outcome == BRAKES:
             self._rebuild(again(replace(self.equations, brakes=True)))
             outcome = self._unit.initialize()
         if outcome != DONE:
             raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, AssemblyError)(self._unit.text)
         self._unit.run_on(True)
-
-    def _begun(self) -> int:
-        """Begin a large scene where the oracle, whose matrices are sparse, finds a start."""
-        probe = oracle.Instance(self.equations, self._given)
-        for v in (*self.parameters, *self.input_variables):
-            probe.set(v.name, self.get(v.name))
-        probe.time = self.time
-        probe.initialize()
-        found = probe.known
-        arrays = [np.ascontiguousarray(x, float) for x in found]
-        self._scene.library.alfmu_begin(self._unit.address, *(x.ctypes.data for x in arrays))
-        return DONE
 
     def initialize_with(self, inputs: Mapping[str, float]) -> None:
         """Initialise with these inputs."""
@@ -309,16 +296,18 @@ class Instance:
 
     def mobility(self) -> Mobility:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
-        found = [ctypes.c_int() for _ in range(3)]
-        library = self._scene.library
-        self._judged(library.alfmu_mobility(self._unit.address, *map(ctypes.byref, found)))
-        return Mobility(*(x.value for x in found))
+        return self._mobility()[0]
+
+    def _mobility(self) -> tuple[Mobility, NDArray]:
+        outcome, found, place = mobility(self._unit, self.equations.n)
+        self._judged(outcome)
+        return found, place
 
     def shared(self) -> list[str]:
         """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
-        probe = oracle.Instance(self.equations)
-        probe.take(self.memory["p"], self.state, self.penalty)
-        return probe.shared()
+        found, place = self._mobility()
+        numbers = {"q": self.q, "u": self.inputs, "p": self.memory["p"], "t": self.state[-1:]}
+        return shared(self.equations, numbers, self.penalty > 0, place, self.equations.n - found.freedom)
 
     @property
     def penalty(self) -> NDArray:
@@ -346,37 +335,38 @@ class Instance:
     @property
     def counters(self) -> Counters:
         """Work done and largest errors since initialisation."""
-        counted, tally = self._counted(), self.memory["tally"].astype(int).tolist()
+        counted, tally = self._counted(), dict(zip(TALLY, self.memory["tally"].astype(int).tolist(), strict=True))
         kernel, c = self.equations.kernel, Counters()
-        *steps, limits, covered, refused, beside, beside_limits = tally
+        covered, refused, beside = (tally[name] for name in ("covered", "refused", "beside"))
         errors = ("position_error", "velocity_error", "acceleration_error", "energy_error")
         for name in errors:
             setattr(c, name, float(counted[name]))
-        for made, tier in zip([*steps, int(counted["patient_steps"])], [*TIERS, "careful"], strict=True):
+        patient = int(counted["patient_steps"])
+        for tier, made in (*((tier, tally[tier]) for tier in TIERS), ("careful", patient)):
             if made:
-                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * limits
+                evaluations = 4 * made + (tier == TIERS[-1]) * (len(MEAN) - 1) * tally["limits"]
                 c.steps += made
                 c.evaluations += evaluations
-                c.multiplier_iterations += evaluations * kernel[tier]["iterations"]
-                c.projection_iterations += 2 * made * kernel[tier]["corrections"]
+                c.multiplier_iterations += evaluations * kernel[tier].plan.iterations
+                c.projection_iterations += 2 * made * kernel[tier].plan.corrections
         if tried := covered + refused + beside:
             program = kernel["method"]
-            evaluations = tried * program["evaluations"] + int(self.memory["passes"].sum()) * program.get("nodes", 0)
-            evaluations += beside_limits * (2 * kernel["beside"]["side"] - 1) if beside else 0
+            evaluations = tried * program.evaluations + int(self.memory["passes"].sum()) * program.nodes
+            evaluations += tally["beside_limits"] * (2 * kernel["beside"].plan.side - 1) if beside else 0
             c.steps += covered
             c.refused += refused
             c.evaluations += evaluations
-            c.multiplier_iterations += evaluations * program["iterations"]
-            c.projection_iterations += 2 * tried * program["corrections"]
-        c.patient = int(counted["patient_steps"])
+            c.multiplier_iterations += evaluations * program.plan.iterations
+            c.projection_iterations += 2 * tried * program.plan.corrections
+        c.patient = patient
         reads = int(counted["reads"])
         c.evaluations += reads
-        c.multiplier_iterations += reads * kernel["instant"].get("iterations", 0)
+        c.multiplier_iterations += reads * kernel["instant"].plan.iterations
         c.unconverged = int(counted["unconverged"])
         return c
 
     def _counted(self) -> dict[str, float]:
-        raw = np.empty(len(_COUNTED) + len(TIERS) + 5)
+        raw = np.empty(len(_COUNTED) + len(TALLY))
         self._scene.library.alfmu_counts(self._unit.address, raw.ctypes.data)
         return dict(zip(_COUNTED, raw.tolist(), strict=False))
 

@@ -141,12 +141,6 @@ API int alfmu_initialize(Instance *i)
     return (int)instance_initialize(i);
 }
 
-API void alfmu_begin(Instance *i, const double *q, const double *v, const double *full, const double *penalty,
-    const double *units, const double *scales, const double *known)
-{
-    instance_begin(i, q, v, full, penalty, units, scales, known);
-}
-
 API int alfmu_step(Instance *i, double start, double h)
 {
     return (int)instance_step(i, start, h);
@@ -204,9 +198,15 @@ API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
     return (int)instance_stabilise(i, zeta, omega, projection);
 }
 
-API int alfmu_mobility(Instance *i, int *freedom, int *redundant, int *here)
+API int alfmu_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place)
 {
-    return (int)instance_mobility(i, freedom, redundant, here);
+    return (int)instance_mobility(i, all, freedom, redundant, here, place);
+}
+
+/* Whether redundant constraints would brake the motion that begins at the start. */
+API int alfmu_brakes(const Instance *i)
+{
+    return i->flags.brakes;
 }
 
 /* Penalties of all constraints: those of the start where the instance is not initialised yet. */
@@ -223,7 +223,7 @@ API void alfmu_penalties(const Instance *i, double *penalties)
 API void alfmu_counts(const Instance *i, double *counts)
 {
     memcpy(counts, i->counts, COUNTED * sizeof *counts);
-    memcpy(counts + COUNTED, i->m + i->scene->tally, (TIERS + 5) * sizeof *counts);
+    memcpy(counts + COUNTED, i->m + i->scene->tally, TALLY * sizeof *counts);
 }
 
 static int row_of_run(Instance *i, const Run *r, long row)

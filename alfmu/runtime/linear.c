@@ -113,6 +113,45 @@ double norm(const double *x, int count)
     return sqrt(product(x, x, count));
 }
 
+double *envelope_entry(const Envelope *e, double *a, int i, int j)
+{
+    const int row = e->place[i], column = e->place[j];
+    return row > column ? a + e->start[row] + column : a + e->start[column] + row;
+}
+
+void envelope_factor(const Envelope *e, double *a, double least)
+{
+    for (int i = 0; i < e->size; i++) {
+        double *row = a + e->start[i], pivot = row[i];
+        for (int j = e->first[i]; j < i; j++) {
+            const double *above = a + e->start[j];
+            const int k = e->first[i] > e->first[j] ? e->first[i] : e->first[j];
+            row[j] -= product(row + k, above + k, j - k);
+        }
+        for (int j = e->first[i]; j < i; j++) {
+            const double before = row[j];
+            row[j] /= a[e->start[j] + j];
+            pivot -= before * row[j];
+        }
+        row[i] = pivot > least ? pivot : least;
+    }
+}
+
+void envelope_solve(const Envelope *e, const double *a, const double *b, double *x, double *work)
+{
+    for (int i = 0; i < e->size; i++)
+        work[e->place[i]] = b[i];
+    for (int i = 0; i < e->size; i++)
+        work[i] -= product(a + e->start[i] + e->first[i], work + e->first[i], i - e->first[i]);
+    for (int i = 0; i < e->size; i++)
+        work[i] /= a[e->start[i] + i];
+    for (int i = e->size; i--;)
+        for (int j = e->first[i]; j < i; j++)
+            work[j] -= a[e->start[i] + j] * work[i];
+    for (int i = 0; i < e->size; i++)
+        x[i] = work[e->place[i]];
+}
+
 /* Factors of the matrix of s * s blocks (n, n) that are sums of the parts of their row (by columns), by weights of row
    and column: rows in `order`, L without its diagonal of ones below that of U. */
 void factor(int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order)

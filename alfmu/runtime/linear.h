@@ -1,4 +1,4 @@
-/* Small dense linear algebra; matrices are stored column by column. */
+/* Linear algebra: small dense matrices, stored column by column, and sparse symmetric ones within an envelope. */
 
 #ifndef ALFMU_LINEAR_H
 #define ALFMU_LINEAR_H
@@ -18,6 +18,24 @@ void singular_values(int rows, int columns, double *a, double *v, double *s);
    alone. `work` holds least_norm_work(rows, columns) numbers. */
 void least_norm(int rows, int columns, const double *a, const double *r, double least, double *x, double *work);
 size_t least_norm_work(int rows, int columns);
+
+/* Where the lower half of a sparse symmetric matrix stands, and its factors: rows in an order that keeps the entries of
+   each near its diagonal, each row from its first entry on. */
+typedef struct {
+    int size;
+    const int *place;       /* of each unknown in the order */
+    const int *first;       /* entry of each row, by place */
+    const ptrdiff_t *start; /* where entry (row, 0) of each row would stand */
+    size_t entries;
+} Envelope;
+
+double *envelope_entry(const Envelope *e, double *a, int i, int j);
+
+/* Factors L D L' of a, in its place; what is not above zero of D becomes `least`. */
+void envelope_factor(const Envelope *e, double *a, double least);
+
+/* x with L D L' x = b; x and b may be the same. `work` holds `size` numbers. */
+void envelope_solve(const Envelope *e, const double *a, const double *b, double *x, double *work);
 
 /* The largest |x[i]|, 0 where there is none; not a number where one is not. */
 double largest(const double *x, int count);

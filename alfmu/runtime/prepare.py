@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from .. import oracle
 from ..equations import Equations
 from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import CHOICES, checked, setting, variables_of
@@ -18,9 +17,10 @@ from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
-from ..model.errors import AlfmuError, InputError
+from ..model.errors import InputError
 from ..model.settings import Settings
 from .library import Scene
+from .probe import Probe
 
 __all__ = ["again", "loaded", "prepared", "retraced", "with_defaults"]
 
@@ -39,7 +39,7 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
     equations, probe = _with_method(equations), None
     if not equations.kernel or equations.shared is None:
-        probe = _started(equations)
+        probe = Probe.of(untraced(equations))
         equations = _surveyed(equations, probe)
     if kernel == "oracle":
         return replace(untraced(equations), library=None)
@@ -47,16 +47,6 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     if kernel == "compiled" or (kernel == "auto" and compiler()):
         return e if e.library else replace(e, library=compiled_scene(e, packed(e)))
     return replace(e, library=None) if e.library else e
-
-
-def _started(equations: Equations) -> oracle.Instance | None:
-    """An instance at the start, None where the defaults have none, so that nothing is known of its freedoms."""
-    probe = oracle.Instance(equations)
-    try:
-        probe.initialize()
-    except AlfmuError:
-        return None
-    return probe
 
 
 def _with_method(equations: Equations) -> Equations:
@@ -75,8 +65,7 @@ def _chosen(equations: Equations) -> tuple[str, str]:
     """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
     if equations.n > DENSE:
         return "explicit", f"explicit: more than {DENSE} coordinates"
-    solver = {**equations.solver, "method": "stiff"}
-    probe = _started(replace(with_tangents(equations), kernel={}, solver=solver))
+    probe = Probe.of(untraced(with_tangents(equations)))
     if probe is None:
         return "explicit", "explicit: the defaults have no start"
     values = probe.spectrum()
@@ -89,31 +78,25 @@ def _chosen(equations: Equations) -> tuple[str, str]:
     return "explicit", f"explicit: {seen}"
 
 
-def _surveyed(equations: Equations, probe: oracle.Instance | None) -> Equations:
+def _surveyed(equations: Equations, probe: Probe | None) -> Equations:
     """The same equations with what redundant constraints share said of each output that it concerns."""
     if equations.shared is not None or probe is None:
         return equations
     shared = probe.shared()
     note = "; not unique: of all that redundant constraints allow, that of least norm"
     outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
-    uneven = len(set(probe.oracle.units)) > 1
-    brakes = probe.oracle.brakes or _may_brake(probe)
-    return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=uneven)
+    # Constraints that come into force may be redundant, so that they would stop the motion beside it.
+    brakes = probe.brakes or (bool(equations.switches) and probe.mobility(every=True).redundant > 0)
+    return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=len(set(probe.units)) > 1)
 
 
-def _may_brake(probe: oracle.Instance) -> bool:
-    """Whether constraints that come into force may be redundant, so that they would stop the motion beside it."""
-    return bool(probe.equations.switches) and probe.redundant_with_all() > 0
-
-
-def _traced(equations: Equations, probe: oracle.Instance | None) -> Equations:
+def _traced(equations: Equations, probe: Probe | None) -> Equations:
     if probe is None:
         return traced(equations, None, controlled=controlled)
     mobility = probe.mobility()
     if mobility.freedom_here > mobility.freedom:
         return traced(equations, mobility, controlled=controlled)  # a singular start says nothing of other positions
-    needed = probe.oracle.iterations_needed(probe.q, probe.v, probe.inputs, 0.0)
-    return traced(equations, mobility, needed, controlled)
+    return traced(equations, mobility, probe.iterations_needed(), controlled)
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:

@@ -291,17 +291,29 @@ static void names(Reader *r)
     s->rows = rows;
 }
 
+/* Every entry of a matrix, as a result of a function. */
+static void dense(Reader *r, Pattern *made)
+{
+    const int rows = made->rows, columns = made->columns;
+    int *offsets, *indices;
+    if ((int64_t)rows * columns > MOST_NUMBERS / MOST_ARGUMENTS)
+        spoil(r, "a matrix of %d by %d is dense", rows, columns);
+    made->entries = r->bad ? 0 : rows * columns;
+    made->offsets = offsets = room(r, (size_t)columns + 1, sizeof *offsets);
+    made->indices = indices = room(r, (size_t)made->entries + 1, sizeof *indices);
+    for (int c = 0; c <= columns && !r->bad; c++)
+        offsets[c] = c * rows;
+    for (int k = 0; k < made->entries && !r->bad; k++)
+        indices[k] = k % rows;
+}
+
 static void pattern(Reader *r, Pattern *made, int rows, int columns)
 {
     const int sparse = integer(r);
     made->rows = rows;
     made->columns = columns;
-    if (!sparse && (int64_t)rows * columns > MOST_NUMBERS)
-        spoil(r, "a matrix of %d by %d is dense", rows, columns);
-    if (r->bad)
-        return;
     if (!sparse) {
-        made->entries = rows * columns;
+        dense(r, made);
         return;
     }
     made->offsets = places(r, columns + 1, 0, INT32_MAX, "the beginning of a column");
@@ -312,6 +324,127 @@ static void pattern(Reader *r, Pattern *made, int rows, int columns)
             spoil(r, "the columns of a matrix overlap");
     made->entries = made->offsets[columns];
     made->indices = places(r, made->entries, 0, rows, "a row of a matrix");
+}
+
+/* Places of nonzeros as a graph: which nodes meet in which edges. */
+typedef struct {
+    const Pattern *pattern;
+    int shift; /* of its rows */
+} Part;
+
+/* Lists, for each node, its edges, or the other way round. */
+typedef struct {
+    int *offsets, *ends;
+} Lists;
+
+static Lists lists(Reader *r, int count, int by_rows, const Part *parts, int part_count)
+{
+    Lists made;
+    size_t entries = 0;
+    for (int k = 0; k < part_count; k++)
+        entries += (size_t)parts[k].pattern->entries;
+    made.offsets = room(r, (size_t)count + 2, sizeof *made.offsets);
+    made.ends = room(r, entries + 1, sizeof *made.ends);
+    if (r->bad)
+        return made;
+    /* Counted, then summed, then filled: the offsets stand one further on meanwhile. */
+    for (int pass = 0; pass < 2; pass++) {
+        for (int k = 0; k < part_count; k++) {
+            const Pattern *p = parts[k].pattern;
+            for (int c = 0; c < p->columns; c++)
+                for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+                    const int row = p->indices[e] + parts[k].shift, from = by_rows ? row : c;
+                    if (!pass)
+                        made.offsets[from + 2]++;
+                    else
+                        made.ends[made.offsets[from + 1]++] = by_rows ? c : row;
+                }
+        }
+        for (int k = 0; !pass && k < count; k++)
+            made.offsets[k + 2] += made.offsets[k + 1];
+    }
+    return made;
+}
+
+/* Nodes in the order in which they are reached from the first of `order`, those with few neighbours first; `degree` is
+   below zero where a node has been reached. Returns how many there are. */
+static int reached(const Lists *edges, const Lists *nodes, int *order, int *degree, char *passed)
+{
+    int count = 1;
+    degree[order[0]] = -1 - degree[order[0]];
+    for (int at = 0; at < count; at++) {
+        const int node = order[at], begin = count;
+        for (int k = edges->offsets[node]; k < edges->offsets[node + 1]; k++) {
+            const int edge = edges->ends[k];
+            if (passed[edge])
+                continue;
+            passed[edge] = 1;
+            for (int e = nodes->offsets[edge]; e < nodes->offsets[edge + 1]; e++) {
+                const int other = nodes->ends[e];
+                int place = count;
+                if (degree[other] < 0)
+                    continue;
+                degree[other] = -1 - degree[other];
+                for (; place > begin && degree[order[place - 1]] < degree[other]; place--)
+                    order[place] = order[place - 1];
+                order[place] = other;
+                count++;
+            }
+        }
+    }
+    return count;
+}
+
+/* An envelope for what nodes that meet in an edge have in common: the order of Cuthill and McKee (1969), reversed. */
+static void envelope(Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count)
+{
+    const Lists edges = lists(r, count, by_rows, parts, part_count);
+    const Lists nodes = lists(r, edge_count, !by_rows, parts, part_count);
+    int *order = room(r, (size_t)count + 1, sizeof *order), *degree = room(r, (size_t)count + 1, sizeof *degree);
+    int *place = room(r, (size_t)count + 1, sizeof *place), *first = room(r, (size_t)count + 1, sizeof *first);
+    ptrdiff_t *start = room(r, (size_t)count + 1, sizeof *start), entries = 0;
+    char *passed = room(r, (size_t)edge_count + 1, 1);
+    int found = 0;
+    if (r->bad)
+        return;
+    for (int k = 0; k < count; k++)
+        for (int e = edges.offsets[k]; e < edges.offsets[k + 1]; e++) {
+            const int edge = edges.ends[e];
+            degree[k] += nodes.offsets[edge + 1] - nodes.offsets[edge] - 1;
+        }
+    for (int k = 0; k < count; k++) {
+        int reach;
+        if (degree[k] < 0)
+            continue;
+        /* From the node that is farthest from any. */
+        order[found] = k;
+        reach = reached(&edges, &nodes, order + found, degree, passed);
+        for (int at = found; at < found + reach; at++) {
+            degree[order[at]] = -1 - degree[order[at]];
+            for (int e = edges.offsets[order[at]]; e < edges.offsets[order[at] + 1]; e++)
+                passed[edges.ends[e]] = 0;
+        }
+        order[found] = order[found + reach - 1];
+        found += reached(&edges, &nodes, order + found, degree, passed);
+    }
+    for (int k = 0; k < count; k++)
+        place[order[k]] = first[count - 1 - k] = count - 1 - k;
+    for (int edge = 0; edge < edge_count; edge++) {
+        int least = count;
+        for (int pass = 0; pass < 2; pass++)
+            for (int e = nodes.offsets[edge]; e < nodes.offsets[edge + 1]; e++) {
+                int *row = pass ? first + place[nodes.ends[e]] : &least;
+                const int other = pass ? least : place[nodes.ends[e]];
+                *row = other < *row ? other : *row;
+            }
+    }
+    for (int k = 0; k < count; k++) {
+        start[k] = entries - first[k];
+        entries += k + 1 - first[k];
+    }
+    if (entries > MOST_NUMBERS)
+        spoil(r, "the matrices of its start have %lld numbers", (long long)entries);
+    *made = (Envelope){count, place, first, start, (size_t)entries};
 }
 
 /* Functions -------------------------------------------------------------------------------------------------------- */
@@ -724,7 +857,7 @@ static void memory(Reader *r)
     const struct {
         int place, length;
     } fields[] = {{s->z, state}, {s->after, state}, {s->begin, state}, {s->u, s->inputs}, {s->p, s->own + s->held},
-        {s->k, settings_length(s)}, {s->dt, 1}, {s->control, 3}, {s->tally, TIERS + 5}, {s->pace, PACE},
+        {s->k, settings_length(s)}, {s->dt, 1}, {s->control, CONTROL}, {s->tally, TALLY}, {s->pace, PACE},
         {s->past, s->past_size}, {s->seen, s->seen_size}},
       handed[] = {{s->most, 1}, {s->patient, 1}, {s->du, s->inputs}, {s->slopes, s->inputs + 1}, {s->within, 1},
           {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
@@ -740,9 +873,9 @@ static void memory(Reader *r)
         || !between(s->monitor_energy, -1, s->outputs - s->event_count)
         || !between(s->monitor_iterations, -1, s->outputs - s->event_count))
         spoil(r, "its monitors contradict each other");
-    if (s->seen_size < 3 + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
+    if (s->seen_size < SEEN + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
         spoil(r, "its outputs contradict each other");
-    if (s->pace > s->past || (int64_t)s->tally + TIERS + 5 > s->pace || s->dt > s->tally)
+    if (s->pace > s->past || (int64_t)s->tally + TALLY > s->pace || s->dt > s->tally)
         spoil(r, "its fields are not in order");
     for (size_t k = 0; k < sizeof fields / sizeof *fields; k++)
         if (fields[k].place < 0 || fields[k].place + (int64_t)fields[k].length > s->size)
@@ -795,6 +928,12 @@ static void body(Reader *r)
     pattern(r, &s->constraint, s->l, s->n);
     pattern(r, &s->gaps, s->l, s->n);
     pattern(r, &s->tie_rows, s->ties, s->n);
+    if (!r->bad) {
+        const Part rows[] = {{&s->constraint, 0}, {&s->gaps, 0}, {&s->tie_rows, s->l}};
+        const Part masses[] = {{&s->constraint, 0}, {&s->mass, s->l}};
+        envelope(r, &s->closing, s->l + s->ties, s->n, 1, rows, 3);
+        envelope(r, &s->holding, s->n, s->l + s->n, 0, masses, 2);
+    }
     functions(r);
     programs(r);
     if (!r->bad && r->at != r->end)

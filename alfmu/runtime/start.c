@@ -1,18 +1,30 @@
-/* The start of a run, as assembly.py, scaling.py and oracle.py have it: loops closed from a guess, velocities
-   made consistent, massless bodies checked, penalties scaled, what tells a singular position found out. */
+/* The start of a run: loops closed from a guess, velocities made consistent, massless bodies checked, penalties scaled,
+   what tells a singular position found out. */
 
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 #include "alfmu.h"
-#include "linear.h"
+
+/* A matrix of nonzeros. */
+typedef struct {
+    const Pattern *pattern;
+    double *values;
+} Matrix;
+
+/* The matrix J of an assembly: derivatives of constraints or gaps, and below them of the start values that are kept. */
+typedef struct {
+    Matrix constraints, ties;
+} Rows;
 
 /* What an assembly closes: the gaps of the rows that are held, and the start values. */
 typedef struct {
     const unsigned char *held;
     int count; /* of both */
-    double *gaps, *ties, *matrix, *residue, *trial;
+    Rows J;
+    double *residue, *trial;
 } Loops;
 
 static const double *starts(const Instance *i)
@@ -20,40 +32,126 @@ static const double *starts(const Instance *i)
     return i->values + i->scene->own;
 }
 
+static Matrix matrix_new(Instance *i, const Pattern *pattern)
+{
+    return (Matrix){pattern, take(i, (size_t)pattern->entries)};
+}
+
+/* y = A x */
+static void times(Matrix a, const double *x, double *y)
+{
+    const Pattern *p = a.pattern;
+    memset(y, 0, (size_t)p->rows * sizeof *y);
+    for (int c = 0; c < p->columns; c++)
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++)
+            y[p->indices[e]] += a.values[e] * x[c];
+}
+
+/* Each row times its weight. */
+static void weigh_rows(Matrix a, const double *weights)
+{
+    for (int e = 0; e < a.pattern->entries; e++)
+        a.values[e] *= weights[a.pattern->indices[e]];
+}
+
+/* y = J x */
+static void all_times(const Rows *J, const double *x, double *y)
+{
+    times(J->constraints, x, y);
+    times(J->ties, x, y + J->constraints.pattern->rows);
+}
+
+/* x = J' y */
+static void all_times_back(const Rows *J, const double *y, double *x)
+{
+    const Matrix parts[] = {J->constraints, J->ties};
+    memset(x, 0, (size_t)parts->pattern->columns * sizeof *x);
+    for (int k = 0; k < 2; y += parts[k++].pattern->rows)
+        for (int c = 0; c < parts[k].pattern->columns; c++)
+            for (int e = parts[k].pattern->offsets[c]; e < parts[k].pattern->offsets[c + 1]; e++)
+                x[c] += parts[k].values[e] * y[parts[k].pattern->indices[e]];
+}
+
+/* J J', with LOOSE of its largest entry on the diagonal, which makes it regular; returns that entry. */
+static double squared(Instance *i, const Rows *J, double *a)
+{
+    const Envelope *e = &i->scene->closing;
+    const Pattern *above = J->constraints.pattern, *below = J->ties.pattern;
+    const size_t used = i->used;
+    double *values = take(i, (size_t)e->size), *rows = take(i, (size_t)e->size), most = 0.0;
+    memset(a, 0, e->entries * sizeof *a);
+    for (int c = 0; c < above->columns; c++) {
+        int count = 0;
+        for (int k = above->offsets[c]; k < above->offsets[c + 1]; k++, count++) {
+            values[count] = J->constraints.values[k];
+            rows[count] = above->indices[k];
+        }
+        for (int k = below->offsets[c]; k < below->offsets[c + 1]; k++, count++) {
+            values[count] = J->ties.values[k];
+            rows[count] = above->rows + below->indices[k];
+        }
+        for (int k = 0; k < count; k++)
+            for (int j = 0; j <= k; j++)
+                *envelope_entry(e, a, (int)rows[k], (int)rows[j]) += values[k] * values[j];
+    }
+    for (int r = 0; r < e->size; r++)
+        most = fmax(most, *envelope_entry(e, a, r, r));
+    most = most > 0.0 ? most : 1.0;
+    for (int r = 0; r < e->size; r++)
+        *envelope_entry(e, a, r, r) += LOOSE * most;
+    i->used = used;
+    return most;
+}
+
+/* x (n) of least norm with J x = r as nearly as possible: the correction (10) with the unit matrix in place of M, repeated
+   until it gains no more, at most so often. x = J' lam, and lam = (J J' + 1 / alpha)^-1 (r - J x) adds up, so that rows
+   that depend on each other share it; a direction that rows hold less than some 1e-6 of what they hold others needs more
+   passes than there are. */
+static void least_correction(Instance *i, const Rows *J, const double *r, int most, double *x)
+{
+    const Envelope *e = &i->scene->closing;
+    const size_t used = i->used, rows = (size_t)e->size;
+    double *a = take(i, e->entries), *lam = take(i, rows), *left = take(i, rows), *change = take(i, rows);
+    double *work = take(i, rows), size = norm(r, e->size), before = INFINITY;
+    squared(i, J, a);
+    envelope_factor(e, a, DBL_MIN);
+    memset(lam, 0, rows * sizeof *lam);
+    memset(x, 0, (size_t)i->scene->n * sizeof *x);
+    memcpy(left, r, rows * sizeof *left);
+    for (int pass = 0; pass < most && size > 0.0 && size < GAINED * before; pass++) {
+        envelope_solve(e, a, left, change, work);
+        for (int k = 0; k < e->size; k++)
+            lam[k] += change[k];
+        all_times_back(J, lam, x);
+        all_times(J, x, left);
+        for (int k = 0; k < e->size; k++)
+            left[k] = r[k] - left[k];
+        before = size;
+        size = norm(left, e->size);
+    }
+    i->used = used;
+}
+
 /* Residue and matrix at q. */
 static void closure_at(Instance *i, Loops *loops, const double *q)
 {
     const Scene *s = i->scene;
     const double *x[] = {q, field(i, s->p), starts(i)};
-    const size_t used = i->used;
-    double *gaps = take(i, (size_t)s->gaps.entries), *ties = take(i, (size_t)s->tie_rows.entries);
-    double *y[] = {gaps, ties, loops->residue, loops->residue + s->l};
+    double *y[] = {loops->J.constraints.values, loops->J.ties.values, loops->residue, loops->residue + s->l};
     call(i, s->closure, x, y);
-    spread(&s->gaps, gaps, loops->gaps);
-    spread(&s->tie_rows, ties, loops->ties);
     for (int r = 0; r < s->l; r++)
-        if (!loops->held[r]) {
-            loops->residue[r] = 0.0;
-            for (int c = 0; c < s->n; c++)
-                loops->gaps[c * s->l + r] = 0.0;
-        }
-    for (int c = 0; c < s->n; c++) {
-        memcpy(loops->matrix + c * loops->count, loops->gaps + c * s->l, (size_t)s->l * sizeof(double));
-        memcpy(loops->matrix + c * loops->count + s->l, loops->ties + c * s->ties, (size_t)s->ties * sizeof(double));
-    }
-    i->used = used;
+        loops->residue[r] = loops->held[r] ? loops->residue[r] : 0.0;
+    for (int e = 0; e < s->gaps.entries; e++)
+        if (!loops->held[s->gaps.indices[e]])
+            loops->J.constraints.values[e] = 0.0;
 }
 
 static Loops loops_new(Instance *i, const unsigned char *held)
 {
     const Scene *s = i->scene;
-    const size_t l = (size_t)s->l, n = (size_t)s->n, ties = (size_t)s->ties;
-    Loops loops = {held, s->l + s->ties, NULL, NULL, NULL, NULL, NULL};
-    loops.gaps = take(i, l * n);
-    loops.ties = take(i, ties * n);
-    loops.matrix = take(i, (l + ties) * n);
-    loops.residue = take(i, l + ties);
-    loops.trial = take(i, n);
+    Loops loops = {held, s->l + s->ties, {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)}, NULL, NULL};
+    loops.residue = take(i, (size_t)loops.count);
+    loops.trial = take(i, (size_t)s->n);
     return loops;
 }
 
@@ -61,14 +159,6 @@ static int closes(Instance *i, Loops *loops, const double *q)
 {
     closure_at(i, loops, q);
     return largest(loops->residue, loops->count) <= ROUGH * fmax(1.0, largest(q, i->scene->n));
-}
-
-/* Least-norm solution for a matrix with `rows` rows and n columns. */
-static void solved(Instance *i, int rows, const double *matrix, const double *r, double least, double *x)
-{
-    const size_t used = i->used;
-    least_norm(rows, i->scene->n, matrix, r, least, x, take(i, least_norm_work(rows, i->scene->n)));
-    i->used = used;
 }
 
 /* Gauss-Newton steps of least norm from q to where they end; the length of the first one. */
@@ -82,7 +172,7 @@ static double followed(Instance *i, Loops *loops, double *q)
         double size = norm(loops->residue, loops->count), turned = 1e-300, part;
         if (largest(loops->residue, loops->count) <= TOLERANCE * fmax(1.0, largest(q, s->n)))
             break;
-        solved(i, loops->count, loops->matrix, loops->residue, 1e-10, dq);
+        least_correction(i, &loops->J, loops->residue, CORRECTIONS, dq);
         if (first < 0.0)
             first = norm(dq, s->n);
         for (int c = 0; c < s->n; c++)
@@ -195,29 +285,26 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
 static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
 {
     const Scene *s = i->scene;
-    const size_t n = (size_t)s->n, l = (size_t)s->l;
+    const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
     const double *rate = starts(i) + s->starts;
-    double *matrix = take(i, l * n), *left = take(i, (size_t)loops->count), *dv = take(i, n), *xi = take(i, l);
-    double *F = take(i, n), *phi = take(i, l), *cv = take(i, l), *zeros = take(i, (size_t)s->inputs + 1);
-    double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries), lost = 0.0, most;
+    double *left = take(i, count), *made = take(i, count), *dv = take(i, n), *weights = take(i, l);
+    double *F = take(i, n), *zeros = take(i, (size_t)s->inputs + 1), *M = take(i, (size_t)s->mass.entries);
+    double lost = 0.0, most;
     const double zero = 0.0;
+    Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     int worst = 0;
-    constraints_at(i, q, v, NULL, matrix, phi, cv);
     closure_at(i, loops, q);
-    for (int c = 0; c < s->n; c++)
-        for (int r = 0; r < s->l; r++) {
-            matrix[c * s->l + r] *= loops->held[r];
-            loops->matrix[c * loops->count + r] = matrix[c * s->l + r];
-        }
+    constraints_at(i, q, v, NULL, J.constraints.values, NULL, NULL);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = loops->held[r];
+    weigh_rows(J.constraints, weights);
     for (int pass = 0; pass < 3; pass++) {
-        for (int r = 0; r < loops->count; r++) {
-            left[r] = r < s->l ? 0.0 : rate[s->tied[r - s->l]];
-            for (int c = 0; c < s->n; c++)
-                left[r] -= loops->matrix[c * loops->count + r] * v[c];
-        }
+        all_times(&J, v, made);
+        for (int r = 0; r < loops->count; r++)
+            left[r] = (r < s->l ? 0.0 : rate[s->tied[r - s->l]]) - made[r];
         if (pass == 2)
             break;
-        solved(i, loops->count, loops->matrix, left, 1e-10, dv);
+        least_correction(i, &J, left, CORRECTIONS, dv);
         for (int c = 0; c < s->n; c++)
             v[c] += dv[c];
     }
@@ -236,24 +323,24 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
         return DONE;
     {
         const double *x[] = {q, v, zeros, field(i, s->p), &zero};
-        double *y[] = {M, C, F, xi};
+        double *y[] = {M, J.constraints.values, F, left};
         memset(zeros, 0, ((size_t)s->inputs + 1) * sizeof *zeros);
         call(i, s->dynamics, x, y);
     }
+    weigh_rows(J.constraints, weights);
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    memset(left + l, 0, (size_t)s->ties * sizeof *left);
     for (int r = 0; r < s->l; r++)
-        xi[r] *= loops->held[r];
-    /* A motion keeps what C hardly holds within that times its acceleration. */
-    solved(i, s->l, matrix, xi, 1e-5, dv);
-    most = largest(xi, s->l);
-    for (int r = 0; r < s->l; r++) {
-        double open = xi[r];
-        for (int c = 0; c < s->n; c++)
-            open -= matrix[c * s->l + r] * dv[c];
-        if (fabs(open) > lost) {
-            lost = fabs(open);
+        left[r] *= weights[r];
+    /* A motion keeps what C hardly holds within that times its acceleration: two passes leave it. */
+    least_correction(i, &J, left, 2, dv);
+    times(J.constraints, dv, made);
+    most = largest(left, s->l);
+    for (int r = 0; r < s->l; r++)
+        if (fabs(left[r] - made[r]) > lost) {
+            lost = fabs(left[r] - made[r]);
             worst = r;
         }
-    }
     if (lost > 1e-3 * fmax(1.0, most))
         return say(i, FAILED,
             "%s: the start is a singular position, and its rates belong to none of the motions possible there (%s "
@@ -283,28 +370,85 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     return outcome;
 }
 
+/* The motion (n) that masses and constraints hold least, and how much they do: singular value of [M / scale; C]. */
+static double weakest(Instance *i, Matrix M, Matrix C, double scale, double *motion)
+{
+    const Scene *s = i->scene;
+    const int n = s->n, rows = n + s->l;
+    const size_t used = i->used, side = (size_t)n;
+    double *both = take(i, (size_t)rows * side), *V = take(i, side * side), *sizes = take(i, side), least;
+    spread(M.pattern, M.values, both, rows);
+    spread(C.pattern, C.values, both + n, rows);
+    for (int c = 0; c < n; c++)
+        for (int r = 0; r < n; r++)
+            both[c * rows + r] /= scale;
+    singular_values(rows, n, both, V, sizes);
+    memcpy(motion, V + (n - 1) * n, side * sizeof *motion);
+    least = sizes[n - 1];
+    i->used = used;
+    return least;
+}
+
+/* The same for many coordinates, by inverse iteration: eigenvalue of M / scale + C' C. */
+static double weakest_of_many(Instance *i, Matrix M, Matrix C, double scale, double *motion)
+{
+    const Scene *s = i->scene;
+    const Envelope *e = &s->holding;
+    const size_t used = i->used;
+    double *a = take(i, e->entries), *work = take(i, (size_t)s->n), size = 0.0;
+    const Pattern *m = M.pattern, *p = C.pattern;
+    memset(a, 0, e->entries * sizeof *a);
+    for (int c = 0; c < s->n; c++) {
+        for (int k = m->offsets[c]; k < m->offsets[c + 1]; k++)
+            if (m->indices[k] <= c)
+                *envelope_entry(e, a, c, m->indices[k]) += M.values[k] / scale;
+    }
+    /* Rows of C by products of its columns, where the envelope has room for what they have in common. */
+    for (int c = 0; c < s->n; c++)
+        for (int d = 0; d <= c; d++) {
+            double sum = 0.0;
+            if (e->place[d] < e->first[e->place[c]] || e->place[c] < e->first[e->place[d]])
+                continue;
+            for (int k = p->offsets[c], j = p->offsets[d]; k < p->offsets[c + 1] && j < p->offsets[d + 1];)
+                if (p->indices[k] == p->indices[j])
+                    sum += C.values[k++] * C.values[j++];
+                else if (p->indices[k] < p->indices[j])
+                    k++;
+                else
+                    j++;
+            if (sum != 0.0)
+                *envelope_entry(e, a, c, d) += sum;
+        }
+    envelope_factor(e, a, 1e-30 * fmax(1.0, largest(C.values, p->entries)));
+    memcpy(motion, s->normal, (size_t)s->n * sizeof *motion);
+    for (int pass = 0; pass < 4; pass++) {
+        if (pass)
+            envelope_solve(e, a, motion, motion, work);
+        size = norm(motion, s->n);
+        for (int c = 0; c < s->n; c++)
+            motion[c] /= size;
+    }
+    i->used = used;
+    return 1 / size;
+}
+
 Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
 {
     const Scene *s = i->scene;
-    const int rows = s->n + s->l;
-    const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l;
-    double *M = take(i, n * n), *C = take(i, l * n), *both = take(i, (size_t)rows * n), *V = take(i, n * n);
-    double *sizes = take(i, n), *zeros = take(i, n), scale;
+    const size_t used = i->used, n = (size_t)s->n;
+    const Matrix M = matrix_new(i, &s->mass), C = matrix_new(i, &s->constraint);
+    double *motion = take(i, n), *zeros = take(i, n), scale, least;
     Outcome outcome = DONE;
     memset(zeros, 0, n * sizeof *zeros);
-    constraints_at(i, q, zeros, M, C, NULL, NULL);
-    scale = s->l ? fmax(largest(M, s->n * s->n), 1e-300) : 1.0;
-    for (int c = 0; c < s->n; c++) {
-        for (int r = 0; r < s->n; r++)
-            both[c * rows + r] = M[c * s->n + r] / scale;
-        for (int r = 0; r < s->l; r++)
-            both[c * rows + s->n + r] = C[c * s->l + r] * held[r];
-    }
-    singular_values(rows, s->n, both, V, sizes);
-    if (!(sizes[s->n - 1] > 1e-13)) {
+    constraints_at(i, q, zeros, M.values, C.values, NULL, NULL);
+    for (int e = 0; e < s->constraint.entries; e++)
+        C.values[e] *= held[s->constraint.indices[e]];
+    scale = s->l ? fmax(largest(M.values, s->mass.entries), 1e-300) : 1.0;
+    least = (s->n <= DENSE ? weakest : weakest_of_many)(i, M, C, scale, motion);
+    if (!(least > 1e-13)) {
         char free[300] = "";
         for (int c = 0; c < s->n; c++)
-            if (fabs(V[(s->n - 1) * s->n + c]) > 0.1 && strlen(free) < 200) {
+            if (fabs(motion[c]) > 0.1 && strlen(free) < 200) {
                 strcat(free, *free ? ", " : "");
                 strncat(free, s->coordinates[c].name, 80);
             }
@@ -312,7 +456,7 @@ Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
             "%s: the motion along %s has no mass and no constraint that holds it (singular value %.0e of [M; C] at the "
             "start); a massless body must be held by constraints at both ends: never the last body of an open chain, "
             "never one placed by a joint coordinate alone",
-            s->name, free, sizes[s->n - 1]);
+            s->name, free, least);
     }
     i->used = used;
     return outcome;
@@ -350,11 +494,12 @@ static int alike(Range range)
     return range.most - range.least <= SAME * range.most;
 }
 
-/* Coefficients of C at several places: as they are, and of angles also with a quarter turn of their own. */
+/* Nonzeros of C at several places: as they are, and of angles also with a quarter turn of their own. */
 static void coefficients(Instance *i, const double *q, double *M, Range *sizes, Range *amplitudes)
 {
     const Scene *s = i->scene;
-    const size_t used = i->used, n = (size_t)s->n, entries = (size_t)s->l * n;
+    const size_t used = i->used, n = (size_t)s->n, entries = (size_t)s->constraint.entries;
+    const int *offsets = s->constraint.offsets;
     double *C = take(i, entries), *turned = take(i, entries), *own = take(i, entries);
     double *there = take(i, n), *zeros = take(i, n);
     memset(zeros, 0, n * sizeof *zeros);
@@ -371,7 +516,7 @@ static void coefficients(Instance *i, const double *q, double *M, Range *sizes, 
                 continue;
             there[c] += QUARTER;
             constraints_at(i, there, zeros, NULL, turned, NULL, NULL);
-            memcpy(own + c * s->l, turned + c * s->l, (size_t)s->l * sizeof *own);
+            memcpy(own + offsets[c], turned + offsets[c], (size_t)(offsets[c + 1] - offsets[c]) * sizeof *own);
             there[c] = kept;
         }
         for (size_t e = 0; e < entries; e++) {
@@ -384,60 +529,82 @@ static void coefficients(Instance *i, const double *q, double *M, Range *sizes, 
 
 /* What some coefficients of a row come to together. */
 typedef struct {
-    double squares;
-    int count;
+    double squares, count;
 } Sum;
 
 static double together(Sum sum)
 {
-    return sqrt(sum.squares / (sum.count > 1 ? sum.count : 1));
+    return sqrt(sum.squares / fmax(sum.count, 1.0));
 }
 
-/* The unit of a row, 0 where it has no coefficient: `exact` and `angular` where it is known as such; whether it is. */
-static int unit_of(const Scene *s, int r, const Range *sizes, const Range *amplitudes, double *unit, double *exact,
-    double *angular)
+/* What the coefficients of a row tell of its unit. */
+typedef struct {
+    Sum lengths, euler;
+    double most, constant, constant_length, angular;
+} Told;
+
+static void tell(const Scene *s, const Range *sizes, const Range *amplitudes, Told *told)
 {
-    Sum lengths = {0.0, 0}, euler = {0.0, 0};
-    *unit = *exact = *angular = 0.0;
-    for (int c = 0; c < s->n; c++) {
-        const int e = c * s->l + r, there = sizes[e].most > 0.0;
-        Sum *sum = metres(s, c) ? &lengths : radians(s, c) ? NULL : &euler;
-        if (sum) {
-            sum->squares += sizes[e].first * sizes[e].first;
-            sum->count += there;
-        }
-        *unit = fmax(*unit, sizes[e].most);
-        if (radians(s, c) && alike(amplitudes[e]))
-            *angular = fmax(*angular, amplitudes[e].first);
-    }
+    const Pattern *p = &s->constraint;
     for (int c = 0; c < s->n; c++)
-        if (alike(sizes[c * s->l + r]) && (metres(s, c) || !lengths.count))
-            *exact = fmax(*exact, sizes[c * s->l + r].most);
-    *unit = *exact > 0.0           ? *exact
-        : lengths.squares > 0.0    ? sqrt(2.0) * together(lengths)
-        : euler.squares > 0.0      ? together(euler)
-        : *angular > 0.0           ? *angular
-                                   : *unit;
-    return *exact > 0.0 || lengths.squares > 0.0 || *angular > 0.0;
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+            Told *row = told + p->indices[e];
+            Sum *sum = metres(s, c) ? &row->lengths : radians(s, c) ? NULL : &row->euler;
+            if (sum) {
+                sum->squares += sizes[e].first * sizes[e].first;
+                sum->count += sizes[e].most > 0.0;
+            }
+            row->most = fmax(row->most, sizes[e].most);
+            if (radians(s, c) && alike(amplitudes[e]))
+                row->angular = fmax(row->angular, amplitudes[e].first);
+            if (alike(sizes[e]))
+                row->constant = fmax(row->constant, sizes[e].most);
+            if (alike(sizes[e]) && metres(s, c))
+                row->constant_length = fmax(row->constant_length, sizes[e].most);
+        }
+}
+
+/* The constant coefficient of a row, of a length where it has any. */
+static double constant(const Told *row)
+{
+    return row->lengths.count > 0.0 ? row->constant_length : row->constant;
+}
+
+/* What a row comes to for a unit of displacement, 0 where it has no coefficient: 1 in metres and radians, 1000 in
+   millimetres. That is its constant coefficient; otherwise what its lengths come to together, or the constant amplitude
+   of an angle. Of others it is not known but by the size of their coefficients. */
+static double unit_of(const Told *row)
+{
+    return constant(row) > 0.0          ? constant(row)
+        : row->lengths.squares > 0.0    ? sqrt(2.0) * together(row->lengths)
+        : row->euler.squares > 0.0      ? together(row->euler)
+        : row->angular > 0.0            ? row->angular
+                                        : row->most;
 }
 
 void default_penalties(Instance *i, const double *q, double *penalties)
 {
     const Scene *s = i->scene;
-    const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l;
-    double *M = take(i, n * n), *held = take(i, n), *angular = take(i, l);
-    double *units = i->units, exact, mean = 0.0, heaviest = 0.0, wide = 0.0;
-    Range *sizes = (Range *)take(i, 3 * l * n), *amplitudes = (Range *)take(i, 3 * l * n), all = {0.0, INFINITY, 0.0};
+    const Pattern *m = &s->mass, *p = &s->constraint;
+    const size_t used = i->used, l = (size_t)s->l, entries = (size_t)p->entries;
+    double *M = take(i, (size_t)m->entries), *held = take(i, (size_t)s->n);
+    double *units = i->units, mean = 0.0, heaviest = 0.0, wide = 0.0;
+    Range *sizes = (Range *)take(i, 3 * entries), *amplitudes = (Range *)take(i, 3 * entries);
+    Range all = {0.0, INFINITY, 0.0};
+    Told *told = (Told *)take(i, 8 * l);
     int known = 1, every_angular = 1, every_exact = 1;
     coefficients(i, q, M, sizes, amplitudes);
+    memset(told, 0, l * sizeof *told);
+    tell(s, sizes, amplitudes, told);
     for (int r = 0; r < s->l; r++) {
-        known &= unit_of(s, r, sizes, amplitudes, units + r, &exact, angular + r);
-        every_angular &= angular[r] > 0.0;
-        every_exact &= exact > 0.0;
+        units[r] = unit_of(told + r);
+        known &= constant(told + r) > 0.0 || told[r].lengths.squares > 0.0 || told[r].angular > 0.0;
+        every_angular &= told[r].angular > 0.0;
+        every_exact &= constant(told + r) > 0.0;
     }
     for (int r = 0; r < s->l; r++) {
         if (every_angular && !every_exact)
-            units[r] = angular[r];
+            units[r] = told[r].angular;
         if (units[r] == 0.0)
             units[r] = 1.0;
         widen(&all, units[r]);
@@ -452,48 +619,52 @@ void default_penalties(Instance *i, const double *q, double *penalties)
         units[r] = 1 / ALIKE < mean && mean < ALIKE ? 1.0 : mean;
     for (int c = 0; c < s->n; c++) {
         held[c] = 0.0;
-        for (int r = 0; r < s->l; r++)
-            held[c] = fmax(held[c], sizes[c * s->l + r].most / units[r]);
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++)
+            held[c] = fmax(held[c], sizes[e].most / units[p->indices[e]]);
         wide = fmax(wide, held[c]);
     }
     for (int c = 0; c < s->n; c++)
-        if (held[c] > HARDLY * wide) {
-            const double size = metres(s, c) ? 1.0 : held[c];
-            heaviest = fmax(heaviest, M[c * s->n + c] / (size * size));
-        }
+        for (int e = m->offsets[c]; held[c] > HARDLY * wide && e < m->offsets[c + 1]; e++)
+            if (m->indices[e] == c) {
+                const double size = metres(s, c) ? 1.0 : held[c];
+                heaviest = fmax(heaviest, M[e] / (size * size));
+            }
     for (int r = 0; r < s->l; r++)
         penalties[r] = PENALTY_RATIO * fmax(heaviest, 1e-300) / (units[r] * units[r]);
     i->used = used;
 }
 
 /* Phi and C at q, each row times its weight. */
-static void weighted_at(Instance *i, const double *q, const double *weights, double *C, double *phi)
+static void weighted_at(Instance *i, const double *q, const double *weights, Matrix C, double *phi)
 {
     const Scene *s = i->scene;
     const size_t used = i->used;
     double *zeros = take(i, (size_t)s->n);
     memset(zeros, 0, (size_t)s->n * sizeof *zeros);
-    constraints_at(i, q, zeros, NULL, C, phi, NULL);
-    for (int r = 0; r < s->l; r++) {
+    constraints_at(i, q, zeros, NULL, C.values, phi, NULL);
+    weigh_rows(C, weights);
+    for (int r = 0; r < s->l; r++)
         phi[r] *= weights[r];
-        for (int c = 0; c < s->n; c++)
-            C[c * s->l + r] *= weights[r];
-    }
     i->used = used;
 }
 
-static int rank_of(Instance *i, const double *C)
+/* Singular values of C that are more than nothing. */
+static int rank_of(Instance *i, Matrix C)
 {
     const Scene *s = i->scene;
     const int wide = s->l < s->n, few = wide ? s->l : s->n, many = wide ? s->n : s->l;
     const size_t used = i->used;
     double *a = take(i, (size_t)many * (size_t)few), *V = take(i, (size_t)few * (size_t)few);
     double *sizes = take(i, (size_t)few);
-    const double least = 1e-7 * fmax(1.0, largest(C, s->l * s->n));
+    const double least = 1e-7 * fmax(1.0, largest(C.values, C.pattern->entries));
     int rank = 0;
-    for (int c = 0; c < s->n; c++)
-        for (int r = 0; r < s->l; r++)
-            a[wide ? r * s->n + c : c * s->l + r] = C[c * s->l + r];
+    if (wide) {
+        memset(a, 0, (size_t)many * (size_t)few * sizeof *a);
+        for (int c = 0; c < s->n; c++)
+            for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
+                a[C.pattern->indices[e] * s->n + c] = C.values[e];
+    } else
+        spread(C.pattern, C.values, a, s->l);
     singular_values(many, few, a, V, sizes);
     while (rank < few && sizes[rank] > least)
         rank++;
@@ -501,44 +672,95 @@ static int rank_of(Instance *i, const double *C)
     return rank;
 }
 
-/* S1: degrees of freedom at regular positions near q. */
-static int freedom_near(Instance *i, const double *q, const unsigned char *held)
+/* The same of many coordinates: rows that those before them do not make up, by the pivots of C C'. */
+static int rank_of_many(Instance *i, const Rows *J)
+{
+    const Envelope *e = &i->scene->closing;
+    const size_t used = i->used;
+    double *a = take(i, e->entries), most = squared(i, J, a);
+    int rank = 0;
+    envelope_factor(e, a, DBL_MIN);
+    for (int r = 0; r < i->scene->l; r++)
+        rank += *envelope_entry(e, a, r, r) > DEPENDENT * most;
+    i->used = used;
+    return rank;
+}
+
+/* The correction of least norm with which a rank is told: where coordinates are few, it takes what C hardly holds. */
+static void ranked_correction(Instance *i, const Rows *J, const double *r, double *x)
 {
     const Scene *s = i->scene;
-    const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l;
-    double *C = take(i, l * n), *phi = take(i, l), *weights = take(i, l), *units = take(i, l), *near = take(i, n);
-    double *dq = take(i, n);
+    const size_t used = i->used;
+    double *C;
+    if (s->n > DENSE) {
+        least_correction(i, J, r, CORRECTIONS, x);
+        return;
+    }
+    C = take(i, (size_t)s->l * (size_t)s->n);
+    spread(J->constraints.pattern, J->constraints.values, C, s->l);
+    least_norm(s->l, s->n, C, r, 1e-8, x, take(i, least_norm_work(s->l, s->n)));
+    i->used = used;
+}
+
+/* S1: degrees of freedom at regular positions near q, and at q itself; `place` is one where the rank is largest. */
+static int freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l, count = l + (size_t)s->ties;
+    const int many = s->n > DENSE, places = many ? FEW_RANKED : RANKED;
     const double size = 0.3 * fmax(1.0, largest(q, s->n)) / sqrt(s->n);
+    const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    const Matrix C = J.constraints;
+    double *phi = take(i, count), *weights = take(i, l), *units = take(i, l), *near = take(i, n), *dq = take(i, n);
+    double *aside = take(i, n);
     int rank, found;
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    memset(phi, 0, count * sizeof *phi);
     for (int r = 0; r < s->l; r++) {
         weights[r] = held[r];
         units[r] = 0.0;
     }
-    for (int k = -1; k < RANKED; k++) { /* Rows in other units are as independent as before. */
+    for (int k = -1; k < places && !many; k++) { /* Rows in other units are as independent as before. */
         for (int c = 0; c < s->n; c++)
             near[c] = q[c] + (k < 0 ? 0.0 : size * s->normal[k * s->n + c]);
         weighted_at(i, near, weights, C, phi);
-        for (int r = 0; r < s->l; r++)
-            for (int c = 0; c < s->n; c++)
-                units[r] = fmax(units[r], fabs(C[c * s->l + r]));
+        for (int e = 0; e < s->constraint.entries; e++)
+            units[s->constraint.indices[e]] = fmax(units[s->constraint.indices[e]], fabs(C.values[e]));
     }
     for (int r = 0; r < s->l; r++)
         weights[r] = held[r] / (units[r] > 0.0 ? units[r] : 1.0);
     weighted_at(i, q, weights, C, phi);
-    rank = rank_of(i, C);
-    for (int k = 0; k < RANKED; k++) {
+    rank = many ? rank_of_many(i, &J) : rank_of(i, C);
+    *here = s->n - rank;
+    memcpy(place, q, n * sizeof *q);
+    for (int k = 0; k < places; k++) {
         for (int c = 0; c < s->n; c++)
-            near[c] = q[c] + size * s->normal[k * s->n + c];
+            aside[c] = size * s->normal[k * s->n + c];
+        if (many) { /* Along the motion: in a long chain any other way leads far from an assembly. */
+            double most;
+            weighted_at(i, q, weights, C, phi);
+            times(C, aside, phi);
+            least_correction(i, &J, phi, CORRECTIONS, dq);
+            for (int c = 0; c < s->n; c++)
+                aside[c] -= dq[c];
+            most = fmax(largest(aside, s->n), 1e-300);
+            for (int c = 0; c < s->n; c++)
+                aside[c] *= 0.3 / most;
+        }
+        for (int c = 0; c < s->n; c++)
+            near[c] = q[c] + aside[c];
         for (int pass = 0;; pass++) {
             weighted_at(i, near, weights, C, phi);
             if (pass == 30 || largest(phi, s->l) <= 1e-16 * largest(near, s->n))
                 break;
-            solved(i, s->l, C, phi, 1e-8, dq);
+            ranked_correction(i, &J, phi, dq);
             for (int c = 0; c < s->n; c++)
                 near[c] -= dq[c];
         }
-        if (largest(phi, s->l) < 1e-9 && (found = rank_of(i, C)) > rank)
+        if (largest(phi, s->l) < 1e-9 && (found = many ? rank_of_many(i, &J) : rank_of(i, C)) > rank) {
             rank = found;
+            memcpy(place, near, n * sizeof *near);
+        }
     }
     i->used = used;
     return s->n - rank;
@@ -549,12 +771,14 @@ static void ranges(Instance *i, const double *q, double *combinations, double *s
 {
     const Scene *s = i->scene;
     const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l;
-    double *C = take(i, l * n), *turned = take(i, l * n), *zeros = take(i, n);
+    const Matrix C = matrix_new(i, &s->constraint);
+    double *turned = take(i, l * n), *zeros = take(i, n);
     memset(zeros, 0, n * sizeof *zeros);
-    constraints_at(i, q, zeros, NULL, C, NULL, NULL);
-    for (int r = 0; r < s->l; r++)
-        for (int c = 0; c < s->n; c++)
-            turned[r * s->n + c] = sqrt(i->penalty[r]) * C[c * s->l + r];
+    memset(turned, 0, l * n * sizeof *turned);
+    constraints_at(i, q, zeros, NULL, C.values, NULL, NULL);
+    for (int c = 0; c < s->n; c++)
+        for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
+            turned[C.pattern->indices[e] * s->n + c] = sqrt(i->penalty[C.pattern->indices[e]]) * C.values[e];
     singular_values(s->n, s->l, turned, combinations, sizes);
     i->used = used;
 }
@@ -565,27 +789,73 @@ static int would_brake(Instance *i, const double *q, const double *way)
     const Scene *s = i->scene;
     const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l;
     const int rank = (int)*i->rank;
-    double *combinations = take(i, l * l), *sizes = take(i, l), *there = take(i, n), *C = take(i, l * n), found = 0.0;
-    int active = 0;
-    for (int r = 0; r < s->l; r++)
-        active += i->penalty[r] > 0.0;
-    if (rank >= active || rank < 1 || s->n > DENSE) {
-        i->used = used;
-        return 0;
-    }
+    const Matrix C = matrix_new(i, &s->constraint);
+    double *combinations = take(i, l * l), *sizes = take(i, l), *there = take(i, n), found = 0.0;
     ranges(i, q, combinations, sizes);
     for (int c = 0; c < s->n; c++)
-        there[c] = q[c] + aside[3] * way[c];
-    constraints_at(i, there, way, NULL, C, NULL, NULL);
+        there[c] = q[c] + aside[PLACES - 1] * way[c];
+    constraints_at(i, there, way, NULL, C.values, NULL, NULL);
     for (int k = rank; k < s->l; k++)
         for (int c = 0; c < s->n; c++) {
             double sum = 0.0;
-            for (int r = 0; r < s->l; r++)
-                sum += combinations[k * s->l + r] * sqrt(i->penalty[r]) * C[c * s->l + r];
+            for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++) {
+                const int r = C.pattern->indices[e];
+                sum += combinations[k * s->l + r] * sqrt(i->penalty[r]) * C.values[e];
+            }
             found = fmax(found, fabs(sum));
         }
     i->used = used;
     return sizes[rank - 1] >= REGULAR * sizes[0] && found > REGULAR * REGULAR * REGULAR * sizes[0];
+}
+
+/* The same for any place on the motion near the start. */
+static int brakes_near(Instance *i, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n, count = (size_t)(s->l + s->ties);
+    Rows J;
+    double *way, *weights, *phi, *near, *dq, size;
+    int active = 0, found = 0;
+    for (int r = 0; r < s->l; r++)
+        active += i->penalty[r] > 0.0;
+    if (*i->rank >= active || *i->rank < 1.0 || s->n > DENSE)
+        return 0;
+    J = (Rows){matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    way = take(i, n);
+    near = take(i, n);
+    dq = take(i, n);
+    phi = take(i, count);
+    weights = take(i, (size_t)s->l);
+    memset(phi, 0, count * sizeof *phi);
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = i->penalty[r] > 0.0;
+    memcpy(way, v, n * sizeof *way);
+    if (largest(v, s->n) == 0.0) { /* Any motion will do. */
+        weighted_at(i, q, weights, J.constraints, phi);
+        times(J.constraints, s->normal, phi);
+        least_correction(i, &J, phi, CORRECTIONS, dq);
+        for (int c = 0; c < s->n; c++)
+            way[c] = s->normal[c] - dq[c];
+    }
+    size = fmax(largest(way, s->n), 1e-300);
+    for (int c = 0; c < s->n; c++)
+        way[c] /= size;
+    for (int a = 0; a < PLACES && !found; a++) {
+        for (int c = 0; c < s->n; c++)
+            near[c] = q[c] + aside[a] * way[c];
+        for (int pass = 0; pass <= CORRECTIONS; pass++) {
+            weighted_at(i, near, weights, J.constraints, phi);
+            if (pass == CORRECTIONS || largest(phi, s->l) <= TOLERANCE)
+                break;
+            least_correction(i, &J, phi, CORRECTIONS, dq);
+            for (int c = 0; c < s->n; c++)
+                near[c] -= dq[c];
+        }
+        found = largest(phi, s->l) <= GROSS && would_brake(i, near, way);
+    }
+    i->used = used;
+    return found;
 }
 
 /* S5: freezes the rank of C at the state before a step. */
@@ -595,7 +865,7 @@ void hold(Instance *i)
     const size_t used = i->used, l = (size_t)s->l;
     const int rank = (int)*i->rank;
     double *combinations, *sizes, *matrix = field(i, s->k) + SETTINGS + 2 * s->l + s->n + s->compliances;
-    if (rank < 1 || rank > s->l)
+    if (rank < 1 || rank > s->l || s->n > DENSE)
         return;
     combinations = take(i, l * l);
     sizes = take(i, l);
@@ -633,12 +903,12 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     double *way = take(i, n), *there = take(i, n), *near = take(i, n), *found = take(i, PLACES + 1);
     double *pivots = take(i, n), *diagonal = take(i, n), *columns = take(i, n), *touched = take(i, n);
     double *places = take(i, (PLACES + 1) * n), *rate = take(i, n), *together = take(i, PLACES + 1), size;
-    int freedom = s->freedom, count = 1;
+    int freedom = s->freedom, count = 1, here;
     if (!usual || freedom < 0)
-        freedom = freedom_near(i, q, held);
+        freedom = freedom_near(i, q, held, &here, there);
     *i->rank = s->n - freedom;
     /* Masses are not known yet. */
-    k[5] = 0.0;
+    k[SETTINGS_NOTHING] = 0.0;
     for (int c = 0; c < s->n; c++)
         inverse_scales[c] = 1.0;
     memcpy(way, v, n * sizeof *way);
@@ -680,12 +950,11 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
         *i->freedom -= touched[c] == 0.0;
         inverse_scales[c] = *i->largest_penalty / i->scales[c];
     }
-    i->flags.brakes = 0;
+    i->flags.brakes = brakes_near(i, q, v);
     for (int a = 0; a < count; a++) {
         const double *x[] = {places + a * n, p, k};
         double *y[] = {pivots, diagonal, columns, &margin};
         int bad = 0;
-        i->flags.brakes |= would_brake(i, places + a * n, way);
         call(i, s->pivots, x, y);
         for (int c = 0; c < s->n; c++)
             bad |= !(pivots[c] > 0.0);
@@ -709,12 +978,13 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     i->used = used;
 }
 
-Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here)
+/* Of the constraints in force, or of all of them; also a place (n) near the present one at which they are told. */
+Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place)
 {
     const Scene *s = i->scene;
     unsigned char *held;
-    double *C, *phi, *weights;
     i->used = 0;
+    memcpy(place, field(i, s->z), (size_t)s->n * sizeof *place);
     *freedom = *here = s->n;
     *redundant = 0;
     if (!i->flags.initialized)
@@ -722,18 +992,12 @@ Outcome instance_mobility(Instance *i, int *freedom, int *redundant, int *here)
     if (!s->l)
         return DONE;
     held = (unsigned char *)take(i, (size_t)s->l);
-    C = take(i, (size_t)s->l * (size_t)s->n);
-    phi = take(i, (size_t)s->l);
-    weights = take(i, (size_t)s->l);
     for (int r = 0; r < s->l; r++) {
-        held[r] = i->penalty[r] > 0.0;
-        weights[r] = held[r] / i->units[r];
+        held[r] = all || i->penalty[r] > 0.0;
         *redundant += held[r];
     }
-    *freedom = freedom_near(i, field(i, s->z), held);
+    *freedom = freedom_near(i, field(i, s->z), held, here, place);
     *redundant -= s->n - *freedom;
-    weighted_at(i, field(i, s->z), weights, C, phi);
-    *here = s->n - rank_of(i, C);
     i->used = 0;
     return DONE;
 }

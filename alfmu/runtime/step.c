@@ -14,7 +14,7 @@ long advance(Instance *i, long steps, double dt)
     long done;
     m[s->dt] = dt;
     for (done = 0; done < steps; done++) {
-        int tier = m[s->control + 1] != 0.0;
+        int tier = m[s->control + CONTROL_TIER] != 0.0;
         for (;;) {
             run(i, tiers[tier]);
             if (after[s->trouble] == 0.0)
@@ -29,7 +29,7 @@ long advance(Instance *i, long steps, double dt)
         memcpy(m + s->z, after, state_length(s) * sizeof *m);
         m[s->tally + tier] += 1.0;
         if (tier == 2)
-            m[s->tally + TIERS] += after[s->near];
+            m[s->tally + TALLY_LIMITS] += after[s->near];
     }
     return done;
 }
@@ -38,21 +38,21 @@ long advance(Instance *i, long steps, double dt)
 int cover(Instance *i, double end, long tries)
 {
     const Scene *s = i->scene;
-    double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally + TIERS + 1;
+    double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     pace[PACE_END] = end;
     for (; m[s->z + s->time] < end && tries != 0; tries--) {
         run(i, s->method_step);
         if (after[s->trouble] != 0.0 && s->beside >= 0) {
             pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
             run(i, s->beside);
-            tally[2] += 1.0;
-            tally[3] += after[s->near];
+            tally[TALLY_BESIDE] += 1.0;
+            tally[TALLY_BESIDE_LIMITS] += after[s->near];
         }
         if (after[s->trouble] != 0.0)
             return 0;
         if (pace[PACE_ACCEPTED] != 0.0)
             memcpy(m + s->z, after, state_length(s) * sizeof *m);
-        tally[pace[PACE_ACCEPTED] != 0.0 ? 0 : 1] += 1.0;
+        tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;
     }
     return 1;
 }
@@ -62,33 +62,33 @@ int communicate(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
     double *m = i->m, *z = m + s->z, *pace = m + s->pace, ratio;
-    double counted[TIERS + 5 + PACE];
+    double counted[TALLY + PACE];
     const size_t state = state_length(s) * sizeof *m, past = (size_t)s->past_size * sizeof *m;
     long steps;
     int made;
     if (!(h > 0.0 && h < INFINITY && fabs(start - z[s->time]) <= 1e-6 * h + 1e-12 * fabs(start)))
         return 0;
-    ratio = h / m[s->control] * (1 - 1e-12);
+    ratio = h / m[s->control + CONTROL_STEP_SIZE] * (1 - 1e-12);
     if (!(ratio < MOST_STEPS))
         return 0;
     steps = ratio <= 1.0 ? 1 : (long)ceil(ratio);
     memcpy(m + s->begin, z, state);
-    memcpy(counted, m + s->tally, (TIERS + 5) * sizeof *m);
-    memcpy(counted + TIERS + 5, pace, PACE * sizeof *m);
+    memcpy(counted, m + s->tally, TALLY * sizeof *m);
+    memcpy(counted + TALLY, pace, PACE * sizeof *m);
     memcpy(i->past_before, m + s->past, past);
     z[s->time] = start;
     if (s->reach >= 0)
         run(i, s->reach);
-    if (m[s->control + 2] != 0.0) {
+    if (m[s->control + CONTROL_METHOD] != 0.0) {
         pace[PACE_LAST] = 0.0;
-        pace[PACE_FIXED] = m[s->control + 2] == 2.0 ? h / (double)steps : 0.0;
+        pace[PACE_FIXED] = m[s->control + CONTROL_METHOD] == 2.0 ? h / (double)steps : 0.0;
         made = cover(i, start + h, -1);
     } else
         made = advance(i, steps, h / (double)steps) == steps;
     if (!made) {
         memcpy(z, m + s->begin, state);
-        memcpy(m + s->tally, counted, (TIERS + 5) * sizeof *m);
-        memcpy(pace, counted + TIERS + 5, PACE * sizeof *m);
+        memcpy(m + s->tally, counted, TALLY * sizeof *m);
+        memcpy(pace, counted + TALLY, PACE * sizeof *m);
         memcpy(m + s->past, i->past_before, past);
         return 0;
     }
@@ -100,9 +100,8 @@ int communicate(Instance *i, double start, double h)
 int read_quickly(Instance *i)
 {
     const Scene *s = i->scene;
-    const double *seen = i->m + s->seen + s->seen_size;
     run(i, s->instant);
-    if (seen[-2] != 0.0 && s->limit >= 0)
+    if (verdict(i, SEEN_NEAR) != 0.0 && s->limit >= 0)
         run(i, s->limit);
-    return seen[-1] == 0.0;
+    return verdict(i, SEEN_TROUBLE) == 0.0;
 }

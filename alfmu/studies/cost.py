@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 import casadi as ca
 
 from ..equations import Equations, Mobility, Variable
+from ..equations.evaluation import shared, symbols
 from ..equations.interface import MONITORS
 from ..equations.specialisation import specialised
+from ..kernel.form import Plan, called
 from ..kernel.joined import joined
-from ..kernel.program import called
-from ..kernel.trace import parts, traced
+from ..kernel.symbolic import Scene, lengths_of
+from ..kernel.trace import traced
 from ..simulation import prepared
 
-__all__ = ["Cost", "cost", "described", "left_out", "operations"]
+__all__ = ["Cost", "cost", "described", "left_out", "operations", "parts"]
 
 _FREE = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_PARAMETER)
 
@@ -43,12 +45,12 @@ def cost(equations: Equations) -> Cost:
     e = equations
     quick = e.kernel["quick"]
     step = _whole(e, "quick")
-    evaluation, nonzeros = parts(e, quick)
+    evaluation, nonzeros = parts(e, quick.plan)
     model, factored, iterated = (operations(evaluation[name]) for name in ("model", "factorisation", "iterations"))
-    stages = list(called(quick["calls"])).count("rate")
+    stages = list(called(quick)).count("rate")
 
     def together(names: Callable[[str], bool]) -> int:
-        return _together(e, filter(names, called(quick["calls"])))
+        return _together(e, filter(names, called(quick)))
 
     by_part = {
         "model": stages * model,
@@ -64,9 +66,27 @@ def cost(equations: Equations) -> Cost:
         careful=_whole(e, "careful"),
         outputs=_whole(e, "instant"),
         nonzeros=nonzeros,
-        iterations=quick["iterations"],
-        corrections=quick["corrections"],
+        iterations=quick.plan.iterations,
+        corrections=quick.plan.corrections,
     )
+
+
+def parts(equations: Equations, plan: Plan) -> tuple[dict[str, ca.Function], dict[str, int]]:
+    """What an evaluation of a program comes to step by step, and the structural nonzeros on the way.
+
+    The functions give M, C, F, xi; then also the pivots of H; then the accelerations and the power.
+    """
+    e, x = equations, symbols(equations)
+    scene = Scene(e, plan.weighted, lengths_of(e))
+    t, q, v, u = (x[letter] for letter in "tqvu")
+    terms = scene.terms(t, q, v, u)
+    M, C = terms[:2]
+    H = scene.augmented_mass(M, C)
+    D, L = scene.factors(H)
+    a, _, _ = scene.iterated(terms, (D, L), ca.SX(e.n, 1), ca.SX(e.l, 1), plan.iterations)
+    results = {"model": terms, "factorisation": [*terms, D, L], "iterations": [a, scene.power(t, q, v, u)]}
+    functions = {name: shared(name, [q, v, u, scene.p, t, scene.k], list(x)) for name, x in results.items()}
+    return functions, {"M": M.nnz(), "C": C.nnz(), "H": H.nnz(), "L": L.nnz()}
 
 
 def described(everything: Equations, scene: Equations, mobility: Mobility) -> list[str]:
@@ -126,7 +146,7 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
 
 def _with_all_passes(equations: Equations, mobility: Mobility, like: Equations) -> Cost:
     """Cost of equations as if a constraint were redundant, with the multiplier iterations of a prepared scene."""
-    return cost(traced(equations, replace(mobility, redundant=1), like.kernel["quick"]["iterations"]))
+    return cost(traced(equations, replace(mobility, redundant=1), like.kernel["quick"].plan.iterations))
 
 
 def _hard(e: Equations) -> dict[str, int]:
@@ -164,7 +184,7 @@ def operations(function: ca.Function) -> int:
 
 def _whole(e: Equations, program: str) -> int:
     together = joined(e, [program])
-    return _together(together, called(together.kernel[program]["calls"]))
+    return _together(together, called(together.kernel[program]))
 
 
 def _together(e: Equations, names: Iterable[str]) -> int:

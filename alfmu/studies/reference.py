@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853, Radau
 
 from ..equations import Equations
+from ..equations.arrays import ArrayFunction, ArrayFunctions
 from ..equations.evaluation import shared, symbols, with_functions
-from ..kernel.program import Call
-from ..kernel.vm import Vm
 from ..oracle import Instance
 
 __all__ = ["Effort", "Reference", "reference"]
@@ -93,10 +92,10 @@ class _Model:
 
     def __init__(self, instance: Instance):
         e = instance.equations
-        backend = Vm(_with_placement(e))
+        backend = ArrayFunctions(_with_placement(e))
         signatures, self.outputs = backend.equations.signatures, len(e.outputs)
         self._dynamics, self._constraints, self._readings, self._energy, self._placement = (
-            Call(backend, name, signatures[name])
+            ArrayFunction(backend, name, signatures[name])
             for name in ("dynamics", "constraints", "readings", "energy", "placement")
         )
         self.p, self.u = instance.oracle.p.copy(), instance.inputs.copy()

@@ -1,0 +1,70 @@
+"""Functions of equations called on NumPy arrays, by CasADi: for the oracle, studies and references."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from .types import Equations, Signature
+
+__all__ = ["ArrayFunction", "ArrayFunctions", "Backend"]
+
+
+class Backend(Protocol):
+    """A way to run functions."""
+
+    def bind(self, name: str, x: list[NDArray], y: list[NDArray]) -> Callable[[], Any]:
+        """The function bound to arrays for its arguments and the nonzeros of its results."""
+
+
+class ArrayFunctions:
+    """The functions of equations as CasADi holds them."""
+
+    def __init__(self, equations: Equations):
+        self.equations = equations
+        self._buffers: list[Any] = []
+
+    def bind(self, name: str, x: list[NDArray], y: list[NDArray]) -> Callable[[], Any]:
+        return self.bound(self.equations.functions[name], x, y)
+
+    def bound(self, function: ca.Function, x: list[NDArray], y: list[NDArray]) -> Callable[[], Any]:
+        """A function bound to arrays, to be called without any argument."""
+        buffer, run = function.buffer()
+        for i, each in enumerate(x):
+            buffer.set_arg(i, memoryview(each))
+        for i, each in enumerate(y):
+            buffer.set_res(i, memoryview(each))
+        self._buffers.append(buffer)
+        return run
+
+
+class ArrayFunction:
+    """A function called on arrays of its own: dense, or sparse matrices whose pattern never changes."""
+
+    def __init__(self, backend: Backend, name: str, signature: Signature):
+        self.x = [np.zeros(size) for size in signature["inputs"]]
+        y = [np.zeros(len(shape[3]) if len(shape) > 2 else shape[0] * shape[1]) for shape in signature["outputs"]]
+        self._run, self._backend = backend.bind(name, self.x, y), backend  # which keeps alive what runs
+        self.y = [
+            _matrix(each, shape) if i < signature["matrices"] else each
+            for i, (each, shape) in enumerate(zip(y, signature["outputs"], strict=True))
+        ]
+
+    def __call__(self, *arguments: NDArray | float) -> list[Any]:
+        for x, value in zip(self.x, arguments, strict=True):
+            x[:] = value
+        self._run()
+        return self.y
+
+
+def _matrix(data: NDArray, shape: list) -> Any:
+    if len(shape) == 2:
+        return data.reshape(shape, order="F")
+    from scipy.sparse import csc_array
+
+    rows, columns, offsets, indices = shape
+    return csc_array((data, np.array(indices), np.array(offsets)), shape=(rows, columns), copy=False)

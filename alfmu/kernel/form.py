@@ -1,0 +1,178 @@
+"""What a program of a scene is made of: calls of functions, choices, loops, three routines of linear algebra.
+
+All work on values with names, which stand in one memory: fields of the instance (`alfmu.kernel.memory`), and what one
+step of a program hands to later ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import chain
+
+from ..method import singular
+
+__all__ = [
+    "Call",
+    "Choice",
+    "Factor",
+    "LeastNorm",
+    "Loop",
+    "Plan",
+    "Program",
+    "Routine",
+    "Solve",
+    "Step",
+    "Steps",
+    "called",
+    "every",
+    "rewritten",
+    "taken",
+]
+
+
+@dataclass(frozen=True)
+class Call:
+    """A function of the scene called on values, giving others."""
+
+    function: str
+    arguments: tuple[str, ...]
+    results: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Steps that are made where a number is not zero, and others where it is."""
+
+    number: str
+    nonzero: Steps = ()
+    zero: Steps = ()
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Steps that are made while a number is not zero: at most so many times, or as often as a value says."""
+
+    number: str
+    most: int | str
+    body: Steps
+
+
+@dataclass(frozen=True)
+class Routine:
+    """Linear algebra that all scenes share, and no function of a scene does, on vectors of `side` numbers."""
+
+    arguments: tuple[str, ...]
+    results: tuple[str, ...]
+    side: int
+    count: int = 1
+
+
+class Factor(Routine):
+    """Factorise the matrix of count x count blocks (side, side), sums of the parts of their row by weights.
+
+    `arguments` are the weights, by row and column, and the parts; `results` the factors and the order of their rows.
+    """
+
+
+class Solve(Routine):
+    """Solve with these factors: `arguments` are the factors, their order, and `count` vectors of `side` numbers."""
+
+
+class LeastNorm(Routine):
+    """The least-squares solution of least norm of a system; `arguments` are its matrix (side, side) and its vector."""
+
+
+Step = Call | Choice | Loop | Routine
+
+Steps = tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How often the loops of the method are unrolled in a step, and how it is judged whether that was enough."""
+
+    iterations: int
+    """Of multipliers in each evaluation."""
+    corrections: int
+    """Of q, and of v, after the step."""
+    quick: bool = False
+    """Whether few iterations are judged by how they shrink; otherwise the last change must be within the tolerance."""
+    weighted: bool = False
+    """Whether each constraint may have a penalty of its own."""
+    spacing: float = singular.SPACING
+    """Of the places from which limits are taken on the branch, over the step."""
+    side: int = 2
+    """How many of these places there are on either side."""
+    branch: bool = False
+    """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
+    margins: bool = False
+    """Whether the margin itself tells what is near a singular position, not only that it may be; where weighted."""
+
+    @property
+    def own(self) -> str:
+        """What the names of functions end in that depend on how many places there are."""
+        return "" if self.side == Plan.side else "_for_method"
+
+
+@dataclass(frozen=True)
+class Program:
+    """A step of the motion, or what is read at an instant."""
+
+    steps: Steps
+    plan: Plan | None = None
+    """What it was traced by, where the loops of the method are in it."""
+    rule: str = ""
+    """Name of the coefficients of a method of integration beside RK4."""
+    evaluations: int = 0
+    """Of accelerations in a step of such a method, but for those at the nodes of a pass of Newton's method."""
+    nodes: int = 0
+    history: int = 0
+    """Numbers that such a method keeps from step to step."""
+
+
+def every(steps: Iterable[Step]) -> Iterator[Step]:
+    """Each step in order, those inside choices and loops after their own."""
+    for step in steps:
+        yield step
+        yield from every(chain(*_inside(step)))
+
+
+def _inside(step: Step) -> tuple[Steps, ...]:
+    if isinstance(step, Choice):
+        return step.nonzero, step.zero
+    return (step.body,) if isinstance(step, Loop) else ()
+
+
+def called(program: Program) -> Iterator[str]:
+    """Names of the functions that a program may call, in order and with repetition."""
+    return (step.function for step in every(program.steps) if isinstance(step, Call))
+
+
+def rewritten(steps: Iterable[Step], change: Callable[[Call | Routine], Iterable[Step]]) -> Steps:
+    """The same steps, with what stands for each call and each routine in its place, inside choices and loops too."""
+
+    def each(step: Step) -> Iterable[Step]:
+        if isinstance(step, Choice):
+            return (replace(step, nonzero=rewritten(step.nonzero, change), zero=rewritten(step.zero, change)),)
+        if isinstance(step, Loop):
+            return (replace(step, body=rewritten(step.body, change)),)
+        return change(step)
+
+    return tuple(chain(*map(each, steps)))
+
+
+def taken(steps: Iterable[Step], wanted: Iterable[str] = ()) -> list[str]:
+    """What has to be known before steps so that what is wanted is known after them."""
+    names = dict.fromkeys(wanted)
+    for step in reversed(list(steps)):
+        if isinstance(step, Choice):
+            names = dict.fromkeys([step.number, *names, *taken(step.nonzero, names), *taken(step.zero, names)])
+        elif isinstance(step, Loop):
+            most = [step.most] if isinstance(step.most, str) else []
+            names = dict.fromkeys([step.number, *most, *names, *taken(step.body, names)])
+        else:
+            for each in step.results:
+                names.pop(each, None)
+            names.update(dict.fromkeys(step.arguments))
+    return list(names)

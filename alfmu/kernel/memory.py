@@ -1,0 +1,115 @@
+"""The memory of an instance: one array of numbers, whose fields have the same names in Python and in C (`layout.h`)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..equations import Equations
+from ..method.inputs import memory_size
+
+__all__ = ["CONTROL", "GROSS", "NAMED", "PACE", "SEEN", "SETTINGS", "TALLY", "TIERS", "TURN", "Layout", "Memory"]
+
+TIERS = ("quick", "careful", "branch")
+"""Steps in the order in which they are tried; `branch` at once where a position is nearly singular."""
+
+SETTINGS = (
+    *("alpha", "tolerance", "freedom", "masses", "regular", "nothing", "least_distance", "continues"),
+    *("relative", "absolute"),
+)
+"""What `k` begins with. Degrees of freedom, logarithm of the product of the pivots that masses make, product of all
+pivots below which a position may be singular, margin that is nothing, least distance of places beside a singular
+position, whether to continue on the branch there (`method.singular`); tolerances of a step with error control."""
+
+CONTROL = ("step_size", "tier", "method")
+"""Largest internal step [s]; first tier (0 quick, 1 careful); what makes the steps (0 the tiers, 1 the method of the
+scene with error control, 2 the same in steps of one length)."""
+
+TALLY = (*TIERS, "limits", "covered", "refused", "beside", "beside_limits")
+"""Internal steps made by each tier, limits taken; by the method of the scene: steps, refused ones, tries on the branch,
+limits taken."""
+
+PACE = ("dt", "before", "refused", "fixed", "end", "last", "accepted")
+"""What step control remembers (`method.stepping.Control.numbers`); the length of all steps where they have one, else 0,
+the end of the communication step, the length of the last step in it that was accepted, 0 before the first; whether the
+last one was accepted."""
+
+SEEN = ("acceleration_error", "near", "trouble")
+"""What `seen` ends with: largest |Phi-ddot|, whether a limit has to be read instead, trouble."""
+
+NAMED = {"SETTINGS": SETTINGS, "CONTROL": CONTROL, "TALLY": TALLY, "PACE": PACE, "SEEN": SEEN}
+"""Vectors whose entries have names in C too; SEEN counts from its own beginning, the end of what is read."""
+
+GROSS = 1e-6
+"""Residue of a constraint, in units of its row [m, rad; per s], above which a projected step is refused."""
+
+TURN = np.pi
+"""Most that a coordinate in radians may turn in an internal step [rad]; beyond it no method sees what lies between."""
+
+
+class Layout:
+    """Where things stand in the one array of doubles of an instance; every name maps to (offset, length).
+
+    ========  ==========================================================================================
+    z         state: q, v, unwrapped angles, work, time, and from the last step: trouble (number of checks
+              that failed), change (of accelerations in the last iteration, squared over their size; of a step
+              with error control its error over the tolerance), pivot
+              (smallest of the augmented mass over alpha), near (stages too near a singular position; in a
+              step on the branch those in which a limit was taken)
+    after     the state after a step under way
+    begin     the state before a communication step under way
+    u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, one over the unit of each
+              constraint, alpha over the scale of the pivot of each coordinate, and where constraints may have a
+              compliance the least one over that of each; where redundant ones would brake, what stands for all
+              penalties over alpha (`Oracle.hold`), a matrix
+    dt        internal step [s]
+    control   CONTROL
+    tally     TALLY
+    pace      PACE
+    past      inputs at past communication points (`alfmu.method.inputs`), where the scene extrapolates them
+    passes    of Newton's method, where the method is implicit
+    history   what the method keeps from step to step inside a communication step
+    seen      what can be read at an instant, SEEN
+    ========  ==========================================================================================
+    """
+
+    def __init__(self, equations: Equations):
+        e = equations
+        self.n, self.l, self.angles = e.n, e.l, len(e.wrapped)
+        self.work = 2 * e.n + self.angles
+        self.time, self.trouble, self.change, self.pivot, self.near = (self.work + i for i in range(1, 6))
+        size = self.work + 6
+        kept = e.kernel["method"].history if "method" in e.kernel else 0
+        lengths = {
+            "z": size,
+            "after": size,
+            "begin": size,
+            "u": len(e.inputs),
+            "p": len(e.parameters) + len(e.held),
+            "k": len(SETTINGS) + 2 * e.l + e.n + len(e.compliances) + e.brakes * e.l**2,
+            "dt": 1,
+            "control": len(CONTROL),
+            "tally": len(TALLY),
+            "pace": len(PACE),
+            "past": memory_size(len(e.inputs)) if "reach" in e.kernel else 0,
+            "passes": bool(kept),
+            "history": kept,
+            "seen": e.signatures["seen"]["outputs"][0][0] if e.kernel else 0,
+        }
+        self.fields: dict[str, tuple[int, int]] = {}
+        self.size = 0
+        for name, length in lengths.items():
+            self.fields[name] = self.size, length
+            self.size += length
+
+
+class Memory:
+    """The numbers of one instance: `memory["z"]` is a view into one array, `block`."""
+
+    def __init__(self, layout: Layout, block: NDArray | None = None):
+        self.layout = layout
+        self.block = np.zeros(layout.size) if block is None else block
+
+    def __getitem__(self, name: str) -> NDArray:
+        offset, length = self.layout.fields[name]
+        return self.block[offset : offset + length]

@@ -1,0 +1,590 @@
+"""The method with symbols, for the equations of one mechanism; every part says whether its unrolled loops were enough.
+
+Equation (4) is divided by alpha, the largest penalty, so that no product with it is left: M, F and the multipliers are
+in units of it here (times `scale`), and with them H, its pivots and its factors.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from itertools import pairwise
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from casadi import SX
+
+from ..equations import Equations
+from ..equations.evaluation import DENSE, symbols
+from ..method import formulations as method
+from ..method import implicit
+from ..method import singular as branch
+from ..method.implicit import Newmark
+from ..method.inputs import memory_size
+from .form import Plan
+from .memory import SETTINGS, TURN, Layout
+
+__all__ = ["MATRICES", "MONITORED", "ROUND_OFF", "Scene", "Watch", "lengths_of"]
+
+MATRICES = ("M", "C", "F", "xi", "D", "L")
+"""What an evaluation hands on, by the nonzeros: the terms of (4) and (3), and the factors of H."""
+
+MONITORED = tuple(
+    f"monitor.{name}" for name in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")
+)
+"""Monitors that `instant` computes, in this order."""
+
+SHARES = 6
+"""Passes that share a load among constraints of different compliances; each gains alpha over masses and their ratio."""
+
+_SHARED = 1e-12
+"""Last change of these shares, over what they are."""
+
+_LEFT = 2.0**-50
+"""Last change of what multipliers of least norm are made of, over what it is."""
+
+_TOLD = 4.0
+"""Margin that can be told from nothing, over it."""
+
+_TINY = 1e-300
+"""Lets a mechanism at rest pass the check of convergence."""
+
+ROUND_OFF = 8 * 2.0**-52
+"""Of a constraint, over its coordinates."""
+
+_PROBES = 5
+"""Positions at which an entry of H is compared."""
+
+_SAME = 1e-13
+"""Largest difference of what is the same there, over its size."""
+
+
+_Settings = namedtuple("_Settings", SETTINGS)
+
+
+def lengths_of(equations: Equations) -> dict[str, int]:
+    """Lengths of the named values that functions of programs take; digits behind a name number those that are alike."""
+    e, n, l, inputs = equations, equations.n, equations.l, len(equations.inputs)
+    found = {name: length for name, (_, length) in Layout(e).fields.items()}
+    alike = {
+        "t tz tl step arrival power work pivot here zone spacing stretched near slow singular error": 1,
+        "renew before passes size most patient again projects within": 1,
+        "left stabilisation": 2,
+        "watch watched watchl dwatch": len(Watch._fields),
+        "q qz ql v vz vl a al da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
+        "lam laml dlam dlaml force Phi Cv stabilised least_norm": l,
+        "du inputs": inputs,
+        "past": memory_size(inputs),
+        "slopes": 1 + inputs,
+        "rate": 2 * n + 1,
+        "H Q": n * n,
+        "rows": l * n,
+        "system_solution": n + l,
+    }
+    for names, length in alike.items():
+        found |= dict.fromkeys(names.split(), length)
+    return found
+
+
+class Watch(NamedTuple):
+    """What an evaluation says of itself."""
+
+    change: SX
+    """Last change of a, squared."""
+    size: SX
+    """a itself, squared."""
+    pivot: SX
+    """Smallest pivot of H."""
+    near: SX
+    """Whether the margin to a singular position may be below `alfmu.method.singular.BRANCH_MARGIN`."""
+    margin: SX
+    """That margin, of which the quick step knows nothing (1)."""
+
+    @classmethod
+    def of(cls, vector: SX) -> Watch:
+        return cls(*ca.vertsplit(vector))
+
+    def vector(self) -> SX:
+        return ca.vertcat(*self)
+
+
+class Scene:
+    """The method of a scene, with a symbol for each named value."""
+
+    def __init__(self, equations: Equations, weighted: bool, lengths: dict[str, int]):
+        self.e, self.kind, self._lengths = equations, "weighted" if weighted else "plain", lengths
+        self._symbols: dict[str, SX] = {}
+        e, self.p, self.k = equations, self.symbol("p"), self.symbol("k")
+        self.settings = _Settings(*ca.vertsplit(self.k[: len(SETTINGS)]))
+        self.scale = 1 / self.settings.alpha
+        ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances)]).tolist()
+        own, units, self.inverse_scales, self.stiffnesses = (self.k[begin:end] for begin, end in pairwise(ends))
+        if not weighted:  # One penalty for all rows is one unit for all.
+            own, units = SX.ones(e.l), self.k[ends[1]]
+        self.inverse_units = units
+        self.held = own > 0 if weighted else own
+        self.weights = ca.reshape(self.k[ends[-1] :], e.l, e.l) if e.brakes else ca.diag(own)
+
+    # Named values --------------------------------------------------------------------------------------------------
+
+    def symbol(self, name: str) -> SX:
+        """The symbol that stands for a value; of a matrix, for its nonzeros."""
+        if name not in self._symbols:
+            self._symbols[name] = SX.sym(name, self.length(name))
+        return self._symbols[name]
+
+    def length(self, name: str) -> int:
+        if name in MATRICES:
+            return self.patterns[name].nnz()
+        return self._lengths[name if name in self._lengths else name.rstrip("0123456789")]
+
+    def value(self, name: str) -> SX:
+        """The symbol of a value; a matrix is one again."""
+        symbol = self.symbol(name)
+        return SX(self.patterns[name], symbol) if name in MATRICES else symbol
+
+    @cached_property
+    def patterns(self) -> dict[str, ca.Sparsity]:
+        """Sparsity of MATRICES."""
+        x = symbols(self.e)
+        terms = self.terms(x["t"], x["q"], x["v"], x["u"])
+        values = self._handed(terms, *self.factors(self.augmented_mass(*terms[:2])))
+        return {name: value.sparsity() for name, value in zip(MATRICES, values, strict=True)}
+
+    @staticmethod
+    def _handed(terms: Sequence[SX], D: SX, L: SX) -> list[SX]:
+        """MATRICES: vectors are dense."""
+        M, C, F, xi = terms
+        return [M, C, ca.densify(F), ca.densify(xi), ca.densify(D), L]
+
+    # Evaluations ---------------------------------------------------------------------------------------------------
+
+    def terms(self, t: SX, q: SX, v: SX, u: SX) -> tuple[SX, SX, SX, SX]:
+        """M, C, F, xi."""
+        M, C, F, xi = self.e.dynamics(q, v, u, self.p, t)
+        return self.scale * ca.sparsify(M), ca.sparsify(C), self.scale * F, xi
+
+    def power(self, t: SX, q: SX, v: SX, u: SX) -> SX:
+        return self.e.power(q, v, u, self.p, t) if self.e.works else SX(0)
+
+    def evaluated(self, t: SX, q: SX, v: SX, u: SX) -> list[SX]:
+        """MATRICES; a and lam after the first iteration, power, watch."""
+        *found, watch = self.begun(self.terms(t, q, v, u))
+        return [*found, self.power(t, q, v, u), watch]
+
+    def begun(self, terms: Sequence[SX]) -> list[SX]:
+        """The same for given M, C, F, xi, and without power."""
+        D, L = self.factors(self.augmented_mass(*terms[:2]))
+        a, lam, _ = self.iterated(terms, (D, L), *self._at_rest(), 1)
+        watch = Watch(ca.sumsqr(a), ca.sumsqr(a), ca.mmin(D), *self.margin(D))
+        return [*(ca.vec(value.nz[:]) for value in self._handed(terms, D, L)), a, lam, watch.vector()]
+
+    def iterated_again(self, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
+        """a, lam and watch after one more iteration."""
+        a, lam, change = self.iterated((M, C, F, xi), (D, L), a, lam, 1)
+        return a, lam, Watch.of(watch)._replace(change=ca.sumsqr(change), size=ca.sumsqr(a)).vector()
+
+    def iterated(self, terms: Sequence[SX], factors: tuple[SX, SX], a: SX, lam: SX, most: int) -> tuple[SX, SX, SX]:
+        """a and lam after so many iterations, and the last change of a."""
+        M, C, F, xi = terms
+        changes = []
+
+        def done(change: SX, _: SX) -> bool:
+            changes.append(change)
+            return False
+
+        a, lam, _, _ = method.residual(M, F, C, xi, self.weights, self.solver(*factors), a, lam, most, done)
+        return a, lam, changes[-1]
+
+    def _at_rest(self) -> tuple[SX, SX]:
+        """a and lam that iterations begin with."""
+        return SX(self.e.n, 1), SX(self.e.l, 1)
+
+    def nearest(self, plan: Plan, t: SX, q: SX, v: SX, u: SX, a: SX) -> tuple[SX, SX]:
+        """Accelerations that keep the constraints, the nearest to a in the metric of M, and what tells of them."""
+        M, C, _, xi = self.terms(t, q, v, u)
+        D, L = self.factors(self.augmented_mass(M, C))
+        found, _, change = self.iterated((M, C, M @ a, xi), (D, L), *self._at_rest(), plan.iterations)
+        return found, Watch(ca.sumsqr(change), ca.sumsqr(found), ca.mmin(D), *self.margin(D)).vector()
+
+    def unconverged(self, plan: Plan, evaluations: list[Watch]) -> SX:
+        """Number of checks of the multiplier iteration that fail."""
+        if not self.e.l:
+            return SX(0)
+        change, size = sum(x.change for x in evaluations), evaluations[0].size
+        if not plan.quick:
+            return 1 - (change <= self.settings.tolerance**2 * sum(x.size for x in evaluations) + _TINY)
+        # Each of m iterations gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
+        m = plan.iterations
+        return 1 - (change <= self.settings.tolerance ** (2 * (m - 1) / m) * size + _TINY)
+
+    def judged(self, plan: Plan, watch: SX) -> tuple[SX, SX]:
+        """Whether more iterations are needed, and the watch with what one more would change at most where not.
+
+        An iteration gains the margin over that of a singular position at least, which masses make.
+        """
+        seen = Watch.of(watch)
+        next_change = seen.change * (self.settings.nothing / branch.NOISE_FLOOR / seen.margin) ** 2
+        seen = seen._replace(change=ca.fmin(seen.change, next_change))
+        return self.unconverged(plan, [seen]), seen.vector()
+
+    # Implicit methods ----------------------------------------------------------------------------------------------
+
+    def stiffness(self, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX, M: SX, C: SX) -> tuple[SX, SX, SX]:
+        """H, Q, V of `alfmu.method.implicit.stiffness`."""
+        tangents = self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)
+        Rq, Rv, Xq, Xv = map(ca.sparsify, tangents[:4])
+        return implicit.stiffness(self.augmented_mass(M, C), C, self.weights, self.scale * Rq, self.scale * Rv, Xq, Xv)
+
+    def positions(self, rule: Newmark, dt: SX, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX) -> tuple[SX, ...]:
+        """H, Rq, Rv, C (by columns), Phi and the right-hand side of `method.implicit.position_step`."""
+        M, C, F, _ = self.terms(t, q, v, u)
+        Phi = self.e.Phi(q, self.p)
+        Rq, Rv = (self.scale * ca.sparsify(x) for x in self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)[:2])
+        R = F - M @ a - C.T @ lam
+        right: list[SX] = []
+
+        def divide(A: SX, b: SX) -> SX:
+            right.append(b)
+            return b
+
+        implicit.position_step(M, C, Phi, R, Rq, Rv, self.weights, rule, dt, divide)
+        return self.augmented_mass(M, C), Rq, Rv, ca.vec(ca.densify(C)), Phi, *right
+
+    # Multipliers where constraints are redundant -------------------------------------------------------------------
+
+    def least(self, C: SX, D: SX, L: SX, lam: SX) -> SX:
+        """lam of least norm; not finite where the passes were too few, as they are with small penalties."""
+        left: list[SX] = []
+
+        def done(change: SX, value: SX) -> bool:
+            left[:] = [1 - (ca.sumsqr(change) <= _LEFT**2 * ca.sumsqr(value))]
+            return False
+
+        lam = method.minimum_norm(C, self.weights, self.solver(D, L), lam, 2, done)
+        return ca.if_else(left[0], math.nan, lam)
+
+    def least_again(self, C: SX, D: SX, L: SX, lam: SX, z: SX) -> tuple[SX, SX, SX]:
+        """One more pass: z, lam by it, and whether another one is needed."""
+        change = method.nearer_norm(C, self.weights, self.solver(D, L), lam, z)
+        z = z + change
+        more = 1 - (ca.sumsqr(C @ change) <= _LEFT**2 * ca.sumsqr(C @ z))
+        return z, self.weights @ (C @ z), more
+
+    def distributed(self, M: SX, C: SX, lam: SX, passes: int = SHARES) -> SX:
+        """lam as constraints of the given compliances share it; not finite where the passes were too few."""
+        stiffness, last = ca.diag(self.stiffnesses), []
+
+        def done(change: SX, value: SX) -> bool:
+            last[:] = [ca.sumsqr(stiffness @ change), ca.sumsqr(stiffness @ value)]
+            return False
+
+        solve = self.solver(*self.factors(method.augmented_mass(M, C, stiffness)))
+        lam = method.minimum_norm(C, stiffness, solve, lam, passes, done)
+        return ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
+
+    # Singular positions --------------------------------------------------------------------------------------------
+
+    def margin(self, pivots: SX) -> tuple[SX, SX]:
+        """S2: whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
+        ratios = pivots * self.inverse_scales[self.e.order]
+        near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
+        if self.kind == "plain" and not self.e.turns:  # The quick step asks no more than whether it may go on.
+            return near, SX(1)
+        small, few = ratios < branch.SMALL_PIVOT, self.e.n <= DENSE
+        if self.e.turns and few:
+            irregular = _product(ratios) < self.settings.regular
+            near, small = near * irregular, small * irregular
+        more = ca.sum1(small) - self.settings.freedom
+        # Of many, the product could leave the range of numbers.
+        logarithm = (
+            ca.log(_product(ca.if_else(small, ratios, 1))) if few else ca.sum1(ca.if_else(small, ca.log(ratios), 0))
+        )
+        return near, ca.fmin(ca.if_else(more > 0, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
+
+    def _margin_at(self, q: SX) -> SX:
+        D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
+        return self.margin(D)[1]
+
+    def spacing(self, plan: Plan, v: SX, dt: SX) -> SX:
+        """S4: distance [s] of places along v; steps of error control may be too short to tell the places apart."""
+        spacing = plan.spacing * dt
+        if plan.side == Plan.side:
+            return spacing
+        return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
+
+    def probed(self, q: SX) -> tuple[SX, ...]:
+        """The margin at q, whether a limit may have to be taken there, no spacing yet; also q after a correction (10),
+        most of which is known then."""
+        here = self._margin_at(q)
+        farthest = branch.LIMIT_ZONE * ca.fmax(branch.MOST_DISTANCE, self.settings.least_distance)
+        near = 1 - (ca.sqrt(here) >= farthest)
+        return here, near, SX(0), self.placed(q)
+
+    def approached(self, here: SX, q: SX, v: SX, spacing: SX) -> tuple[SX, SX]:
+        """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places for it."""
+        rate = self._rate(here, q, v, spacing)
+        wanted = ca.fmax(ca.fmin(rate, branch.MOST_DISTANCE), self.settings.least_distance)
+        zone = ca.sqrt(here) < branch.LIMIT_ZONE * wanted
+        # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
+        return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * wanted / rate
+
+    def _rate(self, here: SX, q: SX, v: SX, spacing: SX) -> SX:
+        """S2: the distance that one spacing along v covers at q of a known margin; 0 where that cannot be told."""
+        before, after = (self._margin_at(q + k * spacing * v) for k in (-1, 1))
+        squared = branch.curvature(before, here, after)
+        told = ca.logic_or(here > self.settings.nothing, squared > self.settings.nothing)
+        return ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
+
+    def places(self, q: SX, v: SX, spacing: SX, side: int) -> list[SX]:
+        """S4: the places from which a limit is taken."""
+        return [q + k * spacing * v for k in branch.weights(side)]
+
+    def mean(self, accelerations: Sequence[SX], watches: Sequence[SX], side: int) -> tuple[SX, SX]:
+        """S4: the limit, and the worst of what the evaluations say."""
+        a = branch.mean(dict(zip(branch.weights(side), accelerations, strict=True)))
+        seen = [Watch.of(x) for x in watches]
+        return a, _worst(seen, seen[0].near, seen[0].margin)
+
+    def returned(self, q: SX, wanted: SX, v: SX) -> tuple[SX, SX]:
+        """S3: q displaced along the motion to the place nearest to the wanted one, and the v of that motion."""
+        heavy, telling = SX(self.e.n, 1), self.e.telling
+        heavy[telling] = (
+            branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.settings.nothing / self.inverse_scales[telling]
+        )
+        C, _, solve = self._augmented(q)
+        M = self.scale * self.e.M(q, self.p)
+        way, d = (branch.tangential(C, self.weights, solve, x) for x in (v, wanted - q))
+        q = q + d + way * branch.along(M, heavy, way, wanted - q - d)
+        return q, way + way * branch.along(M, heavy, way, v - way)
+
+    def read_places(self, q: SX, v: SX, dt: SX) -> list[SX]:
+        """S4: the places from which a limit is read; not finite where they cannot be told from the position itself."""
+        spacing = branch.SPACING * dt
+        spacing *= branch.READ_DISTANCE / self._rate(self._margin_at(q), q, v, spacing)
+        return [q + k * spacing * v for k in branch.READ_MEAN]
+
+    def limits(self, *found: SX) -> tuple[SX, ...]:
+        """Limits of a, lam and watch from those at the places and the watch here, and whether lam has one (1) or a pole
+        (2): `branch.with_pole`."""
+        *found, watch = found
+        count = len(branch.READ_MEAN)
+        a, lam, watches = (
+            dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
+        )
+        near, far = (ca.fabs(lam[k] - lam[-k]) for k in (1, 2))
+        largest, steepest = {k: x[0] for k, x in lam.items()}, near[0]
+        for i in range(1, self.e.l):
+            more = near[i] > steepest
+            largest = {k: ca.if_else(more, lam[k][i], x) for k, x in largest.items()}
+            steepest = ca.fmax(steepest, near[i])
+        inverse = {k: 1 / x for k, x in largest.items()}
+        zero = branch.mean(inverse)
+        pole = steepest > ca.mmax(far)
+        passed = ca.fabs(zero) > branch.POLE_ZERO * ca.mmax(ca.fabs(ca.vertcat(*inverse.values())))
+        through = branch.mean({k: x * inverse[k] for k, x in lam.items()}) / zero
+        chosen = ca.vertcat(
+            *(pole * passed * (n > f) for n, f in zip(ca.vertsplit(near), ca.vertsplit(far), strict=True))
+        )
+        said = _worst([Watch.of(x) for x in watches.values()], SX(0), Watch.of(watch).margin)
+        return branch.mean(a), ca.if_else(chosen, through, branch.mean(lam)), said, 1 + pole
+
+    # Projections (10) and the end of a step ------------------------------------------------------------------------
+
+    def corrected(self, q: SX, v: SX) -> tuple[SX, SX, SX, SX]:
+        """q and v after one correction (10) each, by H and C' of q as it was, which serves both at a regular position;
+        the smallest pivot, the residues (squared) of both."""
+        C, D, solve = self._augmented(q)
+        q = q + method.project(C, self.weights, solve, self.e.Phi(q, self.p))
+        after = self.e.C(q, self.p)
+        v = v + method.project(C, self.weights, solve, after @ v)
+        return q, v, ca.mmin(D), self._residues(q, after @ v)
+
+    def placed(self, q: SX) -> SX:
+        """q after a correction (10)."""
+        C, _, solve = self._augmented(q)
+        return q + method.project(C, self.weights, solve, self.e.Phi(q, self.p))
+
+    def settled(self, q: SX, v: SX, corrections: int) -> tuple[SX, SX, SX]:
+        """v after corrections (10), the smallest pivot, and the residues (squared) of q and v."""
+        C, D, solve = self._augmented(q)
+        for _ in range(corrections):
+            v = v + method.project(C, self.weights, solve, C @ v)
+        return v, ca.mmin(D), self._residues(q, C @ v)
+
+    def open(self, q: SX) -> SX:
+        """Whether q does not keep the constraints well enough."""
+        return 1 - self._within(self._residue(self.e.Phi(q, self.p)), q)
+
+    def unsettled(self, left: SX, q: SX, v: SX) -> SX:
+        """Whether q and v with these residues (squared) do not."""
+        return 1 - self._within(left[0], q) * self._within(left[1], v)
+
+    def error_size(self, z: SX, q: SX, v: SX, error: SX, least: float = 0.0) -> SX:
+        """Largest error of the constrained state over the tolerance, or over `least` where that is more."""
+        n = self.e.n
+        parts = error[:n], error[n : 2 * n]
+        if self.e.l:
+            C, _, solve = self._augmented(q)
+            parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
+        allowed = self.allowed(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v))))
+        return ca.mmax(ca.fabs(ca.vertcat(*parts) / (ca.fmax(allowed, least) if least else allowed)))
+
+    def allowed(self, sizes: SX) -> SX:
+        """Tolerance of each entry of q and v of given sizes; whole turns make an angle no less exact."""
+        larger = ca.vertsplit(sizes)
+        for i, c in enumerate(self.e.coordinates):
+            if c.unit == "rad":
+                larger[i] = ca.fmin(larger[i], 1)
+        return self.settings.absolute + self.settings.relative * ca.vertcat(*larger)
+
+    def closed(self, plan: Plan, names: Iterable[str]) -> SX:
+        """The state after a step from these values; its `trouble` counts failed checks, each a comparison that NaN
+        fails."""
+        e, layout, known = self.e, Layout(self.e), {name: self.symbol(name) for name in names}
+        z, q, v, work = (known[name] for name in ("z", "q", "v", "work"))
+        evaluations = [Watch.of(x) for name, x in known.items() if name.startswith("watch")]
+        pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), known.get("pivot", SX(0, 1))))
+        trouble, near = 1 - (pivot > 0) + self.unconverged(plan, evaluations), SX(0)
+        if plan.branch:
+            near = sum(x for name, x in known.items() if name.startswith("zone"))
+            trouble += 1 - self.settings.continues
+        elif e.l:
+            near = sum(x.margin < branch.BRANCH_MARGIN if plan.margins else x.near for x in evaluations)
+            trouble += near if plan.quick and not plan.margins else near * self.settings.continues
+            near *= self.settings.continues
+        if e.l:
+            for residue, x in zip(ca.vertsplit(known["left"]), (q, v), strict=True):
+                trouble += 1 - self._within(residue, x)
+        else:
+            trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
+        turned = (q - z[: e.n])[[i for i, c in enumerate(e.coordinates) if c.unit == "rad"]]
+        trouble += 1 - (ca.sumsqr(turned) <= TURN**2)
+        change = known.get("error", sum(x.change for x in evaluations) / (evaluations[0].size + _TINY))
+        angles = self._unwrapped(q, z[2 * e.n : layout.work])
+        arrival = known["arrival"] if "arrival" in known else z[layout.time] + known["dt"]
+        return ca.vertcat(q, v, angles, work, arrival, z[layout.trouble] + trouble, change, pivot, near)
+
+    # What is read --------------------------------------------------------------------------------------------------
+
+    def seen(
+        self,
+        plan: Plan,
+        z: SX,
+        u: SX,
+        C: SX | None = None,
+        xi: SX | None = None,
+        a: SX | None = None,
+        lam: SX | None = None,
+        watch: SX | None = None,
+        singular: SX | float = 0.0,
+    ) -> SX:
+        """What a user can read, monitors, and `memory.SEEN`; without a, lam and watch where nobody reads of them."""
+        e, p, layout = self.e, self.p, Layout(self.e)
+        q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
+        if watch is None:
+            a, lam = self._at_rest()
+        readings = e.readings(q, v, a, lam / self.scale, u, p, t)
+        names = {o.name: i for i, o in enumerate(e.outputs)}
+        for name, angle in zip(e.wrapped, ca.vertsplit(self._unwrapped(q, angles)), strict=False):
+            readings[names[name]] = angle
+        monitors = []
+        if set(MONITORED) - set(e.monitors):
+            _, _, Phi, Cv = e.constraints(q, v, p)
+            margin = Watch.of(watch).margin if watch is not None else SX(1)
+            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), plan.iterations, ca.sqrt(margin)
+            values = *values, singular
+            monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
+        if watch is None:
+            return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
+        seen, near = Watch.of(watch), SX(0)
+        trouble = self.unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
+        if e.l:
+            near = self.settings.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
+        return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
+
+    def _unwrapped(self, q: SX, near: SX) -> SX:
+        """Computed angles moved by whole turns to the values nearest to `near`."""
+        e = self.e
+        if not e.wrapped:
+            return SX(0, 1)
+        s, names = symbols(e), {o.name: i for i, o in enumerate(e.outputs)}
+        readings = e.readings(q, s["v"], s["a"], s["lam"], s["u"], self.p, s["t"])
+        raw = readings[[names[name] for name in e.wrapped]]
+        return raw + 2 * ca.pi * ca.floor((near - raw) / (2 * ca.pi) + 0.5)
+
+    # Residues and factors ------------------------------------------------------------------------------------------
+
+    def _within(self, residue: SX, x: SX) -> SX:
+        """Whether a residue (squared) of x is within the tolerance, or within round-off."""
+        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * ca.sumsqr(x))
+
+    def _largest(self, residue: SX) -> SX:
+        return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else SX(0)
+
+    def _residues(self, q: SX, Cv: SX) -> SX:
+        """Sums of squares of Phi and Phi-dot, in units of the rows."""
+        return ca.vertcat(self._residue(self.e.Phi(q, self.p)), self._residue(Cv))
+
+    def _residue(self, rows: SX) -> SX:
+        """Sum of squares of Phi or Phi-dot, in units of the rows."""
+        if self.kind == "plain":
+            return ca.sumsqr(rows) * self.inverse_units**2
+        return ca.sumsqr(rows * self.held * self.inverse_units)
+
+    def _augmented(self, q: SX) -> tuple[SX, SX, method.Solve]:
+        """C, the pivots of H, and what solves with it."""
+        C = self.e.C(q, self.p)
+        D, L = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), C))
+        return C, D, self.solver(D, L)
+
+    def augmented_mass(self, M: SX, C: SX) -> SX:
+        """H, with what is the same at every position left to the parameters alone."""
+        H = method.augmented_mass(M, C, self.weights)
+        for place, value in self._steady.items():
+            H[place] = value
+        return H
+
+    @cached_property
+    def _steady(self) -> dict[tuple[int, int], SX]:
+        """Entries of H that contain q and yet do not depend on it, as the square of a length that turns does not."""
+        e, q = self.e, SX.sym("q", self.e.n)
+        if e.n > DENSE:
+            return {}
+        M, C, _, _ = self.terms(SX(0), q, q, SX.zeros(len(e.inputs)))
+        H = method.augmented_mass(M, C, self.weights)
+        entries = ca.vertcat(*H.nonzeros())
+        still = ca.substitute(entries, q, SX.zeros(e.n))
+        numbers = ca.Function("entries", [q, self.p, self.k], [entries, still])
+        random = np.random.default_rng(0)
+        same = np.array(ca.which_depends(entries, q, 1, True))
+        for _ in range(_PROBES):
+            x, reference = numbers(*(random.uniform(0.5, 2.0, size) for size in map(numbers.nnz_in, range(3))))
+            same &= np.isclose(x.full(), reference.full(), _SAME, 0.0).ravel()
+        row, column = H.sparsity().get_triplet()
+        return {(row[i], column[i]): still[int(i)] for i in np.flatnonzero(same)}
+
+    def factors(self, H: SX) -> tuple[SX, SX]:
+        """D and L of the LDL' factorisation of H, its coordinates in the order `Equations.order`."""
+        order = self.e.order
+        return ca.ldl(H[order, order], False)[:2]
+
+    def solver(self, D: SX, L: SX) -> method.Solve:
+        """What solves with these factors."""
+        return lambda b: ca.ldl_solve(b, D, L, self.e.order)
+
+
+def _worst(seen: Sequence[Watch], near: SX, margin: SX) -> SX:
+    """The worst that several evaluations say, with this of the distance to a singular position."""
+    pivot = ca.mmin(ca.vertcat(*(x.pivot for x in seen)))
+    return Watch(sum(x.change for x in seen), sum(x.size for x in seen), pivot, near, margin).vector()
+
+
+def _product(values: SX) -> SX:
+    product = SX(1)
+    for each in ca.vertsplit(values):
+        product *= each
+    return product

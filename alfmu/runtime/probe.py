@@ -1,0 +1,162 @@
+"""What the start of a scene tells, before the scene is traced or while it runs: freedoms, shared loads, iterations."""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..equations import Equations, Mobility
+from ..equations.evaluation import DENSE
+from ..equations.interface import default_settings
+from ..kernel.memory import SETTINGS, Layout
+from ..kernel.tables import packed_start
+from ..method import formulations as method
+from ..method import implicit
+from .library import DONE, Scene, Unit
+
+__all__ = ["Probe", "mobility", "shared"]
+
+_RETURNS = 4
+"""Passes of (10) in derivatives by displacements that leave the constraints."""
+
+_SHARED = 1e-7
+"""Change of an output by a unit of load that redundant constraints share, up to which it is none."""
+
+
+def mobility(unit: Unit, n: int, every: bool = False) -> tuple[int, Mobility, NDArray]:
+    """The outcome, degrees of freedom and redundant constraints, and a place (n,) near the present one that tells them.
+
+    Of the constraints in force, or with `every` of all.
+    """
+    found, place = [ctypes.c_int() for _ in range(3)], np.empty(n)
+    outcome = unit.scene.library.alfmu_mobility(unit.address, every, *map(ctypes.byref, found), place.ctypes.data)
+    return outcome, Mobility(*(x.value for x in found)), place
+
+
+def shared(e: Equations, numbers: dict[str, NDArray], held: NDArray, place: NDArray, rank: int) -> list[str]:
+    """Outputs that are not unique, because redundant constraints share a load: those of least norm are given.
+
+    `numbers` are q, u, p and t by letter, `held` (l,) tells which constraints are in force, `place` (n,) is one near q
+    where they have this rank.
+    """
+    if held.sum() <= rank:
+        return []
+    v, nothing = np.zeros(e.n), np.zeros(e.l)
+    C = np.array(e.functions["constraints"](place, v, numbers["p"])[1])[held]
+    units = np.abs(C).max(axis=1, initial=0.0)
+    units[units == 0] = 1.0
+    rows, _, _ = np.linalg.svd(C / units[:, None])
+
+    def read(lam: NDArray) -> NDArray:
+        q, u, p, t = (numbers[letter] for letter in "qupt")
+        return np.array(e.functions["readings"](q, v, v, lam, u, p, t)).ravel()
+
+    found = np.zeros(len(e.outputs))
+    for share in (rows[:, rank:] / units[:, None]).T:
+        lam = nothing.copy()
+        lam[held] = share
+        found = np.maximum(found, np.abs(read(lam) - read(nothing)))
+    return [v.name for v, size in zip(e.outputs, found, strict=True) if size > _SHARED]
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A scene at the start that its defaults give, by the runtime; it makes no step."""
+
+    equations: Equations
+    unit: Unit
+    brakes: bool
+    """Whether redundant constraints would stop the motion beside the start."""
+    numbers: dict[str, NDArray]
+    """q, v, u, p, t by letter."""
+    units: NDArray
+    """Of the rows (l,)."""
+    penalty: NDArray
+    """alpha (l,) [kg or kg.m2 by row], zero where a constraint is not in force."""
+
+    @classmethod
+    def of(cls, equations: Equations) -> Self | None:
+        """None where the defaults have no start, so that nothing is known of it."""
+        e = equations
+        # With room for constraints that would brake, which are looked for where coordinates are few.
+        room = replace(e, kernel={}, brakes=e.n <= DENSE)
+        unit = Unit(Scene(packed_start(room)))
+        if unit.initialize() != DONE:
+            return None
+        layout, library = Layout(room), unit.scene.library
+        offset = layout.fields["z"][0]
+        block = (ctypes.c_double * layout.size).from_address(library.alfmu_state(unit.address) - 8 * offset)
+        memory = np.array(block)
+        field = {name: memory[begin : begin + size] for name, (begin, size) in layout.fields.items()}
+        z, k = field["z"], field["k"]
+        time = z[layout.time : layout.time + 1]
+        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": field["u"], "p": field["p"], "t": time}
+        penalty = np.empty(e.l)
+        library.alfmu_penalties(unit.address, penalty.ctypes.data)
+        brakes = bool(library.alfmu_brakes(unit.address))
+        return cls(e, unit, brakes, numbers, 1 / k[len(SETTINGS) + e.l : len(SETTINGS) + 2 * e.l], penalty)
+
+    def mobility(self, every: bool = False) -> Mobility:
+        """Of the constraints in force, or with `every` of all."""
+        return mobility(self.unit, self.equations.n, every)[1]
+
+    def shared(self) -> list[str]:
+        _, found, place = mobility(self.unit, self.equations.n)
+        return shared(self.equations, self.numbers, self.penalty > 0, place, self.equations.n - found.freedom)
+
+    def iterations_needed(self) -> int:
+        """Iterations of the residual form after which no more than a tenth of the tolerance is left.
+
+        Each gains about the same factor, so a last change of limit^((m - 1) / m) after m of them leaves the limit.
+        """
+        settings, made = default_settings(self.equations), 0
+
+        def done(da: NDArray, a: NDArray) -> bool:
+            nonlocal made
+            made += 1
+            limit = (settings.tolerance / 10) ** ((made - 1) / made)
+            return made > 1 and np.linalg.norm(da) <= limit * np.linalg.norm(a)
+
+        M, C, F, xi, alpha, solve = self._dynamics()
+        zeros = np.zeros_like(F), np.zeros_like(xi)
+        method.residual(M, F, C, xi, alpha, solve, *zeros, settings.max_iterations, done)
+        return made
+
+    def spectrum(self) -> NDArray:
+        """Eigenvalues [1/s] of small motions about the start; of equations that have tangents."""
+        e, n, l, settings = self.equations, self.equations.n, self.equations.l, default_settings(self.equations)
+        M, C, F, xi, alpha, solve = self._dynamics()
+
+        def done(change: NDArray, value: NDArray) -> bool:
+            return np.abs(change).max(initial=0.0) <= settings.tolerance * np.abs(value).max(initial=0.0)
+
+        most = settings.max_iterations
+        a, lam, _, _ = method.residual(M, F, C, xi, alpha, solve, np.zeros(n), np.zeros(l), most, done)
+        lam = method.minimum_norm(C, alpha, solve, lam, method.CORRECTIONS, done)
+        q, v, u, p, t = (self.numbers[letter] for letter in "qvupt")
+        Rq, Rv, Xq, Xv, _ = map(np.array, e.functions["tangents"](q, v, a, lam, u, p, t))
+        zeros = np.zeros((n, 2 * n)), np.zeros((l, 2 * n))
+        both = implicit.tangent(M, C, alpha, solve, np.hstack([Rq, Rv]), np.hstack([Xq, Xv]), zeros, most, done)
+        T, S = implicit.return_map(C, alpha, solve, Xv, np.eye(n), _RETURNS)
+        aq, av = implicit.on_branch(both[:, :n], both[:, n:], T, S)
+        # Displacements that the constraints keep, alone: T projects on them.
+        return np.linalg.eigvals(np.block([[np.zeros((n, n)), T], [T @ aq, T @ av]]))
+
+    def _dynamics(self) -> tuple[Any, Any, NDArray, NDArray, Any, method.Solve]:
+        """M, C, F, xi, the penalties as a matrix, and what solves with H; matrices are sparse where they are large."""
+        e = self.equations
+        M, C, F, xi = e.functions["dynamics"](*(self.numbers[letter] for letter in "qvupt"))
+        F, xi = (np.array(x).ravel() for x in (F, xi))
+        if e.n <= DENSE:
+            M, C, alpha = np.array(M), np.array(C), np.diag(self.penalty)
+            H = method.augmented_mass(M, C, alpha)
+            return M, C, F, xi, alpha, lambda b: np.linalg.solve(H, b)
+        from scipy.sparse import diags_array
+        from scipy.sparse.linalg import splu
+
+        M, C, alpha = M.sparse(), C.sparse(), diags_array(self.penalty, format="csc")
+        return M, C, F, xi, alpha, splu(method.augmented_mass(M, C, alpha).tocsc()).solve
