@@ -85,7 +85,7 @@ class Instance(runtime.Instance):
         self.alpha, self.active = np.diag(self.penalty), self.penalty > 0
         self.rank = e.n - self.mobility().freedom if e.brakes else 0
         self.heavy = np.zeros(e.n)
-        self.heavy[e.telling] = branch.HEAVY * self.nothing / branch.NOTHING * self.scales[e.telling]
+        self.heavy[e.telling] = branch.INDEPENDENT_MASS * self.nothing / branch.NOISE_FLOOR * self.scales[e.telling]
 
     # Equations ----------------------------------------------------------------------------------------------------
 
@@ -240,7 +240,7 @@ class Instance(runtime.Instance):
     # Singular positions -------------------------------------------------------------------------------------------
 
     def margin(self, q: NDArray) -> tuple[bool, float]:
-        """Whether the margin at q (n,) may be below `singular.GUARD`, which explains it, and the margin itself."""
+        """Whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S1)."""
         M, C, _, _ = self.constraints(q, np.zeros_like(q))
         order = np.ix_(self.equations.order, self.equations.order)
         try:
@@ -250,13 +250,13 @@ class Instance(runtime.Instance):
         ratios = np.maximum(pivots / self.scales[self.equations.order], 1e-300)
         if self.equations.turns and len(q) <= DENSE and np.prod(ratios) >= self.regular:
             return False, 1.0
-        near, small = (ratios < branch.GUARD).sum() > self.freedom, ratios[ratios < branch.SMALL]
+        near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
         more = len(small) - self.freedom
         return near, math.exp(min((np.log(small).sum() - self.masses) / more, 0.0)) if more > 0 else 1.0
 
     def approach(self, q: NDArray, v: NDArray, spacing: float) -> tuple[float, float, float]:
         """Distance to a singular position, how much of it one spacing [s] makes, and a spacing that can tell."""
-        for _ in range(branch.LONGER):
+        for _ in range(branch.DOUBLINGS):
             before, here, after = (self.margin(q + k * spacing * v)[1] for k in (-1, 0, 1))
             rate = max(branch.curvature(before, here, after), 0.0) ** 0.5
             if here > self.nothing or rate**2 > self.nothing:
@@ -300,7 +300,7 @@ class Instance(runtime.Instance):
         """
         here, rate, spacing = self.approach(q, v, spacing)
         wanted = branch.first_distance(rate, self.least_distance, min, max)
-        if not (rate > 0 and here < branch.ZONE * wanted):
+        if not (rate > 0 and here < branch.LIMIT_ZONE * wanted):
             return self.accelerations(*self.reached(q, v, t), u, t)
         unconverged = self.counters.unconverged
         try:

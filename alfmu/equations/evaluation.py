@@ -111,9 +111,9 @@ def evaluable(equations: Equations) -> Equations:
 def elimination(pattern: ca.Sparsity, telling: Sequence[int] = ()) -> list[int]:
     """The order in which coordinates are eliminated from H: one that fills L little.
 
-    Coordinates that tell the motion come last where that takes no more work: their pivots are those of masses then,
-    and no other is small but at a singular position. Of many coordinates the order is that of their declaration where
-    it takes hardly more work: what repeats in a mechanism is then eliminated alike, and compiled as a loop.
+    Independent coordinates come last where that takes no more work: masses alone contribute to their pivots then, and
+    no other pivot is small except at a singular position. Many coordinates are eliminated in the order of their
+    declaration where it takes hardly more work: what repeats in a mechanism is then compiled as a loop.
     """
     factor, order = pattern.ldl(True)
     if pattern.size1() >= MANY:

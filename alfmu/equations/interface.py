@@ -104,7 +104,7 @@ MONITORS = (
         instant=True,
     ),
 )
-"""What every instance says about its own accuracy."""
+"""Outputs by which every instance reports its own accuracy."""
 
 
 def events(equations: Equations) -> list[Variable]:

@@ -73,7 +73,7 @@ class Mobility:
 
 @dataclass(frozen=True)
 class Equations:
-    """Everything that `alfmu.derive` found out about a mechanism with n coordinates and l constraints.
+    """The equations that `alfmu.derive` found of a mechanism with n coordinates and l constraints.
 
     `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs), p (parameters), s (start values)
     and t (s); the name of each is the paper's letter or the quantity:
@@ -134,15 +134,15 @@ class Equations:
     order: list[int] = field(default_factory=list)
     """Order of the coordinates in which the augmented mass fills in least when it is factorised."""
     telling: list[int] = field(default_factory=list)
-    """Coordinates that a start gives by themselves, and that tell the motion."""
+    """Independent coordinates, which a start gives one by one."""
     freedom: int | None = None
     """Degrees of freedom at regular positions; None where they are not known before a run."""
     shared: list[str] | None = None
     """Outputs that are not unique, as redundant constraints share a load; None where that is not known yet."""
     brakes: bool = False
-    """Whether redundant constraints become independent beside the motion, and so would stop it (`alfmu.oracle`)."""
+    """Whether redundant constraints become independent beside the motion and brake it (S5 of docs/singular.md)."""
     uneven: bool = False
-    """Whether constraints are in different units (`alfmu.runtime.probe`), so that each has a penalty of its own."""
+    """Whether constraints are in different units, so that each has a penalty of its own."""
     compliances: list[Variable] = field(default_factory=list)
     """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
     switches: list[Switch] = field(default_factory=list)
@@ -170,7 +170,7 @@ class Equations:
 
     @property
     def turns(self) -> bool:
-        """Whether there are Euler parameters, of which each by turns hardly tells the motion."""
+        """Whether there are Euler parameters, whose pivots are small in turn along a motion."""
         return any(c.unit == "1" for c in self.coordinates)
 
     def __getattr__(self, name: str) -> ca.Function:

@@ -17,7 +17,7 @@ from casadi import SX
 
 from ..method import formulations as method
 from ..method import implicit
-from ..method.singular import LONG_MEAN, LONG_NOISE, LONG_SPACING
+from ..method.singular import LONG_NOISE, LONG_PLACES, LONG_SPACING
 from ..method.stepping import (
     SHORTEST,
     Collocation,
@@ -72,7 +72,7 @@ def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
         programs = {"method": kind(tracer, plan, rule).program()}
     if tracer.e.l:
         # Implicit methods have no limits at singular positions: an explicit one passes them.
-        beside = Plan(BESIDE, 3, weighted=True, branch=True, spacing=LONG_SPACING, side=len(LONG_MEAN) // 2)
+        beside = Plan(BESIDE, 3, weighted=True, branch=True, spacing=LONG_SPACING, side=LONG_PLACES)
         step = _Explicit(tracer, beside)
         step.mark = "method" if explicit_one else "beside"
         programs["beside"] = step.program(explicit_one or explicit_rule("explicit", tolerance))

@@ -22,7 +22,7 @@ from ..equations.interface import variables_of
 from ..method import formulations as method
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
-from ..method.singular import LONGER
+from ..method.singular import DOUBLINGS
 from .alternatives import OWN, Alternatives, alternatives
 from .form import Call, Choice, Loop, Plan, Program, Routine, called, rewritten
 from .symbolic import MATRICES, Watch, lengths_of
@@ -123,7 +123,7 @@ class _Patient(Alternatives):
         return Program(calls.steps, plan)
 
     def close(self, plan: Plan) -> Program:
-        """q and v after `move` brought back to the constraints, and the state that they make."""
+        """S5: q and v after `move`, brought back to the constraints, and the state that they make."""
         calls, again = Calls(self, plan), Calls(self, plan)
         self.place(again, "q", "q")
         self.settle(again)
@@ -221,7 +221,7 @@ class _Patient(Alternatives):
         calls("sensitivity", f"z u p k du {found}", "dy", reading)
 
     def pivots(self, plan: Plan) -> None:
-        """Traces pivots of H over their scales, its diagonal and the weights of C in each column, the margin."""
+        """S1, S2: traces pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
         e, calls = self.e, Calls(self, plan)
         scene = calls.scene
 
@@ -251,7 +251,7 @@ class _Patient(Alternatives):
     # Loops that stop on convergence --------------------------------------------------------------------------------
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
-        """Where the motion does not reach the places of a limit, accelerations are taken as they are."""
+        """S4: where the motion does not reach the places of a limit, accelerations are taken as they are."""
         super()._on_branch(calls, i, u, length, kept)
         watch, scene, plan = f"watch{i}", calls.scene, calls.plan
         end, last = calls.inside(), calls.inside()
@@ -310,7 +310,7 @@ class _Patient(Alternatives):
             return stretched * (1 + more), more
 
         again("longer", f"stretched {zone} spacing", "stretched slow", longer)
-        self._repeat(calls, "slow", LONGER, again)
+        self._repeat(calls, "slow", DOUBLINGS, again)
         calls("told", f"{zone} slow", zone, lambda near, slow: near * (1 - slow))
 
     def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
@@ -324,7 +324,7 @@ class _Patient(Alternatives):
             return stretched * (1 + more), more
 
         again("longer_places", f"stretched {places[0]}", "stretched slow", longer)
-        self._repeat(calls, "slow", LONGER, again)
+        self._repeat(calls, "slow", DOUBLINGS, again)
 
     def _least(self, calls: Calls, lam: str) -> None:
         """By passes until they change no more; of other formulations where a step projects, as in the oracle."""

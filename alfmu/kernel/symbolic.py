@@ -99,7 +99,7 @@ class Watch(NamedTuple):
     pivot: SX
     """Smallest pivot of H."""
     near: SX
-    """Whether the margin to a singular position may be below `alfmu.method.singular.GUARD`."""
+    """Whether the margin to a singular position may be below `alfmu.method.singular.BRANCH_MARGIN`."""
     margin: SX
     """That margin, of which the quick step knows nothing (1)."""
 
@@ -227,7 +227,7 @@ class Scene:
         An iteration gains the margin over that of a singular position at least, which masses make.
         """
         seen = Watch.of(watch)
-        next_change = seen.change * (self.settings.nothing / branch.NOTHING / seen.margin) ** 2
+        next_change = seen.change * (self.settings.nothing / branch.NOISE_FLOOR / seen.margin) ** 2
         seen = seen._replace(change=ca.fmin(seen.change, next_change))
         return self.unconverged(plan, [seen]), seen.vector()
 
@@ -289,12 +289,12 @@ class Scene:
     # Singular positions --------------------------------------------------------------------------------------------
 
     def margin(self, pivots: SX) -> tuple[SX, SX]:
-        """Whether the margin may be below `alfmu.method.singular.GUARD`, and the margin."""
+        """S2: whether the margin may be below `alfmu.method.singular.BRANCH_MARGIN`, and the margin."""
         ratios = pivots * self.inverse_scales[self.e.order]
-        near = self.settings.freedom < ca.sum1(ratios < branch.GUARD)
+        near = self.settings.freedom < ca.sum1(ratios < branch.BRANCH_MARGIN)
         if self.kind == "plain" and not self.e.turns:  # The quick step asks no more than whether it may go on.
             return near, SX(1)
-        small, few = ratios < branch.SMALL, self.e.n <= DENSE
+        small, few = ratios < branch.SMALL_PIVOT, self.e.n <= DENSE
         if self.e.turns and few:
             irregular = _product(ratios) < self.settings.regular
             near, small = near * irregular, small * irregular
@@ -310,7 +310,7 @@ class Scene:
         return self.margin(D)[1]
 
     def spacing(self, plan: Plan, v: SX, dt: SX) -> SX:
-        """Of places along v that tell a singular position [s]; steps of error control may be too short for it."""
+        """S4: distance [s] of places along v; steps of error control may be too short to tell the places apart."""
         spacing = plan.spacing * dt
         if plan.side == Plan.side:
             return spacing
@@ -320,46 +320,47 @@ class Scene:
         """The margin at q, whether a limit may have to be taken there, no spacing yet; also q after a correction (10),
         most of which is known then."""
         here = self._margin_at(q)
-        farthest = branch.ZONE * ca.fmax(branch.MOST, self.settings.least_distance)
+        farthest = branch.LIMIT_ZONE * ca.fmax(branch.MOST_DISTANCE, self.settings.least_distance)
         near = 1 - (ca.sqrt(here) >= farthest)
         return here, near, SX(0), self.placed(q)
 
     def approached(self, here: SX, q: SX, v: SX, spacing: SX) -> tuple[SX, SX]:
-        """Whether the limit has to be taken at q of a known margin, and the spacing [s] of the places that it is taken
-        from."""
+        """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places for it."""
         rate = self._rate(here, q, v, spacing)
         wanted = branch.first_distance(rate, self.settings.least_distance, ca.fmin, ca.fmax)
-        zone = ca.sqrt(here) < branch.ZONE * wanted
+        zone = ca.sqrt(here) < branch.LIMIT_ZONE * wanted
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
         return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * wanted / rate
 
     def _rate(self, here: SX, q: SX, v: SX, spacing: SX) -> SX:
-        """How much distance one spacing along v makes from q of a known margin; 0 where that cannot be told."""
+        """S2: the distance that one spacing along v covers at q of a known margin; 0 where that cannot be told."""
         before, after = (self._margin_at(q + k * spacing * v) for k in (-1, 1))
         squared = branch.curvature(before, here, after)
         told = ca.logic_or(here > self.settings.nothing, squared > self.settings.nothing)
         return ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
 
     def places(self, q: SX, v: SX, spacing: SX, side: int) -> list[SX]:
-        """The places from which a limit is taken."""
+        """S4: the places from which a limit is taken."""
         return [q + k * spacing * v for k in branch.weights(side)]
 
     def mean(self, accelerations: Sequence[SX], watches: Sequence[SX], side: int) -> tuple[SX, SX]:
-        """The limit, and the worst of what the evaluations say."""
+        """S4: the limit, and the worst of what the evaluations say."""
         a = branch.mean(dict(zip(branch.weights(side), accelerations, strict=True)))
         seen = [Watch.of(x) for x in watches]
         return a, _worst(seen, seen[0].near, seen[0].margin)
 
     def returned(self, q: SX, wanted: SX, v: SX) -> tuple[SX, SX]:
-        """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion."""
+        """S3: q displaced along the motion to the place nearest to the wanted one, and the v of that motion."""
         heavy, telling = SX(self.e.n, 1), self.e.telling
-        heavy[telling] = branch.HEAVY / branch.NOTHING * self.settings.nothing / self.inverse_scales[telling]
+        heavy[telling] = (
+            branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.settings.nothing / self.inverse_scales[telling]
+        )
         C, _, solve = self._augmented(q)
         M = self.scale * self.e.M(q, self.p)
         return branch.returned(M, C, self.weights, solve, heavy, q, wanted, v)
 
     def read_places(self, q: SX, v: SX, dt: SX) -> list[SX]:
-        """The places from which a limit is read; not finite where they cannot be told from the singular position."""
+        """S4: the places from which a limit is read; not finite where they cannot be told from the position itself."""
         spacing = branch.SPACING * dt
         spacing *= branch.READ_DISTANCE / self._rate(self._margin_at(q), q, v, spacing)
         return [q + k * spacing * v for k in branch.READ_MEAN]
@@ -381,7 +382,7 @@ class Scene:
         inverse = {k: 1 / x for k, x in largest.items()}
         zero = branch.mean(inverse)
         pole = steepest > ca.mmax(far)
-        passed = ca.fabs(zero) > branch.ZERO * ca.mmax(ca.fabs(ca.vertcat(*inverse.values())))
+        passed = ca.fabs(zero) > branch.POLE_ZERO * ca.mmax(ca.fabs(ca.vertcat(*inverse.values())))
         through = branch.mean({k: x * inverse[k] for k, x in lam.items()}) / zero
         chosen = ca.vertcat(
             *(pole * passed * (n > f) for n, f in zip(ca.vertsplit(near), ca.vertsplit(far), strict=True))
@@ -450,7 +451,7 @@ class Scene:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
             trouble += 1 - self.settings.continues
         elif e.l:
-            near = sum(x.margin < branch.GUARD if plan.margins else x.near for x in evaluations)
+            near = sum(x.margin < branch.BRANCH_MARGIN if plan.margins else x.near for x in evaluations)
             trouble += near if plan.quick and not plan.margins else near * self.settings.continues
             near *= self.settings.continues
         if e.l:

@@ -1,34 +1,46 @@
-"""Numbers by which a run is judged while time passes; the C runtime has them from here (`layout.h`)."""
+"""Numbers by which a run is judged while time passes; the C runtime has them from here (`layout.h`).
+
+`docs/singular.md` has what half and twice each of them would do. S1 to S5 are steps of that page.
+"""
 
 ASIDE = (-0.7, -0.1, 0.1, 0.7)
-"""[rad, m]: displacements along the motion to places beside the start, where scales and ranks are found."""
+"""displacement along the motion [rad or m]: places beside the start at which S1 calibrates; large enough that one of
+them is regular where the start is singular, and of two sizes, as one may be singular too."""
 
 LITTLE = 1e-4
-"""[m]: displacement of lengths beside the start, enough to tell which coefficients of C are constant."""
+"""displacement of lengths [m]: enough to tell which coefficients of C are constant, and so little that no loop opens
+far."""
 
 FAR_RATIO = 2.0
-"""Logarithm of a ratio of pivots contributed by masses, above which a place beside the start is not typical."""
+"""logarithm of a ratio of pivots [1]: a place beside the start whose pivots contributed by masses are larger by this is
+not typical, as coordinates that hardly describe the motion have larger ones."""
 
 COARSE = 1024.0
-"""Parts of 1 to which the logarithm of a product of pivots is kept: coarse, so that round-off does not move it."""
+"""parts of 1 [1]: the logarithm of a product of pivots is rounded to them, so that round-off does not move what S1
+finds, and all processors find the same."""
 
 PATIENT = 4
-"""Factor to the most multiplier iterations where the motion may end at a singular position."""
+"""factor to the most multiplier iterations [1]: where the motion may end at a singular position, each
+iteration gains little."""
 
 REGULAR = 1e-3
-"""Smallest size of an independent combination of constraints, over the largest."""
+"""size of a combination of constraints over the largest [1]: S5 freezes the rank only at places where all independent
+combinations are larger; at a singular position the rank of the place before is kept."""
 
 PENALTY_RATIO = 1e8
-"""Default penalty over the largest mass that the rows hold, in units of the row."""
+"""penalty over the largest mass that the rows hold [1]: the residual form of (8) needs three iterations to
+round-off at it, and four at 1e6 and at 1e10 (`scripts/paper_study.py`)."""
 
 ALIKE = 10.0
-"""Ratio of the units of rows up to which those that cannot be told are taken as one."""
+"""ratio of the units of rows [1]: rows whose units are not known and differ by less share one."""
 
 HARDLY = 1e-3
-"""Hold of constraints on a coordinate, over the largest, below which its mass does not scale penalties."""
+"""hold of constraints on a coordinate over the largest hold [1]: the mass of a coordinate that is held less does not
+scale penalties, as no row has to carry it."""
 
 SAME = 1e-11
-"""Relative difference of coefficients that are the same at all places beside the start."""
+"""relative difference of coefficients [1]: coefficients that differ by less at all places beside the start are
+constant; round-off leaves 1e-15 of them."""
 
 LOOSE = 1e-12
 """share of the largest entry [1]: it is added to the diagonal of J J' of an assembly, so that rows that depend on each
@@ -38,38 +50,43 @@ GAINED = 0.9
 """ratio of residues [1]: another pass of a correction is made while the last one left less than this part."""
 
 DEPENDENT = 1e-10
-"""pivot of C C' over its largest entry [1]: up to it a row is a combination of others, where coordinates are many;
-LOOSE makes pivots of some 1e-12 of what round-off leaves of such a row."""
+"""pivot of C C' over its largest entry [1]: a row whose pivot is below it is a combination of others, where coordinates
+are many; LOOSE leaves such a row some 1e-12."""
 
 TOLERANCE = 1e-12
-"""Residue of an assembly, over the coordinates, at which it is closed."""
+"""gap over the coordinates [1]: an assembly is closed below it; some hundred times round-off."""
 
 ROUGH = 1e-9
-"""Residue of an assembly, over the coordinates, that is still accepted."""
+"""gap over the coordinates [1]: an assembly that Gauss-Newton steps cannot close further is accepted below it,
+as near a singular position, where a gap is the square of an angle."""
 
 MOST = 200
-"""Gauss-Newton steps of an assembly at most."""
+"""number of Gauss-Newton steps [1]: an assembly takes some ten; near a singular position each gains a factor of two."""
 
 LONGEST_TURN = 0.3
-"""[rad]: largest change of an angle in one of them."""
+"""change of an angle in a Gauss-Newton step [rad]: loops are linear enough over it that the assembly found is the one
+nearest to the guess."""
 
 TRIES = 32
-"""Places around the guess from which another assembly is looked for."""
+"""number of places [1]: another assembly is looked for from so many places around the guess before the start is
+refused."""
 
 RANKED = 8
-"""Places around the start at which the rank of C is found."""
+"""number of places [1]: S1 finds the rank of C at so many places around the start, as the start itself may be
+singular."""
 
 FEW_RANKED = 2
 """number of places [1]: the same where coordinates are many, along the motion."""
 
 TORN = 0.3
-"""Gap that a step may leave before it is closed, over the largest displacement in it."""
+"""gap that a step leaves over its largest displacement [1]: a step that opens more than this is refused; corrections
+(10) would lead to another assembly."""
 
 SHORTEST = 2.0**-14
-"""Part of an internal step below which a motion that cannot go on is locked up."""
+"""part of an internal step [1]: a motion that does not go on by steps of this length is locked up."""
 
 SAID = 6
-"""Coordinates that an error lists at most."""
+"""number of coordinates [1]: an error lists so many at most, which fit into one line."""
 
 FIRST_STEP = 1e-3
-"""[s]: the first step under error control."""
+"""step [s]: the first one under error control, which then corrects it."""

@@ -195,7 +195,7 @@ class Tracer:
         return Program(calls.steps, plan)
 
     def limit(self, plan: Plan, redundant: bool) -> Program:
-        """What `instant` gives, with the limits of accelerations and reactions along the motion."""
+        """S4: what `instant` gives, with the limits of accelerations and reactions along the motion."""
         calls, count = Calls(self, plan), range(len(branch.READ_MEAN))
         places = [f"place{j}" for j in count]
         self._unpacked_limit(calls)
@@ -273,7 +273,7 @@ class Tracer:
         calls("seen", f"z u p k C xi {found} singular", "seen", lambda *x: calls.scene.seen(calls.plan, *x))
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
-        """a, power and watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
+        """S2 to S4: a, power, watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.
 
         `u` and `length` are the names of the inputs and of the step; `kept` says that q and v keep the constraints.
         """
@@ -331,7 +331,7 @@ class Tracer:
         calls("reached", f"{watch} left", watch, seen)
 
     def _brought(self, calls: Calls, place: str, placed: str, velocity: str) -> None:
-        """q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a
+        """S3: q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a
         first correction put the place."""
         self.place(calls, placed, "q0")
         calls(f"{calls.scene.kind}_return", f"q0 {place} {velocity} p k", "q0 v0", calls.scene.returned)

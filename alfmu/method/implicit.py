@@ -173,7 +173,7 @@ class Newmark:
 
     @property
     def name(self) -> str:
-        """What tells it from others."""
+        """The name of the rule, different from that of any other."""
         return f"newmark {self.m} {self.f}"
 
 

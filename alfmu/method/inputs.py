@@ -1,4 +1,4 @@
-"""Inputs inside a communication step: extrapolated from what they were at past communication points.
+"""Inputs inside a communication step, extrapolated from their values at past communication points.
 
 The rules are the same lines on numbers and on symbols: they choose by a `where` they are handed (`stepping`).
 """
@@ -66,7 +66,7 @@ class Past:
         self._inputs = self.numbers[1 + KEPT :].reshape(KEPT, inputs)
 
     def reach(self, t: float, u: NDArray) -> None:
-        """Take note of the inputs u at a communication point t."""
+        """Records the inputs u at a communication point t."""
         known, times, inputs = reached(self.numbers[0], self._times.tolist(), self._inputs.copy(), t, u, np.where)
         self.numbers[0], self._times[:], self._inputs[:] = known, times, inputs
 

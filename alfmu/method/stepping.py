@@ -52,7 +52,7 @@ class Explicit:
 
     @property
     def name(self) -> str:
-        """What tells it from others."""
+        """The name of the method, different from that of any other."""
         return f"explicit {self.order}"
 
     @property
@@ -77,7 +77,7 @@ class Collocation:
 
     @property
     def name(self) -> str:
-        """What tells it from others."""
+        """The name of the method, different from that of any other."""
         return f"collocation {self.order}"
 
 
@@ -409,7 +409,7 @@ SPLIT = 2.0
 """Steps that are left up to an end below which they are made equal."""
 
 SHORTEST = 1e-12
-"""Step [s] below which a run is given up."""
+"""Step [s] below which a run ends."""
 
 SAFETY = 0.9
 """Of a new step, over that which would just meet the tolerance."""
@@ -511,7 +511,7 @@ class Control:
         return landing(self.dt, left)
 
     def judge(self, dt: float, error: float) -> bool:
-        """Take note of a step of dt with an error over the tolerance; whether it is accepted."""
+        """Records a step of dt with an error over the tolerance; returns whether it is accepted."""
         *numbers, accepted = judged(self.order, [float(x) for x in self.numbers], dt, error)
         self.numbers[:] = numbers
         return accepted

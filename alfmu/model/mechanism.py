@@ -1,6 +1,6 @@
 """The declaration of a mechanism: frames, bodies, joints, forces, inputs, outputs, parameters.
 
-A declaration holds *what there is*; `alfmu.derive` turns it into equations. Nothing here is differentiated or stepped.
+A declaration lists *the parts*; `alfmu.derive` turns it into equations. Nothing here is differentiated or stepped.
 Every number may be a float or an expression in parameters; poses, forces and outputs may use coordinates too.
 """
 
@@ -774,7 +774,7 @@ class Mechanism:
 
 
 def key_of(symbol: Scalar) -> int | None:
-    """What tells one scalar symbol or expression from all others; None for a number."""
+    """A key that no other scalar symbol or expression has; None for a number."""
     return symbol.element_hash() if isinstance(symbol, ca.SX) and symbol.is_scalar(True) else None
 
 

@@ -42,7 +42,7 @@ FIXED = ("rk4", "order8", "trapezoidal", "generalized_alpha")
 """Methods whose steps have a given length."""
 
 PROJECTED = ("residual", "classic")
-"""Formulations that correct the state with (10) after each step; the others are run as they are known."""
+"""Formulations that correct the state with (10) after each step; the others do not, as in the literature."""
 
 
 @dataclass(frozen=True)

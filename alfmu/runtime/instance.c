@@ -467,8 +467,8 @@ static void settle_kernel(Instance *i)
     k[SETTINGS_FREEDOM] = *i->freedom;
     k[SETTINGS_MASSES] = *i->masses;
     k[SETTINGS_REGULAR] = exp(*i->regular);
-    k[SETTINGS_NOTHING] = NOTHING * pivot_of_mass;
-    k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST, CONVERGING * sqrt(pivot_of_mass));
+    k[SETTINGS_NOTHING] = NOISE_FLOOR * pivot_of_mass;
+    k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
     k[SETTINGS_CONTINUES] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
     k[SETTINGS_RELATIVE] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
     k[SETTINGS_ABSOLUTE] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
@@ -919,7 +919,7 @@ static void watch_gaps(Instance *i)
     i->used = used;
 }
 
-/* One internal step by loops that stop on convergence, and whether it came near a singular position. */
+/* S2 to S5: one internal step by loops that stop on convergence, and whether it came near a singular position. */
 static Outcome follow(Instance *i, double start, double dt, int *near)
 {
     const Scene *s = i->scene;
@@ -972,7 +972,7 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     return DONE;
 }
 
-/* An internal step near a singular position in shorter ones. */
+/* S5: an internal step near a singular position in shorter ones. */
 static Outcome subdivided(Instance *i, double start, double dt)
 {
     const Scene *s = i->scene;

@@ -472,7 +472,7 @@ static int radians(const Scene *s, int coordinate)
     return !strcmp(s->coordinates[coordinate].unit, "rad");
 }
 
-/* Displacements to places beside the start, the start first. */
+/* S1: displacements to places beside the start, the start first. */
 static const double aside[] = {0.0, ASIDE};
 #define PLACES (int)(sizeof aside / sizeof *aside)
 
@@ -702,7 +702,7 @@ static void ranked_correction(Instance *i, const Rows *J, const double *r, doubl
     i->used = used;
 }
 
-/* Degrees of freedom at regular positions near q, and at q itself; `place` is one where the rank is largest. */
+/* S1: degrees of freedom at regular positions near q, and at q itself; `place` is one where the rank is largest. */
 static int freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place)
 {
     const Scene *s = i->scene;
@@ -766,7 +766,7 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
     return s->n - rank;
 }
 
-/* Combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at q. */
+/* S5: combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at q. */
 static void ranges(Instance *i, const double *q, double *combinations, double *sizes)
 {
     const Scene *s = i->scene;
@@ -783,7 +783,7 @@ static void ranges(Instance *i, const double *q, double *combinations, double *s
     i->used = used;
 }
 
-/* Whether constraints that are redundant at q become independent beside the motion, and so would stop it. */
+/* S5: whether constraints that are redundant at q become independent beside the motion, and so would stop it. */
 static int would_brake(Instance *i, const double *q, const double *way)
 {
     const Scene *s = i->scene;
@@ -858,6 +858,7 @@ static int brakes_near(Instance *i, const double *q, const double *v)
     return found;
 }
 
+/* S5: freezes the rank of C at the state before a step. */
 void hold(Instance *i)
 {
     const Scene *s = i->scene;
@@ -868,7 +869,7 @@ void hold(Instance *i)
         return;
     combinations = take(i, l * l);
     sizes = take(i, l);
-    /* At a singular position those before it still tell. */
+    /* S5: at a singular position the combinations of the place before it are kept. */
     ranges(i, field(i, s->z), combinations, sizes);
     if (sizes[rank - 1] > REGULAR * sizes[0])
         for (int a = 0; a < s->l; a++)
@@ -892,6 +893,7 @@ static void sort(double *x, int count)
         }
 }
 
+/* S1: scales of coordinates, pivots contributed by masses, degrees of freedom, rank. */
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual)
 {
     const Scene *s = i->scene;
@@ -966,7 +968,7 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     }
     /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller. */
     sort(together, count);
-    *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(USUAL_PRODUCT);
+    *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(REGULAR_PRODUCT);
     sort(found, count);
     while (count > 1 && !(found[count - 1] <= found[1] + FAR_RATIO))
         count--;

@@ -112,7 +112,7 @@ class Case:
     """Times that it is run, as far as a part of the limit allows."""
 
     def enough(self, seconds: Sequence[float]) -> bool:
-        """Whether runs of this length have told the time well enough."""
+        """Whether runs of this length measure the time well enough."""
         return len(seconds) >= self.most or sum(seconds) > REPEATED * self.limit
 
 

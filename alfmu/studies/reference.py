@@ -6,7 +6,7 @@ method, of its penalties or of its projections takes part. There are two ways to
 
 NullSpace  y are components along the null space of C at some position, q(y) closes the constraints by Newton's method
            to round-off at every evaluation (coordinate partitioning by singular values). Where the basis gets oblique
-           another is taken. It ends before a singular position, where the null space says no more which way to go.
+           another is taken. It ends before a singular position, where the null space leaves the direction open.
 Placement  q(y) is the guess that the declaration computes from its start values, where it closes the constraints
            everywhere: then it is the motion's branch in closed form, and goes through singular positions.
 """

@@ -69,7 +69,7 @@ LEVELS = (1e-3, 1e-6, 1e-9)
 """Position errors [m, rad] at which run times are compared."""
 
 LOST = 0.1
-"""Position error [m, rad] of a run that has lost the motion; it tells nothing of an order."""
+"""Position error [m, rad] of a run that has lost the motion; it says nothing about an order."""
 
 ABOVE = 10.0
 """Errors count towards an order as far as they are so many times that of the reference."""

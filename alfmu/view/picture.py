@@ -918,7 +918,7 @@ def _page(
 
 
 def _digits(step: float) -> int:
-    """Decimals that tell values apart that differ by `step`."""
+    """Decimals that distinguish values that differ by `step`."""
     return -math.floor(math.log10(step))
 
 

@@ -180,7 +180,7 @@ class Adaptive:
 
     def _check_near(self, q: NDArray) -> None:
         o = self.oracle
-        if o.continues and o.margin(q)[1] < branch.GUARD:
+        if o.continues and o.margin(q)[1] < branch.BRANCH_MARGIN:
             raise _Near
 
     def _places(self, q: NDArray, v: NDArray, spacing: float, t: float) -> dict[int, tuple[NDArray, NDArray]]:
@@ -188,10 +188,10 @@ class Adaptive:
         o = self.oracle
         here, rate, spacing = o.approach(q, v, spacing)
         wanted = branch.first_distance(rate, o.least_distance, min, max)
-        if not (rate > 0 and here < branch.ZONE * wanted):
+        if not (rate > 0 and here < branch.LIMIT_ZONE * wanted):
             return {0: o.reached(q, v, t)}
         spacing *= wanted / rate
-        return {k: o.reached(q + k * spacing * v, v, t) for k in branch.LONG_MEAN}
+        return {k: o.reached(q + k * spacing * v, v, t) for k in branch.READ_MEAN}
 
     def _linearised(self, t: float, y: NDArray, beside: bool, dt: float) -> tuple[NDArray, tuple[NDArray, NDArray]]:
         """The rate of q and v, and the derivatives of a by both."""

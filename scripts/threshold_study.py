@@ -1,0 +1,384 @@
+"""What each threshold of singular positions and of the start is worth: runs with half and with twice its value.
+
+Each variant runs in a process of its own, which sets the constant before anything is traced and, where C has it too,
+builds a runtime of its own. `docs/singular.md` has the figures, between two markers; `--write` puts them there. The
+other columns of that table are the constants themselves and their docstrings.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from itertools import pairwise
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+# Modules of alfmu that read the constants are imported by a variant alone, after it has set one.
+SHARED = ("casadi", "matplotlib.figure", "scipy.integrate", "tqdm")
+"""What every variant imports; they are forked with it."""
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "singular.md"
+BEGIN, END = "<!-- thresholds: begin -->", "<!-- thresholds: end -->"
+MODULES = ("method.singular", "kernel.thresholds")
+FACTORS = {"half": 0.5, "twice": 2.0}
+FAR = {"a hundredth": 0.01, "a hundredfold": 100.0}
+"""Factors by which a constant is told that nothing depends on: those of `--far` alone."""
+
+SAME = "same"
+"""Said of a variant whose runs are those of the default to the last bit."""
+
+ROUGHLY = 0.02
+"""Relative change up to which an error or a number of evaluations counts as unchanged."""
+
+
+@dataclass(frozen=True)
+class Threshold:
+    """A constant of one of the modules, with its docstring."""
+
+    module: str
+    name: str
+    value: float | int | tuple[float, ...]
+    noun: str
+    unit: str
+    why: str
+
+    def times(self, factor: float) -> float | int | tuple[float, ...]:
+        """The value times a factor; a whole number stays one, of at least 1."""
+        if isinstance(self.value, tuple):
+            return tuple(factor * x for x in self.value)
+        return max(1, round(factor * self.value)) if isinstance(self.value, int) else factor * self.value
+
+    @property
+    def shown(self) -> str:
+        """The value as the page has it."""
+        return ", ".join(f"{x:g}" for x in (self.value if isinstance(self.value, tuple) else (self.value,)))
+
+    @property
+    def row(self) -> str:
+        """The cells of its row in the page that repeat the module."""
+        return f"| `{self.name}` | {self.shown} | {self.unit} | {self.noun}: {self.why} |"
+
+
+FORM = re.compile(r"(?P<noun>[^\[\]]+) \[(?P<unit>[^\]]+)\]: (?P<why>.+)", re.S)
+"""The form of a constant's docstring."""
+
+
+def thresholds(modules: Sequence[str] = MODULES) -> list[Threshold]:
+    """The numbers that the modules name, in their order; ValueError where a docstring is of another form."""
+    found = []
+    for module in modules:
+        values = vars(import_module(f"alfmu.{module}"))
+        body = ast.parse((ROOT / "alfmu" / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")).body
+        for line, after in pairwise(body):
+            name = line.targets[0].id if isinstance(line, ast.Assign) and isinstance(line.targets[0], ast.Name) else ""
+            if not name.isupper() or not isinstance(values[name], int | float | tuple):
+                continue
+            text = ast.literal_eval(after.value) if isinstance(after, ast.Expr) else ""
+            parts = FORM.fullmatch(" ".join(text.split()))
+            if not parts:
+                raise ValueError(f"alfmu.{module}.{name}: its docstring is not `noun [unit]: why`: {text!r}")
+            found.append(Threshold(module, name, values[name], **parts.groupdict()))
+    return found
+
+
+# Cases ------------------------------------------------------------------------------------------------------------
+
+
+class Found(NamedTuple):
+    """What a case gives: its error, and the evaluations it took."""
+
+    error: float
+    evaluations: int
+
+
+def references() -> dict[str, Any]:
+    """The exact motions that cases are judged by; no constant of the modules is part of them."""
+    import singular_study as study
+
+    th, torque, w = study.np.array(study.phases(STARTS)).T
+    start, crank = (0.0, study.DRIVEN_SPEED), (study.slider_crank(study.ROD, study.ROD), study.CRANK_START)
+    five, four = study.parallelogram(m4=1.0), study.parallelogram()
+    return {
+        "five-bar": study.reference(five, start, sum(FIVE_BAR.values()), 0.02, 250).exact[:, 0],
+        "starts": study.reference(four, (th, w), torque, 0.02, 125).exact,
+        "slider-crank": study.reference(*crank, 0.0, study.CRANK_STEP, 1600).exact[::40, 0],
+        "order 8": study.reference(four, start, 4.0, 0.1, 50).exact[:, 0],
+    }
+
+
+STARTS, FIVE_BAR = 50, {"A.torque": 3.0, "D.torque": -1.0}
+
+
+def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, method: str = "rk4") -> Found:
+    """A linkage from exactly its singular start over 5 s by steps of dt [s]: the error [rad] of its angle."""
+    import singular_study as study
+
+    import alfmu
+    from alfmu.simulation import prepared, with_defaults
+
+    equations = prepared(with_defaults(alfmu.derive(alfmu.load(name)), {"solver.method": method}), "vm")
+    given = {"start.angle": 0.0, "start.angular_velocity": study.DRIVEN_SPEED}
+    run = study.drive(equations, given, torques, dt, len(exact) - 1)
+    if run.stopped:
+        raise alfmu.StepError(run.stopped)
+    return Found(run.error(exact), run.evaluations)
+
+
+def _starts(exact: Any) -> Found:
+    """The four-bar from random starts over 2.5 s by steps of 0.02 s: the largest error [rad]."""
+    import singular_study as study
+
+    runs = study.run_phases("vm", "mixed", study.OWN, 0.02, study.phases(STARTS))
+    errors = [math.inf if run.stopped else run.error(exact[:, k]) for k, run in enumerate(runs)]
+    return Found(max(errors), sum(run.evaluations for run in runs))
+
+
+def _crank(exact: Any) -> Found:
+    """The slider-crank of equal links over 2 s by steps of 0.00125 s: the error [rad] of its crank."""
+    import singular_study as study
+
+    import alfmu
+
+    equations = study.scene("vm", "slider_crank", coordinates="natural")
+    row = study.crank_run(equations, "vm", 2.0, study.ROD, exact)
+    if len(row) == 1:
+        raise alfmu.StepError(*row.values())
+    error, _, evaluations = row.values()
+    return Found(error, round(1600 * evaluations))
+
+
+def _read(_: Any, torque: float) -> Found:
+    """Reactions of the four-bar at B, 1e-6 to 0.02 rad from its singular position: the error [N], poles aside."""
+    import numpy as np
+    import singular_study as study
+
+    import alfmu
+    from alfmu.studies.paper import Parallelogram
+
+    exact, worst = Parallelogram(m4=0.0, torque=torque), 0.0
+    for distance in (1e-6, 1e-4, 1e-3, 4e-3, 0.02):
+        i = alfmu.Instance(study.scene("vm", "four_bar", coordinates="mixed"))
+        for name, value in {"start.angle": distance, "A.torque": torque, "g": study.GRAVITY}.items():
+            i.set(name, value)
+        i.initialize()
+        forces = exact.multipliers(np.array([distance]), np.array([study.DRIVEN_SPEED]))[:, 0]
+        rows = (2,) if torque else (1, 2)  # A torque has a pole in the first.
+        worst = max(worst, *(abs(i.get(f"multiplier[{k}]") - forces[k - 1]) for k in rows))
+    return Found(float(worst), 0)
+
+
+def _locked(_: Any) -> Found:
+    """A point that runs into the cusp of y^2 = x^3: by how much [s] the time of the lock-up is off."""
+    import alfmu
+    from alfmu.simulation import prepared
+
+    m = alfmu.Mechanism("cusp")
+    x, y = m.coordinate("x", "m", start=1.0, rate=-1.0, independent=True), m.coordinate("y", "m", start=1.0)
+    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
+    m.constraint("curve", y**2 - x**3, "m")
+    m.output("place", x, "m")
+    i = alfmu.Instance(prepared(alfmu.derive(m), "vm"))
+    i.set("solver.step_size", 0.005)
+    i.initialize()
+    try:
+        i.step(1.0)
+    except alfmu.StepError as error:
+        time = re.search(r"t = (\S+) s: locked up", str(error))
+        if time:
+            return Found(abs(float(time[1]) - (13**1.5 - 8) / 27 / math.hypot(1.0, 1.5)), 0)
+        raise
+    raise alfmu.StepError("the lock-up is not reported")
+
+
+def _assembled(_: Any) -> Found:
+    """A four-bar linkage assembled from 100 poor guesses: the share of them that are refused."""
+    import casadi as ca
+    import numpy as np
+
+    import alfmu
+    from alfmu.simulation import prepared
+
+    m = alfmu.Mechanism("loop")
+    a = m.coordinate("a", "rad", start=1.0, independent=True)
+    b, c = m.coordinate("b", "rad", start=0.0), m.coordinate("c", "rad", start=1.0)
+    m.kinetic_energy(sum(m.rate(x) ** 2 for x in (a, b, c)) / 2)
+    m.constraint("x", 0.3 * ca.cos(a) + 1.0 * ca.cos(b) - 0.8 * ca.cos(c) - 1.1, "m")
+    m.constraint("y", 0.3 * ca.sin(a) + 1.0 * ca.sin(b) - 0.8 * ca.sin(c), "m")
+    m.output("angle", c, "rad")
+    equations, refused = prepared(alfmu.derive(m), "vm"), 0
+    for angle in np.random.default_rng(1).uniform(-np.pi, np.pi, 100):
+        i = alfmu.Instance(equations)
+        i.set("start.a", float(angle))
+        try:
+            i.initialize()
+        except alfmu.AlfmuError:
+            refused += 1
+    return Found(refused / 100, 0)
+
+
+def _regular(_: Any, name: str, stop: float) -> Found:
+    """A mechanism over some time without a singular position: what it takes."""
+    import alfmu
+    from alfmu.simulation import prepared, simulate
+
+    r = simulate(prepared(alfmu.derive(alfmu.load(name)), "vm"), stop, stop)
+    return Found(float(r.counters.position_error), r.counters.evaluations)
+
+
+CASES: dict[str, Callable[[Any], Found]] = {
+    "five-bar": partial(_driven, name="five_bar", torques=FIVE_BAR, dt=0.02),
+    "starts": _starts,
+    "slider-crank": _crank,
+    "order 8": partial(_driven, name="four_bar", torques={"A.torque": 4.0}, dt=0.1, method="order8"),
+    "reading": partial(_read, torque=0.0),
+    "pole": partial(_read, torque=4.0),
+    "lock-up": _locked,
+    "assembly": _assembled,
+    "bennett": partial(_regular, name="bennett", stop=0.4),
+    "governor": partial(_regular, name="flyball_governor", stop=0.01),
+}
+"""Runs, by the name that the page gives them."""
+
+SLOW = {
+    "bennett": ("ASIDE", "FAR_RATIO", "REGULAR", "RANKED"),
+    "governor": ("ASIDE", "FAR_RATIO", "SMALL_PIVOT", "REGULAR_PRODUCT", "BRANCH_MARGIN"),
+}
+"""Cases that are slow to derive: the constants that they are run for."""
+
+
+def _own_runtime() -> None:
+    """Build a runtime with the constants of this process, where they are not those of the library."""
+    from alfmu.kernel.tables import layout_header
+    from alfmu.runtime import library
+
+    source = ROOT / "alfmu" / "runtime"
+    header = layout_header()
+    if header == (source / "layout.h").read_text(encoding="utf-8"):
+        return
+    with tempfile.TemporaryDirectory(prefix="alfmu_thresholds_") as made:
+        folder = Path(made)
+        for path in source.glob("*.[ch]"):
+            shutil.copy(path, folder)
+        # To optimise takes longer than the runs, and changes no number.
+        script = (source / "build.py").read_text(encoding="utf-8").replace('"-O2"', '"-O0"')
+        (folder / "build.py").write_text(script, encoding="utf-8")
+        (folder / "layout.h").write_text(header, encoding="utf-8")
+        subprocess.run([sys.executable, folder / "build.py"], check=True, capture_output=True)
+        loaded = library.library(folder)
+    library.library = lambda: loaded
+
+
+def variant(changed: tuple[str, str, Any], exact: Mapping[str, Any], cases: Sequence[str]) -> dict[str, Found | str]:
+    """What the cases give with one constant changed, by name, module and value; the message where a case stopped."""
+    name, module, value = changed
+    if module:
+        setattr(import_module(f"alfmu.{module}"), name, value)
+        from alfmu.method import singular
+
+        singular.MEAN, singular.READ_MEAN = singular.weights(singular.PLACES), singular.weights(singular.LONG_PLACES)
+    _own_runtime()
+    from alfmu.model.errors import AlfmuError
+
+    found: dict[str, Found | str] = {}
+    for case in cases:
+        if module and case in SLOW and name not in SLOW[case]:
+            continue
+        try:
+            found[case] = CASES[case](exact.get(case))
+        except AlfmuError as error:
+            found[case] = str(error)
+    return found
+
+
+# The table --------------------------------------------------------------------------------------------------------
+
+
+def compared(found: Mapping[str, Found | str], usual: Mapping[str, Found | str]) -> str:
+    """What a change did, in the words of the page: the largest ratios of errors and evaluations, with their cases."""
+    if all(x == usual[case] for case, x in found.items()):
+        return SAME
+    stopped = [case for case, x in found.items() if isinstance(x, str) and not isinstance(usual[case], str)]
+    if stopped:
+        return f"stops: {', '.join(stopped)}"
+    parts = []
+    for what in Found._fields:
+        ratios = {}
+        for case, x in found.items():
+            if isinstance(x, Found) and isinstance(usual[case], Found):
+                before, after = getattr(usual[case], what), getattr(x, what)
+                ratios[case] = after / before if before else math.inf if after else 1.0
+        for case, ratio in (max(ratios.items(), key=lambda x: x[1]), min(ratios.items(), key=lambda x: x[1])):
+            if abs(ratio - 1) > ROUGHLY:
+                parts.append(f"{what} x {ratio:.3g} ({case})")
+    return "; ".join(parts) or f"within {100 * ROUGHLY:g} %"
+
+
+def measured(page: str) -> dict[str, list[str]]:
+    """What the page has of each constant, by name: a cell for each factor."""
+    rows = re.findall(r"^\| `(\w+)` \|.*\| ([^|]+) \| ([^|]+) \|$", page.split(BEGIN)[1].split(END)[0], re.M)
+    return {name: list(cells) for name, *cells in rows}
+
+
+def table(rows: Mapping[str, Sequence[str]]) -> str:
+    """The tables of the page: constants as they are in the modules, and what was measured, by name."""
+    lines = []
+    for module in MODULES:
+        lines += [f"`alfmu.{module}`:", "", "| Name | Value | Unit | Why | Half | Twice |", "|---|---|---|---|---|---|"]
+        lines += [f"{x.row} {' | '.join(rows.get(x.name, ['-'] * len(FACTORS)))} |" for x in thresholds([module])]
+        lines.append("")
+    return "\n".join(lines)
+
+
+def write(cells: Mapping[str, Sequence[str]]) -> None:
+    """Put what was measured into the page, and constants as they are now; what was not measured stays."""
+    page = PAGE.read_text(encoding="utf-8")
+    head, tail = page.split(BEGIN)[0], page.split(END)[1]
+    PAGE.write_text(f"{head}{BEGIN}\n{table({**measured(page), **cells})}{END}{tail}", encoding="utf-8")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure what the command line asks for."""
+    parser = argparse.ArgumentParser(description="Halve and double each threshold, and compare errors and evaluations.")
+    parser.add_argument("--only", nargs="*", metavar="NAME", help="some of the constants; without a name none")
+    parser.add_argument("--cases", nargs="+", metavar="CASE", choices=CASES, help="some of the runs")
+    parser.add_argument("--far", action="store_true", help="by factors of 100 instead")
+    parser.add_argument("--write", action="store_true", help="put the figures into docs/singular.md")
+    chosen = parser.parse_args(arguments)
+    if chosen.write and (chosen.far or chosen.cases):
+        parser.error("--write takes all cases, and half and twice")
+    factors = FAR if chosen.far else FACTORS
+    wanted = [x for x in thresholds() if chosen.only is None or x.name in chosen.only]
+    jobs = [("", "", None), *((x.name, x.module, x.times(f)) for x in wanted for f in factors.values())]
+    cells: dict[str, list[str]] = {}
+    if wanted:
+        for name in SHARED:
+            import_module(name)
+        with get_context("fork").Pool(os.cpu_count(), maxtasksperchild=1) as pool:
+            run = partial(variant, exact=pool.apply(references), cases=chosen.cases or list(CASES))
+            results = pool.imap(run, jobs)
+            usual = next(results)
+            for case, x in usual.items():
+                print(f"{case}: {x}")
+            for (name, _, value), found in zip(jobs[1:], results, strict=True):
+                cells.setdefault(name, []).append(compared(found, usual))
+                print(name, value, cells[name][-1], sep=" | ", flush=True)
+    if chosen.write:
+        write(cells)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
