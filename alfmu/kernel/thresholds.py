@@ -50,8 +50,8 @@ GAINED = 0.9
 """ratio of residues [1]: another pass of a correction is made while the last one left less than this part."""
 
 DEPENDENT = 1e-10
-"""pivot of C C' over its largest entry [1]: up to it a row is a combination of others, where coordinates are many;
-LOOSE makes pivots of some 1e-12 of what round-off leaves of such a row."""
+"""pivot of C C' over its largest entry [1]: a row whose pivot is below it is a combination of others, where coordinates
+are many; LOOSE leaves such a row some 1e-12."""
 
 TOLERANCE = 1e-12
 """gap over the coordinates [1]: an assembly is closed below it; some hundred times round-off."""
