@@ -72,8 +72,8 @@ TRIES = 32
 refused."""
 
 RANKED = 8
-"""number of places [1]: S1 finds the rank of C at so many places around the start, as the start itself may be
-singular."""
+"""number of places [1]: S1 finds the rank of C at so many places around the start, as the start itself may be singular;
+with four the five-bar, which starts at a singular position, stops."""
 
 FEW_RANKED = 2
 """number of places [1]: the same where coordinates are many, along the motion."""
