@@ -7,7 +7,6 @@ import fmpy
 import numpy as np
 import pytest
 from oracles import flyball, ode
-from oracles.adaptive import by_method
 from oracles.end_stop import EndStop
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
@@ -110,18 +109,14 @@ def test_masses_a_million_apart_at_default_settings():
 
 @pytest.mark.parametrize("method", ["trapezoidal", "generalized_alpha"])
 def test_the_index_3_form_is_of_order_two_in_a_run(method):
-    """By the kernel from a regular start, on arrays from a singular one."""
-    for start, kernel in ((0.7, "vm"), (0.0, "oracle")):
-        exact = FOUR_BAR.driven(start, 2.0, np.array([0.0, 1.0]), 4.0)[1, 0]
-        errors = []
-        for step in (0.01, 0.005):
-            given = {"start__angle": start, "solver__step_size": step}
-            i = chosen("four_bar", method if kernel == "vm" else "rk4", kernel, **given)
-            i.set("A.torque", 4.0)
-            i = i if kernel == "vm" else by_method(i, method)
-            i.step(1.0) if kernel == "vm" else i.cover(1.0)
-            errors.append(abs(i.q[0] - exact))
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+    exact = FOUR_BAR.driven(0.0, 2.0, np.array([0.0, 1.0]), 4.0)[1, 0]
+    errors = []
+    for step in (0.01, 0.005):
+        i = chosen("four_bar", method, "vm", solver__step_size=step)
+        i.set("A.torque", 4.0)
+        i.step(1.0)
+        errors.append(abs(i.q[0] - exact))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
 
 
 def test_inputs_extrapolated_inside_a_communication_step_keep_the_order():

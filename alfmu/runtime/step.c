@@ -43,8 +43,8 @@ int cover(Instance *i, double end, long tries)
     for (; m[s->z + s->time] < end && tries != 0; tries--) {
         run(i, s->method_step);
         if (after[s->trouble] != 0.0 && s->beside >= 0) {
-            pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
             run(i, s->beside);
+            pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
             tally[TALLY_BESIDE] += 1.0;
             tally[TALLY_BESIDE_LIMITS] += after[s->near];
         }
