@@ -27,8 +27,8 @@ from scipy.integrate import solve_ivp
 from tqdm import tqdm
 
 import alfmu
-from alfmu.kernel.build import compiler
 from alfmu.method.integrators import rk4
+from alfmu.runtime.build import compiler
 from alfmu.simulation import prepared, simulate
 from alfmu.studies.tables import Chapter, Row, environment, rounded, write_csv
 

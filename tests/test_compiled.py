@@ -22,10 +22,11 @@ from alfmu.equations import Equations
 from alfmu.fmi import export, native
 from alfmu.fmi.drive import Fmu, validate
 from alfmu.fmi.slave import COMPILED
-from alfmu.kernel import build, emit, stream
-from alfmu.kernel.build import SUFFIX
+from alfmu.kernel import emit, stream
 from alfmu.kernel.tables import machine_code, packed
+from alfmu.runtime import compiled as build
 from alfmu.runtime.build import HERE, zig
+from alfmu.runtime.compiled import SUFFIX
 from alfmu.runtime.library import Scene
 from alfmu.simulation import prepared, run
 

@@ -15,12 +15,12 @@ from scenes import derived, made
 import alfmu
 from alfmu import runtime
 from alfmu.fmi.drive import Fmu, validate
-from alfmu.kernel import build
 from alfmu.kernel.memory import PACE, Layout
 from alfmu.kernel.tables import packed
 from alfmu.method.inputs import Past
 from alfmu.method.stepping import Control, judged, landing, newton
 from alfmu.model.settings import FIXED
+from alfmu.runtime import compiled as build
 from alfmu.simulation import prepared, run, with_defaults
 
 KERNELS = ("vm", "compiled")

@@ -12,9 +12,10 @@ from test_compiled import Functions
 from alfmu.equations import Equations
 from alfmu.equations.arrays import ArrayFunction, ArrayFunctions
 from alfmu.equations.evaluation import elimination, with_functions
-from alfmu.kernel import build, emit, loops
+from alfmu.kernel import emit, loops
 from alfmu.kernel.repeat import Repeat, repeats
 from alfmu.kernel.stream import Instructions, Operations
+from alfmu.runtime import compiled as build
 from alfmu.simulation import prepared
 
 LONG = "weighted_evaluate", "weighted_iterate", "weighted_correct"

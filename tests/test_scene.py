@@ -16,11 +16,12 @@ from scenes import derived
 import alfmu
 from alfmu.equations import Equations
 from alfmu.equations.evaluation import with_functions
-from alfmu.kernel import build, passes, stream, tables
+from alfmu.kernel import passes, stream, tables
 from alfmu.kernel.memory import Layout
 from alfmu.kernel.passes import Code, Constants, in_line, written
 from alfmu.kernel.scene import operations_header
 from alfmu.kernel.stream import Instructions
+from alfmu.runtime import compiled as build
 from alfmu.simulation import prepared
 
 RUNTIME = Path(alfmu.__file__).parent / "runtime"

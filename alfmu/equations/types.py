@@ -153,7 +153,7 @@ class Equations:
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""
     library: Any = field(default=None, repr=False)
-    """Path of the functions of the scene compiled (`alfmu.kernel.build.compiled_scene`), where they are."""
+    """Path of the functions of the scene compiled (`alfmu.runtime.compiled.compiled_scene`), where they are."""
     programs: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     """The scene as it was loaded, and these equations traced with other settings: once for all instances of these
     equations, and not for others made of them."""

@@ -24,12 +24,12 @@ from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.specialisation import specialised
 from ..kernel import DEFAULT
-from ..kernel.build import compiled_scene, verified
 from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
 from ..runtime import Instance
 from ..runtime.build import HERE
+from ..runtime.compiled import compiled_scene, verified
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native

@@ -12,13 +12,14 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import CHOICES, checked, setting, variables_of
 from ..kernel import DEFAULT, KERNELS
-from ..kernel.build import compiled_scene, compiler
 from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
 from ..model.errors import InputError
 from ..model.settings import Settings
+from .build import compiler
+from .compiled import compiled_scene
 from .library import Scene
 from .probe import Probe
 

@@ -23,11 +23,11 @@ from ..equations import Equations
 from ..equations.specialisation import specialised
 from ..fmi.drive import Fmu
 from ..fmi.export import export
-from ..kernel.build import compiler
 from ..model.errors import AlfmuError, InputError
 from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
 from ..runtime import Instance
+from ..runtime.build import compiler
 from ..simulation import Unit, communication_points, instance, prepared
 from . import cases, paper
 from . import reference as exact

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from ..kernel.build import compiler
+from ..runtime.build import compiler
 
 __all__ = [
     "Cell",

@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib.util
 import os
-import shlex
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -20,28 +17,17 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ..equations import Equations
+from ..kernel.tables import machine_code
 from ..model.errors import ExportError
-from .tables import machine_code
+from .build import compiler
 
-__all__ = ["FLAGS", "SUFFIX", "build", "cache", "compiled_scene", "compiler", "kept", "verified", "version", "whole"]
+__all__ = ["FLAGS", "SUFFIX", "build", "cache", "compiled_scene", "kept", "verified", "version", "whole"]
 
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
-"""`-ffp-contract=off`: the same operations as in the virtual machine, so the same numbers."""
+"""`-ffp-contract=off`: the same operations as the interpreter makes, so the same numbers."""
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """Of shared libraries here."""
-
-
-def compiler() -> list[str] | None:
-    """The command of a C compiler: CC of the environment, the system's, or ziglang's; None where there is none."""
-    if os.environ.get("CC"):
-        return shlex.split(os.environ["CC"])
-    for name in ("cc", "gcc", "clang"):
-        if found := shutil.which(name):
-            return [found]
-    if importlib.util.find_spec("ziglang"):
-        return [sys.executable, "-m", "ziglang", "cc"]
-    return None
 
 
 def cache() -> Path:
