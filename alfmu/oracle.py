@@ -24,7 +24,7 @@ from .equations.arrays import ArrayFunction, ArrayFunctions
 from .equations.evaluation import DENSE
 from .equations.interface import MONITORS, Counters, events
 from .kernel.memory import GROSS, SETTINGS, TURN
-from .kernel.thresholds import PATIENT, REGULAR, SHORTEST, TORN
+from .kernel.thresholds import PATIENT, REGULAR, SAID, SHORTEST, TORN
 from .method import formulations as method
 from .method import singular as branch
 from .method.formulations import CORRECTIONS
@@ -239,15 +239,19 @@ class Instance(runtime.Instance):
 
     # Singular positions -------------------------------------------------------------------------------------------
 
-    def margin(self, q: NDArray) -> tuple[bool, float]:
-        """Whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S1)."""
+    def pivots(self, q: NDArray) -> NDArray:
+        """Pivots of H at q (n,) over the scales of their coordinates (n,), in the order of elimination."""
         M, C, _, _ = self.constraints(q, np.zeros_like(q))
         order = np.ix_(self.equations.order, self.equations.order)
         try:
             pivots = np.linalg.cholesky(method.augmented_mass(M, C, self.alpha)[order]).diagonal() ** 2
         except np.linalg.LinAlgError:
             pivots = np.zeros(len(q))
-        ratios = np.maximum(pivots / self.scales[self.equations.order], 1e-300)
+        return np.maximum(pivots / self.scales[self.equations.order], 1e-300)
+
+    def margin(self, q: NDArray) -> tuple[bool, float]:
+        """Whether the margin at q (n,) may be below `singular.BRANCH_MARGIN`, and the margin (S2)."""
+        ratios = self.pivots(q)
         if self.equations.turns and len(q) <= DENSE and np.prod(ratios) >= self.regular:
             return False, 1.0
         near, small = (ratios < branch.BRANCH_MARGIN).sum() > self.freedom, ratios[ratios < branch.SMALL_PIVOT]
@@ -352,8 +356,13 @@ class Instance(runtime.Instance):
                 if not near:
                     raise
                 if h <= dt * SHORTEST:
-                    remedy = "no motion goes on from this singular position; turn round before it"
-                    raise self._error(StepError, start + t, "locked up", remedy) from error
+                    names = (c.name for c in self.equations.coordinates[:SAID])
+                    where = ", ".join(f"{name} = {x:.6g}" for name, x in zip(names, self.q, strict=False))
+                    ended = (
+                        f"no motion goes on from this singular position (distance {self.margin(self.q)[1] ** 0.5:.1e})"
+                    )
+                    remedy = f"{ended}; turn round before it, or change lengths or start"
+                    raise self._error(StepError, start + t, f"locked up at {where}", remedy) from error
 
     @np.errstate(all="ignore")
     def _follow(self, start: float, dt: float) -> None:

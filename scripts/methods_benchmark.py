@@ -26,7 +26,6 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import alfmu
-from alfmu import oracle
 from alfmu.model.registry import mechanisms
 from alfmu.simulation import prepared, with_defaults
 from alfmu.studies.cases import Case, exactness
@@ -39,7 +38,7 @@ from oracles import flyball
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
 
-KERNELS = ("oracle", "vm", "compiled")
+KERNELS = ("vm", "compiled")
 
 
 @dataclass(frozen=True)
@@ -104,10 +103,7 @@ USUAL = Effort(5, 60.0, tuple(SCENES), tuple(mechanisms()))
 # Runs -------------------------------------------------------------------------------------------------------------
 
 
-AnyInstance = alfmu.Instance | oracle.Instance
-
-
-def runs(instance: AnyInstance, times: NDArray, effort: Effort, read: str | None = None) -> tuple[float, NDArray]:
+def runs(instance: alfmu.Instance, times: NDArray, effort: Effort, read: str | None = None) -> tuple[float, NDArray]:
     """Median wall time [s] of a run of an initialised instance over communication points, and an output there."""
     start, spent, found = instance.save(), [], np.zeros(len(times))
     while len(spent) < effort.repeats and sum(spent) < effort.limit / 10:
@@ -122,9 +118,9 @@ def runs(instance: AnyInstance, times: NDArray, effort: Effort, read: str | None
     return statistics.median(spent), found
 
 
-def begun(equations: alfmu.Equations, values: Mapping[str, float | str], kernel: str) -> AnyInstance:
+def begun(equations: alfmu.Equations, values: Mapping[str, float | str]) -> alfmu.Instance:
     """An initialised instance."""
-    instance = (oracle.Instance if kernel == "oracle" else alfmu.Instance)(equations)
+    instance = alfmu.Instance(equations)
     for name, value in values.items():
         instance.set(name, value)
     instance.initialize()
@@ -158,15 +154,13 @@ def work_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
 
 def _cases(
     derived: alfmu.Equations, scene: Scene, kernels: Sequence[str]
-) -> Iterator[tuple[str, str, float, AnyInstance]]:
+) -> Iterator[tuple[str, str, float, alfmu.Instance]]:
     """Every way to run a scene, by method, kernel and tolerance or step."""
     for method, values in scene.methods.items():
         for kernel in kernels:
-            if kernel == "oracle" and method != "rk4":
-                continue  # which the oracle does not have
             equations = prepared(with_defaults(derived, {"solver.method": method}), kernel)
             for value in values:
-                yield method, kernel, value, begun(equations, {**scene.start, **exactness(method, value)}, kernel)
+                yield method, kernel, value, begun(equations, {**scene.start, **exactness(method, value)})
 
 
 def equal_study(work: Sequence[Row]) -> list[Row]:
@@ -221,7 +215,7 @@ def auto_study(effort: Effort, kernel: str) -> list[Row]:
             try:
                 equations = prepared(with_defaults(derived, {"solver.method": method}), kernel)
                 times = np.linspace(0.0, min(derived.stop_time, AUTO_STOP), AUTO_POINTS)
-                row[f"{method} [s]"], _ = runs(begun(equations, {}, kernel), times, effort)
+                row[f"{method} [s]"], _ = runs(begun(equations, {}), times, effort)
             except alfmu.AlfmuError as error:
                 row[f"{method} failed"] = str(error)
         known = [row[x] for x in ("explicit [s]", "stiff [s]") if x in row]

@@ -124,10 +124,10 @@ def evaluate(
     """Everything that can be read of a mechanism put into the state q, v, with multipliers of least norm."""
     q, v, u = (np.array(x, float) for x in (q, v, u))
     p = np.array([x.start for x in equations.parameters] if p is None else p, float)
-    i = by_the_oracle(equations)
-    i.memory["p"][:] = p
-    a, lam, _, _ = i.accelerations(q, v, u, t)
-    y = i.readings(q, v, a, i.minimum_norm(q, v, lam), u, t)
+    M, C, F, xi = (np.array(x) for x in equations.functions["dynamics"](q, v, u, p, t))
+    left = np.block([[M, C.T], [C, np.zeros((len(C), len(C)))]])  # (9), of which least squares have the least norm
+    a, lam = np.split(np.linalg.lstsq(left, np.concatenate([F, xi]).ravel(), rcond=None)[0], [len(M)])
+    y = np.array(equations.functions["readings"](q, v, a, lam, u, p, t)).ravel()
     names = [x.name for x in equations.outputs]
     return dict(zip(names, y, strict=True)) | {c.name: x for c, x in zip(equations.coordinates, q, strict=True)}
 

@@ -351,10 +351,9 @@ class Scene:
 
     def returned(self, q: SX, wanted: SX, v: SX) -> tuple[SX, SX]:
         """S3: q displaced along the motion to the place nearest to the wanted one, and the v of that motion."""
-        heavy, telling = SX(self.e.n, 1), self.e.telling
-        heavy[telling] = (
-            branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.settings.nothing / self.inverse_scales[telling]
-        )
+        mass, heavy = branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.settings.nothing, SX(self.e.n, 1)
+        for i in self.e.telling:
+            heavy[i] = mass / self.inverse_scales[i]
         C, _, solve = self._augmented(q)
         M = self.scale * self.e.M(q, self.p)
         return branch.returned(M, C, self.weights, solve, heavy, q, wanted, v)
