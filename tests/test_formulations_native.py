@@ -287,6 +287,8 @@ def test_large_scenes_leave_the_dense_system_out(tmp_path, monkeypatch):
     assert not {*alternatives(equations)} & {*SYSTEMS}
     with pytest.raises(alfmu.ExportError, match=r"no solver\.formulation dae of more than 50 coordinates; use resi"):
         native.checked(refused)
+    with pytest.raises(alfmu.InputError, match=r"formulation dae takes up to 50 coordinates; use residual, classic"):
+        alfmu.simulate(refused, 0.1, 0.01)
     with Fmu(alfmu.export("slider_crank", tmp_path, kind="native", reference=False)) as fmu:
         with pytest.raises(alfmu.InputError, match="must be a Enumeration value"):
             fmu.set("solver.formulation", "dae")

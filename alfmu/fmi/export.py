@@ -159,7 +159,7 @@ def described(recipe: Recipe) -> tuple[ET.Element, dict[str, bytes]]:
 
 def _scene(recipe: Recipe, declared: Mechanism) -> tuple[Equations, Equations]:
     r = recipe
-    return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel, r.kind)
+    return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel)
 
 
 def _resources(recipe: Recipe, equations: Equations, scene: bytes, guid: str) -> dict[str, bytes]:
@@ -182,13 +182,11 @@ def packed_scene(
     outputs: Sequence[str] | None,
     freeze: Sequence[str] | None,
     kernel: str | None,
-    kind: str,
 ) -> tuple[Equations, Equations]:
-    """All equations of a mechanism, and what of them an FMU of a kind carries, prepared; the arguments of `export`."""
+    """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `export`."""
     derived = derive(declared)
     equations = specialised(with_defaults(derived, parameters or {}), outputs, freeze)
-    if kind == "native":
-        native.checked(equations)
+    native.checked(equations)
     equations = prepared(equations, kernel or DEFAULT)
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing
     return derived, equations

@@ -21,7 +21,7 @@ __all__ = ["PLATFORMS", "checked", "file_name", "libraries", "libraries_in", "pl
 
 
 def checked(equations: Equations) -> None:
-    """ExportError where a scene asks for what native FMUs do not have."""
+    """ExportError where a scene asks for what no FMU has."""
     e, chosen = equations, default_settings(equations)
     known = formulations(e)
     if chosen.formulation not in known:
@@ -30,7 +30,7 @@ def checked(equations: Equations) -> None:
         what = f"solver.method {chosen.method} with solver.formulation {chosen.formulation}; use solver.method rk4"
     else:
         return
-    raise ExportError(f"{e.name}: a native FMU has no {what}, or export it with --kind python")
+    raise ExportError(f"{e.name}: there is no {what}")
 
 
 def sources() -> dict[str, str]:

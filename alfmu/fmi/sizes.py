@@ -65,7 +65,7 @@ def sizes(
         size, whole = map(sum, zip(*found.values(), strict=True))
         text += [f"  {'in all':64} {_kB(size)} {_kB(whole)}", ""]
     try:
-        _, equations = packed_scene(mechanism, **given, kernel=None, kind="native")
+        _, equations = packed_scene(mechanism, **given, kernel=None)
     except ExportError:
         return text[:-1]
     text += [f"{'the scene by what it is for, kB; what parts share, at the first':66} {'':8} {'unpacked':>8}"]

@@ -12,6 +12,7 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import CHOICES, checked, setting, variables_of
 from ..kernel import DEFAULT, KERNELS
+from ..kernel.alternatives import formulations
 from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
@@ -56,6 +57,10 @@ def decided(equations: Equations) -> Equations:
     chosen, reason = equations.solver.get("method", "rk4"), equations.reason
     if chosen == "auto":
         chosen, reason = _chosen(equations)
+    formulation, known = equations.solver.get("formulation", Settings.formulation), formulations(equations)
+    if formulation not in known:
+        limit = f"solver.formulation {formulation} takes up to {DENSE} coordinates"
+        raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
     if chosen in RULES and equations.n > DENSE:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
     e = with_tangents(equations) if chosen in RULES else equations
