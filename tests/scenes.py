@@ -10,6 +10,7 @@ from oracles.parallelogram import Parallelogram
 
 import alfmu
 from alfmu import oracle
+from alfmu.method import formulations as method
 from alfmu.simulation import instance
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
@@ -125,8 +126,17 @@ def evaluate(
     q, v, u = (np.array(x, float) for x in (q, v, u))
     p = np.array([x.start for x in equations.parameters] if p is None else p, float)
     M, C, F, xi = (np.array(x) for x in equations.functions["dynamics"](q, v, u, p, t))
-    left = np.block([[M, C.T], [C, np.zeros((len(C), len(C)))]])  # (9), of which least squares have the least norm
-    a, lam = np.split(np.linalg.lstsq(left, np.concatenate([F, xi]).ravel(), rcond=None)[0], [len(M)])
+    F, xi, alpha = F.ravel(), xi.ravel(), 1e8 * max(M.diagonal().max(), 1e-300) * np.eye(len(C))
+    H, zeros = method.augmented_mass(M, C, alpha), (np.zeros(len(M)), np.zeros(len(C)))
+
+    def done(change: np.ndarray, value: np.ndarray) -> bool:
+        return np.abs(change).max(initial=0.0) <= 1e-16 * np.abs(value).max(initial=0.0)
+
+    def solve(b: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(H, b)
+
+    a, lam, _, _ = method.residual(M, F, C, xi, alpha, solve, *zeros, 20, done)
+    lam = method.minimum_norm(C, alpha, solve, lam, 20, done)
     y = np.array(equations.functions["readings"](q, v, a, lam, u, p, t)).ravel()
     names = [x.name for x in equations.outputs]
     return dict(zip(names, y, strict=True)) | {c.name: x for c, x in zip(equations.coordinates, q, strict=True)}

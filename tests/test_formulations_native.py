@@ -264,10 +264,12 @@ def test_only_rk4_has_every_formulation(tmp_path):
         fmu.set("solver.formulation", "classic")
         with pytest.raises(alfmu.StepError, match=r"solver\.method explicit takes solver\.formulation residual"):
             fmu.initialize()
-    with pytest.raises(alfmu.ExportError, match=r"formulation classic; use solver\.method rk4, or export it with"):
-        alfmu.export(
-            "particle_on_circle", tmp_path, kind="native", parameters={**given, "solver.formulation": "classic"}
-        )
+    both = {**given, "solver.formulation": "classic"}
+    for kind in ("native", "python"):
+        with pytest.raises(
+            alfmu.ExportError, match=r"explicit with solver\.formulation classic; use solver\.method rk4$"
+        ):
+            alfmu.export("particle_on_circle", tmp_path, kind=kind, parameters=both)
 
 
 def test_a_scene_is_exported_with_any_formulation_as_its_default(tmp_path):
