@@ -267,7 +267,7 @@ def test_only_rk4_has_every_formulation(tmp_path):
     both = {**given, "solver.formulation": "classic"}
     for kind in ("native", "python"):
         with pytest.raises(
-            alfmu.ExportError, match=r"explicit with solver\.formulation classic; use solver\.method rk4$"
+            alfmu.ExportError, match=r"with solver\.formulation classic; use solver\.method rk4$"
         ):
             alfmu.export("particle_on_circle", tmp_path, kind=kind, parameters=both)
 
