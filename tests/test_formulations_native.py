@@ -266,9 +266,7 @@ def test_only_rk4_has_every_formulation(tmp_path):
             fmu.initialize()
     both = {**given, "solver.formulation": "classic"}
     for kind in ("native", "python"):
-        with pytest.raises(
-            alfmu.ExportError, match=r"with solver\.formulation classic; use solver\.method rk4$"
-        ):
+        with pytest.raises(alfmu.ExportError, match=r"with solver\.formulation classic; use solver\.method rk4$"):
             alfmu.export("particle_on_circle", tmp_path, kind=kind, parameters=both)
 
 

@@ -885,19 +885,24 @@ static void memory(Reader *r)
             spoil(r, "a value is outside its workspace");
 }
 
-/* A check sum goes on: CRC-32 as in zip archives, half a byte at a time. */
+/* A check sum goes on: CRC-32 as in zip archives, four bytes at a time. */
 uint32_t check_sum_from(uint32_t sum, const unsigned char *at, size_t count)
 {
-    uint32_t table[16];
-    for (uint32_t k = 0; k < 16; k++) {
-        table[k] = k;
-        for (int bit = 0; bit < 4; bit++)
-            table[k] = table[k] >> 1 ^ (table[k] & 1 ? 0xedb88320u : 0);
+    uint32_t table[4][256];
+    for (uint32_t k = 0; k < 256; k++) {
+        table[0][k] = k;
+        for (int bit = 0; bit < 8; bit++)
+            table[0][k] = table[0][k] >> 1 ^ (table[0][k] & 1 ? 0xedb88320u : 0);
     }
-    for (; count--; at++) {
-        sum = table[(sum ^ *at) & 15] ^ sum >> 4;
-        sum = table[(sum ^ *at >> 4) & 15] ^ sum >> 4;
+    for (int j = 1; j < 4; j++)
+        for (int k = 0; k < 256; k++)
+            table[j][k] = table[j - 1][k] >> 8 ^ table[0][table[j - 1][k] & 255];
+    for (; count >= 4; count -= 4, at += 4) {
+        sum ^= (uint32_t)little(at, 4);
+        sum = table[3][sum & 255] ^ table[2][sum >> 8 & 255] ^ table[1][sum >> 16 & 255] ^ table[0][sum >> 24];
     }
+    for (; count; count--, at++)
+        sum = table[0][(sum ^ *at) & 255] ^ sum >> 8;
     return sum;
 }
 
