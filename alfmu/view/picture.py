@@ -30,6 +30,7 @@ from ..equations.derivation import derive
 from ..model.errors import AlfmuError, DeclarationError, InputError
 from ..model.mechanism import Joint, Marker, Mechanism, Scalar, key_of
 from ..runtime import Instance
+from ..runtime.probe import Probe
 from ..simulation import Progress, Result, simulate, with_defaults
 
 __all__ = ["Shapes", "View", "animate", "draw", "geometry", "model_png", "view_of"]
@@ -797,9 +798,15 @@ def model_png(
 
 def _start(shapes: Shapes, equations: Equations) -> dict[str, float]:
     """The columns of a picture at the start."""
-    instance = Instance(equations)
-    instance.initialize()
-    return {name: instance.get(name) for name in shapes.columns}
+    probe = Probe.of(equations)
+    if probe is None:
+        Instance(equations).initialize()  # says why there is no start
+        return {}
+    q, v, u, p, t = (probe.numbers[letter] for letter in "qvupt")
+    nothing = np.zeros(equations.n), np.zeros(equations.l)  # no place depends on accelerations and multipliers
+    values = np.array(equations.functions["readings"](q, v, *nothing, u, p, t)).ravel()
+    known = dict(zip((each.name for each in equations.outputs), values.tolist(), strict=True))
+    return {name: known[name] for name in shapes.columns}
 
 
 def _path(columns: Mapping[str, Sequence[float]] | Result, dot: str) -> list[Vector]:
