@@ -239,8 +239,10 @@ def function_sizes(equations: Equations) -> dict[str, int]:
 
 
 def packed(equations: Equations) -> bytes:
-    """The scene file of traced equations."""
-    return _file(equations, alone(equations))
+    """The scene file of traced equations, written once."""
+    if "file" not in equations.programs:
+        equations.programs["file"] = _file(equations, alone(equations))
+    return equations.programs["file"]
 
 
 def packed_start(equations: Equations) -> bytes:
