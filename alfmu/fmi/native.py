@@ -30,7 +30,7 @@ def checked(equations: Equations) -> None:
         what = f"solver.method {chosen.method} with solver.formulation {chosen.formulation}; use solver.method rk4"
     else:
         return
-    raise ExportError(f"{e.name}: there is no {what}")
+    raise ExportError(f"{e.name}: an FMU has no {what}")
 
 
 def sources() -> dict[str, str]:
