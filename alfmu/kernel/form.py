@@ -102,7 +102,7 @@ class Plan:
     """Whether each constraint may have a penalty of its own."""
     spacing: float = singular.SPACING
     """Of the places from which limits are taken on the branch, over the step."""
-    side: int = 2
+    side: int = singular.PLACES
     """How many of these places there are on either side."""
     branch: bool = False
     """Whether each stage is brought to the branch of the motion that is followed, its limit taken where singular."""
