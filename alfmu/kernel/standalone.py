@@ -327,7 +327,7 @@ class _Patient(Alternatives):
         self._repeat(calls, "slow", DOUBLINGS, again)
 
     def _least(self, calls: Calls, lam: str) -> None:
-        """By passes until they change no more; of other formulations where a step projects, as in the oracle."""
+        """By passes until they change no more; of other formulations where a step projects."""
         if self.formulation != OWN:
             own = calls.inside()
             self.by(OWN)._least(own, lam)

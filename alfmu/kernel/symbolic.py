@@ -329,7 +329,7 @@ class Scene:
         rate = self._rate(here, q, v, spacing)
         wanted = branch.first_distance(rate, self.settings.least_distance, ca.fmin, ca.fmax)
         zone = ca.sqrt(here) < branch.LIMIT_ZONE * wanted
-        # Where the places are too near to tell, the spacing is infinite, and the step is left to the oracle.
+        # Where the places are too near to tell, the spacing is infinite, and the step is left to the patient tier.
         return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * wanted / rate
 
     def _rate(self, here: SX, q: SX, v: SX, spacing: SX) -> SX:

@@ -10,9 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-
-
-#define FORMAT 2
+#define FORMAT 3
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
