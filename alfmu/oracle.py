@@ -65,7 +65,7 @@ class Instance(runtime.Instance):
         if (chosen := self.choices["solver.method"]) != "rk4":
             raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
         super().initialize()
-        self.counters = Counters()
+        self.counters, self._step_error = Counters(), 0.0
         self._know()
 
     def _know(self) -> None:
@@ -343,6 +343,8 @@ class Instance(runtime.Instance):
             self.counters = counters
             raise
         self.time = start + h
+        self._step_error = self._scene.library.alfmu_balance(self._unit.address)
+        self._warn()
 
     def _step(self, start: float, dt: float) -> None:
         """An internal step; in shorter ones where constraints stay open near a singular position."""
@@ -441,7 +443,8 @@ class Instance(runtime.Instance):
             a, lam, used, left, singular = self._now()
             q, v, e = self.q, self.v, self.equations
             y = self._unwrap(self.readings(q, v, a, lam, self.inputs, self.time))
-            values = *self.residues(q, v), self.energy(q, v), used, self.margin(q)[1] ** 0.5, singular
+            values = *self.residues(q, v), self.energy(q, v), self.work, self._step_error
+            values = *values, used, self.margin(q)[1] ** 0.5, singular
             seen = {monitor.name: float(x) for monitor, x in zip(MONITORS, values, strict=True)}
             seen = {name: x for name, x in seen.items() if name not in e.monitors}
             came = [self._unit.get(self._references[x.name]) for x in events(e)]

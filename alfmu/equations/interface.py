@@ -82,6 +82,13 @@ MONITORS = (
     Variable("monitor.position_error", "1", description="largest |Phi| (m, rad)"),
     Variable("monitor.velocity_error", "1", description="largest |Phi-dot| (m/s, rad/s)"),
     Variable("monitor.energy", "J", description="kinetic and potential energy"),
+    Variable("monitor.work", "J", description="work of inputs, loads and dampers since the start, less impacts"),
+    Variable(
+        "monitor.step_error",
+        "1",
+        description="what the last communication step changed of energy less work, over the largest kinetic energy or "
+        "work so far",
+    ),
     Variable(
         "monitor.iterations",
         "1",
@@ -105,6 +112,10 @@ MONITORS = (
     ),
 )
 """Outputs by which every instance reports its own accuracy."""
+
+
+BALANCE = {"monitor.energy", "monitor.work", "monitor.step_error"}
+"""Monitors that tell of the balance of energies: where all are left out, no work is integrated."""
 
 
 def events(equations: Equations) -> list[Variable]:

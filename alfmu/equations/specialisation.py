@@ -10,12 +10,11 @@ import casadi as ca
 
 from ..model.errors import InputError
 from .evaluation import ARGUMENTS, evaluable, shared, symbols
-from .interface import MONITORS, events
+from .interface import BALANCE, MONITORS, events
 from .types import Equations
 
 __all__ = ["specialised"]
 
-_ENERGY = "monitor.energy"
 
 ALL = "all"
 """Stands for every parameter of the mechanism."""
@@ -51,7 +50,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
         replace(
             e,
             # Work is integrated for the balance of energy.
-            works=e.works and _ENERGY not in monitors,
+            works=e.works and bool(BALANCE - {*e.monitors, *monitors}),
             outputs=[e.outputs[i] for i in kept],
             wrapped={name: start for name, start in e.wrapped.items() if _matches(name, patterns)},
             monitors=[*e.monitors, *monitors],

@@ -31,7 +31,7 @@ from ..method.stepping import (
     newton,
 )
 from ..model.settings import Settings
-from .form import Call, Factor, Loop, Plan, Program, Solve
+from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewritten
 from .memory import PACE
 from .trace import Calls, Tracer, spaced
 
@@ -52,9 +52,6 @@ BESIDE = 7
 RETURNS = 4
 """Projections of q and v after them."""
 
-LEFT = 1e3
-"""Steps below so many of the shortest are not made: then no step, however short, meets the tolerance."""
-
 
 def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
     """The programs of the method of a scene; none where RK4 makes its steps."""
@@ -67,16 +64,30 @@ def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
         return {}
     if explicit_one:
         programs = {"method": _Explicit(tracer, plan).program(explicit_one)}
+        if plan.quick:
+            careful = replace(plan, iterations=3, corrections=3, quick=False, gaining=True)
+            programs["method_careful"] = _softened(tracer, _Explicit(tracer, careful).program(explicit_one))
     else:
         kind = _Collocation if isinstance(rule, Collocation) else _Newmark
         programs = {"method": kind(tracer, plan, rule).program()}
     if tracer.e.l:
         # Implicit methods have no limits at singular positions: an explicit one passes them.
-        beside = Plan(BESIDE, 3, weighted=True, branch=True, spacing=LONG_SPACING, side=LONG_PLACES)
+        beside = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
         step = _Explicit(tracer, beside)
         step.mark = "method" if explicit_one else "beside"
         programs["beside"] = step.program(explicit_one or explicit_rule("explicit", tolerance))
     return programs
+
+
+def _softened(tracer: Tracer, program: Program) -> Program:
+    """The same with softer penalties."""
+    calls = Calls(tracer, program.plan)
+    calls("soften", "k", "soft", calls.scene.softened)
+
+    def soft(step: Call | Routine) -> tuple[Step]:
+        return (replace(step, arguments=tuple("soft" if x == "k" else x for x in step.arguments)),)
+
+    return replace(program, steps=(*calls.steps, *rewritten(program.steps, soft)))
 
 
 class _Step:
@@ -86,7 +97,7 @@ class _Step:
         self.tracer, self.plan, self.e, self.layout = tracer, plan, tracer.e, tracer.layout
         self.calls = Calls(tracer, plan)
         self.scene = self.calls.scene
-        self.name = "beside" if plan.branch else "method"
+        self.name = "beside" if plan.branch else "method" if plan.quick or not self.e.l else "method_careful"
 
     def begin(self) -> None:
         """The length of the step and the time at its end, from what step control remembers."""
@@ -108,7 +119,7 @@ class _Step:
 
     def end(self, watches: Sequence[str], order: int, kept: Sequence[str] = ()) -> None:
         """The state after the step and what step control remembers; `kept` is the history and what is new of it."""
-        names = ["z", "arrival", "q", "v", "work", "p", "k", "error", *watches]
+        names = ["z", "pace", "arrival", "q", "v", "work", "p", "k", "error", *watches]
         if self.e.l:
             names += ["pivot", "left"]
         if self.plan.branch:
@@ -116,12 +127,12 @@ class _Step:
         self.calls(f"{self.name}_close", spaced(names), "after", lambda *_: self.scene.closed(self.plan, names))
         self.calls(
             f"{self.name}_judge",
-            spaced("after pace step", kept),
+            spaced("after pace step floor", kept),
             spaced("after pace", kept[:1]),
             lambda *known: self._judged(order, *known),
         )
 
-    def _judged(self, order: int, after: SX, pace: SX, step: SX, *kept: SX) -> list[SX]:
+    def _judged(self, order: int, after: SX, pace: SX, step: SX, floor: SX, *kept: SX) -> list[SX]:
         layout, known = self.layout, _known(pace)
         error, trouble, near = after[layout.change], after[layout.trouble], after[layout.near]
         numbers = [known[name] for name in ("dt", "before", "refused")]
@@ -130,11 +141,12 @@ class _Step:
         # Steps of one length are not judged, but for Newton's method.
         near = SX(0) if self.plan.branch else near
         trouble = ca.if_else(fixed, trouble + 1 - (error < math.inf), ca.if_else(accepted, trouble, near))
-        trouble += ca.logic_not(fixed) * (1 - (step >= LEFT * SHORTEST))
+        trouble += ca.logic_not(fixed) * (1 - (step >= SHORTEST))
         accepted = ca.logic_or(fixed, accepted)
         following = [ca.if_else(fixed, old, new) for old, new in zip(numbers, following, strict=True)]
         last = ca.if_else(accepted, step, known["last"])
-        following = ca.vertcat(*following, known["fixed"], known["end"], last, accepted)
+        floor = ca.if_else(fixed, 0, floor)
+        following = ca.vertcat(*following, known["fixed"], known["end"], last, accepted, floor, known["careful"])
         results = [ca.vertcat(after[: layout.trouble], trouble, after[layout.change :])]
         results.append(ca.if_else(trouble, pace, following))
         if kept:
@@ -165,11 +177,27 @@ class _Explicit(_Step):
         rate = self.tracer.rate(calls, f"{self.mark}_stage", rates, settled, "step")
         start = ca.vertcat(z[: 2 * n], z[layout.work])
         _, [error], _ = explicit(rule, rate, z[layout.time], start, dt, None, settle)
-        q, v, least = scene.symbol("q"), scene.symbol("v"), LONG_NOISE * self.plan.branch
+        q, v = scene.symbol("q"), scene.symbol("v")
         known = spaced("z step", rates, "q v p k")
-        calls(f"{self.name}_error", known, "error", lambda *_: scene.error_size(z, q, v, error, least))
+        if self.plan.quick or not self.e.l:
+            least = None
+        else:
+            known += " round_off"
+            self._rounded(str(len(rates)))
+            least = ca.fmax(scene.least_error(rule, dt, v, scene.symbol("round_off")), LONG_NOISE * self.plan.branch)
+        calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error, least))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return Program(calls.steps, self.plan, rule.name, len(rates))
+
+    def _rounded(self, i: str) -> None:
+        """What round-off leaves of the accelerations of a stage: what changes with the last digits of q and v."""
+        calls, tracer = self.calls, self.tracer
+        calls("nudged", f"t{i} q{i} v{i}", "tn qn vn", lambda t, q, v: (t, *calls.scene.nudged(q, v)))
+        if self.plan.branch:
+            tracer._on_branch(calls, "n", tracer.inputs(calls, i), "step", False)
+        else:
+            tracer.evaluation(calls, "n", {"u": tracer.inputs(calls, i)})
+        calls("round_off", f"a{i} an", "round_off", lambda a, other: ca.fabs(a - other))
 
 
 class _Implicit(_Step):
@@ -309,9 +337,9 @@ class _Collocation(_Implicit):
         def filtering(dt: SX, H: SX, Q: SX, dq: SX, dv: SX) -> SX:
             return ca.reshape(H, n, n) @ dv + rule.gamma * dt * (ca.reshape(Q, n, n) @ dq)
 
-        def size(z: SX, q: SX, v: SX, dq: SX, dv: SX, renew: SX) -> SX:
-            size = scene.error_size(z, q, v, ca.vertcat(dq, dv))
-            return ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf)
+        def size(z: SX, q: SX, v: SX, dq: SX, dv: SX, renew: SX) -> tuple[SX, SX]:
+            size, floor = scene.error_size(z, q, v, ca.vertcat(dq, dv))
+            return ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf), floor
 
         calls("estimate", "z step rates a0", "dq dv", first)
         for _ in range(2):
@@ -319,7 +347,7 @@ class _Collocation(_Implicit):
             self.solve(calls, "filtered", ["estimate"], "dv")
             calls("moving", "step dq dv", "dq", lambda dt, dq, dv: dq + rule.gamma * dt * dv)
         self.project()
-        calls("method_error", "z q v dq dv renew p k", "error", size)
+        calls("method_error", "z q v dq dv renew p k", "error floor", size)
 
 
 class _Newmark(_Implicit):
@@ -415,15 +443,15 @@ class _Newmark(_Implicit):
             found, watch = scene.nearest(plan, t, q, v, u, a + change)
             return ca.vertcat(found, w, lam), watch
 
-        def summed(z: SX, dt: SX, power0: SX, power1: SX, size: SX) -> tuple[SX, SX]:
+        def summed(z: SX, dt: SX, power0: SX, power1: SX, size: SX) -> tuple[SX, SX, SX]:
             work = z[self.layout.work] + dt / 2 * (power0 + power1)
             # Steps of one length have no error to be judged by, but must have converged.
-            return work, ca.if_else(size <= implicit.CONVERGED, 0, math.inf)
+            return work, ca.if_else(size <= implicit.CONVERGED, 0, math.inf), SX(0)
 
         calls("arrived", f"t1 q1 v1 {u} p k", "q v power1" + " pivot left" * bool(l), arrived)
         # Of all accelerations that keep the constraints, the nearest in the metric of M.
         calls("nearest", f"t1 q1 v1 a change after_w force {u} p k", "kept watch1", nearest)
-        calls("method_sum", "z step power0 power1 size", "work error", summed)
+        calls("method_sum", "z step power0 power1 size", "work error floor", summed)
 
 
 def _known(pace: SX) -> dict[str, SX]:

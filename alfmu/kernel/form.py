@@ -109,6 +109,9 @@ class Plan:
     margins: bool = False
     """Whether the margin itself tells what is near a singular position, not only that it may be; where weighted."""
 
+    gaining: bool = False
+    """Whether evaluations go on, after these iterations, while each gains."""
+
     @property
     def own(self) -> str:
         """What the names of functions end in that depend on how many places there are."""

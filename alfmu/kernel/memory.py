@@ -25,14 +25,14 @@ CONTROL = ("step_size", "tier", "method")
 """Largest internal step [s]; first tier (0 quick, 1 careful); what makes the steps (0 the tiers, 1 the method of the
 scene with error control, 2 the same in steps of one length)."""
 
-TALLY = (*TIERS, "limits", "covered", "refused", "beside", "beside_limits")
+TALLY = (*TIERS, "limits", "covered", "refused", "beside", "beside_limits", "tries", "careful_tries")
 """Internal steps made by each tier, limits taken; by the method of the scene: steps, refused ones, tries on the branch,
-limits taken."""
+limits taken there, other tries, those of them with careful iterations."""
 
-PACE = ("dt", "before", "refused", "fixed", "end", "last", "accepted")
+PACE = ("dt", "before", "refused", "fixed", "end", "last", "accepted", "floor", "careful")
 """What step control remembers (`method.stepping.Control.numbers`); the length of all steps where they have one, else 0,
 the end of the communication step, the length of the last step in it that was accepted, 0 before the first; whether the
-last one was accepted."""
+last one was accepted; what round-off left of its error over the tolerance; steps that go on with careful iterations."""
 
 SEEN = ("acceleration_error", "near", "trouble")
 """What `seen` ends with: largest |Phi-ddot|, whether a limit has to be read instead, trouble."""

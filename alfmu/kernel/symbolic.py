@@ -24,8 +24,9 @@ from ..method import implicit
 from ..method import singular as branch
 from ..method.implicit import Newmark
 from ..method.inputs import memory_size
+from ..method.stepping import NOISE, Explicit
 from .form import Plan
-from .memory import SETTINGS, TURN, Layout
+from .memory import PACE, SETTINGS, TURN, Layout
 
 __all__ = ["MATRICES", "MONITORED", "ROUND_OFF", "Scene", "Watch", "lengths_of"]
 
@@ -33,7 +34,11 @@ MATRICES = ("M", "C", "F", "xi", "D", "L")
 """What an evaluation hands on, by the nonzeros: the terms of (4) and (3), and the factors of H."""
 
 MONITORED = tuple(
-    f"monitor.{name}" for name in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")
+    f"monitor.{name}"
+    for name in (
+        *("position_error", "velocity_error", "energy", "work", "step_error"),
+        *("iterations", "distance", "singular"),
+    )
 )
 """Monitors that `instant` computes, in this order."""
 
@@ -46,13 +51,26 @@ _SHARED = 1e-12
 _LEFT = 2.0**-50
 """Last change of what multipliers of least norm are made of, over what it is."""
 
+_GAIN = 2 / 3
+"""Change of an iteration over that of the one before, from which on round-off is all that changes."""
+
+SOFT = 1e-5
+"""Typical pivot that masses make, over the penalty, where penalties are softened: iterations then gain five digits
+each, and a motion that moves 1e-6 of the usual mass keeps five of its digits in H."""
+
+_SOFTEST = 1e4
+"""Most that penalties are softened."""
+
 _TOLD = 4.0
 """Margin that can be told from nothing, over it."""
 
 _TINY = 1e-300
 """Lets a mechanism at rest pass the check of convergence."""
 
-ROUND_OFF = 8 * 2.0**-52
+EPSILON = 2.0**-52
+"""Round-off of a number, over it."""
+
+ROUND_OFF = 8 * EPSILON
 """Of a constraint, over its coordinates."""
 
 _PROBES = 5
@@ -70,14 +88,16 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     e, n, l, inputs = equations, equations.n, equations.l, len(equations.inputs)
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
     alike = {
-        "t tz tl step arrival power work pivot here zone spacing stretched near slow singular error": 1,
-        "renew before passes size most patient again projects within": 1,
+        "t tz tl tn step arrival power powern work pivot here zone zonen spacing stretched near slow singular error": 1,
+        "renew before passes size most patient again projects within floor": 1,
         "left stabilisation": 2,
-        "watch watched watchl dwatch": len(Watch._fields),
-        "q qz ql v vz vl a al da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
-        "lam laml dlam dlaml force Phi Cv stabilised least_norm": l,
+        "watch watched watchl watchn dwatch": len(Watch._fields),
+        "q qz ql qn v vz vl vn a al an da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
+        "round_off": n,
+        "lam laml lamn dlam dlaml force Phi Cv stabilised least_norm": l,
         "du inputs": inputs,
         "past": memory_size(inputs),
+        "soft": found["k"],
         "slopes": 1 + inputs,
         "rate": 2 * n + 1,
         "H Q": n * n,
@@ -220,6 +240,25 @@ class Scene:
         # Each of m iterations gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
         m = plan.iterations
         return 1 - (change <= self.settings.tolerance ** (2 * (m - 1) / m) * size + _TINY)
+
+    def gaining(self, watch: SX, before: SX) -> tuple[SX, SX]:
+        """Whether multiplier iterations that have not converged still gain, and the last change."""
+        seen = Watch.of(watch)
+        done = seen.change <= self.settings.tolerance**2 * seen.size + _TINY
+        return ca.logic_and(ca.logic_not(done), seen.change < _GAIN**2 * before), seen.change
+
+    def softened(self) -> SX:
+        """k with smaller penalties, by which what masses make of H is not lost beside them."""
+        settings = self.settings
+        typical = ca.exp(settings.masses / ca.fmax(settings.freedom, 1))
+        factor = ca.if_else(settings.freedom > 0, ca.fmin(ca.fmax(SOFT / typical, 1), _SOFTEST), 1)
+        changed = {
+            "alpha": settings.alpha / factor,
+            "masses": settings.masses + settings.freedom * ca.log(factor),
+            "regular": settings.regular * factor**settings.freedom,
+            "nothing": settings.nothing * factor,
+        }
+        return ca.vertcat(*settings._replace(**changed), self.k[len(SETTINGS) :])
 
     def judged(self, plan: Plan, watch: SX) -> tuple[SX, SX]:
         """Whether more iterations are needed, and the watch with what one more would change at most where not.
@@ -420,15 +459,28 @@ class Scene:
         """Whether q and v with these residues (squared) do not."""
         return 1 - self._within(left[0], q) * self._within(left[1], v)
 
-    def error_size(self, z: SX, q: SX, v: SX, error: SX, least: float = 0.0) -> SX:
-        """Largest error of the constrained state over the tolerance, or over `least` where that is more."""
+    def error_size(self, z: SX, q: SX, v: SX, error: SX, least: SX | None = None) -> tuple[SX, SX]:
+        """Largest error of the constrained state over the tolerance, or over `least` (2 n) where that is more; and
+        `least` over the tolerance at most."""
         n = self.e.n
         parts = error[:n], error[n : 2 * n]
         if self.e.l:
             C, _, solve = self._augmented(q)
             parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
         allowed = self.allowed(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v))))
-        return ca.mmax(ca.fabs(ca.vertcat(*parts) / (ca.fmax(allowed, least) if least else allowed)))
+        size = ca.fabs(ca.vertcat(*parts))
+        if least is None:
+            return ca.mmax(size / allowed), SX(0)
+        return ca.mmax(size / ca.fmax(allowed, least)), ca.mmax(least / allowed)
+
+    def nudged(self, q: SX, v: SX) -> tuple[SX, SX]:
+        """q and v with their last digits changed."""
+        sign = SX([(-1) ** i for i in range(self.e.n)])
+        return q * (1 + EPSILON * sign), v * (1 + EPSILON * sign)
+
+    def least_error(self, rule: Explicit, dt: SX, v: SX, left: SX) -> SX:
+        """What round-off leaves of the error of a step of q and v (2 n), where it leaves so much of accelerations."""
+        return NOISE * math.hypot(*rule.errors[0]) * dt * ca.vertcat(dt * left + EPSILON * ca.fabs(v), left)
 
     def allowed(self, sizes: SX) -> SX:
         """Tolerance of each entry of q and v of given sizes; whole turns make an angle no less exact."""
@@ -445,7 +497,9 @@ class Scene:
         z, q, v, work = (known[name] for name in ("z", "q", "v", "work"))
         evaluations = [Watch.of(x) for name, x in known.items() if name.startswith("watch")]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), known.get("pivot", SX(0, 1))))
-        trouble, near = 1 - (pivot > 0) + self.unconverged(plan, evaluations), SX(0)
+        # Error control judges what iterations leave by the error that it makes; few of them also by how they gain.
+        unjudged = 1 if plan.quick or "pace" not in known else known["pace"][PACE.index("fixed")] != 0
+        trouble, near = 1 - (pivot > 0) + unjudged * self.unconverged(plan, evaluations), SX(0)
         if plan.branch:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
             trouble += 1 - self.settings.continues
@@ -492,8 +546,8 @@ class Scene:
         if set(MONITORED) - set(e.monitors):
             _, _, Phi, Cv = e.constraints(q, v, p)
             margin = Watch.of(watch).margin if watch is not None else SX(1)
-            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), plan.iterations, ca.sqrt(margin)
-            values = *values, singular
+            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), z[layout.work], 0
+            values = *values, plan.iterations, ca.sqrt(margin), singular
             monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))

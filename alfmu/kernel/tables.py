@@ -14,11 +14,11 @@ import numpy as np
 
 from ..equations import Equations, Variable
 from ..equations.evaluation import DENSE
-from ..equations.interface import CHOICES, SOLVER_VARIABLES, Interface, events, every_event, variables_of
+from ..equations.interface import BALANCE, CHOICES, SOLVER_VARIABLES, Interface, events, every_event, variables_of
 from ..method import formulations, implicit, singular, stepping
 from ..method.stepping import Collocation, Explicit, explicit_rule, share
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, Settings
-from . import controlled, memory, thresholds
+from . import memory, thresholds
 from .alternatives import OWN
 from .alternatives import formulations as carried
 from .emit import compiled_code
@@ -42,7 +42,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 3
+VERSION = 4
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -78,7 +78,7 @@ FUNCTIONS = {
 
 PROGRAMS = {
     **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
-    **{"branch_step": "branch", "method_step": "method"},
+    **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful"},
     **_same("instant_patient limit_patient keep"),
     **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
 }
@@ -107,8 +107,12 @@ COUNTS: dict[str, Number] = {
 }
 """Of what a scene has, each checked when it is loaded."""
 
-_WATCHED = {"position": "position_error", "velocity": "velocity_error", "energy": "energy", "iterations": "iterations"}
-"""Monitors whose largest values an instance keeps, and the one that it counts where loops stop on convergence."""
+_WATCHED = {
+    **{"position": "position_error", "velocity": "velocity_error", "energy": "energy"},
+    **{"iterations": "iterations", "step_error": "step_error"},
+}
+"""Monitors whose largest values an instance keeps, and those that it computes itself: iterations where loops stop on
+convergence, and the error of a step."""
 
 NUMBERS: dict[str, Number] = {
     **COUNTS,
@@ -120,6 +124,7 @@ NUMBERS: dict[str, Number] = {
     "freedom": lambda t: -1 if t.e.freedom is None else t.e.freedom,
     "brakes": lambda t: t.e.brakes,
     "weighted": lambda t: t.e.kernel["quick"].plan.weighted,
+    "balances": lambda t: bool(BALANCE - set(t.e.monitors)),
     "same_tiers": lambda t: t.e.kernel["quick"] == t.e.kernel["careful"],
     "careful_iterations": lambda t: CAREFUL if t.e.l else 1,
     **{f"monitor_{name}": partial(lambda key, t: t.output(f"monitor.{key}"), key) for name, key in _WATCHED.items()},
@@ -191,7 +196,8 @@ def layout_header() -> str:
         "ZETA": Settings.zeta,
         "OMEGA": Settings.omega,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
-        "GIVEN_UP": controlled.LEFT * stepping.SHORTEST,
+        "GIVEN_UP": stepping.SHORTEST,
+        "UNBALANCED": stepping.UNBALANCED,
         "ROUND_OFF": ROUND_OFF,
     }
     for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):

@@ -27,7 +27,7 @@ from ..method import singular as branch
 from ..method.inputs import KEPT, extrapolated, reached
 from ..method.integrators import rk4
 from ..model.settings import Settings
-from .form import Call, Choice, Plan, Program, Step, Steps, called
+from .form import Call, Choice, Loop, Plan, Program, Step, Steps, called
 from .memory import GROSS, TIERS, Layout
 from .symbolic import MATRICES, Scene, Watch, lengths_of
 
@@ -35,6 +35,9 @@ __all__ = ["CAREFUL", "NO_NAMES", "Calls", "Tracer", "spaced", "traced", "untrac
 
 CAREFUL = 5
 """Multiplier iterations of the careful step: enough from the default penalty down to 1e4 masses."""
+
+MOST_GAINS = 25
+"""Multiplier iterations while each gains: two thirds a time, as the least, then leave 1e-12."""
 
 _OFTEN = 3
 """Multiplier iterations that most evaluations of a step on the branch need."""
@@ -365,6 +368,12 @@ class Tracer:
         if more.made:
             calls("judge", f"k {watch}", f"more {watch}", lambda watch: scene.judged(plan, watch))
             calls.choice("more", more)
+        if plan.gaining and self.e.l:
+            again = calls.inside()
+            self._iterate_once(again, a, lam, watch)
+            again("gaining", f"k {watch} before", "more before", scene.gaining)
+            calls("begin_gaining", f"k {watch}", "more before", lambda watch: scene.gaining(watch, SX(math.inf)))
+            calls.made.append(Loop("more", MOST_GAINS, again.steps))
 
     def _iterate_once(self, calls: Calls, a: str, lam: str, watch: str) -> None:
         scene, found = calls.scene, f"{a} {lam} {watch}"

@@ -35,6 +35,10 @@ enum {
     ACCELERATION_ERROR,
     ENERGY_ERROR,
     ENERGY_START,
+    BALANCE,      /* of energies after the last communication step: energy - energy at the start - work [J] */
+    ENERGY_SCALE, /* largest kinetic energy and largest work so far [J] */
+    STEP_ERROR,   /* what the last communication step changed of the balance, over that */
+    RUN_ERROR,    /* largest balance over it */
     COUNTED
 };
 
@@ -173,6 +177,7 @@ typedef enum {
 
 typedef struct {
     int phase, initialized, known, scaled, fast, whole, pending, brakes, given;
+    int warned; /* of what, as bits */
     int choice[CHOICES];
 } Flags;
 
@@ -198,11 +203,18 @@ typedef struct {
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
     size_t used, room; /* of scratch */
     char text[1024];   /* what happened last */
+    int warns;         /* whether there is a warning that nobody has read yet */
+    char warning[512];
 } Instance;
+
+/* What an instance warns of once in a run. */
+enum { WARNED_OF_BALANCE = 1, WARNED_OF_ROUND_OFF = 2 };
 
 Instance *instance_new(const Scene *scene);
 void instance_free(Instance *i);
 void instance_reset(Instance *i);
+void instance_balance(Instance *i);
+void warn(Instance *i, int of, const char *format, ...);
 int variable_count(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);

@@ -106,6 +106,18 @@ static Status refused(Component *c, Status status)
     return status;
 }
 
+/* A step of the instance, and what it warns of. */
+static Outcome stepped(Component *c, double point, double step)
+{
+    Instance *i = c->instance;
+    const Outcome outcome = instance_step(i, point, step);
+    if (i->warns) {
+        i->warns = 0;
+        component_say(c, WARNING, i->warning);
+    }
+    return outcome;
+}
+
 int component_in(Component *c, int phases, const char *call)
 {
     if (!component_good(c))
@@ -387,7 +399,7 @@ static Status watched(Component *c, double point, double step, int *early)
     for (double k = 1.0; k <= count; k += 1.0) {
         Outcome outcome;
         i->within = k > 1.0;
-        outcome = instance_step(i, k > 1.0 ? *instance_time(i) : point, step / count);
+        outcome = stepped(c, k > 1.0 ? *instance_time(i) : point, step / count);
         i->within = 0;
         *early = may_return && k > 1.0;
         if (outcome != DONE && *early)
@@ -418,7 +430,7 @@ Status component_step(Component *c, double point, double step, int *early, const
         return watched(c, point, step, early);
     if (early)
         *early = 0;
-    return instance_step(c->instance, point, step) == DONE ? FINE : refused(c, DISCARDED);
+    return stepped(c, point, step) == DONE ? FINE : refused(c, DISCARDED);
 }
 
 /* State ------------------------------------------------------------------------------------------------------------ */

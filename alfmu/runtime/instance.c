@@ -16,6 +16,9 @@
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
 #define PATIENT_STEP 10
 
+/* Velocities [m/s, rad/s] of a motion whose energy is too little to judge a balance by. */
+#define SLOW_MOTION 1e-5
+
 /* Inputs above this are tried before they are taken: some outputs may not be finite with them. */
 #define TRIED 1e30
 
@@ -164,6 +167,19 @@ Outcome say(Instance *i, Outcome outcome, const char *format, ...)
     vsnprintf(i->text, sizeof i->text, format, arguments);
     va_end(arguments);
     return outcome;
+}
+
+/* Says something that the host should know, once in a run. */
+void warn(Instance *i, int of, const char *format, ...)
+{
+    va_list arguments;
+    if (i->flags.warned & of)
+        return;
+    i->flags.warned |= of;
+    i->warns = 1;
+    va_start(arguments, format);
+    vsnprintf(i->warning, sizeof i->warning, format, arguments);
+    va_end(arguments);
 }
 
 /* Values ----------------------------------------------------------------------------------------------------------- */
@@ -678,15 +694,58 @@ static Outcome projected(Instance *i, double *q, double *v)
     return outcome;
 }
 
-/* Kinetic and potential energy. */
-static double energy(Instance *i)
+/* Kinetic and potential energy with these velocities. */
+static double energy(Instance *i, const double *v)
 {
     const Scene *s = i->scene;
     double found;
-    const double *z = field(i, s->z), *x[] = {z, z + s->n, field(i, s->p)};
+    const double *x[] = {field(i, s->z), v, field(i, s->p)};
     double *y[] = {&found};
     call(i, s->energy, x, y);
     return found;
+}
+
+/* The same where all velocities are of one size. */
+static double energy_at(Instance *i, double speed)
+{
+    const size_t used = i->used, n = (size_t)i->scene->n;
+    double *v = take(i, n), found;
+    for (size_t k = 0; k < n; k++)
+        v[k] = speed;
+    found = energy(i, v);
+    i->used = used;
+    return found;
+}
+
+/* The balance of energies after a communication step, where anybody reads of it. */
+void instance_balance(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *z = field(i, s->z), work = z[s->work];
+    double *c = i->counts, found, off;
+    if (!s->balances)
+        return;
+    found = energy(i, z + s->n);
+    off = found - c[ENERGY_START] - work;
+    c[ENERGY_SCALE] = fmax(c[ENERGY_SCALE], fmax(found - energy_at(i, 0.0), fabs(work)));
+    c[STEP_ERROR] = fabs(off - c[BALANCE]) / c[ENERGY_SCALE];
+    c[BALANCE] = off;
+    c[RUN_ERROR] = fmax(c[RUN_ERROR], fabs(off) / c[ENERGY_SCALE]);
+    if (!(c[RUN_ERROR] <= UNBALANCED))
+        warn(i, WARNED_OF_BALANCE,
+            "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
+            z[s->time], c[RUN_ERROR],
+            s->method == 1 ? "use a smaller solver.relative_tolerance"
+                           : "steps of solver.step_size are too long: take shorter ones, or solver.method explicit or "
+                             "stiff, which control their error");
+}
+
+/* What the last communication step changed of the balance, where somebody reads it. */
+static void tell_step_error(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (s->monitor_step_error >= 0)
+        i->m[s->seen + s->monitor_step_error] = i->counts[STEP_ERROR];
 }
 
 static Outcome comply(Instance *i)
@@ -724,7 +783,10 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     field(i, s->pace)[1] = LEAST_BEFORE;
     memset(i->counts, 0, COUNTED * sizeof *i->counts);
     memset(field(i, s->tally), 0, TALLY * sizeof(double));
-    i->counts[ENERGY_START] = energy(i);
+    i->counts[ENERGY_START] = energy(i, z + s->n);
+    /* A motion slower than this is none. */
+    i->counts[ENERGY_SCALE] = fabs(energy_at(i, SLOW_MOTION) - energy_at(i, 0.0)) + DBL_MIN;
+    i->flags.warned = i->warns = 0;
 }
 
 static Outcome started(Instance *i)
@@ -1154,7 +1216,12 @@ static Outcome whole_step(Instance *i, double start, double h)
         i->slopes[1 + k] = s->no_slope;
     }
     i->flags.known = 0;
-    return instance_read(i);
+    outcome = instance_read(i);
+    if (outcome == DONE) {
+        instance_balance(i);
+        tell_step_error(i);
+    }
+    return outcome;
 }
 
 /* DONE where a communication step can begin: what the Boolean inputs ask for is in force. Nothing has changed otherwise, but
@@ -1272,6 +1339,7 @@ Outcome instance_read(Instance *i)
     i->flags.known = !name;
     if (!name) {
         watch_errors(i);
+        tell_step_error(i);
         return DONE;
     }
     if (instant_by(s, formulation(i)) != s->instant)
@@ -1466,7 +1534,8 @@ static Outcome sound(Instance *i)
     const Flags *f = &i->flags;
     const Variable *inputs = s->variables + s->parameters + s->choices;
     const double *control = field(i, s->control);
-    const int flags[] = {f->initialized, f->known, f->scaled, f->fast, f->whole, f->pending, f->brakes};
+    const int flags[] = {f->initialized, f->known, f->scaled, f->fast, f->whole, f->pending, f->brakes,
+        f->warned & 1, f->warned >> 1};
     const struct {
         const char *name;
         const double *numbers;

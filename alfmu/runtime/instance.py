@@ -6,6 +6,7 @@ What happens while time passes is in the C library; this is its binding for NumP
 from __future__ import annotations
 
 import ctypes
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,9 +29,11 @@ from .probe import mobility, shared
 
 __all__ = ["Instance"]
 
+_LOGGER = logging.getLogger("alfmu")
+
 _COUNTED = (
     *("patient_steps", "reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
-    *("energy_error", "energy_start"),
+    *("energy_error", "energy_start", "balance", "energy_scale", "step_error", "run_error"),
 )
 """What the library counts beside the tally of the kernel, in its order."""
 
@@ -226,6 +229,12 @@ class Instance:
                 f"{self.name}, t = {self.time:.6g} s: a communication step of {h} s; it must be above zero"
             )
         self._judged(unit.step(unit.time if time is None else time, communication_step))
+        self._warn()
+
+    def _warn(self) -> None:
+        """What the runtime warns of, to the logger `alfmu`."""
+        if warning := self._unit.warning():
+            _LOGGER.warning("%s", warning)
 
     def _judged(self, outcome: int) -> None:
         if outcome != DONE:
@@ -284,6 +293,7 @@ class Instance:
 
         callback = guarded if progress else None
         made, outcome = self._unit.run(begin, len(times), places[0], rows, places[1], into, callback)
+        self._warn()
         if raised:
             raise raised[0]
         error = None
@@ -349,9 +359,11 @@ class Instance:
                 c.evaluations += evaluations
                 c.multiplier_iterations += evaluations * kernel[tier].plan.iterations
                 c.projection_iterations += 2 * made * kernel[tier].plan.corrections
-        if tried := covered + refused + beside:
+        if tried := tally["tries"] + beside:
             program = kernel["method"]
-            evaluations = tried * program.evaluations + int(self.memory["passes"].sum()) * program.nodes
+            # Careful tries, and those on the branch, evaluate once more for what round-off leaves.
+            judging = tally["careful_tries"] + beside
+            evaluations = tried * program.evaluations + judging + int(self.memory["passes"].sum()) * program.nodes
             evaluations += tally["beside_limits"] * (2 * kernel["beside"].plan.side - 1) if beside else 0
             c.steps += covered
             c.refused += refused

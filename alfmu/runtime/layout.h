@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 3
+#define SCENE_VERSION 4
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -26,7 +26,8 @@
 #define ZETA 1.0
 #define OMEGA 10.0
 #define LEAST_BEFORE 0.01
-#define GIVEN_UP 1e-09
+#define GIVEN_UP 1e-12
+#define UNBALANCED 0.001
 #define ROUND_OFF 1.7763568394002505e-15
 #define SETTINGS 10
 #define SETTINGS_ALPHA 0
@@ -43,7 +44,7 @@
 #define CONTROL_STEP_SIZE 0
 #define CONTROL_TIER 1
 #define CONTROL_METHOD 2
-#define TALLY 8
+#define TALLY 10
 #define TALLY_QUICK 0
 #define TALLY_CAREFUL 1
 #define TALLY_BRANCH 2
@@ -52,7 +53,9 @@
 #define TALLY_REFUSED 5
 #define TALLY_BESIDE 6
 #define TALLY_BESIDE_LIMITS 7
-#define PACE 7
+#define TALLY_TRIES 8
+#define TALLY_CAREFUL_TRIES 9
+#define PACE 9
 #define PACE_DT 0
 #define PACE_BEFORE 1
 #define PACE_REFUSED 2
@@ -60,6 +63,8 @@
 #define PACE_END 4
 #define PACE_LAST 5
 #define PACE_ACCEPTED 6
+#define PACE_FLOOR 7
+#define PACE_CAREFUL 8
 #define SEEN 3
 #define SEEN_ACCELERATION_ERROR 0
 #define SEEN_NEAR 1
@@ -153,12 +158,14 @@
     X(freedom) \
     X(brakes) \
     X(weighted) \
+    X(balances) \
     X(same_tiers) \
     X(careful_iterations) \
     X(monitor_position) \
     X(monitor_velocity) \
     X(monitor_energy) \
     X(monitor_iterations) \
+    X(monitor_step_error) \
     X(method) \
     X(z) \
     X(after) \
@@ -231,6 +238,7 @@
     X(beside) \
     X(branch_step) \
     X(method_step) \
+    X(method_careful) \
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \
@@ -265,6 +273,7 @@
     X(beside) \
     X(branch_step) \
     X(method_step) \
+    X(method_careful) \
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \

@@ -61,6 +61,25 @@ API const char *alfmu_text(const Instance *i)
     return i->text;
 }
 
+/* Whether there is a warning that was not read yet: whoever reads it writes 0. */
+API int *alfmu_warns(Instance *i)
+{
+    return &i->warns;
+}
+
+API const char *alfmu_warning(const Instance *i)
+{
+    return i->warning;
+}
+
+/* The error of a communication step that the caller made. */
+API double alfmu_balance(Instance *i)
+{
+    i->used = 0;
+    instance_balance(i);
+    return i->counts[STEP_ERROR];
+}
+
 API const char *alfmu_name(const Scene *s)
 {
     return s->name;

@@ -43,6 +43,9 @@ class _Run(ctypes.Structure):
 
 
 _SIGNATURES = {
+    "warns": (c_void_p, c_void_p),
+    "warning": (c_char_p, c_void_p),
+    "balance": (c_double, c_void_p),
     "scene_version": (c_int,),
     "scene_load": (c_void_p, c_char_p, c_size_t, c_char_p, c_size_t),
     "scene_compiled": (c_int, c_void_p, c_void_p, c_int, c_int, c_char_p),
@@ -154,6 +157,7 @@ class Unit:
         self._place = ctypes.addressof(self._outputs)
         self._many: dict[tuple[int, ...], tuple[ctypes.Array, ctypes.Array]] = {}
         self._address = address
+        self._warns = c_int.from_address(c.alfmu_warns(address))
 
     def __del__(self) -> None:
         if getattr(self, "address", None):
@@ -163,6 +167,13 @@ class Unit:
     def text(self) -> str:
         """Why the last call was refused or failed."""
         return self.scene.library.alfmu_text(self.address).decode(errors="replace")
+
+    def warning(self) -> str:
+        """What the host should know and nobody has read yet, empty where there is nothing."""
+        if not self._warns.value:
+            return ""
+        self._warns.value = 0
+        return self.scene.library.alfmu_warning(self.address).decode(errors="replace")
 
     @property
     def initialized(self) -> bool:

@@ -871,7 +871,8 @@ static void memory(Reader *r)
     if (!between(s->monitor_position, -1, s->outputs - s->event_count)
         || !between(s->monitor_velocity, -1, s->outputs - s->event_count)
         || !between(s->monitor_energy, -1, s->outputs - s->event_count)
-        || !between(s->monitor_iterations, -1, s->outputs - s->event_count))
+        || !between(s->monitor_iterations, -1, s->outputs - s->event_count)
+        || !between(s->monitor_step_error, -1, s->outputs - s->event_count))
         spoil(r, "its monitors contradict each other");
     if (s->seen_size < SEEN + s->outputs - s->event_count || s->readings > s->outputs - s->event_count)
         spoil(r, "its outputs contradict each other");

@@ -5,6 +5,9 @@
 
 #include "alfmu.h"
 
+/* Tries with careful iterations after one that needed them. */
+#define STAYS_CAREFUL 8.0
+
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
 long advance(Instance *i, long steps, double dt)
 {
@@ -34,6 +37,41 @@ long advance(Instance *i, long steps, double dt)
     return done;
 }
 
+/* A try of the method of the scene: by few multiplier iterations; by more where they were not enough, or the error is too
+   large, as what they leave is part of it; on the branch near a singular position. */
+static void try_step(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
+    const double dt = pace[PACE_DT], before = pace[PACE_BEFORE], refused = pace[PACE_REFUSED];
+    int careful = s->method_careful >= 0 && pace[PACE_CAREFUL] > 0.0;
+    if (careful)
+        pace[PACE_CAREFUL] -= 1.0;
+    else {
+        run(i, s->method_step);
+        tally[TALLY_TRIES] += 1.0;
+        if (s->method_careful >= 0 && after[s->near] == 0.0
+            && (after[s->trouble] != 0.0 || pace[PACE_ACCEPTED] == 0.0)) {
+            careful = 1;
+            pace[PACE_CAREFUL] = STAYS_CAREFUL;
+            pace[PACE_DT] = dt;
+            pace[PACE_BEFORE] = before;
+            pace[PACE_REFUSED] = refused;
+        }
+    }
+    if (careful) {
+        run(i, s->method_careful);
+        tally[TALLY_TRIES] += 1.0;
+        tally[TALLY_CAREFUL_TRIES] += 1.0;
+    }
+    if (after[s->trouble] != 0.0 && s->beside >= 0) {
+        run(i, s->beside);
+        pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+        tally[TALLY_BESIDE] += 1.0;
+        tally[TALLY_BESIDE_LIMITS] += after[s->near];
+    }
+}
+
 /* Steps by the method of the scene up to an end, or so many tries; 0 where one could not be judged. */
 int cover(Instance *i, double end, long tries)
 {
@@ -41,15 +79,15 @@ int cover(Instance *i, double end, long tries)
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     pace[PACE_END] = end;
     for (; m[s->z + s->time] < end && tries != 0; tries--) {
-        run(i, s->method_step);
-        if (after[s->trouble] != 0.0 && s->beside >= 0) {
-            run(i, s->beside);
-            pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
-            tally[TALLY_BESIDE] += 1.0;
-            tally[TALLY_BESIDE_LIMITS] += after[s->near];
-        }
+        try_step(i);
         if (after[s->trouble] != 0.0)
             return 0;
+        if (pace[PACE_ACCEPTED] != 0.0 && pace[PACE_FLOOR] > 1.0)
+            warn(i, WARNED_OF_ROUND_OFF,
+                "%s, t = %.6g s: round-off leaves some %.1g times the tolerance; solver.relative_tolerance %g cannot be "
+                "had here, about %.1g can, and the motion goes on at that",
+                s->name, m[s->z + s->time], pace[PACE_FLOOR], i->values[s->relative_tolerance],
+                i->values[s->relative_tolerance] * pace[PACE_FLOOR]);
         if (pace[PACE_ACCEPTED] != 0.0)
             memcpy(m + s->z, after, state_length(s) * sizeof *m);
         tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;
