@@ -8,7 +8,6 @@ import json
 import os
 import re
 import sys
-import tempfile
 import uuid
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,6 +22,7 @@ from pythonfmu.builder import FmuBuilder
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.specialisation import specialised
+from ..files import atomic, scratch
 from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
@@ -85,8 +85,8 @@ def export(
 
     A name or a Python file stands for the recipe that is registered or declared there, or else for a mechanism. The
     other arguments are fields of `Recipe`: they take precedence over the recipe, `options` and `parameters` one by one.
-    The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults, and
-    ExportError where the file cannot be written or compiled.
+    The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
+    ExportError where it cannot be compiled, and WriteError where the file cannot be written: nothing is left then.
     """
     own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
     recipe = load(mechanism).changed(**own, kernel=kernel, kind=kind, platforms=platforms, fmi=fmi)
@@ -115,8 +115,7 @@ def export(
     entry = _ENTRY.format(name=name, package=package, title=name.title().replace("_", ""))
     resources = {**_resources(recipe, equations, scene, guid), **libraries}
 
-    with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
-        top = Path(folder)
+    with scratch() as top:
         script = _write(top / f"{name}_{digest}.py", entry)
         _write(top / package / "__init__.py", '"""The run side of alfmu."""\n')
         for room in sorted({str(Path(module).parent) for module in sources} - {"."}):
@@ -295,14 +294,8 @@ def _imports_undone(*names: str) -> Iterator[None]:
 
 def _archive(path: Path, files: Mapping[str, bytes]) -> None:
     """An FMU of these files, sorted, compressed, and free of time stamps and owners."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.{os.getpid()}")
-        with zipfile.ZipFile(partial, "w") as archive:
-            for name in sorted(files):
-                info = zipfile.ZipInfo(name, _PINNED)
-                info.external_attr = 0o644 << 16
-                archive.writestr(info, files[name], zipfile.ZIP_DEFLATED, 9)
-        partial.replace(path)
-    except OSError as error:
-        raise ExportError(f"{path.stem}: cannot write {path} ({error.strerror})") from error
+    with atomic(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for name in sorted(files):
+            info = zipfile.ZipInfo(name, _PINNED)
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, files[name], zipfile.ZIP_DEFLATED, 9)
