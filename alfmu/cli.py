@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
-        return _failed(": ".join(str(each) for each in (error.filename, error.strerror or error) if each))
+        return _failed(f"{error.filename or 'the folder for temporary files'}: {error.strerror or error}")
     except MemoryError:
         return _failed("there is not enough memory for this")
     except KeyboardInterrupt:
@@ -588,12 +588,8 @@ def _animate(chosen: argparse.Namespace) -> None:
         try:
             shown = from_data(facts.get("drawing"))
         except ValueError as error:
-            why = (
-                f"comes with a {beside.name} that has no drawing ({error})"
-                if facts
-                else f"comes without a {beside.name} of alfmu's"
-            )
-            raise InputError(f"{chosen.result} {why}; say which mechanism it is with --mechanism") from None
+            why = f"{beside.name} has no drawing ({error})" if facts else f"alfmu wrote no {beside.name} beside it"
+            raise InputError(f"{chosen.result}: {why}; say which mechanism it is with --mechanism") from None
     parameters = {**facts.get("parameters", {}), **dict(chosen.set)}
     how = {"parameters": parameters, "fps": chosen.fps, "speed": chosen.speed, "progress": _progress("drawing")}
     said = _wrote(path)

@@ -173,7 +173,7 @@ def run(
         values, ended = _step_by_step(unit, times, list(signals), at, progress, held_rows)
     result = Result(unit.name, times[: len(values)], names, units, values, getattr(unit, "counters", None))
     if ended is not None:
-        ended.result = result
+        ended.result = result if len(values) else None
         raise ended
     return result
 
