@@ -532,7 +532,7 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
                 "is exported; give them to `alfmu export`"
             )
         fmu = Fmu(chosen.unit)
-        about = {"mechanism": fmu.mechanism, "options": fmu.options, "parameters": fmu.parameters}
+        about = {"mechanism": fmu.mechanism or fmu.name, "options": fmu.options, "parameters": fmu.parameters}
         about |= {"declared": _registered(fmu.mechanism, fmu.options), "set": dict(chosen.set)}
         return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
     from .equations.derivation import derive

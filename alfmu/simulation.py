@@ -201,9 +201,11 @@ def _in_one_call(
         return True
 
     values, ended = unit.run(times, inputs, table, names, show)
-    if ended is None:
-        for _ in shown:
+    try:
+        for _ in shown if ended is None else ():
             pass
+    except KeyboardInterrupt as late:
+        ended = late
     return values, ended
 
 

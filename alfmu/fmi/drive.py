@@ -91,8 +91,8 @@ class Fmu:
                 why = " ".join(self._why("it says nothing").removeprefix("cannot be instantiated: ").split())
                 raise ExportError(f"{path} cannot be instantiated: {why}") from None
             self._stack = stack.pop_all()
-        self.mechanism, self.options = _facts(self._folder / "resources" / OPTIONS) or (self.name, {})
-        """The mechanism, and the options that it was exported with, if alfmu exported it."""
+        self.mechanism, self.options = _facts(self._folder / "resources" / OPTIONS) or ("", {})
+        """The mechanism, and the options that it was exported with, if alfmu exported it; as the FMU says."""
         self.begun = False
 
     def __enter__(self) -> Fmu:

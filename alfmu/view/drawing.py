@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, is_dataclass
+from functools import cache
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -41,7 +42,7 @@ def _read(form: Any, value: object, place: str) -> Any:
     if kind is UnionType:
         return None if value is None else _read(inner[0], value, place)
     if is_dataclass(form) and isinstance(value, dict):
-        hints = get_type_hints(form)
+        hints = _fields(form)
         if value.keys() == hints.keys():
             return form(**{name: _read(hint, value[name], f"{place}.{name}") for name, hint in hints.items()})
     elif kind is tuple and isinstance(value, (list, tuple)):
@@ -53,3 +54,7 @@ def _read(form: Any, value: object, place: str) -> Any:
     elif form is float and type(value) in (int, float) and math.isfinite(value) and abs(value) <= LARGEST:
         return float(value)
     raise ValueError(f"{place} is {str(value)[:40]!r}")
+
+
+_fields = cache(get_type_hints)
+"""Types of the fields of a dataclass."""
