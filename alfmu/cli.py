@@ -42,7 +42,7 @@ outputs=["*.angle"])`. What the options say takes precedence over it, those of -
 
 _SIMULATE = """A run that ends early, by an error or by Ctrl-C, leaves its rows and its picture up to then; the reason
 is said last, and the exit code is 1 or 130. Beside the table, FILE.json says what was run and holds its drawing, from
-which `alfmu animate` makes a film. A file that alfmu did not write is replaced only where -o or --plot names it."""
+which `alfmu animate` makes a film. What alfmu did not write is replaced only where -o or --plot names it."""
 
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
@@ -392,10 +392,13 @@ def _export(chosen: argparse.Namespace) -> None:
         interval=chosen.step,
         reference=chosen.reference,
     )
+    given = Path(chosen.output or ".")
+    older = {each.resolve() for each in (given.glob("*.fmu") if given.is_dir() else [given]) if each.exists()}
     path = export(recipe, chosen.output)
+    said = "replaced" if path.resolve() in older else "wrote"
     platforms = libraries_in(path, recipe.kind)
     where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
-    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
+    print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
 
 
 def _simulate(chosen: argparse.Namespace) -> None:
@@ -419,7 +422,10 @@ def _simulate(chosen: argparse.Namespace) -> None:
     except (AlfmuError, KeyboardInterrupt) as ended:
         result = getattr(ended, "result", None)
         if result is not None:
-            _keep(chosen, result, about, table)
+            try:
+                _keep(chosen, result, about, table)
+            except AlfmuError as error:
+                _failed(str(error))
         raise
     finally:
         if hasattr(unit, "close"):

@@ -253,6 +253,14 @@ def test_the_reason_is_said_last(here):
     assert lines[-2].startswith("wrote slider_crank.csv (27 rows")
 
 
+def test_the_reason_is_said_even_where_the_rows_cannot_be_written(here, capsys):
+    (here / "in.csv").write_text(TORQUE)
+    assert main(["simulate", "slider_crank", "--input", "in.csv", "--stop-time", "1", "-o", "/dev/null/r.csv"]) == 1
+    first, last = capsys.readouterr().err.splitlines()
+    assert first.startswith("alfmu: cannot write /dev/null/r.csv (")
+    assert "half a turn" in last
+
+
 def test_a_run_that_does_not_begin_leaves_nothing(here, capsys):
     assert main(["simulate", "slider_crank", "--set", "l2=0.1"]) == 1
     assert "loops cannot be closed" in capsys.readouterr().err
@@ -437,6 +445,9 @@ def test_what_is_replaced_is_said(here, capsys):
     (here / "measured.csv").write_text("time,x\n0,1\n")
     assert main([*RUN, "-o", "measured.csv"]) == 0
     assert "replaced measured.csv" in capsys.readouterr().out
+    for said in ("wrote", "replaced"):
+        assert main(["export", "particle_on_circle"]) == 0
+        assert capsys.readouterr().out.startswith(f"{said} particle_on_circle.fmu (")
 
 
 # Results from anywhere --------------------------------------------------------------------------------------------

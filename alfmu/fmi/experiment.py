@@ -69,13 +69,14 @@ class Experiment:
             return None
         try:
             lines = settings.read_text(encoding="utf-8").splitlines()
-            found = {key: float(value) for key, _, value in (line.partition(",") for line in lines if line)}
+            found = dict(line.split(",", 1) for line in lines if "," in line)
+            wanted = ("StopTime", "StepSize", "OutputIntervalLength")
+            stop_time, step, interval = (float(found.get(key, 0.0)) for key in wanted)
             results = Result.from_csv(table)
         except ValueError as error:
             raise InputError(f"{settings.name} cannot be read ({error})") from None
         except InputError as error:
             raise InputError(str(error).replace(f"{folder}/", "")) from None
-        stop_time, step, interval = (found.get(key, 0.0) for key in ("StopTime", "StepSize", "OutputIntervalLength"))
         if not (0 < stop_time < math.inf and 0 < step <= interval < math.inf):
             return None
         return cls(stop_time, step, round(interval / step)), results

@@ -8,6 +8,7 @@ import json
 import os
 import re
 import sys
+import tempfile
 import uuid
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -132,7 +133,7 @@ def export(
             _write(documents / "licenses" / f"{each}.txt", _license(each))
         (documents / "model.png").write_bytes(picture)
         made = top / f"{name}.fmu"
-        with _imports_undone(package, script.stem):
+        with _imports_undone(package, script.stem), _temporary_in(top):
             FmuBuilder.build_FMU(script, made, [top / package, *(top / file for file in resources)], documents)
         described = {
             "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
@@ -290,6 +291,16 @@ def _imports_undone(*names: str) -> Iterator[None]:
         sys.path[:] = path
         for module in [m for m in sys.modules if m.split(".")[0] in names]:
             del sys.modules[module]
+
+
+@contextmanager
+def _temporary_in(folder: Path) -> Iterator[None]:
+    """Have a library make its temporary folders in this one, which is removed even after a kill."""
+    before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
 
 
 def _archive(path: Path, files: Mapping[str, bytes]) -> None:
