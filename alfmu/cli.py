@@ -58,9 +58,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return chosen.run(chosen) or 0
     except AlfmuError as error:
         return _failed(str(error))
-    except BrokenPipeError:
-        # Whoever reads our output has seen enough; keep the interpreter from complaining about it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # whoever reads our output has seen enough
+        _fall_silent()
         return 0
     except OSError as error:
         return _failed(f"{error.filename or 'the folder for temporary files'}: {error.strerror or error}")
@@ -72,9 +71,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _failed(why: str, code: int = 1) -> int:
     """Say why a command failed, after all else that it said."""
-    sys.stdout.flush()
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _fall_silent()
     print(f"alfmu: {why}", file=sys.stderr)
     return code
+
+
+def _fall_silent() -> None:
+    """Say no more where nobody listens, so that the interpreter does not complain about it at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @contextmanager
@@ -426,6 +433,8 @@ def _simulate(chosen: argparse.Namespace) -> None:
                 _keep(chosen, result, about, table)
             except AlfmuError as error:
                 _failed(str(error))
+            except BrokenPipeError:
+                _fall_silent()
         raise
     finally:
         if hasattr(unit, "close"):
@@ -449,35 +458,37 @@ def _table_path(chosen: argparse.Namespace, name: str) -> Path:
 
 def _file_name(name: str) -> str:
     """A name of a model, which may be any text, as that of a file here."""
-    return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:100] or "result"
+    return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:60] or "result"
 
 
 def _keep(chosen: argparse.Namespace, result: Result, about: dict[str, Any], table: Path) -> None:
-    """Write what a run gave, and say so."""
+    """Write what a run gave, then say so."""
     facts = {**about, "parameters": {**about["parameters"], **dict(chosen.set)}}
     facts["drawing"] = _drawing(facts.pop("declared"), facts["parameters"])
-    said = _wrote(table)
-    result.to_csv(table)
-    lines = (f" {json.dumps(key)}: {json.dumps(value, default=str)}" for key, value in facts.items())
-    write(table.with_suffix(".json"), ("{\n" + ",\n".join(lines) + "\n}\n").encode())
-    if result.counters is not None:
-        c = result.counters
-        print(
-            f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
-            f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections "
-            f"({c.unprojected} steps left above the tolerance)"
-        )
-        print(
-            f"largest |Phi| {c.position_error:.1e}, |Phi-dot| {c.velocity_error:.1e}, |Phi-ddot| "
-            f"{c.acceleration_error:.1e}, energy balance {c.energy_error:.1e} J"
-        )
-    print(f"{said} ({len(result.time)} rows up to {result.time[-1]:g} s, {len(result.names) + 1} columns)")
-    if chosen.plot:
-        from .view.plot import plot
+    said: list[str] = []
+    try:
+        wrote = _wrote(table)
+        result.to_csv(table)
+        lines = (f" {json.dumps(key)}: {json.dumps(value, default=str)}" for key, value in facts.items())
+        write(table.with_suffix(".json"), ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+        if (c := result.counters) is not None:
+            said += [
+                f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
+                f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections "
+                f"({c.unprojected} steps left above the tolerance)",
+                f"largest |Phi| {c.position_error:.1e}, |Phi-dot| {c.velocity_error:.1e}, |Phi-ddot| "
+                f"{c.acceleration_error:.1e}, energy balance {c.energy_error:.1e} J",
+            ]
+        said += [f"{wrote} ({len(result.time)} rows up to {result.time[-1]:g} s, {len(result.names) + 1} columns)"]
+        if chosen.plot:
+            from .view.plot import plot
 
-        said = _wrote(Path(chosen.plot))
-        plot(result, chosen.plot, chosen.plot_names)
-        print(said)
+            wrote = _wrote(Path(chosen.plot))
+            plot(result, chosen.plot, chosen.plot_names)
+            said += [wrote]
+    finally:
+        for line in said:
+            print(line)
 
 
 def _wrote(path: Path) -> str:
