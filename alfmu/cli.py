@@ -399,8 +399,7 @@ def _export(chosen: argparse.Namespace) -> None:
         interval=chosen.step,
         reference=chosen.reference,
     )
-    given = Path(chosen.output or ".")
-    older = {each.resolve() for each in (given.glob("*.fmu") if given.is_dir() else [given]) if each.exists()}
+    older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # none where -o names the file
     path = export(recipe, chosen.output)
     said = "replaced" if path.resolve() in older else "wrote"
     platforms = libraries_in(path, recipe.kind)
