@@ -33,6 +33,7 @@ _YOUNG = 60.0
 """Age [s] up to which what is not locked is taken as being made."""
 
 _FOLDER = "alfmu-scratch-"
+"""How names of folders for a while begin; eight characters follow."""
 
 _OPENED = "/proc/self/fd"
 """Where a file without a name can be found, to give it one."""
