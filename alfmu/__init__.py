@@ -24,6 +24,7 @@ _HOME = {
     "Result": "simulation",
     "Settings": "model.settings",
     "StepError": "model.errors",
+    "WriteError": "model.errors",
     "derive": "equations.derivation",
     "export": "fmi.export",
     "load": "model.registry",
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from .model.errors import ExportError as ExportError
     from .model.errors import InputError as InputError
     from .model.errors import StepError as StepError
+    from .model.errors import WriteError as WriteError
     from .model.mechanism import Body as Body
     from .model.mechanism import Experiment as Experiment
     from .model.mechanism import Joint as Joint

@@ -6,17 +6,23 @@ import argparse
 import json
 import os
 import re
+import signal
 import sys
-from collections.abc import Callable, Iterable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .files import write
 from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
 
 if TYPE_CHECKING:
     from .fmi.recipe import Recipe
+    from .model.mechanism import Mechanism
+    from .simulation import Result
 
 __all__ = ["main"]
 
@@ -34,27 +40,60 @@ the full ones). What there was no time for, or what is not installed, is listed.
 _EXPORT = """A recipe is a Python file that says what an FMU is made of: `recipe = alfmu.Recipe("five_bar",
 outputs=["*.angle"])`. What the options say takes precedence over it, those of --option and --set one by one."""
 
+_SIMULATE = """A run that ends early, by an error or by Ctrl-C, leaves its rows and its picture up to then; the reason
+is said last, and the exit code is 1 or 130. Beside the table, FILE.json says what was run and holds its drawing, from
+which `alfmu animate` makes a film. What alfmu did not write is replaced only where -o or --plot names it."""
+
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
 _EITHER_HELP = "a registered mechanism or recipe (see `alfmu list`), or a Python file that declares one"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage."""
+    """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage, 130 interrupted."""
     parser = _parser()
     chosen = parser.parse_args(arguments)
     try:
-        return chosen.run(chosen) or 0
+        with _signals(signal.default_int_handler, signal.SIGTERM):  # what is under way is put in order
+            return chosen.run(chosen) or 0
     except AlfmuError as error:
-        print(f"alfmu: {error}", file=sys.stderr)
-        return 1
-    except BrokenPipeError:
-        # Whoever reads our output has seen enough; keep the interpreter from complaining about it at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _failed(str(error))
+    except BrokenPipeError:  # whoever reads our output has seen enough
+        _fall_silent()
         return 0
+    except OSError as error:
+        return _failed(f"{error.filename or 'the folder for temporary files'}: {error.strerror or error}")
+    except MemoryError:
+        return _failed("there is not enough memory for this")
     except KeyboardInterrupt:
-        print("alfmu: interrupted", file=sys.stderr)
-        return 130
+        return _failed("interrupted", 130)
+
+
+def _failed(why: str, code: int = 1) -> int:
+    """Say why a command failed, after all else that it said."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _fall_silent()
+    print(f"alfmu: {why}", file=sys.stderr)
+    return code
+
+
+def _fall_silent() -> None:
+    """Say no more where nobody listens, so that the interpreter does not complain about it at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _signals(handler: Callable[..., Any], *signals: signal.Signals) -> Iterator[None]:
+    """Handle signals; in the main thread, where Python takes them."""
+    main = threading.current_thread() is threading.main_thread()
+    before = {each: signal.signal(each, handler) for each in signals if main}
+    try:
+        yield
+    finally:
+        for each, old in before.items():
+            signal.signal(each, old)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -63,7 +102,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="alfmu",
         description="Closed-loop mechanisms as FMUs for co-simulation: export, run, check and watch them.",
-        epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage. See `alfmu COMMAND --help`.",
+        epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage, 130 interrupted. "
+        "See `alfmu COMMAND --help`.",
     )
     parser.add_argument("--version", action="version", version=f"alfmu {version('alfmu')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
@@ -110,10 +150,17 @@ def _parser() -> argparse.ArgumentParser:
     _add_scene(sub)
 
     sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
+    sub.epilog = _SIMULATE
     sub.add_argument("unit", metavar="NAME|FMU", help=f"{_EITHER_HELP}, or an .fmu file")
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the unit's own)")
     sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the unit's own)")
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
+    sub.add_argument(
+        "--held-rows",
+        action="store_true",
+        help="rows show outputs with the inputs of the step that ends there, as importers record them (fmpy, fmusim); "
+        "without it, with the inputs that are set there",
+    )
     sub.add_argument("-o", "--output", metavar="FILE.csv", help="where to write the result (default: NAME.csv here)")
     _add_kernel(sub)
     sub.add_argument("--plot", metavar="FILE.png", help="also draw the result (PNG, SVG or PDF)")
@@ -131,7 +178,12 @@ def _parser() -> argparse.ArgumentParser:
         "result", metavar="RESULT.csv", help="a result that `alfmu simulate` wrote, or any CSV with its names"
     )
     sub.add_argument("-o", "--output", metavar="FILE", help=".gif or .html (default: RESULT.gif)")
-    sub.add_argument("--mechanism", metavar="NAME", help="the mechanism, where the result does not come with its .json")
+    sub.add_argument(
+        "--mechanism",
+        metavar="NAME",
+        help="draw this mechanism, a registered name or a Python file, which is run, with --option and --set as in "
+        "the run (default: the drawing in the .json beside the result)",
+    )
     sub.add_argument("--fps", type=float, default=25.0, help="frames per second (default: %(default)g)")
     sub.add_argument("--speed", type=float, default=1.0, help="times real time (default: %(default)g)")
     _add_option(sub)
@@ -347,10 +399,12 @@ def _export(chosen: argparse.Namespace) -> None:
         interval=chosen.step,
         reference=chosen.reference,
     )
+    older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # none where -o names the file
     path = export(recipe, chosen.output)
+    said = "replaced" if path.resolve() in older else "wrote"
     platforms = libraries_in(path, recipe.kind)
     where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
-    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
+    print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
 
 
 def _simulate(chosen: argparse.Namespace) -> None:
@@ -360,35 +414,117 @@ def _simulate(chosen: argparse.Namespace) -> None:
     if chosen.plot_names and not chosen.plot:
         raise InputError("--plot-names needs --plot FILE")
     if chosen.plot:
-        from .view.plot import plot
+        from .view.plot import check_name
+
+        check_name(Path(chosen.plot))
     unit, about = _unit(chosen)
+    own = {"stop_time": about.pop("stop_time"), "step": about.pop("interval"), "parameters": about.pop("set")}
+    asked = {"stop_time": chosen.stop_time, "step": chosen.step}
+    how = {**own, **{name: value for name, value in asked.items() if value is not None}}
     try:
-        stop_time = about["stop_time"] if chosen.stop_time is None else chosen.stop_time
-        step = about["interval"] if chosen.step is None else chosen.step
-        result = run(unit, stop_time, step, inputs, about["set"], _progress("simulating"))
+        table = _table_path(chosen, unit.name)
+        with _between_steps(_progress("simulating")) as progress:
+            result = run(unit, **how, inputs=inputs, progress=progress, held_rows=chosen.held_rows)
+    except (AlfmuError, KeyboardInterrupt) as ended:
+        result = getattr(ended, "result", None)
+        if result is not None:
+            try:
+                _keep(chosen, result, about, table)
+            except AlfmuError as error:
+                _failed(str(error))
+            except BrokenPipeError:
+                _fall_silent()
+        raise
     finally:
         if hasattr(unit, "close"):
             unit.close()
-    table = Path(chosen.output or f"{result.mechanism}.csv")
-    _writing(table, result.to_csv)
-    facts = {k: about[k] for k in ("mechanism", "options")}
-    facts["parameters"] = {**about["parameters"], **dict(chosen.set)}
-    _writing(table.with_suffix(".json"), lambda path: path.write_text(json.dumps(facts, indent=1) + "\n"))
-    if result.counters is not None:
-        c = result.counters
-        print(
-            f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
-            f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections "
-            f"({c.unprojected} steps left above the tolerance)"
-        )
-        print(
-            f"largest |Phi| {c.position_error:.1e}, |Phi-dot| {c.velocity_error:.1e}, |Phi-ddot| "
-            f"{c.acceleration_error:.1e}, energy balance {c.energy_error:.1e} J"
-        )
-    print(f"wrote {table} ({len(result.time)} rows, {len(result.names) + 1} columns)")
-    if chosen.plot:
-        _writing(Path(chosen.plot), lambda path: plot(result, path, chosen.plot_names))
-        print(f"wrote {chosen.plot}")
+    _keep(chosen, result, about, table)
+
+
+def _table_path(chosen: argparse.Namespace, name: str) -> Path:
+    """Where the table of a run goes; InputError where it, or the facts beside it, would replace something else."""
+    table = Path(chosen.output or f"{_file_name(name)}.csv")
+    if table.suffix.lower() != ".csv":
+        raise InputError(f"{table} cannot hold a table; its name must end in .csv")
+    if chosen.input and table.resolve() == Path(chosen.input).resolve():
+        raise InputError(f"{table} has the inputs of the run and would be replaced; name another file with -o")
+    facts = table.with_suffix(".json")
+    theirs = facts if facts.exists() else table if table.exists() and not chosen.output else None
+    if theirs and not _facts(facts):
+        raise InputError(f"{theirs} is there and was not written by alfmu; name another file with -o, or remove it")
+    return table
+
+
+def _file_name(name: str) -> str:
+    """A name of a model, which may be any text, as that of a file here."""
+    return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:60] or "result"
+
+
+def _keep(chosen: argparse.Namespace, result: Result, about: dict[str, Any], table: Path) -> None:
+    """Write what a run gave, then say so."""
+    facts = {**about, "parameters": {**about["parameters"], **dict(chosen.set)}}
+    facts["drawing"] = _drawing(facts.pop("declared"), facts["parameters"])
+    said: list[str] = []
+    try:
+        wrote = _wrote(table)
+        result.to_csv(table)
+        lines = (f" {json.dumps(key)}: {json.dumps(value, default=str)}" for key, value in facts.items())
+        write(table.with_suffix(".json"), ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+        if (c := result.counters) is not None:
+            said += [
+                f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
+                f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections "
+                f"({c.unprojected} steps left above the tolerance)",
+                f"largest |Phi| {c.position_error:.1e}, |Phi-dot| {c.velocity_error:.1e}, |Phi-ddot| "
+                f"{c.acceleration_error:.1e}, energy balance {c.energy_error:.1e} J",
+            ]
+        said += [f"{wrote} ({len(result.time)} rows up to {result.time[-1]:g} s, {len(result.names) + 1} columns)"]
+        if chosen.plot:
+            from .view.plot import plot
+
+            wrote = _wrote(Path(chosen.plot))
+            plot(result, chosen.plot, chosen.plot_names)
+            said += [wrote]
+    finally:
+        for line in said:
+            print(line)
+
+
+def _wrote(path: Path) -> str:
+    """What to say once a file is written."""
+    return f"replaced {path}" if path.exists() else f"wrote {path}"
+
+
+@contextmanager
+def _between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[..., Iterable[Any]]]:
+    """A progress that an interrupt ends between two steps, where FMU and rows are whole; a second one at once."""
+    asked: list[int] = []
+
+    def ask(number: int, frame: object) -> None:
+        asked.append(number)
+        if len(asked) > 1:
+            raise KeyboardInterrupt
+
+    def checked(steps: Sequence[Any]) -> Iterator[Any]:
+        with closing(iter(progress(steps))) as shown:
+            for step in shown:
+                if asked:
+                    raise KeyboardInterrupt
+                yield step
+
+    with _signals(ask, signal.SIGINT, signal.SIGTERM):
+        yield checked
+
+
+def _drawing(mechanism: Mechanism | None, parameters: Mapping[str, Any]) -> dict[str, Any] | None:
+    """How a mechanism is drawn, for the facts about a run; None where it is not known, or cannot be drawn."""
+    from .view.drawing import as_data
+    from .view.picture import geometry
+
+    try:
+        return as_data(geometry(mechanism, parameters)) if mechanism else None
+    except AlfmuError:
+        return None
 
 
 def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
@@ -412,12 +548,8 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
                 "is exported; give them to `alfmu export`"
             )
         fmu = Fmu(chosen.unit)
-        about = {
-            "mechanism": fmu.mechanism,
-            "options": fmu.options,
-            "parameters": fmu.parameters,
-            "set": dict(chosen.set),
-        }
+        about = {"mechanism": fmu.mechanism or fmu.name, "options": fmu.options, "parameters": fmu.parameters}
+        about |= {"declared": _registered(fmu.mechanism, fmu.options), "set": dict(chosen.set)}
         return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
     from .equations.derivation import derive
     from .equations.specialisation import specialised
@@ -428,8 +560,19 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     equations = with_defaults(derive(mechanism), recipe.parameters)
     unit = instance(specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT)
     source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
-    about = {"mechanism": str(source), "options": mechanism.options, "parameters": recipe.parameters, "set": {}}
+    about = {"mechanism": str(source), "options": mechanism.options, "parameters": recipe.parameters}
+    about |= {"declared": mechanism, "set": {}}
     return unit, {**about, "stop_time": equations.stop_time, "interval": equations.interval}
+
+
+def _registered(name: str, options: Mapping[str, Any]) -> Mechanism | None:
+    """The mechanism that an FMU says it is of, where one of that name is installed here; never a file."""
+    from .model.registry import load, mechanisms
+
+    try:
+        return load(name, **options) if name in mechanisms() else None
+    except (AlfmuError, TypeError, ValueError):  # options are what the FMU says
+        return None
 
 
 def _validate(chosen: argparse.Namespace) -> int:
@@ -445,30 +588,40 @@ def _validate(chosen: argparse.Namespace) -> int:
 def _animate(chosen: argparse.Namespace) -> None:
     from .model.registry import load
     from .simulation import Result
-    from .view.picture import animate
+    from .view.drawing import from_data
+    from .view.picture import animate, check_film
 
-    result = Result.from_csv(chosen.result)
-    facts: dict[str, Any] = {"mechanism": None, "options": {}, "parameters": {}}
-    beside = Path(chosen.result).with_suffix(".json")
-    if beside.is_file():
-        facts.update(json.loads(beside.read_text()))
-    name = chosen.mechanism or facts["mechanism"]
-    if name is None:
-        raise InputError(f"{chosen.result} comes without {beside.name}; say which mechanism it is with --mechanism")
-    options = dict(chosen.option) if chosen.mechanism else {**facts["options"], **dict(chosen.option)}
-    mechanism = load(name, **options)
     path = Path(chosen.output or Path(chosen.result).with_suffix(".gif"))
-    if chosen.fps <= 0 or chosen.speed <= 0:
-        raise InputError("--fps and --speed must be above zero")
-    parameters = {**facts["parameters"], **dict(chosen.set)}
-    progress = _progress("drawing")
-    _writing(
-        path,
-        lambda p: animate(
-            mechanism, result, p, parameters=parameters, fps=chosen.fps, speed=chosen.speed, progress=progress
-        ),
-    )
-    print(f"wrote {path}")
+    check_film(path)
+    result = Result.from_csv(chosen.result)
+    beside = Path(chosen.result).with_suffix(".json")
+    facts = _facts(beside)
+    if chosen.mechanism:
+        shown: Any = load(chosen.mechanism, **dict(chosen.option))
+    elif chosen.option or chosen.set:
+        raise InputError("--option and --set say how --mechanism is drawn; give that as well")
+    else:
+        try:
+            shown = from_data(facts.get("drawing"))
+        except ValueError as error:
+            why = f"{beside.name} has no drawing ({error})" if facts else f"alfmu wrote no {beside.name} beside it"
+            raise InputError(f"{chosen.result}: {why}; say which mechanism it is with --mechanism") from None
+    parameters = {**facts.get("parameters", {}), **dict(chosen.set)}
+    how = {"parameters": parameters, "fps": chosen.fps, "speed": chosen.speed, "progress": _progress("drawing")}
+    said = _wrote(path)
+    animate(shown, result, path, **how)
+    print(said)
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    """What `alfmu simulate` wrote beside a result; nothing where a file is missing, damaged or something else."""
+    form = {"mechanism": str, "options": dict, "parameters": dict}
+    try:
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    known = isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in form.items())
+    return found if known else {}
 
 
 def _report(chosen: argparse.Namespace) -> None:
@@ -491,15 +644,7 @@ def _study(chosen: argparse.Namespace, write: Callable[..., Path]) -> None:
     try:
         print(f"wrote {write(names, chosen.output, chosen.quick, lambda name: _progress(name, 'case'))}")
     except OSError as error:
-        raise InputError(f"cannot write into {chosen.output} ({error.strerror})") from None
-
-
-def _writing(path: Path, write: Callable[[Path], Any]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path)
-    except OSError as error:
-        raise InputError(f"cannot write {path} ({error.strerror})") from None
+        raise InputError(f"cannot write into {chosen.output} ({error.strerror or error})") from None
 
 
 def _progress(what: str, unit: str = "step") -> Callable[[Iterable[Any]], Iterable[Any]]:

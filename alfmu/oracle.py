@@ -81,7 +81,8 @@ class Instance(runtime.Instance):
             setattr(self, name, float(k[SETTINGS.index(name)]))
         ends = np.cumsum([len(SETTINGS), e.l, e.l, e.n, len(e.compliances)])
         _, _, inverse_units, inverse_scales, stiffnesses, _ = np.split(k, ends)
-        self.units, self.scales, self.stiffnesses = 1 / inverse_units, k[0] / inverse_scales, k[0] * stiffnesses
+        with np.errstate(divide="ignore", invalid="ignore"):  # where a scale is not finite, the run says so
+            self.units, self.scales, self.stiffnesses = 1 / inverse_units, k[0] / inverse_scales, k[0] * stiffnesses
         self.alpha, self.active = np.diag(self.penalty), self.penalty > 0
         self.rank = e.n - self.mobility().freedom if e.brakes else 0
         self.heavy = np.zeros(e.n)
@@ -519,8 +520,12 @@ def _least_norm(C: NDArray, alpha: NDArray, solve: method.Solve, lam: NDArray) -
 
 
 def _least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:
-    """Least-squares solution of least norm of the block system (9)."""
+    """Least-squares solution of least norm of the block system (9); NaN where that is not finite.
+
+    LAPACK is not asked then: it would say so on the screen.
+    """
     (M, Ct), (C, _) = blocks
-    K = np.block([[M, Ct], [C, np.zeros((len(C), len(C)))]])
-    a, lam = np.split(np.linalg.lstsq(K, np.concatenate(right), rcond=None)[0], [len(M)])
+    K, b = np.block([[M, Ct], [C, np.zeros((len(C), len(C)))]]), np.concatenate(right)
+    finite = np.isfinite(K).all() and np.isfinite(b).all()
+    a, lam = np.split(np.linalg.lstsq(K, b, rcond=None)[0] if finite else np.full(len(b), np.nan), [len(M)])
     return a, lam

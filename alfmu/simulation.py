@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import math
+from array import array
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +20,9 @@ from .equations import Equations, Variable
 from .equations.derivation import derive
 from .equations.interface import Counters
 from .equations.specialisation import specialised
+from .files import atomic
 from .kernel import DEFAULT, KERNELS
-from .model.errors import InputError
+from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
 from .model.registry import load
 from .model.settings import Settings
@@ -40,6 +44,9 @@ __all__ = [
 
 Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
+
+MOST = 500_000_000
+"""Numbers in a result, at most: 4 GB."""
 
 Progress = Callable[[Sequence[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
@@ -73,9 +80,9 @@ class Result:
         return cls(Path(path).stem, table[:, 0], names[1:], {}, table[:, 1:])
 
     def to_csv(self, path: str | Path) -> None:
-        """Write time and all columns with 17 significant digits; the first row holds the names."""
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
+        """Write time and all columns with 17 significant digits; the first row holds the names. Raises WriteError."""
+        with atomic(path) as file:
+            writer = csv.writer(codecs.getwriter("utf-8")(file))
             writer.writerow(["time", *self.names])
             for t, row in zip(self.time, self.values, strict=True):
                 writer.writerow([f"{x:.17g}" for x in (t, *row)])
@@ -106,6 +113,7 @@ def simulate(
     outputs: Sequence[str] | None = None,
     freeze: Sequence[str] | None = None,
     kernel: str = DEFAULT,
+    held_rows: bool = False,
     progress: Progress = iter,
 ) -> Result:
     """Run a mechanism from 0 to `stop_time` [s] with communication steps of `step` [s].
@@ -113,7 +121,14 @@ def simulate(
     `parameters` sets parameters, start values and solver variables by name; `inputs` are held over each communication
     step at their value at its beginning. Defaults are the mechanism's own. Only outputs that match `outputs` (names, or
     patterns such as `link*.angle`) are computed, None for all; parameters in `freeze` are folded into the equations.
-    `kernel` is one of `alfmu.kernel.KERNELS`. Raises AlfmuError where a name, a value or the mechanism is at fault.
+    `kernel` is one of `alfmu.kernel.KERNELS`.
+
+    Outputs of a row that depend on inputs at once, such as accelerations and reactions, are those with the inputs that
+    are set at its communication point; with `held_rows` those with the inputs of the step that ends there, as importers
+    record them (fmpy, fmusim). Motions are the same.
+
+    Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
+    that has begun, the exception's `result` has the rows up to then.
     """
     equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
     if freeze is not None or "solver.method" in (parameters or {}):
@@ -121,7 +136,7 @@ def simulate(
     unit = instance(specialised(equations, outputs, freeze), kernel, settings)
     stop_time = equations.stop_time if stop_time is None else stop_time
     step = equations.interval if step is None else step
-    return run(unit, stop_time, step, inputs, parameters, progress)
+    return run(unit, stop_time, step, inputs, parameters, progress, held_rows)
 
 
 def instance(equations: Equations, kernel: str, settings: Settings | None = None) -> Instance:
@@ -136,13 +151,14 @@ def run(
     inputs: Mapping[str, Signal] | None = None,
     parameters: Mapping[str, float | str] | None = None,
     progress: Progress = iter,
+    held_rows: bool = False,
 ) -> Result:
     """Drive a unit that is not yet initialised as `simulate` does."""
     for name, value in (parameters or {}).items():
         unit.set(name, value)
-    times = communication_points(unit.name, stop_time, step)
-    signals = {name: _signal(signal) for name, signal in (inputs or {}).items()}
     variables = [*unit.outputs, *unit.input_variables]
+    times = communication_points(unit.name, stop_time, step, 1 + len(variables))
+    signals = {name: _signal(signal) for name, signal in (inputs or {}).items()}
     names, units = [v.name for v in variables], {v.name: v.unit for v in variables}
     switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
 
@@ -151,11 +167,15 @@ def run(
         # A table between 0 and 1 switches half-way.
         return value >= 0.5 if name in switches and 0 <= value <= 1 else value
 
-    if isinstance(unit, Instance) and unit.run:
-        values = _in_one_call(unit, times, list(signals), at, names, progress)
+    if isinstance(unit, Instance) and unit.run and not held_rows:
+        values, ended = _in_one_call(unit, times, list(signals), at, names, progress)
     else:
-        values = _step_by_step(unit, times, list(signals), at, progress)
-    return Result(unit.name, times, names, units, values, getattr(unit, "counters", None))
+        values, ended = _step_by_step(unit, times, list(signals), at, progress, held_rows)
+    result = Result(unit.name, times[: len(values)], names, units, values, getattr(unit, "counters", None))
+    if ended is not None:
+        ended.result = result if len(values) else None
+        raise ended
+    return result
 
 
 def _in_one_call(
@@ -165,8 +185,8 @@ def _in_one_call(
     at: Callable[[str, float], float],
     names: list[str],
     progress: Progress,
-) -> NDArray:
-    """The values of a run that is one call of the runtime."""
+) -> tuple[NDArray, BaseException | None]:
+    """The values of a run that is one call of the runtime, and why it ended early."""
     for name in inputs:
         unit.set(name, at(name, times[0]))
     table = np.array([[at(name, t) for name in inputs] for t in times], float).reshape(len(times), len(inputs))
@@ -180,18 +200,24 @@ def _in_one_call(
         passed = done
         return True
 
-    values, error = unit.run(times, inputs, table, names, show)
-    if error is not None:
-        raise error
-    for _ in shown:
-        pass
-    return values
+    values, ended = unit.run(times, inputs, table, names, show)
+    try:
+        for _ in shown if ended is None else ():
+            pass
+    except KeyboardInterrupt as late:
+        ended = late
+    return values, ended
 
 
 def _step_by_step(
-    unit: Unit, times: NDArray, inputs: list[str], at: Callable[[str, float], float], progress: Progress
-) -> NDArray:
-    """The values of a run of a unit that makes one communication step after the other."""
+    unit: Unit,
+    times: NDArray,
+    inputs: list[str],
+    at: Callable[[str, float], float],
+    progress: Progress,
+    held: bool,
+) -> tuple[NDArray, BaseException | None]:
+    """The values of a run of a unit that makes one communication step after the other, and why it ended early."""
     table = np.empty((len(times), len(unit.outputs) + len(unit.input_variables)))
 
     def apply(t: float) -> None:
@@ -201,45 +227,100 @@ def _step_by_step(
     apply(times[0])
     unit.initialize()
     table[0] = np.concatenate([unit.read(), unit.read_inputs()])
-    for i, t in enumerate(progress(times[:-1])):
-        unit.step(times[i + 1] - t, t)
-        apply(times[i + 1])
-        table[i + 1] = np.concatenate([unit.read(), unit.read_inputs()])
-    return table
+    made = 1
+    try:
+        for i, t in enumerate(progress(times[:-1])):
+            unit.step(times[i + 1] - t, t)
+            if not held:
+                apply(times[i + 1])
+            table[i + 1] = np.concatenate([unit.read(), unit.read_inputs()])
+            made = i + 2
+            if held:
+                apply(times[i + 1])
+    except (AlfmuError, KeyboardInterrupt) as ended:
+        return table[:made], ended
+    return table, None
 
 
-def communication_points(name: str, stop_time: float, step: float) -> NDArray:
-    """0, step, 2 step, ... and stop_time itself."""
+def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray:
+    """0, step, 2 step, ... and stop_time itself; InputError where a result of so many columns would be too large."""
     if not (math.isfinite(step) and step > 0):
         raise InputError(f"{name}: the step is {step} s; it must be a finite number above zero")
     if not (math.isfinite(stop_time) and stop_time > 0):
         raise InputError(f"{name}: the stop time is {stop_time} s; it must be a finite number above zero")
-    whole = math.floor(stop_time / step * (1 + 1e-12))
-    times = np.arange(whole + 1) * step
+    if (points := stop_time / step) * columns > MOST:
+        raise InputError(
+            f"{name}: {points:.2g} communication points of {step:g} s up to {stop_time:g} s, with {columns} numbers at "
+            f"each, are more than the {MOST:.0e} numbers that a result may hold; take a longer step, an earlier stop "
+            "time or fewer outputs"
+        )
+    times = np.arange(math.floor(points * (1 + 1e-12)) + 1) * step
     if stop_time - times[-1] > 1e-9 * step:
         return np.append(times, stop_time)
     return times
 
 
 def read_inputs(path: str | Path) -> dict[str, Signal]:
-    """Inputs from a CSV file: a column `time` [s], and a column for each input."""
+    """Inputs from a CSV file: a column `time` [s], and a column of finite numbers for each input."""
     names, table = _table(path)
+    for row, column in np.argwhere(~np.isfinite(table))[:1]:
+        raise InputError(f"{path}: {names[column]} is {table[row, column]} at {table[row, 0]:g} s; inputs are finite")
     return {name: (table[:, 0], table[:, i]) for i, name in enumerate(names) if i}
 
 
 def _table(path: str | Path) -> tuple[list[str], NDArray]:
-    """Names and numbers of a CSV file whose first column is time."""
+    """Names and numbers of a CSV file whose first column is time; InputError, with the line, where it is none."""
+    line, numbers = 0, array("d")
     try:
-        with Path(path).open(newline="", encoding="utf-8") as file:
-            rows = [row for row in csv.reader(file) if row]
-        names, table = [name.strip() for name in rows[0]], np.array(rows[1:], float)
-    except (OSError, IndexError, ValueError) as error:
-        raise InputError(f"{path} is not a table of numbers under a row of names ({error})") from None
-    if table.ndim != 2 or table.shape[1] != len(names) or names[0] != "time" or not np.isfinite(table[:, 0]).all():
-        raise InputError(f"{path}: the first column must be time, and every row as long as the row of names")
-    if (np.diff(table[:, 0]) < 0).any():
-        raise InputError(f"{path}: time must not go back")
-    return names, table
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file, strict=True)
+            rows = (row for row in reader if row)
+            names = [name.strip() for name in next(rows, [])]
+            _check_names(path, names)
+            for row in rows:
+                line = reader.line_num
+                if len(row) != len(names):
+                    raise InputError(f"{path}, line {line}: {len(row)} columns under {len(names)} names")
+                numbers.extend(map(float, row))
+                if not -math.inf < numbers[-len(names)] < math.inf:
+                    raise InputError(f"{path}, line {line}: time is {row[0]}; it must be a finite number")
+                if len(numbers) > len(names) and numbers[-len(names)] < numbers[-2 * len(names)]:
+                    raise InputError(f"{path}, line {line}: time goes back to {row[0]}; sort the rows by time")
+    except OSError as error:
+        raise InputError(f"cannot read {path} ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a table of numbers: it is no text in UTF-8 ({error.reason})") from None
+    except csv.Error as error:
+        quoted = "end of data" in str(error)
+        why = "a quotation mark is opened and not closed" if quoted else f"it has a {error}"
+        raise InputError(f"{path} is not a table of numbers: {why}, at line {reader.line_num} or before") from None
+    except ValueError:
+        wrong = next(cell for cell in row if not _number(cell))
+        raise InputError(f"{path} is not a table of numbers: line {line} has {wrong[:40]!r}") from None
+    if not numbers:
+        raise InputError(f"{path} has no rows of numbers under its names")
+    return names, np.array(numbers).reshape(-1, len(names))
+
+
+def _check_names(path: str | Path, names: list[str]) -> None:
+    """InputError where a row of names cannot stand over a table."""
+    if names[:1] != ["time"]:
+        raise InputError(
+            f"{path} is not a table of numbers under names: its first column is {(names or [''])[0][:40]!r}; it must "
+            "be 'time', with commas between the columns"
+        )
+    if "" in names:
+        raise InputError(f"{path}: column {1 + names.index('')} has no name")
+    if twice := next((name for name, count in Counter(names).items() if count > 1), None):
+        raise InputError(f"{path}: two columns are called {twice!r}; leave one out")
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _signal(signal: Signal) -> Callable[[float], float]:

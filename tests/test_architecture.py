@@ -13,16 +13,17 @@ PACKAGE = Path(alfmu.__file__).parent
 
 ROOMS: dict[str, set[str]] = {
     "model": set(),
+    "files": {"model"},
     "equations": {"model"},
     "method": set(),
     "kernel": {"equations", "method", "model"},
-    "runtime": {"equations", "kernel", "method", "model"},
+    "runtime": {"equations", "files", "kernel", "method", "model"},
     "oracle": {"equations", "kernel", "method", "model", "runtime"},
-    "simulation": {"equations", "kernel", "model", "oracle", "runtime"},
-    "view": {"equations", "model", "runtime", "simulation"},
-    "fmi": {"equations", "kernel", "model", "runtime", "simulation", "view"},
-    "studies": {"equations", "fmi", "kernel", "model", "oracle", "runtime", "simulation"},
-    "cli": {"equations", "fmi", "kernel", "model", "runtime", "simulation", "studies", "view"},
+    "simulation": {"equations", "files", "kernel", "model", "oracle", "runtime"},
+    "view": {"equations", "files", "model", "runtime", "simulation"},
+    "fmi": {"equations", "files", "kernel", "model", "runtime", "simulation", "view"},
+    "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation"},
+    "cli": {"equations", "files", "fmi", "kernel", "model", "runtime", "simulation", "studies", "view"},
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 

@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import zipfile
+import zlib
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 from fmpy import extract, instantiate_fmu, read_model_description
 from fmpy.fmi1 import FMICallException
-from fmpy.model_description import ModelVariable
+from fmpy.model_description import ModelDescription, ModelVariable
 from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
 from ..equations import Variable
+from ..files import scratch
 from ..model.errors import ExportError, InputError, StepError
 from ..simulation import Result, run
 from .experiment import Experiment, unlike
@@ -33,6 +36,9 @@ def _logged(*said) -> None:
     """What an FMU logs; the message comes last, whatever the version of FMI."""
     _LOG.append((said[-1] or b"").decode(errors="replace"))
 
+
+LARGEST = 4e9
+"""Bytes of an FMU, unpacked, at most."""
 
 _KINDS = {
     **{"Real": "Real", "Float64": "Real", "Float32": "Real", "Integer": "Integer"},
@@ -55,10 +61,8 @@ class Fmu:
     """
 
     def __init__(self, path: str | Path):
-        try:
-            self.description = read_model_description(str(path))
-        except Exception as error:  # fmpy raises whatever the archive or the XML parser raised
-            raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
+        _check_archive(path)
+        self.description = _description(path)
         self._version = self.description.fmiVersion[:1]
         if self._version not in _STATE or self.description.coSimulation is None:
             raise ExportError(f"{path} is no co-simulation FMU of FMI 2.0 or 3.0; alfmu drives no other")
@@ -75,19 +79,20 @@ class Fmu:
             v.name: float(v.start) for v in self._of("parameter") if _KINDS.get(v.type) == "Real" and v.start
         }
         """Defaults of the numbers that can be set before the run."""
-        self._folder = extract(str(path))
-        self._check_folder(path)
-        facts = Path(self._folder, "resources", OPTIONS)
-        known = json.loads(facts.read_text()) if facts.is_file() else {}
-        self.mechanism, self.options = known.get("mechanism", self.name), known.get("options", {})
-        """The mechanism, and the options that it was exported with, if alfmu exported it."""
-        try:
-            self.slave = instantiate_fmu(
-                self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
-            )
-        except Exception:
-            self._clean()
-            raise ExportError(self._why(f"{path} cannot be instantiated")) from None
+        with ExitStack() as stack:
+            self._folder = stack.enter_context(scratch())
+            extract(str(path), self._folder)
+            self._check_folder(path)
+            try:
+                self.slave = instantiate_fmu(
+                    self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
+                )
+            except Exception:
+                why = " ".join(self._why("it says nothing").removeprefix("cannot be instantiated: ").split())
+                raise ExportError(f"{path} cannot be instantiated: {why}") from None
+            self._stack = stack.pop_all()
+        self.mechanism, self.options = _facts(self._folder / "resources" / OPTIONS) or ("", {})
+        """The mechanism, and the options that it was exported with, if alfmu exported it; as the FMU says."""
         self.begun = False
 
     def __enter__(self) -> Fmu:
@@ -101,7 +106,7 @@ class Fmu:
         if self.slave is not None:
             slave, self.slave = self.slave, None
             slave.freeInstance()
-        self._clean()
+        self._stack.close()
 
     def set(self, name: str, value: float | str) -> None:
         """Set a variable by name, and one of an enumeration to the name or number of an item of it.
@@ -178,13 +183,12 @@ class Fmu:
 
     def reference(self) -> tuple[Experiment, Result] | None:
         """The experiment and the reference results inside, None where there are none."""
-        return Experiment.read(Path(self._folder), self.description.coSimulation.modelIdentifier)
+        return Experiment.read(self._folder, self.description.coSimulation.modelIdentifier)
 
     def _check_folder(self, path: str | Path) -> None:
         """ExportError where pythonfmu's library would end the process: of a URI, it decodes blanks alone."""
-        resources = Path(self._folder, "resources")
+        resources = self._folder / "resources"
         if (resources / "slavemodule.txt").is_file() and "%" in resources.as_uri().replace("%20", ""):
-            self._clean()
             raise ExportError(
                 f"{path} is of kind python, and cannot be started in {resources.parent}, where FMUs are unpacked: "
                 "pythonfmu takes ASCII letters, digits, blanks and -._~ in a path alone; set TMPDIR to another one, or "
@@ -206,8 +210,47 @@ class Fmu:
         words = [line.split("InputError('")[-1].split("Error('")[-1].removesuffix("')") for line in _LOG]
         return words[-1] if words and words[-1] else what
 
-    def _clean(self) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
+
+def _check_archive(path: str | Path) -> None:
+    """ExportError where an archive is damaged, too large, or has files with places outside its folder."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+            for each in members:
+                name = each.orig_filename
+                if name.startswith("/") or set(name) & set("\\:\0") or ".." in name.split("/"):
+                    raise ExportError(f"{path} is not opened: it has a file {name!r}, a place outside its folder")
+            if (size := sum(each.file_size for each in members)) > LARGEST:
+                raise ExportError(f"{path} is not opened: it unpacks to {size:.1e} bytes, more than {LARGEST:.0e}")
+            damaged = archive.testzip()
+    except (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise ExportError(f"{path} is not an FMU that can be read ({why})") from None
+    if damaged:
+        raise ExportError(f"{path} is damaged: the check sum of {damaged} does not agree; export or copy it again")
+
+
+def _description(path: str | Path) -> ModelDescription:
+    """The description in an FMU."""
+    try:
+        found = read_model_description(str(path))
+    except Exception as error:  # fmpy raises whatever the XML parser raised
+        raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
+    kinds = (found.coSimulation, found.modelExchange, getattr(found, "scheduledExecution", None))
+    for name in (kind.modelIdentifier for kind in kinds if kind):
+        if not (name.isascii() and name.isidentifier()):
+            raise ExportError(f"{path} is not opened: its model identifier {name!r} is no C identifier")
+    return found
+
+
+def _facts(path: Path) -> tuple[str, dict[str, Any]] | None:
+    """The mechanism and its options in a file that alfmu wrote; None where it is none, or another tool's."""
+    try:
+        known = json.loads(path.read_bytes())
+        mechanism, options = known["mechanism"], known["options"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return (mechanism, options) if isinstance(mechanism, str) and isinstance(options, dict) else None
 
 
 def validate(path: str | Path, steps: int = 50) -> list[str]:
@@ -216,9 +259,11 @@ def validate(path: str | Path, steps: int = 50) -> list[str]:
 
     An empty list means that none was found. Raises ExportError where the file is no FMU that can be opened.
     """
-    if not zipfile.is_zipfile(path):
-        raise ExportError(f"{path} is not an FMU that can be read (no zip archive)")
-    problems = [f"fmpy: {problem}" for problem in validate_fmu(str(path))]
+    _check_archive(path)
+    try:
+        problems = [f"fmpy: {problem}" for problem in validate_fmu(str(path))]
+    except Exception as error:  # fmpy raises whatever its parts raised
+        raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
     if problems:
         return problems
     with Fmu(path) as fmu, Fmu(path) as other:
@@ -245,12 +290,15 @@ def validate(path: str | Path, steps: int = 50) -> list[str]:
 
 def _unlike_reference(fmu: Fmu) -> list[str]:
     """How a run differs from the reference results inside an FMU."""
-    found = fmu.reference()
-    if found is None:
-        return []
-    experiment, expected = found
-    fmu.reset()
-    result = run(fmu, experiment.stop_time, experiment.step)
+    try:
+        found = fmu.reference()
+        if found is None:
+            return []
+        experiment, expected = found
+        fmu.reset()
+        result = run(fmu, experiment.stop_time, experiment.step)
+    except InputError as error:
+        return [f"reference results: {error}"]
     if missing := set(expected.names) - set(result.names):
         return [f"reference results: {min(missing)} is no output of the FMU"]
     return [f"reference results: {each}" for each in unlike(expected, experiment, result)]

@@ -18,7 +18,7 @@ import numpy as np
 from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import MONITORS
-from ..model.errors import StepError
+from ..model.errors import InputError, StepError
 from ..runtime import Instance
 from ..simulation import Result, run
 
@@ -67,12 +67,19 @@ class Experiment:
         settings, table = (folder / FOLDER / f"{name}_ref{suffix}" for suffix in (".opt", ".csv"))
         if not (settings.is_file() and table.is_file()):
             return None
-        with settings.open(newline="") as file:
-            found = {row[0]: float(row[1]) for row in csv.reader(file) if len(row) == 2}
-        stop_time, step, interval = (found.get(key, 0.0) for key in ("StopTime", "StepSize", "OutputIntervalLength"))
-        if not (stop_time > 0 and interval >= step > 0):
+        try:
+            lines = settings.read_text(encoding="utf-8").splitlines()
+            found = dict(line.split(",", 1) for line in lines if "," in line)
+            wanted = ("StopTime", "StepSize", "OutputIntervalLength")
+            stop_time, step, interval = (float(found.get(key, 0.0)) for key in wanted)
+            results = Result.from_csv(table)
+        except ValueError as error:
+            raise InputError(f"{settings.name} cannot be read ({error})") from None
+        except InputError as error:
+            raise InputError(str(error).replace(f"{folder}/", "")) from None
+        if not (0 < stop_time < math.inf and 0 < step <= interval < math.inf):
             return None
-        return cls(stop_time, step, round(interval / step)), Result.from_csv(table)
+        return cls(stop_time, step, round(interval / step)), results
 
 
 def reference_results(equations: Equations) -> dict[str, bytes]:

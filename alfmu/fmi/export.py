@@ -23,6 +23,7 @@ from pythonfmu.builder import FmuBuilder
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.specialisation import specialised
+from ..files import atomic, scratch
 from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
@@ -85,8 +86,8 @@ def export(
 
     A name or a Python file stands for the recipe that is registered or declared there, or else for a mechanism. The
     other arguments are fields of `Recipe`: they take precedence over the recipe, `options` and `parameters` one by one.
-    The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults, and
-    ExportError where the file cannot be written or compiled.
+    The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
+    ExportError where it cannot be compiled, and WriteError where the file cannot be written: nothing is left then.
     """
     own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
     recipe = load(mechanism).changed(**own, kernel=kernel, kind=kind, platforms=platforms, fmi=fmi)
@@ -115,8 +116,7 @@ def export(
     entry = _ENTRY.format(name=name, package=package, title=name.title().replace("_", ""))
     resources = {**_resources(recipe, equations, scene, guid), **libraries}
 
-    with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
-        top = Path(folder)
+    with scratch() as top:
         script = _write(top / f"{name}_{digest}.py", entry)
         _write(top / package / "__init__.py", '"""The run side of alfmu."""\n')
         for room in sorted({str(Path(module).parent) for module in sources} - {"."}):
@@ -133,7 +133,7 @@ def export(
             _write(documents / "licenses" / f"{each}.txt", _license(each))
         (documents / "model.png").write_bytes(picture)
         made = top / f"{name}.fmu"
-        with _imports_undone(package, script.stem):
+        with _imports_undone(package, script.stem), _temporary_in(top):
             FmuBuilder.build_FMU(script, made, [top / package, *(top / file for file in resources)], documents)
         described = {
             "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
@@ -293,16 +293,20 @@ def _imports_undone(*names: str) -> Iterator[None]:
             del sys.modules[module]
 
 
+@contextmanager
+def _temporary_in(folder: Path) -> Iterator[None]:
+    """Have a library make its temporary folders in this one, which is removed even after a kill."""
+    before, tempfile.tempdir = tempfile.tempdir, str(folder)
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
+
+
 def _archive(path: Path, files: Mapping[str, bytes]) -> None:
     """An FMU of these files, sorted, compressed, and free of time stamps and owners."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.{os.getpid()}")
-        with zipfile.ZipFile(partial, "w") as archive:
-            for name in sorted(files):
-                info = zipfile.ZipInfo(name, _PINNED)
-                info.external_attr = 0o644 << 16
-                archive.writestr(info, files[name], zipfile.ZIP_DEFLATED, 9)
-        partial.replace(path)
-    except OSError as error:
-        raise ExportError(f"{path.stem}: cannot write {path} ({error.strerror})") from error
+    with atomic(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for name in sorted(files):
+            info = zipfile.ZipInfo(name, _PINNED)
+            info.external_attr = 0o644 << 16
+            archive.writestr(info, files[name], zipfile.ZIP_DEFLATED, 9)

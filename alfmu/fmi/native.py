@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
+from ..files import write
 from ..kernel.alternatives import formulations
 from ..model.errors import ExportError
 from ..model.settings import Settings
@@ -80,9 +80,7 @@ def _built(scene: str, name: str) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         build.build(name, path)
-        partial = proof.with_name(f".{proof.name}.{os.getpid()}")
-        partial.write_text(hashlib.sha256(path.read_bytes()).hexdigest())
-        partial.replace(proof)
+        write(proof, hashlib.sha256(path.read_bytes()).hexdigest().encode())
     except (OSError, RuntimeError) as error:
         where = "" if name == HERE else f" for {name}"
         raise ExportError(f"{scene}: the runtime{where} cannot be built ({error}); leave the platform out") from error

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from ..equations import Equations
+from ..files import scratch
 from ..kernel.form import called
 from ..kernel.tables import alone, function_sizes, packed
 from ..model.errors import ExportError
@@ -76,8 +75,8 @@ def _contents(mechanism: Mechanism, given: Mapping, kind: str) -> dict[str, tupl
     """Bytes of what is in an FMU, packed and unpacked."""
     found = dict.fromkeys(_CONTENTS, (0, 0))
     with (
-        tempfile.TemporaryDirectory(prefix="alfmu_") as folder,
-        zipfile.ZipFile(export(mechanism, Path(folder), **given, kind=kind)) as archive,
+        scratch() as folder,
+        zipfile.ZipFile(export(mechanism, folder, **given, kind=kind)) as archive,
     ):
         for info in archive.infolist():
             place = next(place for place in _CONTENTS if info.filename.startswith(place))

@@ -91,6 +91,8 @@ class Slave(Fmi2Slave):
 
     def _scene(self, folder: Path) -> Scene:
         """The scene among the resources, run by the library there."""
+        if not (folder / SCENE).is_file():
+            raise ValueError(f"there is no {SCENE} in its resources; unpack the whole FMU")
         return Scene((folder / SCENE).read_bytes(), folder)
 
     # Life --------------------------------------------------------------------------------------------------------

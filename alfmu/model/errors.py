@@ -1,10 +1,24 @@
 """Errors that say which mechanism, what was measured, the limit, and what to do."""
 
-__all__ = ["AlfmuError", "AssemblyError", "DeclarationError", "ExportError", "InputError", "OpenError", "StepError"]
+from typing import Any
+
+__all__ = [
+    "AlfmuError",
+    "AssemblyError",
+    "DeclarationError",
+    "ExportError",
+    "InputError",
+    "OpenError",
+    "StepError",
+    "WriteError",
+]
 
 
 class AlfmuError(Exception):
     """Base of every error that alfmu raises on purpose; its text is meant for the user."""
+
+    result: Any = None
+    """What a run had computed when this error ended it (`alfmu.Result`); None where none had begun."""
 
 
 class DeclarationError(AlfmuError):
@@ -17,6 +31,10 @@ class AssemblyError(AlfmuError):
 
 class InputError(AlfmuError):
     """A name is unknown, or a value is not finite or out of its bounds."""
+
+
+class WriteError(AlfmuError, OSError):
+    """A file cannot be written; nothing of it is left."""
 
 
 class StepError(AlfmuError):

@@ -69,8 +69,11 @@ def file_name(name: str) -> str:
 
 def compiler() -> list[str] | None:
     """The command of a C compiler: CC of the environment, the system's, or ziglang's; None where there is none."""
-    if os.environ.get("CC"):
-        return shlex.split(os.environ["CC"])
+    if chosen := os.environ.get("CC", "").strip():
+        try:
+            return shlex.split(chosen)
+        except ValueError:
+            return [chosen]  # no command, which whoever runs it says
     for name in ("cc", "gcc", "clang"):
         if found := shutil.which(name):
             return [found]

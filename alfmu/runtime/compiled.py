@@ -10,13 +10,12 @@ import hashlib
 import os
 import subprocess
 import sys
-import tempfile
-import uuid
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ..equations import Equations
+from ..files import scratch, write
 from ..kernel.tables import machine_code
 from ..model.errors import ExportError
 from .build import compiler
@@ -98,32 +97,32 @@ def build(scene: str, command: list[str], files: Mapping[str, str], name: str, s
     place = cache()
     try:
         place.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
+        with scratch() as folder:
             for each, text in files.items():
-                (Path(folder) / each).write_text(text, encoding="ascii")
+                (folder / each).write_text(text, encoding="ascii")
 
             def compile_one(each: str) -> str:
-                _run(scene, [*command, "-c", each, "-o", f"{each}.o"], folder, otherwise)
-                return f"{each}.o"
+                return _run(scene, [*command, "-c", each], f"{each}.o", folder, otherwise)
 
             with ThreadPoolExecutor(os.cpu_count()) as pool:
                 objects = list(pool.map(compile_one, (each for each in files if each.endswith(".c"))))
-            _run(scene, [*command, "-shared", "-s", *objects, "-o", "kernel", "-lm"], folder, otherwise)
-            content = (Path(folder) / "kernel").read_bytes()
+            linked = _run(scene, [*command, "-shared", "-s", *objects, "-lm"], "kernel", folder, otherwise)
+            content = (folder / linked).read_bytes()
             path = place / f"{name}_{_hash(content)}{suffix}"
-            partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
-            partial.write_bytes(content)
-            partial.replace(path)
+            write(path, content)
             return path
     except OSError as error:
-        raise ExportError(f"{scene}: cannot build the kernel in {place} ({error.strerror}); {otherwise}") from error
+        why = error.strerror or error
+        raise ExportError(f"{scene}: cannot build the kernel in {place} ({why}); {otherwise}") from error
 
 
-def _run(scene: str, command: list[str], folder: str, otherwise: str) -> None:
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        why = (done.stderr.strip().splitlines() or ["no message"])[0]
-        raise ExportError(f"{scene}: the C compiler {command[0]} failed ({why}); {otherwise}")
+def _run(scene: str, command: list[str], made: str, folder: Path, otherwise: str) -> str:
+    """Compile or link in a folder; the name of the file that is made."""
+    done = subprocess.run([*command, "-o", made], cwd=folder, capture_output=True, text=True, check=False)
+    if done.returncode or not (folder / made).is_file():
+        said = done.stderr.strip().splitlines() or ["no message" if done.returncode else "it writes no file"]
+        raise ExportError(f"{scene}: the C compiler {command[0]} failed ({said[0]}); {otherwise}")
+    return made
 
 
 def version(command: list[str]) -> str:

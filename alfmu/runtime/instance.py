@@ -269,11 +269,12 @@ class Instance:
         table: NDArray,
         wanted: Sequence[str],
         progress: Callable[[int], bool] | None = None,
-    ) -> tuple[NDArray, AlfmuError | None]:
+    ) -> tuple[NDArray, BaseException | None]:
         """A whole run in one call: communication points (k,) [s], a table (k, inputs) of inputs at each.
 
         Returns the wanted variables (rows, wanted) at the communication points that were reached, and the reason where
-        these are not all. `progress` is called after each communication step; the run ends where it returns False.
+        these are not all. `progress` is called after each communication step; the run ends where it returns False or
+        raises.
         """
         times, table = np.ascontiguousarray(times, float), np.ascontiguousarray(table, float)
         values = np.empty((len(times), len(wanted)))
@@ -294,9 +295,7 @@ class Instance:
         callback = guarded if progress else None
         made, outcome = self._unit.run(begin, len(times), places[0], rows, places[1], into, callback)
         self._warn()
-        if raised:
-            raise raised[0]
-        error = None
+        error = raised[0] if raised else None
         if outcome not in (DONE, INTERRUPTED):
             kinds = {REFUSED: InputError, OPEN: OpenError, FAILED: StepError if self.initialized else AssemblyError}
             error = kinds.get(outcome, AssemblyError)(self._unit.text)

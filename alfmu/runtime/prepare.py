@@ -76,6 +76,8 @@ def _chosen(equations: Equations) -> tuple[str, str]:
     if probe is None:
         return "explicit", "explicit: the defaults have no start"
     values = probe.spectrum()
+    if not values.size:
+        return "explicit", "explicit: small motions at the start are not finite"
     fastest = values[np.argmax(np.abs(values))]
     lasting = values[-values.real * equations.stop_time < LASTS]
     slow = max(2 * math.pi / equations.stop_time, min((abs(x) for x in lasting if abs(x) > 1e-3), default=0.0))

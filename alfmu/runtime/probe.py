@@ -108,6 +108,7 @@ class Probe:
         _, found, place = mobility(self.unit, self.equations.n)
         return shared(self.equations, self.numbers, self.penalty > 0, place, self.equations.n - found.freedom)
 
+    @np.errstate(all="ignore")
     def iterations_needed(self) -> int:
         """Iterations of the residual form after which no more than a tenth of the tolerance is left.
 
@@ -126,8 +127,12 @@ class Probe:
         method.residual(M, F, C, xi, alpha, solve, *zeros, settings.max_iterations, done)
         return made
 
+    @np.errstate(all="ignore")
     def spectrum(self) -> NDArray:
-        """Eigenvalues [1/s] of small motions about the start; of equations that have tangents."""
+        """Eigenvalues [1/s] of small motions about the start, none where they are not finite.
+
+        Of equations that have tangents.
+        """
         e, n, l, settings = self.equations, self.equations.n, self.equations.l, default_settings(self.equations)
         M, C, F, xi, alpha, solve = self._dynamics()
 
@@ -144,7 +149,8 @@ class Probe:
         T, S = implicit.return_map(C, alpha, solve, Xv, np.eye(n), _RETURNS)
         aq, av = implicit.on_branch(both[:, :n], both[:, n:], T, S)
         # Displacements that the constraints keep, alone: T projects on them.
-        return np.linalg.eigvals(np.block([[np.zeros((n, n)), T], [T @ aq, T @ av]]))
+        motions = np.block([[np.zeros((n, n)), T], [T @ aq, T @ av]])
+        return np.linalg.eigvals(motions) if np.isfinite(motions).all() else np.array([])
 
     def _dynamics(self) -> tuple[Any, Any, NDArray, NDArray, Any, method.Solve]:
         """M, C, F, xi, the penalties as a matrix, and what solves with H; matrices are sparse where they are large."""

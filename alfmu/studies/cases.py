@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, SOLVER_VARIABLES, Counters
+from ..files import write
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
@@ -328,7 +329,7 @@ class Begun(Generic[AnyStudy]):
         """Write the report and where it was made; returns the path of the report."""
         write_csv(self.folder / "environment.csv", self.environment)
         path = self.folder / name
-        path.write_text(text, encoding="utf-8")
+        write(path, text.encode())
         return path
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..files import atomic
 from ..model.errors import InputError
 from .tables import Row
 
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Map", "maps", "require", "scatter", "slope"]
+__all__ = ["Map", "maps", "require", "save", "scatter", "slope"]
 
 LINES = ("#3b75af", "#d98c1f", "#3f9268", "#c0523a", "#7a66b0", "#1f8f96", "#b0608c", "#6b7680", "#8a6d3b", "#222222")
 MARKERS = "os^Dv<>Ph*"
@@ -34,6 +36,12 @@ def require() -> type[Figure]:
     except ImportError:
         raise InputError("a picture needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
     return Figure
+
+
+def save(drawn: Figure, path: Path, dpi: float) -> None:
+    """Write a figure as a PNG, the same bytes each time."""
+    with atomic(path) as file:
+        drawn.savefig(file, format="png", dpi=dpi, metadata={"Software": None})
 
 
 def slope(x: Sequence[float], y: Sequence[float]) -> float | None:

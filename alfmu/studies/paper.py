@@ -25,7 +25,7 @@ from ..model.registry import load
 from ..model.settings import Settings
 from ..oracle import Instance
 from ..simulation import prepared
-from .charts import require
+from .charts import require, save
 from .tables import Cell, Row, paragraph, shown, write_csv
 
 if TYPE_CHECKING:
@@ -136,7 +136,7 @@ class Chapter:
         for table in self.tables:
             write_csv(folder / f"{table.name}.csv", table.rows, table.columns)
         for name, figure in self.pictures.items():
-            figure.savefig(folder / name, dpi=110, metadata={"Software": None})
+            save(figure, folder / name, 110)
 
     def markdown(self, level: str) -> Iterator[str]:
         """Its parts in Markdown under a heading of a level, as `##`."""

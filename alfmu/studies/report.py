@@ -7,7 +7,6 @@ writes `report.md`, CSV files with every number in it, and pictures of each mech
 from __future__ import annotations
 
 import logging
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..equations import Equations
 from ..equations.specialisation import specialised
+from ..files import scratch
 from ..fmi.drive import Fmu
 from ..fmi.export import export
 from ..model.errors import AlfmuError, InputError
@@ -54,7 +54,7 @@ from .cases import (
     run,
     scene,
 )
-from .charts import scatter, slope
+from .charts import save, scatter, slope
 from .cost import cost, left_out
 from .rivals import RIVALS, Rival
 from .tables import Row, paragraph, shown, write_csv
@@ -192,8 +192,8 @@ class Study(cases.Study):
         self.times = self._points()
         self._judge(float(self.times[-1]))
         self._scenes()
-        with ExitStack() as self._stack, tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
-            self._ways, self._units = self._makers(Path(folder)), {}
+        with ExitStack() as self._stack, scratch() as folder:
+            self._ways, self._units = self._makers(folder), {}
             for setting, value in progress([case for group in self._settings() for case in _passes(group)]):
                 self._run(setting, value, mapped)
         self._summarise()
@@ -618,4 +618,4 @@ def _pictures(study: Study, folder: Path) -> None:
     ):
         title = f"{study.name}: {OWN}" if chosen is own else f"{study.name}: formulations, {first}"
         figure = scatter(title, chosen, quantities, TIME, lambda r, names=told: label(r, *names), colour, study.floors)
-        figure.savefig(folder / f"{name}.png", dpi=110, metadata={"Software": None})
+        save(figure, folder / f"{name}.png", 110)

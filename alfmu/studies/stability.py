@@ -38,7 +38,7 @@ from .cases import (
     run,
     scene,
 )
-from .charts import Map, maps
+from .charts import Map, maps, save
 from .tables import Row, markdown, paragraph, shown, write_csv
 
 __all__ = ["CLASSES", "Effort", "stability"]
@@ -378,7 +378,7 @@ def stability(
 def draw(study: Study, folder: Path) -> None:
     """The picture of the maps of a mechanism."""
     figure = maps(f"{study.name}: where it runs and how it fails", _maps(study), CLASSES)
-    figure.savefig(folder / _picture(study), dpi=100, metadata={"Software": None})
+    save(figure, folder / _picture(study), 100)
 
 
 def write(folder: Path, studies: Sequence[Study]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import datetime
 import os
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from ..files import atomic
 from ..runtime.build import compiler
 
 __all__ = [
@@ -66,8 +68,8 @@ def shown(title: str, name: str, columns: Sequence[str], rows: Sequence[Mapping[
 def write_csv(path: Path, rows: Sequence[Mapping[str, Cell]], more: Sequence[str] = ()) -> None:
     """A CSV file with 17 significant digits: the columns of all rows and some more; what a row lacks stays empty."""
     columns = list(dict.fromkeys([*(name for row in rows for name in row), *more]))
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
+    with atomic(path) as file:
+        writer = csv.writer(codecs.getwriter("utf-8")(file))
         writer.writerow(columns)
         writer.writerows([_exact(row.get(name)) for name in columns] for row in rows)
 

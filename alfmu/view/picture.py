@@ -13,12 +13,12 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from html import escape
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Literal
 
 import casadi as ca
 import numpy as np
@@ -27,6 +27,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..equations import Equations
 from ..equations.derivation import derive
+from ..files import atomic, write
 from ..model.errors import AlfmuError, DeclarationError, InputError
 from ..model.mechanism import Joint, Marker, Mechanism, Scalar, key_of
 from ..runtime import Instance
@@ -68,14 +69,14 @@ _ORIGIN = (Anchor(GROUND, 0.0, 0.0),)
 
 @dataclass(frozen=True)
 class Link:
-    """A body: the points that its joints, springs and ends have on it, from its centre of mass [m].
+    """A body: the points that its joints, springs and ends have on it, at least one, from its centre of mass [m].
 
     `kind` is "bar" (through its points), "mass" (fewer than two points of its own: an arm to its centre of mass) or
     "block" (rides in a guide).
     """
 
     name: str
-    kind: str
+    kind: Literal["bar", "mass", "block"]
     points: tuple[Vector, ...]
 
 
@@ -108,7 +109,7 @@ class Tie:
     """What acts between two points: a "rod" (a joint's), "spring", "damper", "spring-damper" or torsional "spiral"."""
 
     name: str
-    kind: str
+    kind: Literal["rod", "spring", "damper", "spring-damper", "spiral"]
     first: Anchor
     second: Anchor
 
@@ -118,6 +119,7 @@ class Shapes:
     """All that a picture of a mechanism shows; `dots` are points that user outputs `NAME.x`, `NAME.y` give."""
 
     name: str
+    description: str = field(compare=False)
     links: tuple[Link, ...]
     joints: tuple[Hinge, ...]
     guides: tuple[Guide, ...]
@@ -176,13 +178,13 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) 
 
     places = [o.name for o in m.outputs if o.unit == "m"] + [f"{b.name}.{k}" for b in m.spatial_bodies for k in "xy"]
     dots = tuple(name[:-2] for name in places if name.endswith(".x") and f"{name[:-2]}.y" in places)
-    return Shapes(m.name, tuple(links), joints, guides, tuple(ties), dots)
+    return Shapes(m.name, m.description, tuple(links), joints, guides, tuple(ties), dots)
 
 
 def _evaluator(m: Mechanism, parameters: Mapping[str, Any]) -> Callable[[Scalar], float]:
     """What turns an expression in parameters into a number."""
     symbols = ca.vertcat(*(p.symbol for p in m.parameters))
-    values = ca.DM([float(parameters.get(p.name, p.default)) for p in m.parameters])
+    values = ca.DM([_given(m, p.name, parameters.get(p.name, p.default)) for p in m.parameters])
     known: dict[int, tuple[ca.SX, float]] = {}  # with the expression, so that its key stays its own
 
     def number(expression: Scalar) -> float:
@@ -198,6 +200,13 @@ def _evaluator(m: Mechanism, parameters: Mapping[str, Any]) -> Callable[[Scalar]
         return known[key][1]
 
     return number
+
+
+def _given(m: Mechanism, name: str, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{m.name}: {name} is {value!r}; it must be a number") from None
 
 
 def _guide(joint: Joint, anchor: Callable[[Marker], Anchor], number: Callable[[Scalar], float]) -> Guide:
@@ -552,7 +561,7 @@ class _Pen:
 
         hull = _hull(link.points)
         for guide in guides:
-            if link.kind == "block" and guide.rider.body == link.name:
+            if link.kind == "block" and guide.rider.body == link.name and guide.block is not None:
                 up = -math.sin(guide.block), math.cos(guide.block)
                 return label([(guide.rider.x, guide.rider.y)], [up], self._half(guide) / self.unit + 12)
         if len(hull) == 1:
@@ -830,7 +839,7 @@ def _hides(shapes: Shapes, columns: Mapping[str, float]) -> bool:
 
 
 def animate(
-    mechanism: Mechanism,
+    shown: Mechanism | Shapes,
     result: Result,
     path: str | Path,
     *,
@@ -842,21 +851,21 @@ def animate(
 ) -> None:
     """Write a motion as an endless `.gif`, or as an `.html` page with controls that needs nothing else.
 
-    `result` has `time` [s], `names` and arrays by name; `parameters` is what it was run with. `speed` is the time [s]
+    `result` has `time` [s], `names` and arrays by name; `parameters` is what it was run with, for a mechanism (shapes
+    have theirs). `speed` is the time [s]
     shown per second. `fps` and `progress` (wraps the instants of the frames [s]) are those of a GIF; a page draws as
     often as the browser does. Raises InputError where the suffix is another one, a column is missing, or a number is
     not above zero.
     """
     path = Path(path)
-    if path.suffix not in (".gif", ".html"):
-        raise InputError(f"{path} cannot hold an animation; its name must end in .gif or .html")
+    check_film(path)
     for name, value in (("fps", fps), ("speed", speed)):
         if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{mechanism.name}: {name} is {value}; it must be a finite number above zero")
-    shapes = geometry(mechanism, parameters)
+            raise InputError(f"{shown.name}: {name} is {value}; it must be a finite number above zero")
+    shapes = shown if isinstance(shown, Shapes) else geometry(shown, parameters)
     if not shapes.columns:
         raise InputError(
-            f"{mechanism.name} has nothing to draw; it needs bodies, or outputs NAME.x and NAME.y in m for each point"
+            f"{shapes.name} has nothing to draw; it needs bodies, or outputs NAME.x and NAME.y in m for each point"
         )
     time, columns = result.time, {name: result[name] for name in shapes.columns if name in result.names}
     view = view_of(shapes, columns)
@@ -864,16 +873,36 @@ def animate(
         instants = np.linspace(time[0], time[-1], MAX_SAMPLES)
         time, columns = instants, {name: np.interp(instants, time, x) for name, x in columns.items()}
     if path.suffix == ".gif":
-        delay, instants = _instants(time, fps, speed)
-        some = instants[:: math.ceil(len(instants) / 5)]
-        sheet = np.concatenate([np.asarray(f) for f in _frames(shapes, view, size, time, columns, some)])
-        palette = Image.fromarray(sheet).quantize(COLORS_OF_GIF)
-        frames = _frames(shapes, view, size, time, columns, progress(instants))
-        indexed = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
-        next(indexed).save(path, save_all=True, append_images=indexed, duration=delay, loop=0)
+        with atomic(path) as file:
+            _film(file, shapes, view, size, time, columns, *_instants(time, fps, speed), progress)
     else:
-        page = _page(mechanism, shapes, _scene(shapes, view, size), time, columns, speed)
-        path.write_text(page, encoding="utf-8")
+        write(path, _page(shapes, _scene(shapes, view, size), time, columns, speed).encode())
+
+
+def check_film(path: Path) -> None:
+    """InputError where a film has no kind of this name."""
+    if path.suffix not in (".gif", ".html"):
+        raise InputError(f"{path} cannot hold an animation; its name must end in .gif or .html")
+
+
+def _film(
+    file: BinaryIO,
+    shapes: Shapes,
+    view: View,
+    size: Size,
+    time: NDArray,
+    columns: Mapping[str, NDArray],
+    delay: int,
+    instants: list[float],
+    progress: Progress,
+) -> None:
+    """A GIF of a motion at some instants [s], each for `delay` [ms]."""
+    some = instants[:: math.ceil(len(instants) / 5)]
+    sheet = np.concatenate([np.asarray(f) for f in _frames(shapes, view, size, time, columns, some)])
+    palette = Image.fromarray(sheet).quantize(COLORS_OF_GIF)
+    frames = _frames(shapes, view, size, time, columns, progress(instants))
+    indexed = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames)
+    next(indexed).save(file, "GIF", save_all=True, append_images=indexed, duration=delay, loop=0)
 
 
 def _instants(time: NDArray, fps: float, speed: float) -> tuple[int, list[float]]:
@@ -900,9 +929,7 @@ def _frames(
         yield draw(shapes, now, size, view, trails, f"t = {t:.2f} s")
 
 
-def _page(
-    mechanism: Mechanism, shapes: Shapes, scene: Scene, time: NDArray, columns: Mapping[str, NDArray], speed: float
-) -> str:
+def _page(shapes: Shapes, scene: Scene, time: NDArray, columns: Mapping[str, NDArray], speed: float) -> str:
     """The page of a motion: its scene, and all poses over time to a hundredth of a pixel and 1e-4 rad."""
     digits = _digits(0.01 / scene.scale)
     data = {
@@ -916,8 +943,8 @@ def _page(
         "speed": speed,
     }
     values = {
-        "title": escape(mechanism.name.replace("_", " ")),
-        "description": escape(mechanism.description),
+        "title": escape(shapes.name.replace("_", " ")),
+        "description": escape(shapes.description),
         "background": BACKGROUND,
         "data": json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),
     }

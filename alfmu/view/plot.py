@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..files import atomic
 from ..model.errors import InputError
 from ..simulation import Result
 
@@ -62,9 +63,20 @@ def plot(result: Result, path: str | Path, names: Sequence[str] | None = None) -
     Raises InputError where the suffix is another one, nothing is called like one of `names`, or matplotlib is missing.
     """
     path = Path(path)
+    check_name(path)
+    save(figure(result, names), path, 150)
+
+
+def check_name(path: Path) -> None:
+    """InputError where a plot has no kind of this name."""
     if path.suffix not in METADATA:
         raise InputError(f"{path} cannot hold a plot; its name must end in {', '.join(METADATA)}")
-    figure(result, names).savefig(path, dpi=150, metadata=METADATA[path.suffix])
+
+
+def save(drawn: Figure, path: Path, dpi: float) -> None:
+    """Write a figure as a whole, the same bytes each time."""
+    with atomic(path) as file:
+        drawn.savefig(file, format=path.suffix[1:], dpi=dpi, metadata=METADATA[path.suffix])
 
 
 def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
