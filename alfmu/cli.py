@@ -478,6 +478,10 @@ def _keep(chosen: argparse.Namespace, result: Result, about: dict[str, Any], tab
                 f"largest |Phi| {c.position_error:.1e}, |Phi-dot| {c.velocity_error:.1e}, |Phi-ddot| "
                 f"{c.acceleration_error:.1e}, energy balance {c.energy_error:.1e} J",
             ]
+            from .model.settings import UNBALANCED
+
+            if c.run_error > UNBALANCED:
+                said += [f"WARNING: off by {c.run_error:.2g} of the energy of the motion, as warned of above"]
         said += [f"{wrote} ({len(result.time)} rows up to {result.time[-1]:g} s, {len(result.names) + 1} columns)"]
         if chosen.plot:
             from .view.plot import plot

@@ -345,6 +345,7 @@ class Instance(runtime.Instance):
             raise
         self.time = start + h
         self._step_error = self._scene.library.alfmu_balance(self._unit.address)
+        self.counters.run_error = self._counted()["run_error"]
         self._warn()
 
     def _step(self, start: float, dt: float) -> None:

@@ -227,6 +227,8 @@ class Counters:
     """Largest |Phi-ddot| at an output [m/s2, rad/s2]."""
     energy_error: float = 0.0
     """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
+    run_error: float = 0.0
+    """The same at communication points, over the largest kinetic energy or work so far [1]."""
 
 
 def checked(name: str, v: Variable, value: object) -> None:

@@ -25,6 +25,7 @@ from ..method.formulations import CORRECTIONS
 from ..method.singular import DOUBLINGS
 from .alternatives import OWN, Alternatives, alternatives
 from .form import Call, Choice, Loop, Plan, Program, Routine, called, rewritten
+from .memory import SEEN
 from .symbolic import MATRICES, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, spaced
 
@@ -83,7 +84,7 @@ def beginning(equations: Equations) -> Equations:
     """
     e, tracer, nothing = equations, _Patient(equations), Program((), Plan(CAREFUL, 3))
     kernel = {"quick": nothing, "careful": nothing, "instant": Program((Call("seen", (), ("seen",)),))}
-    tracer.functions["seen"] = ca.Function("seen", [], [ca.SX.zeros(3 + len(variables_of(e).outputs))])
+    tracer.functions["seen"] = ca.Function("seen", [], [ca.SX.zeros(len(SEEN) + len(variables_of(e).outputs))])
     if e.l:
         moves = ["move", *(f"move_{name}" for name in alternatives(e))]
         kernel |= dict.fromkeys([*moves, "close", "keep", "impact"], nothing)

@@ -17,7 +17,7 @@ from ..equations.evaluation import DENSE
 from ..equations.interface import BALANCE, CHOICES, SOLVER_VARIABLES, Interface, events, every_event, variables_of
 from ..method import formulations, implicit, singular, stepping
 from ..method.stepping import Collocation, Explicit, explicit_rule, share
-from ..model.settings import FIXED, FORMULATIONS, PROJECTED, Settings
+from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from . import memory, thresholds
 from .alternatives import OWN
 from .alternatives import formulations as carried
@@ -197,7 +197,7 @@ def layout_header() -> str:
         "OMEGA": Settings.omega,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "GIVEN_UP": stepping.SHORTEST,
-        "UNBALANCED": stepping.UNBALANCED,
+        "UNBALANCED": UNBALANCED,
         "ROUND_OFF": ROUND_OFF,
     }
     for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):

@@ -408,9 +408,6 @@ def tolerance(method: Explicit | Collocation, run: float) -> float:
 SPLIT = 2.0
 """Steps that are left up to an end below which they are made equal."""
 
-UNBALANCED = 1e-3
-"""Balance of energies over the energy of the motion, above which a run is warned about."""
-
 NOISE = 8.0
 """Errors that round-off is taken for, over one sample of what it leaves: below them no step is judged. A slider-crank
 with a slider of 1e6 times the mass of its links takes 21,000 evaluations for 5 s at 1e-12; with 2 it takes 444,000, and

@@ -9,7 +9,7 @@ import numpy as np
 
 from .errors import InputError
 
-__all__ = ["BRANCHES", "FIXED", "FORMULATIONS", "METHODS", "PROJECTED", "Settings"]
+__all__ = ["BRANCHES", "FIXED", "FORMULATIONS", "METHODS", "PROJECTED", "UNBALANCED", "Settings"]
 
 FORMULATIONS: dict[str, str] = {
     "residual": "augmented Lagrangian (8) in residual form",
@@ -43,6 +43,9 @@ FIXED = ("rk4", "order8", "trapezoidal", "generalized_alpha")
 
 PROJECTED = ("residual", "classic")
 """Formulations that correct the state with (10) after each step; the others do not, as in the literature."""
+
+UNBALANCED = 1e-3
+"""Energy less work over the energy of the motion, above which a run is warned about."""
 
 
 @dataclass(frozen=True)

@@ -347,7 +347,7 @@ class Instance:
         counted, tally = self._counted(), dict(zip(TALLY, self.memory["tally"].astype(int).tolist(), strict=True))
         kernel, c = self.equations.kernel, Counters()
         covered, refused, beside = (tally[name] for name in ("covered", "refused", "beside"))
-        errors = ("position_error", "velocity_error", "acceleration_error", "energy_error")
+        errors = ("position_error", "velocity_error", "acceleration_error", "energy_error", "run_error")
         for name in errors:
             setattr(c, name, float(counted[name]))
         patient = int(counted["patient_steps"])

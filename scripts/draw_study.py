@@ -1,0 +1,137 @@
+"""Draw parameters, starts and inputs at random for each mechanism, run it, and count what came of it.
+
+A run is wrong where energy less work is off by more than 1e-3 of the largest kinetic energy or work, computed here at
+every communication point; it is silent where nothing warned of it. Exit code 1 where one is silent, or ends in anything
+but an error of alfmu.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import traceback
+from collections import Counter
+
+import numpy as np
+
+import alfmu
+from alfmu.equations import Equations
+from alfmu.equations.interface import variables_of
+from alfmu.model.registry import mechanisms
+from alfmu.simulation import prepared, with_defaults
+
+WRONG = 1e-3
+"""Balance of energies over the energy of the motion."""
+
+DECADES = 1.0
+"""Parameters are drawn so far from their default on either side, where they have one."""
+
+STRONGEST = 1e3
+"""Largest input [N, N.m]."""
+
+KINDS = ("right", "warned", "ended", "refused", "silent", "traceback")
+"""What comes of a run: right to 1e-3; wrong, and warned of; an error on the way, or at the start. The rest is bad."""
+
+
+class Heard(logging.Handler):
+    """Keeps the warnings of a run."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.said: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.said.append(record.getMessage())
+
+
+def drawn(equations: Equations, random: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:
+    """Parameters and start values within their bounds, and constant inputs."""
+    values, inputs = {}, {}
+    for v in variables_of(equations).parameters:
+        if v.name.startswith(("solver.", "compliance.")) or v.type != "Real":
+            continue
+        if v.name.startswith("start."):
+            x = random.uniform(-np.pi, np.pi) if v.unit.startswith("rad") else v.start * random.uniform(0.8, 1.2)
+        elif v.start:
+            x = v.start * 10 ** random.uniform(-DECADES, DECADES)
+        else:
+            x = 0.0
+        low, high = (-np.inf if v.minimum is None else v.minimum), (np.inf if v.maximum is None else v.maximum)
+        values[v.name] = float(np.clip(x, low, high))
+    for v in equations.inputs:
+        inputs[v.name] = float(random.choice((-1, 1)) * 10 ** random.uniform(-2, np.log10(STRONGEST)))
+    return values, inputs
+
+
+def outcome(equations: Equations, values: dict[str, float], inputs: dict[str, float], stop: float) -> tuple[str, str]:
+    """One of KINDS, and what was said."""
+    heard, logger = Heard(), logging.getLogger("alfmu")
+    logger.addHandler(heard)
+    unit = alfmu.Instance(equations)
+    try:
+        for name, value in {**values, **inputs}.items():
+            unit.set(name, value)
+        unit.initialize()
+        off = balance(unit, equations, stop)
+    except alfmu.AlfmuError as error:
+        return ("ended" if unit.initialized else "refused"), str(error)
+    except Exception:
+        return "traceback", traceback.format_exc()
+    finally:
+        logger.removeHandler(heard)
+    text = f"balance {off:.2g}; {'; '.join(heard.said) or 'nothing said'}"
+    if off <= WRONG:
+        return "right", text
+    return ("warned" if heard.said else "silent"), text
+
+
+def balance(unit: alfmu.Instance, equations: Equations, stop: float) -> float:
+    """Runs an instance; the largest change of energy less work, over the largest kinetic energy or work."""
+    energy = equations.functions["energy"]
+    first, off, scale = unit.get("monitor.energy"), 0.0, 1e-300
+    for _ in range(round(stop / equations.interval)):
+        unit.step(equations.interval)
+        now, work = unit.get("monitor.energy"), unit.work
+        kinetic = now - float(energy(unit.q, 0 * unit.v, unit.memory["p"]))
+        off, scale = max(off, abs(now - first - work)), max(scale, kinetic, abs(work))
+    return off / scale
+
+
+def counted(name: str, draws: int, method: str, stop: float, seed: int, show: bool = False) -> Counter:
+    """How many draws of a mechanism came to what."""
+    equations = alfmu.derive(alfmu.load(name))
+    equations = prepared(with_defaults(equations, {"solver.method": method} if method else {}), "auto")
+    random, found = np.random.default_rng(seed), Counter()
+    for i in range(draws):
+        values, inputs = drawn(equations, random)
+        kind, text = outcome(equations, values, inputs, min(stop, equations.stop_time))
+        found[kind] += 1
+        if kind in ("silent", "traceback") or show:
+            print(f"{name}, draw {i}: {kind}: {text}\n    {values | inputs}", file=sys.stderr)
+    return found
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Count, print, and say by the exit code whether any run was bad."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--draws", type=int, default=1000, help="of each mechanism (default: %(default)s)")
+    parser.add_argument("--only", nargs="+", choices=sorted(mechanisms()), default=sorted(mechanisms()), metavar="NAME")
+    parser.add_argument("--method", default="", help="solver.method (default: the mechanism's own)")
+    parser.add_argument("--stop-time", type=float, default=4.0, help="at most [s] (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of the draws (default: %(default)s)")
+    parser.add_argument("--show", action="store_true", help="every draw, not only those that are bad")
+    chosen = parser.parse_args(arguments)
+    logging.getLogger("alfmu").addHandler(logging.NullHandler())
+    logging.getLogger("alfmu").propagate = False
+    print(f"{'mechanism':20}", *(f"{kind:>9}" for kind in KINDS))
+    bad = 0
+    for name in chosen.only:
+        found = counted(name, chosen.draws, chosen.method, chosen.stop_time, chosen.seed, chosen.show)
+        print(f"{name:20}", *(f"{found[kind]:9d}" for kind in KINDS), flush=True)
+        bad += found["silent"] + found["traceback"]
+    return int(bad > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

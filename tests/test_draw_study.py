@@ -1,0 +1,45 @@
+"""Random parameters, starts and inputs: no run is wrong in silence, and with error control none is wrong."""
+
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).parents[1] / "scripts"
+
+
+@pytest.fixture(scope="module")
+def study():
+    """The script as a module."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SCRIPTS))
+        import draw_study
+
+        yield draw_study
+
+
+@pytest.mark.parametrize("name", ["particle_on_circle", "slider_crank", "four_bar"])
+def test_fixed_steps_are_right_or_warned_about(study, name):
+    found = study.counted(name, 20, "rk4", 2.0, 1)
+    assert found["silent"] == found["traceback"] == 0
+    assert found["right"] > 0
+    assert found["warned"] + found["ended"] > 0
+
+
+@pytest.mark.parametrize("name", ["particle_on_circle", "slider_crank", "four_bar"])
+def test_with_error_control_all_that_start_are_right(study, name):
+    found = study.counted(name, 20, "explicit", 2.0, 1)
+    assert found["right"] + found["refused"] == 20
+
+
+def test_the_script_prints_its_counts(study, capsys):
+    assert study.main(["--draws", "3", "--only", "particle_on_circle", "--stop-time", "0.5"]) == 0
+    head, row = capsys.readouterr().out.splitlines()
+    assert head.split() == ["mechanism", *study.KINDS]
+    assert sum(map(int, row.split()[1:])) == 3
+
+
+def test_a_silent_run_is_seen(study, monkeypatch, capsys):
+    """With nothing heard, what was warned about counts as silent."""
+    monkeypatch.setattr(study.Heard, "emit", lambda self, record: None)
+    assert study.main(["--draws", "20", "--only", "particle_on_circle", "--method", "rk4"]) == 1
+    assert "silent" in capsys.readouterr().err
