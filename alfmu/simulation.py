@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ __all__ = [
     "simulate",
     "with_defaults",
 ]
+
+_LOGGER = logging.getLogger("alfmu")
 
 Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
@@ -155,7 +158,14 @@ def run(
         values = _in_one_call(unit, times, list(signals), at, names, progress)
     else:
         values = _step_by_step(unit, times, list(signals), at, progress)
-    return Result(unit.name, times, names, units, values, getattr(unit, "counters", None))
+    counters = getattr(unit, "counters", None)
+    if counters and counters.unconverged:
+        _LOGGER.warning(
+            "%s: %d of %d evaluations did not converge; reduce solver.step_size, leave solver.penalty 0, or raise "
+            "solver.max_iterations",
+            *(unit.name, counters.unconverged, counters.evaluations),
+        )
+    return Result(unit.name, times, names, units, values, counters)
 
 
 def _in_one_call(

@@ -116,6 +116,8 @@ class Slave(Fmi2Slave):
         if self.unit.step(current_time, step_size) != DONE:
             self._say(self.unit.text, Fmi2Status.discard)
             return False
+        if self.unit.doubts():
+            self._say(self.unit.text, Fmi2Status.warning)
         return True
 
     def _initialize(self) -> None:

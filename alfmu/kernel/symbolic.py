@@ -319,7 +319,7 @@ class Scene:
     def spacing(self, plan: Plan, v: SX, dt: SX) -> SX:
         """S4: distance [s] of places along v; steps of error control may be too short to tell the places apart."""
         spacing = plan.spacing * dt
-        if plan.side == Plan.side:
+        if plan.spacing == Plan.spacing:
             return spacing
         return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
 

@@ -196,6 +196,7 @@ typedef struct {
     int within; /* whether the next step goes on in a communication step that began before */
     long left;  /* internal steps that this communication step may still take */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
+    int doubted;    /* whether it has been told that evaluations did not converge */
     size_t used, room; /* of scratch */
     char text[1024];   /* what happened last */
 } Instance;
@@ -215,6 +216,7 @@ Outcome instance_initialize(Instance *i);
 Outcome instance_can_step(Instance *i, double start, double h);
 Outcome instance_ready(Instance *i, double start, double h);
 Outcome instance_step(Instance *i, double start, double h);
+int instance_doubts(Instance *i);
 Outcome instance_read(Instance *i);
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *directions, double *changes);

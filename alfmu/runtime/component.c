@@ -99,6 +99,14 @@ Status component_refuse(Component *c, Category category, const char *call, const
     return category == DISCARD ? DISCARDED : WRONG;
 }
 
+/* FINE; evaluations that did not converge are told once. */
+static Status made(Component *c)
+{
+    if (instance_doubts(c->instance))
+        component_say(c, WARNING, c->instance->text);
+    return FINE;
+}
+
 /* What the instance said when it refused something. */
 static Status refused(Component *c, Status status)
 {
@@ -170,7 +178,7 @@ Status component_initialized(Component *c, const char *call)
     if ((!i->flags.initialized && instance_initialize(i) != DONE) || instance_read(i) != DONE)
         return refused(c, WRONG);
     i->flags.phase = STEPPING;
-    return FINE;
+    return made(c);
 }
 
 Status component_terminated(Component *c, const char *call)
@@ -404,9 +412,9 @@ static Status watched(Component *c, double point, double step, int *early)
         c->look(c->host, *instance_time(i), *early, &until);
         c->instance->flags.phase = STEPPING;
         if (*early && *instance_time(i) >= until)
-            return FINE;
+            return made(c);
     }
-    return FINE;
+    return made(c);
 }
 
 /* `early` says whether the host takes an early return, and then whether there was one. */
@@ -418,7 +426,7 @@ Status component_step(Component *c, double point, double step, int *early, const
         return watched(c, point, step, early);
     if (early)
         *early = 0;
-    return instance_step(c->instance, point, step) == DONE ? FINE : refused(c, DISCARDED);
+    return instance_step(c->instance, point, step) == DONE ? made(c) : refused(c, DISCARDED);
 }
 
 /* State ------------------------------------------------------------------------------------------------------------ */

@@ -399,6 +399,46 @@ static int all_serve(const Instance *i)
     return !i->scene->l || (formulation(i) == RESIDUAL_FORMULATION && projects(i));
 }
 
+/* What to do where a loop ends before it converges. */
+static const char *remedy(const Instance *i)
+{
+    return i->values[i->scene->penalty] > 0.0 || i->flags.given
+        ? "use solver.penalty 0, which scales it with the masses"
+        : "reduce solver.step_size";
+}
+
+/* FAILED where an evaluation, by what it says of itself, left so much of a given penalty's multiplier iteration that it
+   is no acceleration of this motion; less is counted. */
+static Outcome check_converged(Instance *i, const double *watch, double t)
+{
+    const Scene *s = i->scene;
+    const double tolerance = i->values[s->tolerance], alpha = i->values[s->penalty];
+    const double left = sqrt(watch[WATCH_CHANGE] / (watch[WATCH_SIZE] + DBL_MIN));
+    if (watch[WATCH_CHANGE] <= tolerance * tolerance * watch[WATCH_SIZE] + DBL_MIN)
+        return DONE;
+    i->counts[UNCONVERGED] += 1.0;
+    if (!(left > UNFINISHED) || !(alpha > 0.0 || i->flags.given) || field(i, s->k)[SETTINGS_CONTINUES] == 0.0)
+        return DONE;
+    return say(i, FAILED,
+        "%s, t = %.6g s: with solver.penalty %g the multiplier iteration still changes accelerations by %.1e of themselves "
+        "after %g passes, more than %.0e; %s, or raise solver.max_iterations",
+        s->name, t, alpha > 0.0 ? alpha : largest(i->penalty, s->l), left, i->values[s->max_iterations], UNFINISHED,
+        remedy(i));
+}
+
+/* Whether there are evaluations that did not converge, when it is asked for the first time after the start. */
+int instance_doubts(Instance *i)
+{
+    if (i->doubted || i->counts[UNCONVERGED] == 0.0)
+        return 0;
+    i->doubted = 1;
+    say(i, DONE,
+        "%s, t = %.6g s: an evaluation ended without convergence after %g passes of the multiplier iteration; %s, or "
+        "raise solver.max_iterations",
+        i->scene->name, *instance_time(i), i->values[i->scene->max_iterations], remedy(i));
+    return 1;
+}
+
 /* DONE where accelerations can be computed at q, v; `pivot` is the smallest of what was factorised there. */
 static Outcome explained(Instance *i, const double *q, const double *v, double t, double pivot)
 {
@@ -670,9 +710,9 @@ static Outcome projected(Instance *i, double *q, double *v)
         const double worst = widest(i, q, v, of_velocity, &row);
         if (!(worst <= GROSS))
             outcome = say(i, OPEN,
-                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name,
-                *instance_time(i), of_velocity ? "|Phi-dot|" : "|Phi|", worst,
-                row_label(i, row, label, sizeof label), GROSS, CORRECTIONS);
+                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; %s", s->name, *instance_time(i),
+                of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
+                CORRECTIONS, remedy(i));
     }
     i->used = used;
     return outcome;
@@ -723,6 +763,7 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     field(i, s->pace)[0] = FIRST_STEP;
     field(i, s->pace)[1] = LEAST_BEFORE;
     memset(i->counts, 0, COUNTED * sizeof *i->counts);
+    i->doubted = 0;
     memset(field(i, s->tally), 0, TALLY * sizeof(double));
     i->counts[ENERGY_START] = energy(i);
 }
@@ -882,23 +923,11 @@ static Outcome closed_again(Instance *i, double t)
         const double worst = widest(i, after, after + s->n, of_velocity, &row);
         if (!(worst <= GROSS))
             return say(i, OPEN,
-                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name, t,
+                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; %s", s->name, t,
                 of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
-                CORRECTIONS);
+                CORRECTIONS, remedy(i));
     }
     return DONE;
-}
-
-/* Counts the stages of a move in which the multiplier iteration reached its limit. */
-static void count_unconverged(Instance *i)
-{
-    const Scene *s = i->scene;
-    const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
-    const double tolerance = i->values[s->tolerance];
-    for (int k = 0; k < 4; k++) {
-        const double *seen = i->workspace + watch[k];
-        i->counts[UNCONVERGED] += !(seen[WATCH_CHANGE] <= tolerance * tolerance * seen[WATCH_SIZE] + DBL_MIN);
-    }
 }
 
 /* The largest |Phi| and |Phi-dot| after a step that does not end with projections. */
@@ -962,9 +991,10 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
         run(i, s->keep);
         watch_gaps(i);
     }
+    for (int k = 0; k < 4 && outcome == DONE; k++)
+        outcome = check_converged(i, w + watch[k], t);
     if (outcome != DONE)
         return outcome;
-    count_unconverged(i);
     after[s->trouble] = 0.0;
     memcpy(m + s->z, after, state_length(s) * sizeof *m);
     return DONE;
@@ -1236,21 +1266,26 @@ static void watch_errors(Instance *i)
 }
 
 /* What can be read at this instant, by loops that stop on convergence. */
-static void read_patiently(Instance *i)
+static Outcome read_patiently(Instance *i)
 {
     const Scene *s = i->scene;
     const int instant = instant_by(s, formulation(i));
+    Outcome outcome = DONE;
     double value;
     i->iterations = 0;
     run(i, instant);
-    i->counts[UNCONVERGED] += verdict(i, SEEN_TROUBLE) != 0.0;
+    if (s->l && instant != s->instant)
+        outcome = check_converged(i, i->workspace + s->watch0, *instance_time(i));
     if (verdict(i, SEEN_NEAR) != 0.0 && s->limit_patient >= 0) {
         run(i, s->limit_patient);
         if (not_finite(i, &value))
             run(i, instant);
+        else
+            outcome = DONE;
     }
     if (s->monitor_iterations >= 0 && i->iterations > 0)
         i->m[s->seen + s->monitor_iterations] = i->iterations;
+    return outcome;
 }
 
 Outcome instance_read(Instance *i)
@@ -1267,7 +1302,9 @@ Outcome instance_read(Instance *i)
     if (i->flags.brakes)
         hold(i);
     if (!(i->flags.fast && read_quickly(i) && !not_finite(i, &value)))
-        read_patiently(i);
+        outcome = read_patiently(i);
+    if (outcome != DONE)
+        return outcome;
     name = not_finite(i, &value);
     i->flags.known = !name;
     if (!name) {

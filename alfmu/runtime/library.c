@@ -152,6 +152,12 @@ API int alfmu_step(Instance *i, double start, double h)
     return (int)instance_step(i, start, h);
 }
 
+/* Whether evaluations did not converge, once; `alfmu_text` says it. */
+API int alfmu_doubts(Instance *i)
+{
+    return instance_doubts(i);
+}
+
 /* Outputs at this instant; where they cannot be computed, those that can. */
 API int alfmu_read(Instance *i, double *values)
 {

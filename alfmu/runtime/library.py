@@ -67,6 +67,7 @@ _SIGNATURES = {
     "initialize": (c_int, c_void_p),
     "ready": (c_int, c_void_p, c_double, c_double),
     "step": (c_int, c_void_p, c_double, c_double),
+    "doubts": (c_int, c_void_p),
     "read": (c_int, c_void_p, c_void_p),
     "state_size": (c_size_t, c_void_p),
     "save": (None, c_void_p, c_char_p),
@@ -214,6 +215,10 @@ class Unit:
 
     def step(self, start: float, h: float) -> int:
         return self._step(self._address, start, h)
+
+    def doubts(self) -> bool:
+        """Whether evaluations did not converge, once after the start; `text` says it."""
+        return bool(self.scene.library.alfmu_doubts(self.address))
 
     def read(self) -> int:
         """Compute all outputs; `outputs` has them."""
