@@ -38,7 +38,7 @@ SPACING = 0.25
 """distance between places over the step [1]: limits then err like the step, of order 4; at 0.1 the N-four-bar of 10
 loops in natural coordinates is 1.5e-6 rad off after 10 s instead of less than 1e-8, by the round-off of margins."""
 
-LEAST_DISTANCE = 0.012
+LEAST_DISTANCE = 0.011
 """distance of the first place [rad]: accelerations beside the position lose digits with its third power, so that nearer
 places magnify round-off; at 0.003 the N-four-bar of two loops in absolute coordinates is 7e-6 rad off after 10 s of
 steps of 0.3 ms instead of 3e-11."""

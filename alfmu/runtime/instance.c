@@ -399,10 +399,16 @@ static int all_serve(const Instance *i)
     return !i->scene->l || (formulation(i) == RESIDUAL_FORMULATION && projects(i));
 }
 
+/* Whether the penalty is not the one that is scaled with the masses. */
+static int penalty_given(const Instance *i)
+{
+    return i->values[i->scene->penalty] > 0.0 || i->flags.given;
+}
+
 /* What to do where a loop ends before it converges. */
 static const char *remedy(const Instance *i)
 {
-    return i->values[i->scene->penalty] > 0.0 || i->flags.given
+    return penalty_given(i)
         ? "use solver.penalty 0, which scales it with the masses"
         : "reduce solver.step_size";
 }
@@ -417,7 +423,7 @@ static Outcome check_converged(Instance *i, const double *watch, double t)
     if (watch[WATCH_CHANGE] <= tolerance * tolerance * watch[WATCH_SIZE] + DBL_MIN)
         return DONE;
     i->counts[UNCONVERGED] += 1.0;
-    if (!(left > UNFINISHED) || !(alpha > 0.0 || i->flags.given) || field(i, s->k)[SETTINGS_CONTINUES] == 0.0)
+    if (!(left > UNFINISHED) || !penalty_given(i) || field(i, s->k)[SETTINGS_CONTINUES] == 0.0)
         return DONE;
     return say(i, FAILED,
         "%s, t = %.6g s: with solver.penalty %g the multiplier iteration still changes accelerations by %.1e of themselves "
@@ -1064,8 +1070,9 @@ static Outcome covered(Instance *i, double end, double dt)
                 s->name, *time);
         return say(i, FAILED,
             "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and where "
-            "constraints stay open, use explicit or rk4",
-            s->name, *time, s->choice[s->method_choice].values[0]);
+            "constraints stay open, use explicit or rk4%s",
+            s->name, *time, s->choice[s->method_choice].values[0],
+            penalty_given(i) ? "; with a solver.penalty of its own, use 0, which scales it with the masses" : "");
     }
     return DONE;
 }
