@@ -1,4 +1,4 @@
-"""What joints carry where constraints are redundant, and what penalties, copies of a constraint and coordinates change."""
+"""What joints carry where constraints are redundant; what penalties, copies of a constraint and coordinates change."""
 
 import logging
 from dataclasses import replace
@@ -132,19 +132,21 @@ def test_a_penalty_runs_as_the_default_does_or_is_refused_by_name(name, options)
     """1 to 1e12 times the largest mass: angles after 0.5 s to 1e-6 rad; from 100 on none is refused."""
     e = prepared(derived(name, **options), "vm")
     usual = started(e).penalty
-    angles = []
+    usual_angle = None
     for ratio in (1e8, *10.0 ** np.arange(13)):
-        given = {"solver.penalty": ratio * usual.max() / 1e8, "solver.step_size": 0.0025}
+        penalty, said = ratio * usual.max() / 1e8, ""
         try:
-            r = alfmu.simulate(e, 0.5, 0.05, parameters=given)
+            r = alfmu.simulate(e, 0.5, 0.05, parameters={"solver.penalty": penalty, "solver.step_size": 0.0025})
         except alfmu.StepError as error:
-            assert ratio < 100
-            assert f"solver.penalty {given['solver.penalty']:g} " in str(error)
-            assert "use solver.penalty 0, which scales it with the masses" in str(error)
-        else:
-            angles.append(r[next(n for n in r.names if n.endswith("angle"))])
-            assert angles[-1] == pytest.approx(angles[0], abs=1e-6), ratio
-    assert len(angles) >= 12
+            said = str(error)
+        if ratio < 100 and said:
+            assert f"solver.penalty {penalty:g} " in said
+            assert "use solver.penalty 0, which scales it with the masses" in said
+            continue
+        assert not said
+        angle = r[next(n for n in r.names if n.endswith("angle"))]
+        usual_angle = angle if usual_angle is None else usual_angle
+        assert angle == pytest.approx(usual_angle, abs=1e-6), ratio
 
 
 @pytest.mark.parametrize("method", ["explicit", "stiff"])
@@ -206,7 +208,7 @@ def test_reactions_of_four_coordinate_sets_agree(l2):
         alfmu.simulate(derived("slider_crank", coordinates=x), 2.0, 0.02, parameters=given, inputs=inputs)
         for x in COORDINATES
     ]
-    names = [n for n in runs[0].names if n[:2] in ("A.", "B.", "C.", "gu") and ".force" in n or ".moment" in n]
+    names = [n for n in runs[0].names if ".force" in n and n != "slider.force"]
     assert len(names) >= 7
     away = np.abs(np.cos(runs[0]["crank.angle"])) > np.sin(0.3)
     assert away.sum() > 50
@@ -216,7 +218,7 @@ def test_reactions_of_four_coordinate_sets_agree(l2):
 
 @pytest.mark.parametrize("loops", [1, 2])
 def test_natural_coordinates_keep_order_four_through_singular_positions(loops):
-    """N-four-bar over 10 s, ten singular positions and more: 1e-10 m at steps of 0.3125 ms, sixteen times that before."""
+    """N-four-bar over 10 s, at steps of 2.5 ms and three times halved: 1e-10 m at the shortest."""
     e = prepared(derived("n_four_bar", loops=loops, coordinates="natural"), "vm")
     times, steps = np.arange(0.0, 10.05, 0.1), 0.0025 / 2 ** np.arange(4)
 
