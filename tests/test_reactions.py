@@ -191,7 +191,7 @@ def test_a_constraint_written_up_to_five_times_changes_no_motion(name, options, 
         parameters = {**given, "solver.step_size": 0.0025}
         r = alfmu.simulate(alfmu.derive(m), 3.0, 0.05, parameters=parameters, inputs=inputs)
         angles.append(r[next(n for n in r.names if n.endswith("angle"))])
-    assert np.ptp(angles[0]) > 3.0
+    assert np.ptp(angles[0]) > 2.9
     assert angles[1:] == [pytest.approx(angles[0], abs=1e-12)] * 2
 
 

@@ -405,6 +405,12 @@ static int penalty_given(const Instance *i)
     return i->values[i->scene->penalty] > 0.0 || i->flags.given;
 }
 
+/* What else may help where something fails. */
+static const char *or_penalty(const Instance *i)
+{
+    return penalty_given(i) ? "; or solver.penalty 0, which scales it with the masses" : "";
+}
+
 /* What to do where a loop ends before it converges. */
 static const char *remedy(const Instance *i)
 {
@@ -1071,8 +1077,7 @@ static Outcome covered(Instance *i, double end, double dt)
         return say(i, FAILED,
             "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and where "
             "constraints stay open, use explicit or rk4%s",
-            s->name, *time, s->choice[s->method_choice].values[0],
-            penalty_given(i) ? "; with a solver.penalty of its own, use 0, which scales it with the masses" : "");
+            s->name, *time, s->choice[s->method_choice].values[0], or_penalty(i));
     }
     return DONE;
 }
@@ -1324,8 +1329,8 @@ Outcome instance_read(Instance *i)
         return outcome;
     return say(i, FAILED,
         "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
-        "another start or a smaller solver.step_size",
-        s->name, *instance_time(i), name, value);
+        "another start or a smaller solver.step_size%s",
+        s->name, *instance_time(i), name, value, or_penalty(i));
 }
 
 /* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
