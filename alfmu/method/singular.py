@@ -35,8 +35,8 @@ NOISE_FLOOR = 25.0
 itself, where masses contribute several such pivots."""
 
 SPACING = 0.25
-"""distance between places over the step [1]: limits then err like the step, of order 4; at 0.1 the N-four-bar of 10
-loops in natural coordinates is 1.5e-6 rad off after 10 s instead of less than 1e-8, by the round-off of margins."""
+"""distance between places over the step [1]: at 0.1 the N-four-bar of 10 loops in natural coordinates is 1.5e-6 rad off
+after 10 s instead of less than 1e-8, by the round-off of margins."""
 
 LEAST_DISTANCE = 0.011
 """distance of the first place [rad]: accelerations on the branch lose digits with the third power of the distance; at
@@ -44,7 +44,7 @@ LEAST_DISTANCE = 0.011
 and at 0.012 `stiff` at 1e-9 refuses six steps in 3 s instead of four (`tests/test_methods.py`)."""
 
 MOST_DISTANCE = 0.015
-"""distance of the first place [rad]: the error of a limit grows with its fourth power; with 0.003 for all steps `stiff`
+"""distance of the first place [rad]: the error of a limit grows with its eighth power; with 0.003 for all steps `stiff`
 at 1e-9 refuses seven steps in 3 s instead of none (`tests/test_methods.py`)."""
 
 CONVERGENCE = 7.0

@@ -611,6 +611,8 @@ static void copies(Instance *i, const double *q, double *count)
     for (int r = 0; r < s->l; r++)
         for (int other = 0; other < s->l; other++)
             count[r] += fabs(sums[r] - sums[other]) <= SAME * sums[r];
+    for (int r = 0; r < s->l; r++)
+        count[r] = fmax(count[r], 1.0); /* What is not a number is like nothing. */
     i->used = used;
 }
 
