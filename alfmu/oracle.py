@@ -180,10 +180,15 @@ class Instance(runtime.Instance):
         return a, _least_norm(C, self.alpha, solve, lam), used, converged
 
     def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray) -> NDArray:
-        """Multipliers that act like lam (l,): of least norm, or as constraints of the given compliances share them."""
+        """Multipliers that act like lam (l,): of least norm, or as joints of the given compliances share them."""
         M, C, _, _ = self.constraints(q, v)
-        alpha = np.diag(self.stiffnesses) if self.equations.compliances else self.alpha
-        return _least_norm(C, alpha, self.inverse(method.augmented_mass(M, C, alpha)), lam)
+        alpha = np.diag(self.stiffnesses if self.equations.compliances else self.penalty)
+        lengths = np.diag(self.active * np.isin(np.arange(len(lam)), self.equations.lengths))
+
+        def inverse(C: NDArray) -> method.Solve:
+            return self.inverse(method.augmented_mass(M, C, alpha))
+
+        return method.minimum_norm_of_joints(C, alpha, lengths, inverse, lam, CORRECTIONS, _unchanged)
 
     def impact(self, q: NDArray, v: NDArray) -> NDArray:
         """v (n,) after a plastic impact, which keeps the constraints: M dv + C' impulse = 0, C dv = -C v."""
@@ -513,11 +518,12 @@ class Instance(runtime.Instance):
 
 def _least_norm(C: NDArray, alpha: NDArray, solve: method.Solve, lam: NDArray) -> NDArray:
     """lam of least norm, until another pass would change round-off alone."""
+    return method.minimum_norm(C, alpha, solve, lam, CORRECTIONS, _unchanged)
 
-    def done(change: NDArray, value: NDArray) -> bool:
-        return np.abs(change).max(initial=0.0) <= EPS * np.abs(value).max(initial=0.0)
 
-    return method.minimum_norm(C, alpha, solve, lam, CORRECTIONS, done)
+def _unchanged(change: NDArray, value: NDArray) -> bool:
+    """Whether a pass changed round-off alone."""
+    return bool(np.abs(change).max(initial=0.0) <= EPS * np.abs(value).max(initial=0.0))
 
 
 def _least_squares(blocks: list, right: list) -> tuple[NDArray, NDArray]:

@@ -83,4 +83,4 @@ def test_the_study_changes_constants_of_python_and_of_c():
     assert done.returncode == 0, done.stderr
     lines = dict(line.rsplit(" | ", 1) for line in done.stdout.splitlines()[1:])
     assert float(re.match(r"error x (\S+) \(pole\)", lines["READ_DISTANCE | 0.06"])[1]) > 20
-    assert lines["LEAST_DISTANCE | 0.0015"] == lines["LEAST_DISTANCE | 0.006"] == "same"
+    assert lines["LEAST_DISTANCE | 0.0055"] == lines["LEAST_DISTANCE | 0.022"] == "same"

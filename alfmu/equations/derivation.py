@@ -445,6 +445,7 @@ def derive(mechanism: Mechanism) -> Equations:
         inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
         outputs=outputs,
         rows=rows,
+        lengths=[i for i, row in enumerate(rows) if row.name in {body.unit_length for body in m.spatial_bodies}],
         compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
         held=[lock.name for lock in locks],

@@ -143,6 +143,8 @@ class Equations:
     """Whether redundant constraints become independent beside the motion and brake it (S5 of docs/singular.md)."""
     uneven: bool = False
     """Whether constraints are in different units, so that each has a penalty of its own."""
+    lengths: list[int] = field(default_factory=list)
+    """Constraints that keep Euler parameters at unit length: they belong to no joint."""
     compliances: list[Variable] = field(default_factory=list)
     """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
     switches: list[Switch] = field(default_factory=list)

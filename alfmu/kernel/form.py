@@ -114,8 +114,8 @@ class Plan:
 
     @property
     def own(self) -> str:
-        """What the names of functions end in that depend on how many places there are."""
-        return "" if self.side == Plan.side else "_for_method"
+        """What the names of functions end in that depend on how far apart places are, and how many there are."""
+        return "" if (self.spacing, self.side) == (Plan.spacing, Plan.side) else "_for_method"
 
 
 @dataclass(frozen=True)

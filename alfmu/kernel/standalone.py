@@ -335,7 +335,7 @@ class _Patient(Alternatives):
             calls.choice("projects", own)
             return
         scene = calls.scene
-        if self.e.compliances:
+        if self.e.compliances or self.e.lengths:
             calls("share", f"k M C {lam}", lam, lambda M, C, lam: scene.distributed(M, C, lam, CORRECTIONS))
             return
         again = calls.inside()

@@ -146,6 +146,10 @@ class Scene:
             own, units = SX.ones(e.l), self.k[ends[1]]
         self.inverse_units = units
         self.held = own > 0 if weighted else own
+        self._shares = ca.diag(self.stiffnesses if e.compliances else own)
+        self._unit_lengths = SX(e.l, e.l)
+        for i in e.lengths:
+            self._unit_lengths[i, i] = self.held[i]
         self.weights = ca.reshape(self.k[ends[-1] :], e.l, e.l) if e.brakes else ca.diag(own)
 
     # Named values --------------------------------------------------------------------------------------------------
@@ -314,15 +318,18 @@ class Scene:
         return z, self.weights @ (C @ z), more
 
     def distributed(self, M: SX, C: SX, lam: SX, passes: int = SHARES) -> SX:
-        """lam as constraints of the given compliances share it; not finite where the passes were too few."""
-        stiffness, last = ca.diag(self.stiffnesses), []
+        """lam as joints share it, of the given compliances or in the least norm; not finite where the passes were too
+        few."""
+        weights, last = self._shares, []
+
+        def inverse(C: SX) -> method.Solve:
+            return self.solver(*self.factors(method.augmented_mass(M, C, weights)))
 
         def done(change: SX, value: SX) -> bool:
-            last[:] = [ca.sumsqr(stiffness @ change), ca.sumsqr(stiffness @ value)]
+            last[:] = [ca.sumsqr(weights @ change), ca.sumsqr(weights @ value)]
             return False
 
-        solve = self.solver(*self.factors(method.augmented_mass(M, C, stiffness)))
-        lam = method.minimum_norm(C, stiffness, solve, lam, passes, done)
+        lam = method.minimum_norm_of_joints(C, weights, self._unit_lengths, inverse, lam, passes, done)
         return ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
 
     # Singular positions --------------------------------------------------------------------------------------------
@@ -351,7 +358,7 @@ class Scene:
     def spacing(self, plan: Plan, v: SX, dt: SX) -> SX:
         """S4: distance [s] of places along v; steps of error control may be too short to tell the places apart."""
         spacing = plan.spacing * dt
-        if plan.side == Plan.side:
+        if plan.spacing == Plan.spacing:
             return spacing
         return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
 

@@ -23,6 +23,10 @@ PATIENT = 4
 """factor to the most multiplier iterations [1]: where the motion may end at a singular position, each
 iteration gains little."""
 
+UNFINISHED = 1e-9
+"""last change of accelerations over them [1]: a step or a reading with a given penalty is refused where the multiplier
+iteration ends above it; what it ends with above `solver.tolerance` is counted and told."""
+
 REGULAR = 1e-3
 """size of a combination of constraints over the largest [1]: S5 freezes the rank only at places where all independent
 combinations are larger; at a singular position the rank of the place before is kept."""

@@ -267,7 +267,7 @@ class Tracer:
 
     def _least(self, calls: Calls, lam: str) -> None:
         """Multipliers of least norm in place of those found last."""
-        if self.e.compliances:
+        if self.e.compliances or self.e.lengths:
             calls("distribute", f"k M C {lam}", lam, calls.scene.distributed)
         else:
             calls("least", f"k C D L {lam}", lam, calls.scene.least)

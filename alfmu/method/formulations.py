@@ -19,6 +19,7 @@ __all__ = [
     "classic",
     "dae",
     "minimum_norm",
+    "minimum_norm_of_joints",
     "nearer_norm",
     "penalty",
     "project",
@@ -85,6 +86,22 @@ def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, most: int, do
 def nearer_norm(C: Array, alpha: Array, solve: Solve, lam: Array, z: Array) -> Array:
     """The change of z in one pass of `minimum_norm`."""
     return solve(C.T @ (lam - alpha @ (C @ z)))
+
+
+def minimum_norm_of_joints(
+    C: Array, alpha: Array, lengths: Array, inverse: Callable[[Array], Solve], lam: Array, most: int, done: Done
+) -> Array:
+    """`minimum_norm` over rows of joints alone: those that `lengths` (l, l) picks add nothing to it.
+
+    They keep Euler parameters at unit length, so that E E' = 1 on the motion. The other rows less what they contain of
+    them, C - share E, are orthogonal to them, and so the least norm of both is that of each. `inverse` gives what
+    solves with M + C' alpha C for such a C.
+    """
+    E = lengths @ C
+    share = C @ E.T - lengths
+    C = C - share @ E
+    lam = minimum_norm(C, alpha, inverse(C), lam + share.T @ lam, most, done)
+    return lam - share.T @ lam
 
 
 def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: float, omega: float) -> Array:

@@ -469,7 +469,7 @@ class Mechanism:
         self._claim(name, "1", "a body")
         self.spatial_bodies.append(body)
         self._owned.add(body)
-        self.constraint(f"{name}.attitude", (ca.sumsqr(body.attitude) - 1) / 2, "1")
+        self.constraint(body.unit_length, (ca.sumsqr(body.attitude) - 1) / 2, "1")
         return body
 
     # Joints -----------------------------------------------------------------------------------------------------

@@ -83,6 +83,11 @@ class SpatialBody:
     def __post_init__(self) -> None:
         self.rotation = rotation(self.attitude)
 
+    @property
+    def unit_length(self) -> str:
+        """Name of the constraint that keeps the Euler parameters at unit length."""
+        return f"{self.name}.attitude"
+
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0, z: Scalar = 0.0) -> SpatialMarker:
         """The point (x, y, z) [m] of the body's frame."""
         return SpatialMarker(self, x, y, z)

@@ -204,11 +204,11 @@ typedef struct {
     size_t used, room; /* of scratch */
     char text[1024];   /* what happened last */
     int warns;         /* whether there is a warning that nobody has read yet */
-    char warning[512];
+    char warning[1024];
 } Instance;
 
 /* What an instance warns of once in a run. */
-enum { WARNED_OF_BALANCE = 1, WARNED_OF_ROUND_OFF = 2 };
+enum { WARNED_OF_BALANCE = 1, WARNED_OF_ROUND_OFF = 2, WARNED_OF_UNCONVERGED = 4, EVERY_WARNING = 7 };
 
 Instance *instance_new(const Scene *scene);
 void instance_free(Instance *i);

@@ -106,15 +106,22 @@ static Status refused(Component *c, Status status)
     return status;
 }
 
+/* FINE, and what the instance warns of. */
+static Status told(Component *c)
+{
+    if (c->instance->warns) {
+        c->instance->warns = 0;
+        component_say(c, WARNING, c->instance->warning);
+    }
+    return FINE;
+}
+
 /* A step of the instance, and what it warns of. */
 static Outcome stepped(Component *c, double point, double step)
 {
     Instance *i = c->instance;
     const Outcome outcome = instance_step(i, point, step);
-    if (i->warns) {
-        i->warns = 0;
-        component_say(c, WARNING, i->warning);
-    }
+    told(c);
     return outcome;
 }
 
@@ -182,7 +189,7 @@ Status component_initialized(Component *c, const char *call)
     if ((!i->flags.initialized && instance_initialize(i) != DONE) || instance_read(i) != DONE)
         return refused(c, WRONG);
     i->flags.phase = STEPPING;
-    return FINE;
+    return told(c);
 }
 
 Status component_terminated(Component *c, const char *call)

@@ -173,12 +173,18 @@ Outcome say(Instance *i, Outcome outcome, const char *format, ...)
 void warn(Instance *i, int of, const char *format, ...)
 {
     va_list arguments;
+    size_t used;
     if (i->flags.warned & of)
         return;
+    if (i->warns) /* Behind one that nobody has read yet. */
+        strncat(i->warning, "; ", sizeof i->warning - strlen(i->warning) - 1);
+    else
+        *i->warning = '\0';
     i->flags.warned |= of;
     i->warns = 1;
+    used = strlen(i->warning);
     va_start(arguments, format);
-    vsnprintf(i->warning, sizeof i->warning, format, arguments);
+    vsnprintf(i->warning + used, sizeof i->warning - used, format, arguments);
     va_end(arguments);
 }
 
@@ -413,6 +419,50 @@ static int projects(const Instance *i)
 static int all_serve(const Instance *i)
 {
     return !i->scene->l || (formulation(i) == RESIDUAL_FORMULATION && projects(i));
+}
+
+/* Whether the penalty is not the one that is scaled with the masses. */
+static int penalty_given(const Instance *i)
+{
+    return i->values[i->scene->penalty] > 0.0 || i->flags.given;
+}
+
+/* What else may help where something fails. */
+static const char *or_penalty(const Instance *i)
+{
+    return penalty_given(i) ? "; or solver.penalty 0, which scales it with the masses" : "";
+}
+
+/* What to do where a loop ends before it converges. */
+static const char *remedy(const Instance *i)
+{
+    return penalty_given(i)
+        ? "use solver.penalty 0, which scales it with the masses"
+        : "reduce solver.step_size";
+}
+
+/* FAILED where an evaluation, by what it says of itself, left so much of a given penalty's multiplier iteration that it
+   is no acceleration of this motion; less is counted. */
+static Outcome check_converged(Instance *i, const double *watch, double t)
+{
+    const Scene *s = i->scene;
+    const double tolerance = i->values[s->tolerance], alpha = i->values[s->penalty];
+    const double left = sqrt(watch[WATCH_CHANGE] / (watch[WATCH_SIZE] + DBL_MIN));
+    if (watch[WATCH_CHANGE] <= tolerance * tolerance * watch[WATCH_SIZE] + DBL_MIN)
+        return DONE;
+    i->counts[UNCONVERGED] += 1.0;
+    if (!(left > UNFINISHED) || !penalty_given(i) || field(i, s->k)[SETTINGS_CONTINUES] == 0.0) {
+        warn(i, WARNED_OF_UNCONVERGED,
+            "%s, t = %.6g s: an evaluation ended without convergence after %g passes of the multiplier iteration; %s, or "
+            "raise solver.max_iterations",
+            s->name, t, i->values[s->max_iterations], remedy(i));
+        return DONE;
+    }
+    return say(i, FAILED,
+        "%s, t = %.6g s: with solver.penalty %g the multiplier iteration still changes accelerations by %.1e of themselves "
+        "after %g passes, more than %.0e; %s, or raise solver.max_iterations",
+        s->name, t, alpha > 0.0 ? alpha : largest(i->penalty, s->l), left, i->values[s->max_iterations], UNFINISHED,
+        remedy(i));
 }
 
 /* DONE where accelerations can be computed at q, v; `pivot` is the smallest of what was factorised there. */
@@ -686,9 +736,9 @@ static Outcome projected(Instance *i, double *q, double *v)
         const double worst = widest(i, q, v, of_velocity, &row);
         if (!(worst <= GROSS))
             outcome = say(i, OPEN,
-                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name,
-                *instance_time(i), of_velocity ? "|Phi-dot|" : "|Phi|", worst,
-                row_label(i, row, label, sizeof label), GROSS, CORRECTIONS);
+                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; %s", s->name, *instance_time(i),
+                of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
+                CORRECTIONS, remedy(i));
     }
     i->used = used;
     return outcome;
@@ -944,23 +994,11 @@ static Outcome closed_again(Instance *i, double t)
         const double worst = widest(i, after, after + s->n, of_velocity, &row);
         if (!(worst <= GROSS))
             return say(i, OPEN,
-                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; reduce solver.step_size", s->name, t,
+                "%s, t = %.6g s: %s = %.1e at %s > %.0e after %d corrections; %s", s->name, t,
                 of_velocity ? "|Phi-dot|" : "|Phi|", worst, row_label(i, row, label, sizeof label), GROSS,
-                CORRECTIONS);
+                CORRECTIONS, remedy(i));
     }
     return DONE;
-}
-
-/* Counts the stages of a move in which the multiplier iteration reached its limit. */
-static void count_unconverged(Instance *i)
-{
-    const Scene *s = i->scene;
-    const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
-    const double tolerance = i->values[s->tolerance];
-    for (int k = 0; k < 4; k++) {
-        const double *seen = i->workspace + watch[k];
-        i->counts[UNCONVERGED] += !(seen[WATCH_CHANGE] <= tolerance * tolerance * seen[WATCH_SIZE] + DBL_MIN);
-    }
 }
 
 /* The largest |Phi| and |Phi-dot| after a step that does not end with projections. */
@@ -1024,9 +1062,10 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
         run(i, s->keep);
         watch_gaps(i);
     }
+    for (int k = 0; k < 4 && outcome == DONE; k++)
+        outcome = check_converged(i, w + watch[k], t);
     if (outcome != DONE)
         return outcome;
-    count_unconverged(i);
     after[s->trouble] = 0.0;
     memcpy(m + s->z, after, state_length(s) * sizeof *m);
     return DONE;
@@ -1096,8 +1135,8 @@ static Outcome covered(Instance *i, double end, double dt)
                 s->name, *time);
         return say(i, FAILED,
             "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and where "
-            "constraints stay open, use explicit or rk4",
-            s->name, *time, s->choice[s->method_choice].values[0]);
+            "constraints stay open, use explicit or rk4%s",
+            s->name, *time, s->choice[s->method_choice].values[0], or_penalty(i));
     }
     return DONE;
 }
@@ -1303,21 +1342,26 @@ static void watch_errors(Instance *i)
 }
 
 /* What can be read at this instant, by loops that stop on convergence. */
-static void read_patiently(Instance *i)
+static Outcome read_patiently(Instance *i)
 {
     const Scene *s = i->scene;
     const int instant = instant_by(s, formulation(i));
+    Outcome outcome = DONE;
     double value;
     i->iterations = 0;
     run(i, instant);
-    i->counts[UNCONVERGED] += verdict(i, SEEN_TROUBLE) != 0.0;
+    if (s->l && instant != s->instant)
+        outcome = check_converged(i, i->workspace + s->watch0, *instance_time(i));
     if (verdict(i, SEEN_NEAR) != 0.0 && s->limit_patient >= 0) {
         run(i, s->limit_patient);
         if (not_finite(i, &value))
             run(i, instant);
+        else
+            outcome = DONE;
     }
     if (s->monitor_iterations >= 0 && i->iterations > 0)
         i->m[s->seen + s->monitor_iterations] = i->iterations;
+    return outcome;
 }
 
 Outcome instance_read(Instance *i)
@@ -1334,7 +1378,9 @@ Outcome instance_read(Instance *i)
     if (i->flags.brakes)
         hold(i);
     if (!(i->flags.fast && read_quickly(i) && !not_finite(i, &value)))
-        read_patiently(i);
+        outcome = read_patiently(i);
+    if (outcome != DONE)
+        return outcome;
     name = not_finite(i, &value);
     i->flags.known = !name;
     if (!name) {
@@ -1348,8 +1394,8 @@ Outcome instance_read(Instance *i)
         return outcome;
     return say(i, FAILED,
         "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
-        "another start or a smaller solver.step_size",
-        s->name, *instance_time(i), name, value);
+        "another start or a smaller solver.step_size%s",
+        s->name, *instance_time(i), name, value, or_penalty(i));
 }
 
 /* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
@@ -1535,7 +1581,7 @@ static Outcome sound(Instance *i)
     const Variable *inputs = s->variables + s->parameters + s->choices;
     const double *control = field(i, s->control);
     const int flags[] = {f->initialized, f->known, f->scaled, f->fast, f->whole, f->pending, f->brakes,
-        f->warned & 1, f->warned >> 1};
+        f->warned & ~EVERY_WARNING};
     const struct {
         const char *name;
         const double *numbers;

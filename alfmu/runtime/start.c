@@ -582,12 +582,46 @@ static double unit_of(const Told *row)
                                         : row->most;
 }
 
+/* How often each row is written: rows that are multiples of each other at all places have the same sums, over places and
+   coordinates, of their coefficients by random numbers, over their size. */
+static void copies(Instance *i, const double *q, double *count)
+{
+    const Scene *s = i->scene;
+    const Pattern *p = &s->constraint;
+    const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l;
+    double *C = take(i, (size_t)p->entries), *there = take(i, n), *zeros = take(i, n);
+    double *sums = take(i, l), *squares = take(i, l);
+    memset(zeros, 0, n * sizeof *zeros);
+    memset(sums, 0, l * sizeof *sums);
+    memset(squares, 0, l * sizeof *squares);
+    for (int k = 0; k < PLACES; k++) {
+        for (int c = 0; c < s->n; c++)
+            there[c] = q[c] + aside[k] * s->normal[c] * (metres(s, c) ? LITTLE : 1.0);
+        constraints_at(i, there, zeros, NULL, C, NULL, NULL);
+        for (int c = 0; c < s->n; c++)
+            for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+                sums[p->indices[e]] += C[e] * s->normal[(k + 1) * s->n + c];
+                squares[p->indices[e]] += C[e] * C[e];
+            }
+    }
+    for (int r = 0; r < s->l; r++) {
+        sums[r] = fabs(sums[r]) / sqrt(fmax(squares[r], 1e-300));
+        count[r] = 0.0;
+    }
+    for (int r = 0; r < s->l; r++)
+        for (int other = 0; other < s->l; other++)
+            count[r] += fabs(sums[r] - sums[other]) <= SAME * sums[r];
+    for (int r = 0; r < s->l; r++)
+        count[r] = fmax(count[r], 1.0); /* What is not a number is like nothing. */
+    i->used = used;
+}
+
 void default_penalties(Instance *i, const double *q, double *penalties)
 {
     const Scene *s = i->scene;
     const Pattern *m = &s->mass, *p = &s->constraint;
     const size_t used = i->used, l = (size_t)s->l, entries = (size_t)p->entries;
-    double *M = take(i, (size_t)m->entries), *held = take(i, (size_t)s->n);
+    double *M = take(i, (size_t)m->entries), *held = take(i, (size_t)s->n), *written = take(i, l);
     double *units = i->units, mean = 0.0, heaviest = 0.0, wide = 0.0;
     Range *sizes = (Range *)take(i, 3 * entries), *amplitudes = (Range *)take(i, 3 * entries);
     Range all = {0.0, INFINITY, 0.0};
@@ -629,8 +663,12 @@ void default_penalties(Instance *i, const double *q, double *penalties)
                 const double size = metres(s, c) ? 1.0 : held[c];
                 heaviest = fmax(heaviest, M[e] / (size * size));
             }
-    for (int r = 0; r < s->l; r++)
+    /* The squares of a constraint that is written several times come to that of one: it holds as if written once. */
+    copies(i, q, written);
+    for (int r = 0; r < s->l; r++) {
+        units[r] *= sqrt(written[r]);
         penalties[r] = PENALTY_RATIO * fmax(heaviest, 1e-300) / (units[r] * units[r]);
+    }
     i->used = used;
 }
 

@@ -1,0 +1,234 @@
+"""What joints carry where constraints are redundant; what penalties, copies of a constraint and coordinates change."""
+
+import logging
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+from oracles import ode
+from scenes import derived, made, parameters, started
+
+import alfmu
+from alfmu.equations.specialisation import specialised
+from alfmu.model import spatial
+from alfmu.model.mechanism import Joint
+from alfmu.simulation import prepared
+
+COORDINATES = ("absolute", "joint", "mixed", "natural")
+
+
+# Rows of joints alone -------------------------------------------------------------------------------------------------
+
+
+def bennett_in_space(a: float = 0.3, alpha: float = 0.7, beta: float = 1.2) -> alfmu.Mechanism:
+    """Bennett's linkage of three bodies with Euler parameters: 20 rows of four hinges, of which 17 are independent."""
+    m = alfmu.Mechanism("bennett_in_space")
+    th, b = 1.0, a * np.sin(beta) / np.sin(alpha)
+    other = 2 * np.arctan2(np.sin((beta + alpha) / 2) / np.sin((beta - alpha) / 2) * np.cos(th / 2), np.sin(th / 2))
+    start = m.start("angle", th, "rad", rate=3.0, rate_name="angular_velocity")
+    place, turn, end, axis = ca.SX.zeros(3), ca.SX([1, 0, 0, 0]), m.spatial_ground.at(), (0.0, 0.0, 1.0)
+    hinges = []
+    for i, (angle, length, twist) in enumerate(((th, a, alpha), (other, b, beta), (-th, a, alpha)), 1):
+        turn = spatial.product(turn, spatial.about((0, 0, 1), angle))
+        along = spatial.rotation(turn)[:, 0]
+        inertia = (0.0, length**2 / 12, length**2 / 12)
+        guess = {"position": place + length / 2 * along, "attitude": turn}
+        link = m.spatial_body(f"link{i}", mass=1.0, inertia=inertia, center=(length / 2, 0.0, 0.0), **guess)
+        hinges.append(m.spatial_revolute(f"hinge{i}", end, link.at(), axis=axis, second_axis=(0.0, 0.0, 1.0)))
+        place, turn = place + length * along, spatial.product(turn, spatial.about((1, 0, 0), twist))
+        end, axis = link.at(length), (0.0, -np.sin(twist), np.cos(twist))
+    place, axis_there = (np.array(ca.DM(x)).ravel() for x in (place, spatial.rotation(turn)[:, 2]))
+    m.spatial_revolute("hinge4", m.spatial_ground.at(*place), end, axis=tuple(axis_there), second_axis=axis)
+    m.tie(start, hinges[0].free)
+    m.gravity(0.0, -9.81)
+    return m
+
+
+def door() -> alfmu.Mechanism:
+    """A plate on two hinges, of which one would do: 11 rows, of which 6 are independent."""
+    m = alfmu.Mechanism("door")
+    plate = m.spatial_body("plate", mass=2.0, inertia=(0.3, 0.2, 0.1), center=(0.4, 0.1, 0.5))
+    hinges = [
+        m.spatial_revolute(f"hinge{i}", m.spatial_ground.at(0, 0, z), plate.at(0, 0, z), axis=(0, 0, 1))
+        for i, z in enumerate((0.1, 1.2), 1)
+    ]
+    m.tie(m.start("angle", 0.3, "rad", rate=2.0), hinges[0].free)
+    m.drive(hinges[0], 1.0)
+    m.gravity(2.0, 0.0, -9.81)
+    return m
+
+
+def multipliers(i: alfmu.Instance) -> np.ndarray:
+    return np.array([i.get(f"multiplier[{k + 1}]") for k in range(i.equations.l)])
+
+
+def nearest_to_zero(i: alfmu.Instance, weights: np.ndarray) -> np.ndarray:
+    """Multipliers that act as those of (9), by the null space of C': with the smallest sum of (weight times lam)^2."""
+    e, p, l = i.equations, parameters(i), i.equations.l
+    M, C, f, d = (np.array(x) for x in (e.M(i.q, p), e.C(i.q, p), e.f(i.q, i.v, [], p, i.time), e.d(i.q, i.v, p)))
+    matrix = np.block([[M, C.T], [C, np.zeros((l, l))]])
+    right = np.concatenate([(f - d).ravel(), np.array(e.xi(i.q, i.v, p)).ravel()])
+    some = np.linalg.lstsq(matrix, right, rcond=1e-9)[0][e.n :]
+    _, sizes, rows = np.linalg.svd(C.T)
+    free = rows[(sizes > 1e-9).sum() :].T
+    return some - free @ np.linalg.lstsq(weights[:, None] * free, weights * some, rcond=None)[0]
+
+
+@cache
+def in_space(build) -> alfmu.Equations:
+    """With no outputs but what hinges and rows carry."""
+    return specialised(alfmu.derive(build()), ["hinge*", "multiplier*"])
+
+
+@pytest.mark.parametrize(("build", "kernel"), [(bennett_in_space, "vm"), (door, "vm"), (door, "oracle")])
+def test_the_length_of_euler_parameters_changes_nothing_that_hinges_carry(build, kernel):
+    """Least norm over the rows of hinges, to 1e-12 of the largest; with the other rows in it, 1e-2 off or more."""
+    i = made(in_space(build), kernel)
+    i.initialize()
+    i.step(0.1)
+    lam, scale = multipliers(i), np.abs(multipliers(i)).max()
+    hinges = np.array([row.name.startswith("hinge") for row in i.equations.rows])
+    assert hinges.sum() == {bennett_in_space: 20, door: 10}[build]
+    root = np.sqrt(i.penalty.max() / i.penalty)
+    exact = nearest_to_zero(i, np.where(hinges, root, 0.0))
+    assert lam == pytest.approx(exact, abs=1e-12 * scale)
+    assert np.abs(nearest_to_zero(i, root) - exact)[hinges].max() >= 1e-2 * scale
+
+
+def test_the_length_of_euler_parameters_has_no_share_by_compliance():
+    """Shares of the hinges by their compliances, whatever that of the length of Euler parameters is."""
+    m = door()
+    m.compliances()
+    e = prepared(specialised(alfmu.derive(m), ["hinge*", "multiplier*"]), "vm")
+    compliance = 10 ** np.random.default_rng(1).uniform(-1, 1, e.l)
+    shares = []
+    for length in (1e-2, 1e2):
+        compliance[e.lengths] = length
+        i = alfmu.Instance(e)
+        for variable, x in zip(e.compliances, compliance, strict=True):
+            i.set(variable.name, x)
+        i.initialize()
+        shares.append(multipliers(i))
+    weights = np.sqrt(compliance)
+    weights[e.lengths] = 0.0
+    for each in shares:
+        assert each == pytest.approx(nearest_to_zero(i, weights), abs=1e-11 * np.abs(each).max())
+
+
+# Penalties ------------------------------------------------------------------------------------------------------------
+
+PENALISED = [("slider_crank", {"coordinates": x}) for x in ("absolute", "natural")] + [
+    ("four_bar", {}),
+    ("bennett", {}),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "options"), PENALISED, ids=lambda x: "-".join(x.values()) if isinstance(x, dict) else x
+)
+def test_a_penalty_runs_as_the_default_does_or_is_refused_by_name(name, options):
+    """1 to 1e12 times the largest mass: angles after 0.5 s to 1e-6 rad; from 100 on none is refused."""
+    e = prepared(derived(name, **options), "vm")
+    usual = started(e).penalty
+    usual_angle = None
+    for ratio in (1e8, *10.0 ** np.arange(13)):
+        penalty, said = ratio * usual.max() / 1e8, ""
+        try:
+            r = alfmu.simulate(e, 0.5, 0.05, parameters={"solver.penalty": penalty, "solver.step_size": 0.0025})
+        except alfmu.StepError as error:
+            said = str(error)
+        if ratio < 100 and said:
+            assert f"solver.penalty {penalty:g} " in said
+            assert "use solver.penalty 0, which scales it with the masses" in said
+            continue
+        assert not said
+        angle = r[next(n for n in r.names if n.endswith("angle"))]
+        usual_angle = angle if usual_angle is None else usual_angle
+        assert angle == pytest.approx(usual_angle, abs=1e-6), ratio
+
+
+@pytest.mark.parametrize("method", ["explicit", "stiff"])
+@pytest.mark.parametrize("ratio", [1.0, 100.0])
+def test_a_penalty_that_a_method_cannot_take_is_named(method, ratio):
+    with pytest.raises(alfmu.StepError, match=r"solver\.penalty"):
+        alfmu.simulate(derived("four_bar"), 0.5, 0.02, parameters={"solver.method": method, "solver.penalty": ratio})
+
+
+def test_an_evaluation_that_did_not_converge_is_told(caplog):
+    """Once for a run; nothing where all converged."""
+    given = {"solver.penalty": 10.0, "start.angle": 0.3}
+    with caplog.at_level(logging.WARNING, "alfmu"):
+        alfmu.simulate(derived("five_bar"), 0.1, 0.02, parameters={"start.angle": 0.3})
+        assert not caplog.records
+        r = alfmu.simulate(derived("five_bar"), 0.1, 0.02, parameters=given)
+    assert r.counters.unconverged > 0
+    assert [x.getMessage().partition("s: ")[2] for x in caplog.records] == [
+        "an evaluation ended without convergence after 10 passes of the multiplier iteration; use solver.penalty 0, which "
+        "scales it with the masses, or raise solver.max_iterations"
+    ]
+
+
+# Copies of a constraint -----------------------------------------------------------------------------------------------
+
+COPIED = [
+    ("four_bar", {}, {}, {"A.torque": 4.0}),
+    ("five_bar", {}, {}, {"A.torque": 3.0, "D.torque": -1.0}),
+    *(("slider_crank", {"coordinates": x}, {"l2": 0.5}, {}) for x in COORDINATES),
+]
+
+
+@pytest.mark.parametrize(("name", "options", "given", "inputs"), COPIED)
+def test_a_constraint_written_up_to_five_times_changes_no_motion(name, options, given, inputs):
+    """Through singular positions over 3 s, to 1e-12 rad."""
+    angles = []
+    for copies in (1, 2, 5):
+        m = alfmu.load(name, **options)
+        row = {c.name: c for c in m.closures}["rod.length" if "natural" in options.values() else "C"]
+        for k in range(1, copies):
+            m.closures.append(replace(row, **({"name": f"C{k}"} if isinstance(row, Joint) else {})))
+        parameters = {**given, "solver.step_size": 0.0025}
+        r = alfmu.simulate(alfmu.derive(m), 3.0, 0.05, parameters=parameters, inputs=inputs)
+        angles.append(r[next(n for n in r.names if n.endswith("angle"))])
+    assert np.ptp(angles[0]) > 2.9
+    assert angles[1:] == [pytest.approx(angles[0], abs=1e-12)] * 2
+
+
+# Coordinates ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("l2", [1.0, 0.5])
+def test_reactions_of_four_coordinate_sets_agree(l2):
+    """A driven slider-crank over 2 s, with equal links through singular positions: joint forces to 1e-10 N away from
+    them, more than 0.3 rad."""
+    given = {"l2": l2, "solver.method": "order8", "solver.step_size": 0.005}
+    inputs = {"A.torque": 1.0, "slider.force": -2.0}
+    runs = [
+        alfmu.simulate(derived("slider_crank", coordinates=x), 2.0, 0.02, parameters=given, inputs=inputs)
+        for x in COORDINATES
+    ]
+    names = [n for n in runs[0].names if ".force" in n and n != "slider.force"]
+    assert len(names) >= 7
+    away = np.abs(np.cos(runs[0]["crank.angle"])) > np.sin(0.3)
+    assert away.sum() > 50
+    for other in runs[1:]:
+        assert max(np.abs(other[n] - runs[0][n])[away].max() for n in names) <= 1e-10
+
+
+@pytest.mark.parametrize("loops", [1, 2])
+def test_natural_coordinates_keep_order_four_through_singular_positions(loops):
+    """N-four-bar over 10 s, at steps of 2.5 ms and three times halved: 1e-10 m at the shortest."""
+    e = prepared(derived("n_four_bar", loops=loops, coordinates="natural"), "vm")
+    times, steps = np.arange(0.0, 10.05, 0.1), 0.0025 / 2 ** np.arange(4)
+
+    def acceleration(t, th, w):
+        return -(3 * loops + 1) / 2 * 9.81 * np.cos(th) / ((4 * loops + 1) / 3)
+
+    exact = ode.motion(acceleration, np.pi / 2, -1.0, times)[:, 0]
+    errors = []
+    for h in steps:
+        r = alfmu.simulate(e, 10.0, 0.1, parameters={"solver.step_size": h})
+        errors.append(2 * np.abs(np.sin((r["crank1.angle"] - exact) / 2)).max())
+    assert np.polyfit(np.log(steps), np.log(errors), 1)[0] >= 3.8
+    assert errors[-1] <= 1e-10
