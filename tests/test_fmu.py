@@ -358,7 +358,11 @@ def test_the_names_that_users_rely_on(exported):
         return {f"{b}.{q}" for b in bodies for q in quantities}
 
     monitors = {
-        f"monitor.{m}" for m in ("position_error", "velocity_error", "energy", "iterations", "distance", "singular")
+        f"monitor.{m}"
+        for m in (
+            *("position_error", "velocity_error", "energy", "work", "step_error"),
+            *("iterations", "distance", "singular"),
+        )
     }
     solver = {f"solver.{s}" for s in ("step_size", "penalty", "tolerance", "max_iterations", "formulation", "branch")}
     solver |= {f"solver.{s}" for s in ("method", "relative_tolerance", "absolute_tolerance", "input_order")}

@@ -82,12 +82,13 @@ int cover(Instance *i, double end, long tries)
         try_step(i);
         if (after[s->trouble] != 0.0)
             return 0;
-        if (pace[PACE_ACCEPTED] != 0.0 && pace[PACE_FLOOR] > 1.0)
+        /* The tolerance of a step is a share of that of the run. */
+        if (pace[PACE_ACCEPTED] != 0.0 && pace[PACE_FLOOR] * s->share > 1.0)
             warn(i, WARNED_OF_ROUND_OFF,
-                "%s, t = %.6g s: round-off leaves some %.1g times the tolerance; solver.relative_tolerance %g cannot be "
-                "had here, about %.1g can, and the motion goes on at that",
-                s->name, m[s->z + s->time], pace[PACE_FLOOR], i->values[s->relative_tolerance],
-                i->values[s->relative_tolerance] * pace[PACE_FLOOR]);
+                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had here, "
+                "and the motion goes on at that",
+                s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share,
+                i->values[s->relative_tolerance]);
         if (pace[PACE_ACCEPTED] != 0.0)
             memcpy(m + s->z, after, state_length(s) * sizeof *m);
         tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;
