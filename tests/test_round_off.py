@@ -53,7 +53,7 @@ def controlled(name, tolerance, values, **options):
 
 
 @pytest.mark.parametrize("masses", [(1.0, 1.0, 1e6), (1e-6, 1e-6, 1.0), (1e6, 1e6, 1.0)], ids=["a", "b", "reverse"])
-@pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed"])
+@pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
 def test_masses_that_differ_by_a_million(coordinates, masses):
     """At the dead centres of a heavy slider its light crank whips round at a thousand rad/s within a microsecond."""
     values = {f"m{i}": m for i, m in enumerate(masses, 1)} | {"start.angular_velocity": 2.0, "g": 0.0}

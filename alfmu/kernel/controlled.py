@@ -15,6 +15,7 @@ from dataclasses import replace
 import casadi as ca
 from casadi import SX
 
+from ..equations.evaluation import DENSE
 from ..method import formulations as method
 from ..method import implicit
 from ..method.singular import LONG_NOISE, LONG_PLACES, LONG_SPACING
@@ -97,6 +98,8 @@ class _Step:
         self.tracer, self.plan, self.e, self.layout = tracer, plan, tracer.e, tracer.layout
         self.calls = Calls(tracer, plan)
         self.scene = self.calls.scene
+        self.by_constraints = plan.gaining and not plan.branch and self.e.n <= DENSE
+        """Whether constraints alone tell what is near a singular position, not what masses make of it."""
         self.name = "beside" if plan.branch else "method" if plan.quick or not self.e.l else "method_careful"
 
     def begin(self) -> None:
@@ -122,7 +125,7 @@ class _Step:
         names = ["z", "pace", "arrival", "q", "v", "work", "p", "k", "error", *watches]
         if self.e.l:
             names += ["pivot", "left"]
-        if self.plan.branch:
+        if self.plan.branch or self.by_constraints:
             names += [watch.replace("watch", "zone") for watch in watches]
         self.calls(f"{self.name}_close", spaced(names), "after", lambda *_: self.scene.closed(self.plan, names))
         self.calls(
@@ -177,6 +180,8 @@ class _Explicit(_Step):
         rate = self.tracer.rate(calls, f"{self.mark}_stage", rates, settled, "step")
         start = ca.vertcat(z[: 2 * n], z[layout.work])
         _, [error], _ = explicit(rule, rate, z[layout.time], start, dt, None, settle)
+        for i in range(len(rates) * self.by_constraints):
+            calls("irregular", f"q{i + 1} p k", f"zone{i + 1}", scene.irregular)
         q, v = scene.symbol("q"), scene.symbol("v")
         known = spaced("z step", rates, "q v p k")
         if self.plan.quick or not self.e.l:

@@ -64,6 +64,9 @@ _SOFTEST = 1e4
 _TOLD = 4.0
 """Margin that can be told from nothing, over it."""
 
+_ALONE = 1e-10
+"""Added to C C', whose rows are of length 1, so that rows that depend on each other leave a pivot of this size."""
+
 _TINY = 1e-300
 """Lets a mechanism at rest pass the check of convergence."""
 
@@ -351,6 +354,20 @@ class Scene:
         )
         return near, ca.fmin(ca.if_else(more > 0, ca.exp((logarithm - self.settings.masses) / more), 1), 1)
 
+    def irregular(self, q: SX) -> SX:
+        """Whether more constraints may depend on each other at q than usually do, whatever the masses.
+
+        The margin also vanishes where a mechanism moves no mass to speak of, as at a dead centre with heavy sliders.
+        """
+        held = self.held if self.kind == "weighted" else SX.ones(self.e.l)
+        C = ca.densify(self.e.C(q, self.p)) * held
+        K = C @ C.T
+        sizes = ca.sqrt(ca.diag(K))
+        scale = ca.diag(ca.if_else(sizes > 0, 1 / sizes, 0))
+        pivots = ca.ldl(scale @ K @ scale + _ALONE * SX.eye(self.e.l), False)[0]
+        usual = self.e.l - (self.e.n - self.settings.freedom)
+        return ca.sum1(pivots < branch.BRANCH_MARGIN) > usual
+
     def _margin_at(self, q: SX) -> SX:
         D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
         return self.margin(D)[1]
@@ -507,9 +524,9 @@ class Scene:
         # Error control judges what iterations leave by the error that it makes; few of them also by how they gain.
         unjudged = 1 if plan.quick or "pace" not in known else known["pace"][PACE.index("fixed")] != 0
         trouble, near = 1 - (pivot > 0) + unjudged * self.unconverged(plan, evaluations), SX(0)
-        if plan.branch:
+        if plan.branch or "zone1" in known:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
-            trouble += 1 - self.settings.continues
+            trouble += 1 - self.settings.continues if plan.branch else near * self.settings.continues
         elif e.l:
             near = sum(x.margin < branch.BRANCH_MARGIN if plan.margins else x.near for x in evaluations)
             trouble += near if plan.quick and not plan.margins else near * self.settings.continues

@@ -71,7 +71,7 @@ HANDED = {
 
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots"),
+    **_same("dynamics constraints energy closure guesses displacements pivots irregular"),
     **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions that the runtime calls, by their names in C."""

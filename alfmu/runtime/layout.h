@@ -222,6 +222,7 @@
     X(guesses) \
     X(displacements) \
     X(pivots) \
+    X(irregular) \
     X(place) \
     X(bring) \
     X(settle) \

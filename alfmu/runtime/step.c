@@ -8,6 +8,9 @@
 /* Tries with careful iterations after one that needed them. */
 #define STAYS_CAREFUL 8.0
 
+/* Of a step that cannot be judged, the next try. */
+#define SHORTENED 0.2
+
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
 long advance(Instance *i, long steps, double dt)
 {
@@ -37,6 +40,18 @@ long advance(Instance *i, long steps, double dt)
     return done;
 }
 
+/* Whether constraints may depend on each other here that usually do not. */
+static int irregular(Instance *i)
+{
+    const Scene *s = i->scene;
+    double found = 1.0;
+    const double *x[] = {i->m + s->z, i->m + s->p, i->m + s->k};
+    double *y[] = {&found};
+    if (s->irregular >= 0)
+        call(i, s->irregular, x, y);
+    return found != 0.0;
+}
+
 /* A try of the method of the scene: by few multiplier iterations; by more where they were not enough, or the error is too
    large, as what they leave is part of it; on the branch near a singular position. */
 static void try_step(Instance *i)
@@ -50,8 +65,8 @@ static void try_step(Instance *i)
     else {
         run(i, s->method_step);
         tally[TALLY_TRIES] += 1.0;
-        if (s->method_careful >= 0 && after[s->near] == 0.0
-            && (after[s->trouble] != 0.0 || pace[PACE_ACCEPTED] == 0.0)) {
+        if (s->method_careful >= 0 && (after[s->trouble] != 0.0 || pace[PACE_ACCEPTED] == 0.0)
+            && !(after[s->near] != 0.0 && irregular(i))) {
             careful = 1;
             pace[PACE_CAREFUL] = STAYS_CAREFUL;
             pace[PACE_DT] = dt;
@@ -77,11 +92,24 @@ int cover(Instance *i, double end, long tries)
 {
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
+    double judged = 0.0; /* step of the first try that could not be judged, since one that could */
     pace[PACE_END] = end;
     for (; m[s->z + s->time] < end && tries != 0; tries--) {
         try_step(i);
-        if (after[s->trouble] != 0.0)
-            return 0;
+        if (after[s->trouble] != 0.0 && judged == 0.0)
+            judged = pace[PACE_DT];
+        if (after[s->trouble] != 0.0) {
+            const double shorter = SHORTENED * fmin(pace[PACE_DT], end - m[s->z + s->time]);
+            if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP) {
+                pace[PACE_DT] = fmax(pace[PACE_DT], judged);
+                return 0;
+            }
+            pace[PACE_DT] = shorter;
+            pace[PACE_REFUSED] = 1.0;
+            tally[TALLY_REFUSED] += 1.0;
+            continue;
+        }
+        judged = 0.0;
         /* The tolerance of a step is a share of that of the run. */
         if (pace[PACE_ACCEPTED] != 0.0 && pace[PACE_FLOOR] * s->share > 1.0)
             warn(i, WARNED_OF_ROUND_OFF,
