@@ -1,10 +1,23 @@
 """Errors that say which mechanism, what was measured, the limit, and what to do."""
 
-__all__ = ["AlfmuError", "AssemblyError", "DeclarationError", "ExportError", "InputError", "OpenError", "StepError"]
+__all__ = [
+    "AlfmuError",
+    "AlfmuWarning",
+    "AssemblyError",
+    "DeclarationError",
+    "ExportError",
+    "InputError",
+    "OpenError",
+    "StepError",
+]
 
 
 class AlfmuError(Exception):
     """Base of every error that alfmu raises on purpose; its text is meant for the user."""
+
+
+class AlfmuWarning(UserWarning):
+    """Something that is allowed and yet looks like a mistake; its text is meant for the user."""
 
 
 class DeclarationError(AlfmuError):

@@ -1,0 +1,167 @@
+"""What a declaration is checked for: numbers, texts, names, and where in a user's file a mistake is made."""
+
+from __future__ import annotations
+
+import difflib
+import linecache
+import math
+import re
+import sys
+import warnings
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from .errors import AlfmuWarning, DeclarationError
+
+__all__ = [
+    "LONGEST",
+    "casadi_function",
+    "hint",
+    "in_words",
+    "known",
+    "nearest",
+    "number",
+    "shown",
+    "symbols_in",
+    "text",
+    "users_line",
+]
+
+LONGEST = 200
+"""Most characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
+
+_SHOWN = 5
+"""Names that a message lists."""
+
+_WIDEST = 60
+"""Characters of a value that a message shows."""
+
+_OURS = tuple(str(Path(module.__file__).parent) for module in (ca, sys.modules[__package__.partition(".")[0]]))
+"""Folders whose code is not the user's."""
+
+_OTHERWISE = {
+    "absolute": "fabs",
+    "abs": "fabs",
+    "arccos": "acos",
+    "arcsin": "asin",
+    "arctan": "atan",
+    "arctan2": "atan2",
+    "clip": "fmin and ca.fmax",
+    "max": "fmax",
+    "maximum": "fmax",
+    "min": "fmin",
+    "minimum": "fmin",
+    "norm": "norm_2",
+    "select": "if_else",
+    "where": "if_else",
+}
+"""Functions of Python and NumPy that CasADi calls otherwise."""
+
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+
+def number(what: str, value: Any) -> float | ca.SX:
+    """A finite number, or an expression without NaN and infinity; DeclarationError where a value is neither."""
+    if not isinstance(value, ca.SX):
+        if isinstance(value, np.ndarray) and value.size == 1:
+            return number(what, value.item())
+        try:
+            found = float("text" if isinstance(value, str | bytes | ca.MX) else value)
+        except (TypeError, ValueError, RuntimeError):
+            raise DeclarationError(f"{what} is {shown(value)}; give a number or an expression") from None
+        if not math.isfinite(found):
+            raise DeclarationError(f"{what} is {found}; {_finite()}")
+        return value if isinstance(value, int) else found
+    if not value.is_scalar():
+        raise DeclarationError(f"{what} has {value.numel()} entries; give one number or expression")
+    if not value.is_symbolic():
+        steps = _steps(value)
+        for i in range(steps.n_instructions()):
+            if steps.instruction_id(i) == ca.OP_CONST and not math.isfinite(steps.instruction_constant(i)):
+                raise DeclarationError(f"{what} contains {steps.instruction_constant(i)}; {_finite()}")
+    return value
+
+
+def symbols_in(value: float | ca.SX) -> list[ca.SX]:
+    """The symbols that an expression depends on."""
+    if not isinstance(value, ca.SX):
+        return []
+    return [value] if value.is_symbolic() else _steps(value).free_sx()
+
+
+def text(what: str, value: Any, longest: int | None = None) -> str:
+    """A text that files and FMUs can hold; DeclarationError otherwise."""
+    if not isinstance(value, str):
+        raise DeclarationError(f"{what} is {shown(value)}; give a text")
+    if bad := _NOT_XML.search(value):
+        raise DeclarationError(
+            f"{what} has the character {bad.group()!r} at place {bad.start() + 1}, which no FMU can hold; leave it out"
+        )
+    if longest is not None and len(value) > longest:
+        raise DeclarationError(f"{what} has {len(value)} characters ({value:.20}...); give at most {longest}")
+    return value
+
+
+def shown(value: Any) -> str:
+    """A value as a message shows it: short, and with its kind where that is not plain."""
+    text = repr(value) if isinstance(value, str | bytes | int | float | complex | tuple | list | None) else ""
+    return text if 0 < len(text) <= _WIDEST else f"a {type(value).__name__}"
+
+
+def nearest(name: object, names: Iterable[str]) -> list[str]:
+    """The names that somebody may have meant, the likeliest first."""
+    by_case = {each.lower(): each for each in names}
+    return [by_case[each] for each in difflib.get_close_matches(str(name).lower(), by_case, 3, 0.6)]
+
+
+def known(name: object, names: Collection[str]) -> str:
+    """What to say of a name that is none of these: what may have been meant, or else what there is, a handful."""
+    if meant := nearest(name, names):
+        return f"did you mean {in_words(meant)}?"
+    listed = list(names)
+    more = f" and {len(listed) - _SHOWN} more" if len(listed) > _SHOWN + 1 else ""
+    return f"it has {', '.join(listed[: _SHOWN if more else None]) or 'none'}{more}"
+
+
+def in_words(names: Collection[str]) -> str:
+    """a, b or c"""
+    *most, last = names
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def hint(message: str) -> None:
+    """Warn of what is allowed and yet looks like a mistake, with the line of the user's code."""
+    file, line = users_line()
+    warnings.warn_explicit(message, AlfmuWarning, file, line)
+
+
+def casadi_function(file: str, line: int) -> str:
+    """CasADi's function for one of Python's `math` or of NumPy that a line of code calls; empty where it calls none."""
+    called = re.search(r"\b(math|np|numpy)\.(?:linalg\.)?(\w+)\(", linecache.getline(file, line))
+    if called is None:
+        return ""
+    name = _OTHERWISE.get(called[2], called[2])
+    return f"ca.{name} instead of {called.group()[:-1]}" if hasattr(ca, name.split()[0]) else ""
+
+
+def _finite() -> str:
+    """What to do about a number that is not finite."""
+    of_symbols = casadi_function(*users_line()) or "those of CasADi, such as ca.sin"
+    return f"give a finite number (functions of Python's math make nan of symbols: use {of_symbols})"
+
+
+def users_line() -> tuple[str, int]:
+    """File and line of the user's code that is running."""
+    frame = sys._getframe(1)
+    while frame.f_back and frame.f_code.co_filename.startswith(_OURS):
+        frame = frame.f_back
+    return frame.f_code.co_filename, frame.f_lineno
+
+
+def _steps(value: ca.SX) -> ca.Function:
+    """The operations of an expression; walking it by its nodes is slow, and deep for long ones."""
+    return ca.Function("steps", [], [value], {"allow_free": True})
