@@ -7,13 +7,14 @@ import json
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .kernel import DEFAULT, KERNELS
-from .model.errors import AlfmuError, InputError
+from .model.errors import AlfmuError, AlfmuWarning, InputError
 
 if TYPE_CHECKING:
     from .fmi.recipe import Recipe
@@ -44,7 +45,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     chosen = parser.parse_args(arguments)
     try:
-        return chosen.run(chosen) or 0
+        with warnings.catch_warnings():
+            warnings.filterwarnings("always", category=AlfmuWarning)
+            warnings.showwarning = _printed(warnings.showwarning)
+            return chosen.run(chosen) or 0
     except AlfmuError as error:
         print(f"alfmu: {error}", file=sys.stderr)
         return 1
@@ -55,6 +59,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("alfmu: interrupted", file=sys.stderr)
         return 130
+
+
+def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
+    """What shows a warning: those of alfmu as one line, once."""
+    seen: set[str] = set()
+
+    def show(message: Warning, category: type[Warning], file: str, line: int, *more: Any) -> None:
+        if not issubclass(category, AlfmuWarning):
+            otherwise(message, category, file, line, *more)
+        elif str(message) not in seen:
+            seen.add(str(message))
+            print(f"alfmu: warning: {message}", file=sys.stderr)
+
+    return show
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -18,6 +18,7 @@ from .equations.derivation import derive
 from .equations.interface import Counters
 from .equations.specialisation import specialised
 from .kernel import DEFAULT, KERNELS
+from .model.checks import there_is
 from .model.errors import InputError
 from .model.mechanism import Mechanism
 from .model.registry import load
@@ -62,9 +63,7 @@ class Result:
         try:
             return self.values[:, self.names.index(name)]
         except ValueError:
-            raise InputError(
-                f"the result of {self.mechanism} has no {name!r}; it has {', '.join(self.names)}"
-            ) from None
+            raise InputError(f"the result of {self.mechanism} has no {name!r}; {there_is(name, self.names)}") from None
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Result:

@@ -18,6 +18,7 @@ from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
 from ..equations import Variable
+from ..model.checks import there_is
 from ..model.errors import ExportError, InputError, StepError
 from ..simulation import Result, run
 from .experiment import Experiment, unlike
@@ -111,7 +112,7 @@ class Fmu:
         variable = self._by_name.get(name)
         if variable is None or variable.causality not in ("parameter", "input"):
             settable = [v.name for v in self._by_name.values() if v.causality in ("parameter", "input")]
-            raise InputError(f"{self.name} has no input or parameter {name!r}; it has {', '.join(settable)}")
+            raise InputError(f"{self.name} has no input or parameter {name!r}; {there_is(name, settable)}")
         try:
             kinds = {"Real": float, "Integer": int, "Boolean": _truth, "String": str}
             kinds["Enumeration"] = lambda given: _item(variable, given)

@@ -22,12 +22,12 @@ __all__ = [
     "casadi_function",
     "hint",
     "in_words",
-    "known",
     "nearest",
     "number",
     "shown",
     "symbols_in",
     "text",
+    "there_is",
     "users_line",
 ]
 
@@ -74,15 +74,15 @@ def number(what: str, value: Any) -> float | ca.SX:
         except (TypeError, ValueError, RuntimeError):
             raise DeclarationError(f"{what} is {shown(value)}; give a number or an expression") from None
         if not math.isfinite(found):
-            raise DeclarationError(f"{what} is {found}; {_finite()}")
+            raise DeclarationError(f"{what} is {found}; {_finite(found)}")
         return value if isinstance(value, int) else found
     if not value.is_scalar():
         raise DeclarationError(f"{what} has {value.numel()} entries; give one number or expression")
     if not value.is_symbolic():
         steps = _steps(value)
         for i in range(steps.n_instructions()):
-            if steps.instruction_id(i) == ca.OP_CONST and not math.isfinite(steps.instruction_constant(i)):
-                raise DeclarationError(f"{what} contains {steps.instruction_constant(i)}; {_finite()}")
+            if steps.instruction_id(i) == ca.OP_CONST and not math.isfinite(found := steps.instruction_constant(i)):
+                raise DeclarationError(f"{what} contains {found}; {_finite(found)}")
     return value
 
 
@@ -108,6 +108,8 @@ def text(what: str, value: Any, longest: int | None = None) -> str:
 
 def shown(value: Any) -> str:
     """A value as a message shows it: short, and with its kind where that is not plain."""
+    if isinstance(value, ca.SX):
+        return f"the symbol {value}" if value.is_symbolic() else "an expression"
     text = repr(value) if isinstance(value, str | bytes | int | float | complex | tuple | list | None) else ""
     return text if 0 < len(text) <= _WIDEST else f"a {type(value).__name__}"
 
@@ -118,7 +120,7 @@ def nearest(name: object, names: Iterable[str]) -> list[str]:
     return [by_case[each] for each in difflib.get_close_matches(str(name).lower(), by_case, 3, 0.6)]
 
 
-def known(name: object, names: Collection[str]) -> str:
+def there_is(name: object, names: Collection[str]) -> str:
     """What to say of a name that is none of these: what may have been meant, or else what there is, a handful."""
     if meant := nearest(name, names):
         return f"did you mean {in_words(meant)}?"
@@ -141,6 +143,7 @@ def hint(message: str) -> None:
 
 def casadi_function(file: str, line: int) -> str:
     """CasADi's function for one of Python's `math` or of NumPy that a line of code calls; empty where it calls none."""
+    linecache.checkcache(file)
     called = re.search(r"\b(math|np|numpy)\.(?:linalg\.)?(\w+)\(", linecache.getline(file, line))
     if called is None:
         return ""
@@ -148,10 +151,12 @@ def casadi_function(file: str, line: int) -> str:
     return f"ca.{name} instead of {called.group()[:-1]}" if hasattr(ca, name.split()[0]) else ""
 
 
-def _finite() -> str:
+def _finite(value: float) -> str:
     """What to do about a number that is not finite."""
+    if not math.isnan(value):
+        return "give a finite number"
     of_symbols = casadi_function(*users_line()) or "those of CasADi, such as ca.sin"
-    return f"give a finite number (functions of Python's math make nan of symbols: use {of_symbols})"
+    return f"give a finite number; functions of Python's math make nan of symbols, so use {of_symbols}"
 
 
 def users_line() -> tuple[str, int]:

@@ -15,7 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .checks import LONGEST, hint, in_words, number, shown, symbols_in, text, users_line
+from .checks import LONGEST, hint, in_words, number, shown, symbols_in, text, there_is, users_line
 from .errors import DeclarationError
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .units import UNITS, alike, rate_of, unit
@@ -533,7 +533,7 @@ class Mechanism:
         `spatial_ground` and to other bodies in space are closed by constraints.
         """
         inertia = self._vector(f"the inertia of {name}", inertia, ("kg.m2",) * 3, CONSTANT)
-        moments = [self._at_defaults(x) for x in inertia]
+        moments = [self._at_defaults(f"the inertia of {name}", x) for x in inertia]
         if min(moments) < 0 or 2 * max(moments) > sum(moments) * (1 + 1e-12):
             raise DeclarationError(
                 f"{self.name}: no body has the principal moments of inertia {moments} that {name} is given; give "
@@ -770,9 +770,8 @@ class Mechanism:
         for joint in joints:
             if of is joint or of == joint.name:
                 return joint
-        names = ", ".join(joint.name for joint in joints) or "none"
         called = of.name if isinstance(of, AnyJoint) else of
-        raise DeclarationError(f"{self.name} has no joint {called}; it has {names}")
+        raise DeclarationError(f"{self.name} has no joint {called}; {there_is(called, [j.name for j in joints])}")
 
     # ------------------------------------------------------------------------------------------------------------
 
@@ -868,12 +867,15 @@ class Mechanism:
             axes.append(tuple(numbers))
         return axes[0], axes[1]
 
-    def _at_defaults(self, value: Scalar) -> float:
-        """A number, or an expression in parameters at their defaults."""
+    def _at_defaults(self, what: str, value: Scalar) -> float:
+        """A number, or an expression in parameters at their defaults; DeclarationError where that is not finite."""
         if not isinstance(value, ca.SX):
             return value
         symbols, defaults = stack([x.symbol for x in self.parameters]), stack([x.default for x in self.parameters])
-        return float(ca.substitute(value, symbols, defaults) if self.parameters else value)
+        found = float(ca.substitute(value, symbols, defaults) if self.parameters else value)
+        if not math.isfinite(found):
+            raise DeclarationError(f"{self.name}: {what} is {found} at the defaults of its parameters; check them")
+        return found
 
     def _own(
         self, markers: Iterable[AnyMarker], user: str, kind: type[Marker] | type[SpatialMarker] | None = None
@@ -891,7 +893,10 @@ class Mechanism:
                 raise DeclarationError(f"{self.name}: {user} joins bodies in {where}{given}")
             self._body(marker.body, user)
             place = (marker.x, marker.y, *((marker.z,) if isinstance(marker, SpatialMarker) else ()))
-            self._vector(f"a point of {marker.body.name} that {user} uses", place, ("m",) * len(place), PLACE)
+            what = f"a point of {marker.body.name} that {user} uses"
+            self._vector(what, place, ("m",) * len(place), PLACE)
+            for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
+                self._perhaps_millimetres(what, x)
 
     def _body(self, body: Body | SpatialBody, user: str) -> None:
         if not isinstance(body, Body | SpatialBody):
@@ -972,9 +977,10 @@ class Mechanism:
         return value
 
     def _mass(self, name: str, mass: Any, what: str = "mass", unit: str = "kg") -> Scalar:
-        mass = self._quantity(f"the {what} of {name}", mass, unit, CONSTANT)
-        if (value := self._at_defaults(mass)) < 0:
-            raise DeclarationError(f"{self.name}: the {what} of {name} is {value:g} {unit}; it must not be negative")
+        what = f"the {what} of {name}"
+        mass = self._quantity(what, mass, unit, CONSTANT)
+        if (value := self._at_defaults(what, mass)) < 0:
+            raise DeclarationError(f"{self.name}: {what} is {value:g} {unit}; it must not be negative")
         for i, parameter in enumerate(self.parameters):
             if parameter.symbol is mass and parameter.minimum is None:
                 self.parameters[i] = replace(parameter, minimum=0.0)
@@ -985,11 +991,10 @@ class Mechanism:
 
     def _length(self, what: str, length: Any, may: Collection[str]) -> Scalar:
         length = self._quantity(what, length, "m", may)
-        if not any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(length)):
-            value = self._at_defaults(length)
-            if not value > 0:
-                raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
-            self._perhaps_millimetres(what, value)
+        moves = any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(length))
+        if not moves and not (value := self._at_defaults(what, length)) > 0:
+            raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
+        self._perhaps_millimetres(what, length)
         return length
 
     def _pose(self, name: str, pose: Any) -> tuple[Scalar, ...] | None:
@@ -1008,8 +1013,8 @@ class Mechanism:
                 f"give {math.radians(value):.6g}"
             )
 
-    def _perhaps_millimetres(self, what: str, value: float) -> None:
-        if abs(value) > LONG:
+    def _perhaps_millimetres(self, what: str, value: Scalar) -> None:
+        if not isinstance(value, ca.SX) and abs(value) > LONG:
             hint(f"{self.name}: {what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
 
 

@@ -18,6 +18,7 @@ from ..equations.derivation import derive
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
+from ..model.checks import there_is
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
@@ -147,7 +148,7 @@ class Instance:
         reference = self._references.get(name)
         if reference is None or reference >= self._scene.first_output:
             names = list(self._references)[: self._scene.first_output]
-            raise InputError(f"{e.name} has no input or parameter {name!r}; it has {', '.join(names)}")
+            raise InputError(f"{e.name} has no input or parameter {name!r}; {there_is(name, names)}")
         v = self._variables[name]
         if v.type == "Boolean":
             if value not in (0, 1):
@@ -187,7 +188,7 @@ class Instance:
     def get(self, name: str) -> float | str:
         """The value of an output, input, parameter, start value or solver number."""
         if name not in self._references:
-            raise InputError(f"{self.equations.name} has no variable {name!r}")
+            raise InputError(f"{self.equations.name} has no variable {name!r}; {there_is(name, self._references)}")
         reference = self._references[name]
         if reference >= self._scene.first_output:
             self._read()

@@ -17,6 +17,7 @@ from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
+from ..model.checks import there_is
 from ..model.errors import InputError
 from ..model.settings import Settings
 from .build import compiler
@@ -118,7 +119,7 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
             checked(equations.name, known[name], value)
         elif name not in {s.name for s in equations.switches} | set(CHOICES):
             names = [*(v.name for v in found.causal("input")), *known, *CHOICES]
-            raise InputError(f"{equations.name} has no input or parameter {name!r}; it has {', '.join(names)}")
+            raise InputError(f"{equations.name} has no input or parameter {name!r}; {there_is(name, names)}")
     own = {setting(name): value for name, value in values.items() if setting(name) != name}
     Settings(**own).checked(equations.name, equations.l)
     changed = {

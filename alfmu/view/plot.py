@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..model.checks import there_is
 from ..model.errors import InputError
 from ..simulation import Result
 
@@ -111,7 +112,7 @@ def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
         names = [name for name in result.names if name == pattern or fnmatchcase(name, pattern)]
         if not names:
             raise InputError(
-                f"the result of {result.mechanism} has nothing like {pattern!r}; it has {', '.join(result.names)}"
+                f"the result of {result.mechanism} has nothing like {pattern!r}; {there_is(pattern, result.names)}"
             )
         found |= dict.fromkeys(names)
     return list(found)
