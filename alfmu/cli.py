@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import re
@@ -20,6 +21,9 @@ if TYPE_CHECKING:
     from .fmi.recipe import Recipe
 
 __all__ = ["main"]
+
+MOVED = 1e-6
+"""Way [m] up to which assembly has left a body where its guess has it."""
 
 MANY = 300
 """Lines of one kind up to which `info` shows each."""
@@ -305,6 +309,8 @@ def _info(chosen: argparse.Namespace) -> None:
     print(f"constraints ({equations.l}): {', '.join(text for (text,) in rows) or 'none'}")
     print(f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}", end="")
     print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
+    for note in _notes(instance):
+        print(note)
     if shared := instance.shared():
         each = _merged((name,) for name in shared)
         print(f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}")
@@ -329,6 +335,27 @@ def _info(chosen: argparse.Namespace) -> None:
         from .fmi.sizes import sizes
 
         print("\n" + "\n".join(sizes(mechanism, recipe.parameters, recipe.outputs, recipe.freeze)))
+
+
+def _notes(unit: Any) -> list[str]:
+    """What a user should know of a start: how far bodies are from their guesses, what nobody gave a start value."""
+    from .runtime import Instance
+
+    if not isinstance(unit, Instance):
+        return []
+    notes, moved = [], {name: way for name, way in unit.moved.items() if way > MOVED}
+    if moved:
+        name, way = next(iter(moved.items()))
+        most = f", {name} most" * (len(moved) > 1)
+        what = f"{len(moved)} bodies by up to {way:.3g} m" if len(moved) > 1 else f"{name} by {way:.3g} m"
+        notes.append(f"assembly moved {what} from where the guesses have them{most}")
+    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
+        if free := unit.undetermined():
+            notes.append(
+                f"no start value determines {', '.join(free)}: what the guesses say is taken; to set one, give it "
+                "independent=True, or tie() it to a start()"
+            )
+    return notes
 
 
 def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -384,9 +411,12 @@ def _simulate(chosen: argparse.Namespace) -> None:
         stop_time = about["stop_time"] if chosen.stop_time is None else chosen.stop_time
         step = about["interval"] if chosen.step is None else chosen.step
         result = run(unit, stop_time, step, inputs, about["set"], _progress("simulating"))
+        notes = _notes(unit)
     finally:
         if hasattr(unit, "close"):
             unit.close()
+    for note in notes:
+        print(note)
     table = Path(chosen.output or f"{result.mechanism}.csv")
     _writing(table, result.to_csv)
     facts = {k: about[k] for k in ("mechanism", "options")}

@@ -60,10 +60,8 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
         )
     declared = _guarded(mechanism, lambda: factory(**chosen))
     if not isinstance(declared, Mechanism):
-        returned = "nothing" if declared is None else f"a {type(declared).__name__}, not a Mechanism"
-        raise InputError(
-            f"{mechanism}: {factory.__name__}() returns {returned}; end it with `return` and the mechanism"
-        )
+        returned = "nothing" if declared is None else f"a {type(declared).__name__}, no Mechanism"
+        raise InputError(f"{mechanism}: {factory.__name__}() returns {returned}; end it with `return m`, the mechanism")
     declared.options = {**{k: p.default for k, p in parameters.items() if p.kind not in _ANY}, **chosen}
     readme = Path(inspect.getsourcefile(factory) or "").with_name("README.md")
     if readme.is_file() and (not str(mechanism).endswith(".py")):

@@ -6,6 +6,8 @@ What happens while time passes is in the C library; this is its binding for NumP
 from __future__ import annotations
 
 import ctypes
+import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,11 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..equations import Equations, Mobility
 from ..equations.derivation import derive
+from ..equations.evaluation import DENSE
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
 from ..model.checks import there_is
-from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
+from ..model.errors import AlfmuError, AlfmuWarning, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED, Settings
@@ -28,6 +31,9 @@ from .prepare import again, loaded, retraced
 from .probe import mobility, shared
 
 __all__ = ["Instance"]
+
+_FREE = 1e-7
+"""Part of the largest [1], up to which a motion is not held, and a coordinate not moved."""
 
 _COUNTED = (
     *("patient_steps", "reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
@@ -197,7 +203,10 @@ class Instance:
     # Life --------------------------------------------------------------------------------------------------------
 
     def initialize(self) -> None:
-        """Assemble the mechanism from its start values at `time`; parameters are fixed from here on."""
+        """Assemble the mechanism from its start values at `time`; parameters are fixed from here on.
+
+        Warns where it ends in another assembly than the one that the guess is nearest to.
+        """
         self._unit.run_on(False)
         self.memory["passes"][:] = 0.0
         outcome = self._unit.initialize()
@@ -206,7 +215,52 @@ class Instance:
             outcome = self._unit.initialize()
         if outcome != DONE:
             raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, AssemblyError)(self._unit.text)
+        self._assembled()
         self._unit.run_on(True)
+
+    def _assembled(self) -> None:
+        """Keep where the mechanism was assembled; the library says where that is far from the guess."""
+        self._start = np.array(self.q)
+        if self._unit.text:
+            body, way = next(iter(self.moved.items()), ("", 0.0))
+            most = f"; it moved {body} by {way:.3g} m" * (way > 0)
+            warnings.warn(self._unit.text + most, AlfmuWarning, stacklevel=3)
+
+    @property
+    def moved(self) -> dict[str, float]:
+        """How far the assembly moved each body from where the guess had it [m], the farthest first.
+
+        Of what has outputs NAME.x and NAME.y, and NAME.z in space.
+        """
+        e, p, v = self.equations, self.memory["p"], np.zeros(self.equations.n)
+        s = self.values[len(e.parameters) :][: len(e.starts)]
+        guess = np.array(e.functions["guess"](p, s)).ravel()
+        places = [
+            np.array(e.functions["readings"](q, v, v, np.zeros(e.l), np.zeros(len(e.inputs)), p, 0.0)).ravel()
+            for q in (guess, self._start)
+        ]
+        square: dict[str, float] = {}
+        for output, before, after in zip(e.outputs, *places, strict=True):
+            name, _, axis = output.name.rpartition(".")
+            if name and axis in "xyz" and output.unit == "m":
+                square[name] = square.get(name, 0.0) + (after - before) ** 2
+        return {name: math.sqrt(x) for name, x in sorted(square.items(), key=lambda each: -each[1])}
+
+    def undetermined(self) -> list[str]:
+        """Coordinates that neither constraints nor start values determine, so that they begin at their guess.
+
+        Of mechanisms with up to `DENSE` coordinates.
+        """
+        e = self.equations
+        if e.n > DENSE:
+            return []
+        _, place = self._mobility()
+        p, s = self.memory["p"], self.values[len(e.parameters) :][: len(e.starts)]
+        C = np.array(e.functions["constraints"](place, np.zeros(e.n), p)[1]).reshape(e.l, e.n)[self.penalty > 0]
+        ties = np.array(e.functions["ties_matrix"](self.q, p, s)).reshape(len(e.tied), e.n)
+        _, sizes, rows = np.linalg.svd(np.vstack([C, ties, np.zeros((e.n, e.n))]))
+        moves = np.abs(rows[sizes <= _FREE * max(1.0, sizes[0])]).max(axis=0, initial=0.0)
+        return [c.name for c, part in zip(e.coordinates, moves, strict=True) if part > _FREE]
 
     def initialize_with(self, inputs: Mapping[str, float]) -> None:
         """Initialise with these inputs."""
