@@ -318,7 +318,7 @@ def test_a_mass_is_not_negative_later_either():
 
 HINTS = [
     ('m.coordinate("x", start=30.0, independent=True)', "start.x is 30 rad, 4.8 turns; if degrees .* give 0.523599"),
-    ('m.coordinate("x", start=-90.0)', "the start of x is -90 rad"),
+    ('m.start("x", -90.0)', "start.x is -90 rad"),
     ('m.parameter("p", 500.0, "m")', "the default of p is 500 m; if millimetres were meant, give 0.5"),
     ('m.bar("b", mass=1.0, length=120.0)', "the length of b is 120 m"),
     ("m.force(rod.at(350.0, 0.0), 1.0)", r"a point of rod that force\(\) uses is 350 m"),

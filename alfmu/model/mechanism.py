@@ -427,8 +427,6 @@ class Mechanism:
             raise DeclarationError(
                 f"{self.name}: only an independent coordinate has a start rate; {name} is not, so add independent=True"
             )
-        elif unit == "rad" and not isinstance(start, ca.SX):
-            self._perhaps_degrees(f"the start of {name}", start)
         c = Coordinate(name, symbol, ca.SX.sym(f"{name}_v"), ca.SX.sym(f"{name}_a"), unit, start)
         self.coordinates.append(c)
         self._by_symbol[key_of(symbol)] = c
