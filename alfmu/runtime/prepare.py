@@ -23,7 +23,7 @@ from ..model.settings import Settings
 from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
-from .probe import Probe
+from .probe import SINGULAR, Probe
 
 __all__ = ["again", "decided", "loaded", "prepared", "retraced", "with_defaults"]
 
@@ -76,7 +76,10 @@ def _chosen(equations: Equations) -> tuple[str, str]:
     probe = Probe.of(untraced(with_tangents(equations)))
     if probe is None:
         return "explicit", "explicit: the defaults have no start"
-    values = probe.spectrum()
+    try:
+        values = probe.spectrum()
+    except SINGULAR:
+        return "explicit", "explicit: the augmented mass is singular at the start"
     fastest = values[np.argmax(np.abs(values))]
     lasting = values[-values.real * equations.stop_time < LASTS]
     slow = max(2 * math.pi / equations.stop_time, min((abs(x) for x in lasting if abs(x) > 1e-3), default=0.0))
@@ -104,7 +107,11 @@ def _traced(equations: Equations, probe: Probe | None) -> Equations:
     mobility = probe.mobility()
     if mobility.freedom_here > mobility.freedom:
         return traced(equations, mobility, controlled=controlled)  # a singular start says nothing of other positions
-    return traced(equations, mobility, probe.iterations_needed(), controlled)
+    try:
+        needed = probe.iterations_needed()
+    except SINGULAR:  # the first evaluation of a run says so
+        return traced(equations, mobility, controlled=controlled)
+    return traced(equations, mobility, needed, controlled)
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:

@@ -470,7 +470,7 @@ Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
             "%s: the motion along %s has no mass and no constraint that holds it (singular value %.0e of [M; C] at the "
             "start); a massless body must be held by constraints at both ends: never the last body of an open chain, "
             "never one placed by a joint coordinate alone",
-            s->name, free, least);
+            s->name, *free ? free : "some coordinates", least);
     }
     i->used = used;
     return outcome;
