@@ -72,7 +72,7 @@ def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
     def show(message: Warning, category: type[Warning], file: str, line: int, *more: Any) -> None:
         if not issubclass(category, AlfmuWarning):
             otherwise(message, category, file, line, *more)
-        elif str(message) not in seen:
+        elif not any(each.startswith(str(message)) for each in seen):
             seen.add(str(message))
             print(f"alfmu: warning: {message}", file=sys.stderr)
 

@@ -425,3 +425,51 @@ def test_numbers_of_numpy_and_casadi_are_numbers():
     assert number("x", np.array([2.0])) == 2.0
     assert number("x", ca.DM(3.0)) == 3.0
     assert number("x", 4) == 4
+
+
+def test_a_file_that_ends_the_process_is_said(declare):
+    path, at = declare("raise SystemExit(3)")
+    with pytest.raises(alfmu.InputError, match=f"odd.py, line {at}: SystemExit: 3"):
+        alfmu.load(path)
+
+
+def test_a_name_of_a_recipe_has_an_end():
+    with pytest.raises(alfmu.InputError, match=r"name is .* letters, digits and underscores, 200 at most"):
+        alfmu.Recipe("five_bar", name="a" * 300)
+
+
+# Sizes ----------------------------------------------------------------------------------------------------------------
+
+
+def arm(links: int, tip: float) -> alfmu.Mechanism:
+    """A chain in absolute coordinates, the last link of another mass."""
+    m = alfmu.Mechanism("arm")
+    at = m.ground.at()
+    for i in range(links):
+        x, y, th = m.coordinate(f"x{i}", "m", start=i + 0.5), m.coordinate(f"y{i}", "m"), m.coordinate(f"th{i}")
+        link = m.bar(f"link{i}", mass=tip if i == links - 1 else 1.0, length=1.0, pose=(x, y, th))
+        m.revolute(f"J{i}", at, link.start)
+        at = link.end
+    return m
+
+
+@pytest.mark.parametrize("links", [3, 18])
+@pytest.mark.parametrize("method", ["rk4", "auto"])
+def test_a_mass_below_round_off_of_the_others_is_said(links, method):
+    """Up to and beyond 50 coordinates."""
+    says = "arm, t = 0 s: the augmented mass matrix is singular; give the massless body a mass"
+    with pytest.raises(alfmu.StepError, match=says):
+        alfmu.simulate(arm(links, 1e-12), 0.02, 0.02, parameters={"solver.method": method})
+
+
+def test_many_bodies_that_depend_on_each_other_run():
+    result = alfmu.simulate(arm(60, 1.0), 0.02, 0.02, outputs=["link59.*"])
+    assert result["link59.x"][-1] == pytest.approx(59.5)
+
+
+def test_two_coordinates_for_one_motion_are_named_among_many():
+    m = arm(20, 1.0)
+    twice = m.coordinate("twice", "m")
+    m.body("cart", mass=1.0, pose=(twice + m.coordinate("again", "m"), 0.0, 0.0))
+    with pytest.raises(alfmu.AssemblyError, match="the motion along twice, again has no mass and no constraint"):
+        alfmu.simulate(m, 0.02, 0.02)

@@ -145,14 +145,15 @@ def executed(path: Path) -> dict[str, Any]:
 
 def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
     """Run a user's code; what goes wrong in a file of theirs is said with its line."""
+    if not str(mechanism).endswith(".py"):
+        return run()
     try:
         with warnings.catch_warnings():
             # What NumPy makes of symbols changes from one version of CasADi to the next.
             warnings.filterwarnings("error", r"\s*casadi: a numpy function", FutureWarning)
             return run()
-    except Exception as error:
-        said = isinstance(error, AlfmuError | AlfmuWarning) and not isinstance(error, DeclarationError)
-        if said or not str(mechanism).endswith(".py"):
+    except (Exception, SystemExit) as error:
+        if isinstance(error, AlfmuError | AlfmuWarning) and not isinstance(error, DeclarationError):
             raise
         lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(mechanism)]
         line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
@@ -162,7 +163,7 @@ def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
         raise InputError(f"{where}: {_explained(error, str(mechanism), line)}") from error
 
 
-def _explained(error: Exception, file: str, line: int) -> str:
+def _explained(error: BaseException, file: str, line: int) -> str:
     """What Python or CasADi says of a user's line, or what to do where they say it of symbols."""
     said = str(error).strip().partition("\n")[0]
     if "truth value" in said:
@@ -170,7 +171,7 @@ def _explained(error: Exception, file: str, line: int) -> str:
             "an if, and, or, min or max asks whether an expression is true, which is known only when it runs; use "
             "ca.if_else(condition, a, b), ca.logic_and, ca.logic_or, ca.fmin or ca.fmax"
         )
-    if "as an integer" in said or "to_int" in said or "must be integers" in said:
+    if "to_int" in said or re.search("'SX'.*as an integer|must be integers.*SX", said):
         return (
             "a symbol is no whole number, and what is counted is fixed when a mechanism is declared; use an option, as "
             f"in def {Path(file).stem}(n: int = 3)"

@@ -230,7 +230,7 @@ class Instance:
     def moved(self) -> dict[str, float]:
         """How far the assembly moved each body from where the guess had it [m], the farthest first.
 
-        Of what has outputs NAME.x and NAME.y, and NAME.z in space.
+        Of what has outputs NAME.x and NAME.y, and NAME.z in space; where nothing has, of coordinates that are lengths.
         """
         e, p, v = self.equations, self.memory["p"], np.zeros(self.equations.n)
         s = self.values[len(e.parameters) :][: len(e.starts)]
@@ -244,6 +244,9 @@ class Instance:
             name, _, axis = output.name.rpartition(".")
             if name and axis in "xyz" and output.unit == "m":
                 square[name] = square.get(name, 0.0) + (after - before) ** 2
+        if not square:
+            changes = zip(e.coordinates, self._start - guess, strict=True)
+            square = {c.name: change**2 for c, change in changes if c.unit == "m"}
         return {name: math.sqrt(x) for name, x in sorted(square.items(), key=lambda each: -each[1])}
 
     def undetermined(self) -> list[str]:
