@@ -18,7 +18,9 @@ from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, AlfmuWarning, InputError
 
 if TYPE_CHECKING:
+    from .equations import Equations
     from .fmi.recipe import Recipe
+    from .model.mechanism import Mechanism
 
 __all__ = ["main"]
 
@@ -232,6 +234,21 @@ def _recipe(chosen: argparse.Namespace, name: str) -> Recipe:
     return _changed(chosen, Recipe(name) if name in mechanisms() else load(name))
 
 
+def _equations(recipe: Recipe, mechanism: Mechanism) -> Equations:
+    """The equations of a recipe; what it sets may look like another unit, as what a mechanism declares may."""
+    from .equations.derivation import derive
+    from .model.checks import perhaps_degrees, perhaps_millimetres
+    from .runtime.prepare import with_defaults
+
+    equations = with_defaults(derive(mechanism), recipe.parameters)
+    own = recipe.parameters
+    for v in (v for v in equations.starts if v.unit == "rad" and v.name in own):
+        perhaps_degrees(f"{equations.name}: {v.name}", v.start)
+    for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
+        perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
+    return equations
+
+
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
@@ -285,17 +302,16 @@ def _list(chosen: argparse.Namespace) -> None:
 
 
 def _info(chosen: argparse.Namespace) -> None:
-    from .equations.derivation import derive
     from .equations.interface import variables_of
     from .equations.specialisation import specialised
     from .model.registry import choices
     from .runtime import Instance
-    from .runtime.prepare import decided, with_defaults
+    from .runtime.prepare import decided
     from .studies.cost import described
 
     recipe = _recipe(chosen, chosen.mechanism)
     mechanism = recipe.declared()
-    everything = with_defaults(derive(mechanism), recipe.parameters)
+    everything = _equations(recipe, mechanism)
     equations = specialised(everything, recipe.outputs, recipe.freeze)
     instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
     instance.initialize()
@@ -467,13 +483,12 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
             "set": dict(chosen.set),
         }
         return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
-    from .equations.derivation import derive
     from .equations.specialisation import specialised
-    from .simulation import instance, with_defaults
+    from .simulation import instance
 
     recipe = _recipe(chosen, chosen.unit)
     mechanism = recipe.declared()
-    equations = with_defaults(derive(mechanism), recipe.parameters)
+    equations = _equations(recipe, mechanism)
     unit = instance(specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT)
     source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
     about = {"mechanism": str(source), "options": mechanism.options, "parameters": recipe.parameters, "set": {}}

@@ -340,6 +340,15 @@ def test_a_hint_is_one_line_and_the_run_goes_on(declare, capsys):
     assert err == "alfmu: warning: odd: the default of p is 500 m; if millimetres were meant, give 0.5\n"
 
 
+def test_what_the_command_line_sets_is_hinted_at_too(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["simulate", "particle_on_circle", "--stop-time", "0.02", "--set", "start.angle=90", "--set", "rho=500"]
+    assert main(arguments) == 0
+    degrees, millimetres = capsys.readouterr().err.splitlines()
+    assert degrees.startswith("alfmu: warning: particle_on_circle: start.angle is 90 rad, 14.3 turns")
+    assert millimetres == "alfmu: warning: particle_on_circle: rho is 500 m; if millimetres were meant, give 0.5"
+
+
 def test_the_command_line_says_a_mistake_in_one_line(declare):
     path, at = declare('m.revolute("B", m.ground.at(0.3 * ca.sin(m.time), 0), rod.end)')
     command = [sys.executable, "-m", "alfmu.cli", "simulate", str(path)]

@@ -20,10 +20,11 @@ from .errors import AlfmuWarning, DeclarationError
 __all__ = [
     "LONGEST",
     "casadi_function",
-    "hint",
     "in_words",
     "nearest",
     "number",
+    "perhaps_degrees",
+    "perhaps_millimetres",
     "shown",
     "symbols_in",
     "text",
@@ -33,6 +34,9 @@ __all__ = [
 
 LONGEST = 200
 """Most characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
+
+_LONG = 20.0
+"""Length [m] beyond which millimetres may have been meant."""
 
 _SHOWN = 5
 """Names that a message lists."""
@@ -135,7 +139,20 @@ def in_words(names: Collection[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def hint(message: str) -> None:
+def perhaps_degrees(what: str, value: float) -> None:
+    """Warn of an angle [rad] that looks like degrees."""
+    if abs(value) > 2 * math.pi:
+        turns = f"{abs(value) / (2 * math.pi):.1f} turns"
+        _hint(f"{what} is {value:g} rad, {turns}; if degrees were meant, give {math.radians(value):.6g}")
+
+
+def perhaps_millimetres(what: str, value: float | ca.SX) -> None:
+    """Warn of a length [m] that looks like millimetres."""
+    if not isinstance(value, ca.SX) and abs(value) > _LONG:
+        _hint(f"{what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
+
+
+def _hint(message: str) -> None:
     """Warn of what is allowed and yet looks like a mistake, with the line of the user's code."""
     file, line = users_line()
     warnings.warn_explicit(message, AlfmuWarning, file, line)

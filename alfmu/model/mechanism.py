@@ -15,7 +15,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .checks import LONGEST, hint, in_words, number, shown, symbols_in, text, there_is, users_line
+from .checks import (
+    LONGEST,
+    in_words,
+    number,
+    perhaps_degrees,
+    perhaps_millimetres,
+    shown,
+    symbols_in,
+    text,
+    there_is,
+    users_line,
+)
 from .errors import DeclarationError
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .units import UNITS, alike, rate_of, unit
@@ -47,9 +58,6 @@ READING = (*EFFORT, "accelerations")
 
 EFFORTS = {"rad": "N.m", "m": "N"}
 """Unit of the effort along a displacement."""
-
-LONG = 20.0
-"""Length [m] beyond which millimetres may have been meant."""
 
 
 @dataclass(frozen=True)
@@ -358,7 +366,7 @@ class Mechanism:
         if (low is not None and default < low) or (high is not None and default > high):
             raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{low}, {high}]")
         if unit == "m":
-            self._perhaps_millimetres(f"the default of {name}", default)
+            perhaps_millimetres(f"{self.name}: the default of {name}", default)
         text(f"{self.name}: the description of {name}", description)
         self.parameters.append(Parameter(name, symbol, default, unit, low, high, description))
         return self._stands_for(symbol, "parameters", f"the parameter {name}", unit)
@@ -383,7 +391,7 @@ class Mechanism:
         self._claim(f"start.{rate_name}", rate_of(unit), "a start value")
         value, rate = self._plain(f"start.{name}", value), self._plain(f"start.{rate_name}", rate)
         if unit == "rad":
-            self._perhaps_degrees(f"start.{name}", value)
+            perhaps_degrees(f"{self.name}: start.{name}", value)
         text(f"{self.name}: the description of {name}", description)
         self.starts.append(Start(name, symbol, value, unit, rate_name, rate, description))
         self._by_symbol[key_of(symbol)] = self.starts[-1]
@@ -894,7 +902,7 @@ class Mechanism:
             what = f"a point of {marker.body.name} that {user} uses"
             self._vector(what, place, ("m",) * len(place), PLACE)
             for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
-                self._perhaps_millimetres(what, x)
+                perhaps_millimetres(f"{self.name}: {what}", x)
 
     def _body(self, body: Body | SpatialBody, user: str) -> None:
         if not isinstance(body, Body | SpatialBody):
@@ -992,7 +1000,7 @@ class Mechanism:
         moves = any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(length))
         if not moves and not (value := self._at_defaults(what, length)) > 0:
             raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
-        self._perhaps_millimetres(what, length)
+        perhaps_millimetres(f"{self.name}: {what}", length)
         return length
 
     def _pose(self, name: str, pose: Any) -> tuple[Scalar, ...] | None:
@@ -1003,17 +1011,6 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: {name} is between {shown(between)}; give a pair of points")
         self._own([end for end in between if not isinstance(end, Point)], f"bar {name}", Marker)
         return tuple(between)
-
-    def _perhaps_degrees(self, what: str, value: float) -> None:
-        if abs(value) > 2 * math.pi:
-            hint(
-                f"{self.name}: {what} is {value:g} rad, {abs(value) / (2 * math.pi):.1f} turns; if degrees were meant, "
-                f"give {math.radians(value):.6g}"
-            )
-
-    def _perhaps_millimetres(self, what: str, value: Scalar) -> None:
-        if not isinstance(value, ca.SX) and abs(value) > LONG:
-            hint(f"{self.name}: {what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
 
 
 def key_of(symbol: Scalar) -> int | None:
