@@ -523,8 +523,8 @@ def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
                 zero.append(direction)
             elif not any(key_of(symbol) in coordinates for symbol in ca.symvar(residual)):
                 raise DeclarationError(
-                    f"{m.name}: joint {closure.name}{m.declared_at(closure.name)} leaves a gap of {residual} along "
-                    f"{direction} that no coordinate can close; check its markers, offset and angle"
+                    f"{m.name}: joint {closure.name} leaves a gap of {residual} along {direction} that no coordinate "
+                    f"can close; check its markers, offset and angle{m.declared_at(closure.name)}"
                 )
         if zero:
             held[closure] = tuple(zero)
