@@ -18,11 +18,11 @@ from .equations.derivation import derive
 from .equations.interface import Counters
 from .equations.specialisation import specialised
 from .kernel import DEFAULT, KERNELS
-from .model.checks import there_is
 from .model.errors import InputError
 from .model.mechanism import Mechanism
 from .model.registry import load
 from .model.settings import Settings
+from .model.words import there_is
 from .runtime import Instance
 from .runtime.prepare import prepared, with_defaults
 

@@ -13,8 +13,9 @@ import pytest
 
 import alfmu
 from alfmu.cli import main
-from alfmu.model.checks import nearest, number, there_is
+from alfmu.model.checks import number
 from alfmu.model.errors import AlfmuWarning
+from alfmu.model.words import nearest, there_is
 
 HEAD = """
 import math
@@ -73,7 +74,7 @@ NUMBERS = [
     ('m.parameter("p", l)', "the default of p is an expression; give a number"),
     ('m.bar("b", mass="1", length=l)', "the mass of b is '1'; give a number or an expression"),
     ('m.bar("b", mass=1j, length=l)', "the mass of b is 1j; give"),
-    ('m.bar("b", mass=ca.MX.sym("x"), length=l)', "the mass of b is a MX; give"),
+    ('m.bar("b", mass=ca.MX.sym("x"), length=l)', "the mass of b is the symbol x; give"),
     ('m.bar("b", mass=np.array([1.0, 2.0]), length=l)', "the mass of b is a ndarray; give"),
     ('m.output("o", ca.vertcat(th, th))', "output o has 2 entries; give one"),
     ('m.output("o", "th")', "output o is 'th'; give a number or an expression"),

@@ -8,8 +8,8 @@ from fnmatch import fnmatchcase
 
 import casadi as ca
 
-from ..model.checks import there_is
 from ..model.errors import InputError
+from ..model.words import there_is
 from .evaluation import ARGUMENTS, evaluable, shared, symbols
 from .interface import MONITORS, events
 from .types import Equations

@@ -18,8 +18,8 @@ from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
 from ..equations import Variable
-from ..model.checks import there_is
 from ..model.errors import ExportError, InputError, StepError
+from ..model.words import there_is
 from ..simulation import Result, run
 from .experiment import Experiment, unlike
 from .slave import OPTIONS

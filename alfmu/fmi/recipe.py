@@ -14,8 +14,8 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from ..kernel import KERNELS
-from ..model.checks import LONGEST
 from ..model.errors import ExportError, InputError
+from ..model.words import LONGEST
 
 if TYPE_CHECKING:
     from ..model.mechanism import Mechanism

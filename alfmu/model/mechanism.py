@@ -15,21 +15,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .checks import (
-    LONGEST,
-    in_words,
-    number,
-    perhaps_degrees,
-    perhaps_millimetres,
-    shown,
-    symbols_in,
-    text,
-    there_is,
-    users_line,
-)
+from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .units import UNITS, alike, rate_of, unit
+from .words import LONGEST, in_words, shown, text, there_is
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
 

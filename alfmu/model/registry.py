@@ -14,9 +14,10 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from .checks import casadi_function, in_words, nearest, there_is
+from .checks import casadi_function
 from .errors import AlfmuError, AlfmuWarning, DeclarationError, InputError
 from .mechanism import Mechanism
+from .words import in_words, nearest, there_is
 
 __all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options"]
 

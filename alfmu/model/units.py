@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from .checks import in_words, nearest, shown
 from .errors import DeclarationError
+from .words import in_words, nearest, shown
 
 __all__ = ["UNITS", "Unit", "alike", "rate_of", "unit"]
 

@@ -21,11 +21,11 @@ from ..equations.evaluation import DENSE
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
-from ..model.checks import there_is
 from ..model.errors import AlfmuError, AlfmuWarning, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED, Settings
+from ..model.words import there_is
 from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
 from .probe import mobility, shared

@@ -17,9 +17,9 @@ from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
-from ..model.checks import there_is
 from ..model.errors import InputError
 from ..model.settings import Settings
+from ..model.words import there_is
 from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..model.checks import there_is
 from ..model.errors import InputError
+from ..model.words import there_is
 from ..simulation import Result
 
 if TYPE_CHECKING:
