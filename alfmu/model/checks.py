@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import linecache
 import math
+import os
 import re
 import sys
 import warnings
@@ -21,7 +22,7 @@ __all__ = ["casadi_function", "number", "perhaps_degrees", "perhaps_millimetres"
 _LONG = 20.0
 """Length [m] beyond which millimetres may have been meant."""
 
-_OURS = tuple(str(Path(module.__file__).parent) for module in (ca, sys.modules[__package__.partition(".")[0]]))
+_OURS = tuple(f"{Path(module.__file__).parent}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]]))
 """Folders whose code is not the user's."""
 
 _OTHERWISE = {
