@@ -33,7 +33,7 @@ from .probe import mobility, shared
 __all__ = ["Instance"]
 
 _FREE = 1e-7
-"""Part of the largest [1], up to which a motion is not held, and a coordinate not moved."""
+"""Rate of a start value, or of a coordinate, over that of a motion [1]: below it the motion does not change it."""
 
 _COUNTED = (
     *("patient_steps", "reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
@@ -252,17 +252,21 @@ class Instance:
     def undetermined(self) -> list[str]:
         """Coordinates that neither constraints nor start values determine, so that they begin at their guess.
 
-        Of mechanisms with up to `DENSE` coordinates.
+        Of mechanisms with up to `DENSE` coordinates, at regular positions: beside a singular one there are branches on
+        which other coordinates move.
         """
         e = self.equations
         if e.n > DENSE:
             return []
-        _, place = self._mobility()
+        found, place = self._mobility()
+        if found.freedom_here > found.freedom:
+            return []
         p, s = self.memory["p"], self.values[len(e.parameters) :][: len(e.starts)]
         C = np.array(e.functions["constraints"](place, np.zeros(e.n), p)[1]).reshape(e.l, e.n)[self.penalty > 0]
-        ties = np.array(e.functions["ties_matrix"](self.q, p, s)).reshape(len(e.tied), e.n)
-        _, sizes, rows = np.linalg.svd(np.vstack([C, ties, np.zeros((e.n, e.n))]))
-        moves = np.abs(rows[sizes <= _FREE * max(1.0, sizes[0])]).max(axis=0, initial=0.0)
+        motions = np.linalg.svd(np.vstack([C, np.zeros((e.n, e.n))]))[2][e.n - found.freedom :]
+        ties = np.array(e.functions["ties_matrix"](place, p, s)).reshape(len(e.tied), e.n)
+        _, sizes, rows = np.linalg.svd(np.vstack([ties @ motions.T, np.zeros((found.freedom,) * 2)]))
+        moves = np.abs(rows[sizes <= _FREE] @ motions).max(axis=0, initial=0.0)
         return [c.name for c, part in zip(e.coordinates, moves, strict=True) if part > _FREE]
 
     def initialize_with(self, inputs: Mapping[str, float]) -> None:
