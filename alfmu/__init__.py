@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 _HOME = {
     "AlfmuError": "model.errors",
+    "AlfmuWarning": "model.errors",
     "AssemblyError": "model.errors",
     "Body": "model.mechanism",
     "DeclarationError": "model.errors",
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
     from .model.errors import AlfmuError as AlfmuError
+    from .model.errors import AlfmuWarning as AlfmuWarning
     from .model.errors import AssemblyError as AssemblyError
     from .model.errors import DeclarationError as DeclarationError
     from .model.errors import ExportError as ExportError

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import re
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -17,14 +19,18 @@ from typing import TYPE_CHECKING, Any
 
 from .files import write
 from .kernel import DEFAULT, KERNELS
-from .model.errors import AlfmuError, InputError
+from .model.errors import AlfmuError, AlfmuWarning, InputError
 
 if TYPE_CHECKING:
+    from .equations import Equations
     from .fmi.recipe import Recipe
     from .model.mechanism import Mechanism
     from .simulation import Result
 
 __all__ = ["main"]
+
+MOVED = 1e-6
+"""Way [m] up to which assembly has left a body where its guess has it."""
 
 MANY = 300
 """Lines of one kind up to which `info` shows each."""
@@ -54,7 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = _parser()
     chosen = parser.parse_args(arguments)
     try:
-        with _signals(signal.default_int_handler, signal.SIGTERM):  # what is under way is put in order
+        with warnings.catch_warnings(), _signals(signal.default_int_handler, signal.SIGTERM):
+            # What is under way when a signal comes is put in order.
+            warnings.filterwarnings("always", category=AlfmuWarning)
+            warnings.showwarning = _printed(warnings.showwarning)
             return chosen.run(chosen) or 0
     except AlfmuError as error:
         return _failed(str(error))
@@ -94,6 +103,20 @@ def _signals(handler: Callable[..., Any], *signals: signal.Signals) -> Iterator[
     finally:
         for each, old in before.items():
             signal.signal(each, old)
+
+
+def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
+    """What shows a warning: those of alfmu as one line, once."""
+    seen: set[str] = set()
+
+    def show(message: Warning, category: type[Warning], file: str, line: int, *more: Any) -> None:
+        if not issubclass(category, AlfmuWarning):
+            otherwise(message, category, file, line, *more)
+        elif not any(each.startswith(str(message)) for each in seen):
+            seen.add(str(message))
+            print(f"alfmu: warning: {message}", file=sys.stderr)
+
+    return show
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -262,6 +285,21 @@ def _recipe(chosen: argparse.Namespace, name: str) -> Recipe:
     return _changed(chosen, Recipe(name) if name in mechanisms() else load(name))
 
 
+def _equations(recipe: Recipe, mechanism: Mechanism) -> Equations:
+    """The equations of a recipe; what it sets may look like another unit, as what a mechanism declares may."""
+    from .equations.derivation import derive
+    from .model.checks import perhaps_degrees, perhaps_millimetres
+    from .runtime.prepare import with_defaults
+
+    equations = with_defaults(derive(mechanism), recipe.parameters)
+    own = recipe.parameters
+    for v in (v for v in equations.starts if v.unit == "rad" and v.name in own):
+        perhaps_degrees(f"{equations.name}: {v.name}", v.start)
+    for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
+        perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
+    return equations
+
+
 def _names(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
@@ -315,17 +353,16 @@ def _list(chosen: argparse.Namespace) -> None:
 
 
 def _info(chosen: argparse.Namespace) -> None:
-    from .equations.derivation import derive
     from .equations.interface import variables_of
     from .equations.specialisation import specialised
     from .model.registry import choices
     from .runtime import Instance
-    from .runtime.prepare import decided, with_defaults
+    from .runtime.prepare import decided
     from .studies.cost import described
 
     recipe = _recipe(chosen, chosen.mechanism)
     mechanism = recipe.declared()
-    everything = with_defaults(derive(mechanism), recipe.parameters)
+    everything = _equations(recipe, mechanism)
     equations = specialised(everything, recipe.outputs, recipe.freeze)
     instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
     instance.initialize()
@@ -339,6 +376,8 @@ def _info(chosen: argparse.Namespace) -> None:
     print(f"constraints ({equations.l}): {', '.join(text for (text,) in rows) or 'none'}")
     print(f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}", end="")
     print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
+    for note in _notes(instance):
+        print(note)
     if shared := instance.shared():
         each = _merged((name,) for name in shared)
         print(f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}")
@@ -363,6 +402,27 @@ def _info(chosen: argparse.Namespace) -> None:
         from .fmi.sizes import sizes
 
         print("\n" + "\n".join(sizes(mechanism, recipe.parameters, recipe.outputs, recipe.freeze)))
+
+
+def _notes(unit: Any) -> list[str]:
+    """What a user should know of a start: how far bodies are from their guesses, what nobody gave a start value."""
+    from .runtime import Instance
+
+    if not isinstance(unit, Instance):
+        return []
+    notes, moved = [], {name: way for name, way in unit.moved.items() if way > MOVED}
+    if moved:
+        name, way = next(iter(moved.items()))
+        most = f", {name} most" * (len(moved) > 1)
+        what = f"{len(moved)} bodies by up to {way:.3g} m" if len(moved) > 1 else f"{name} by {way:.3g} m"
+        notes.append(f"assembly moved {what} from where the guesses have them{most}")
+    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
+        if free := unit.undetermined():
+            notes.append(
+                f"no start value determines {', '.join(free)}: what the guesses say is taken; to set one, give it "
+                "independent=True, or tie() it to a start()"
+            )
+    return notes
 
 
 def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -425,6 +485,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
         table = _table_path(chosen, unit.name)
         with _between_steps(_progress("simulating")) as progress:
             result = run(unit, **how, inputs=inputs, progress=progress, held_rows=chosen.held_rows)
+        notes = _notes(unit)
     except (AlfmuError, KeyboardInterrupt) as ended:
         result = getattr(ended, "result", None)
         if result is not None:
@@ -438,6 +499,8 @@ def _simulate(chosen: argparse.Namespace) -> None:
     finally:
         if hasattr(unit, "close"):
             unit.close()
+    for note in notes:
+        print(note)
     _keep(chosen, result, about, table)
 
 
@@ -555,13 +618,12 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
         about = {"mechanism": fmu.mechanism or fmu.name, "options": fmu.options, "parameters": fmu.parameters}
         about |= {"declared": _registered(fmu.mechanism, fmu.options), "set": dict(chosen.set)}
         return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
-    from .equations.derivation import derive
     from .equations.specialisation import specialised
-    from .simulation import instance, with_defaults
+    from .simulation import instance
 
     recipe = _recipe(chosen, chosen.unit)
     mechanism = recipe.declared()
-    equations = with_defaults(derive(mechanism), recipe.parameters)
+    equations = _equations(recipe, mechanism)
     unit = instance(specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT)
     source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
     about = {"mechanism": str(source), "options": mechanism.options, "parameters": recipe.parameters}

@@ -26,6 +26,7 @@ from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
 from .model.registry import load
 from .model.settings import Settings
+from .model.words import there_is
 from .runtime import Instance
 from .runtime.prepare import prepared, with_defaults
 
@@ -69,9 +70,7 @@ class Result:
         try:
             return self.values[:, self.names.index(name)]
         except ValueError:
-            raise InputError(
-                f"the result of {self.mechanism} has no {name!r}; it has {', '.join(self.names)}"
-            ) from None
+            raise InputError(f"the result of {self.mechanism} has no {name!r}; {there_is(name, self.names)}") from None
 
     @classmethod
     def from_csv(cls, path: str | Path) -> Result:

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from ..model.errors import DeclarationError
+from ..model.errors import AssemblyError, DeclarationError
 from ..model.mechanism import (
     AnyJoint,
     AnyMarker,
@@ -43,6 +43,7 @@ from ..model.mechanism import (
 from ..model.spatial import SpatialJoint, SpatialMarker, angular_velocity
 from ..model.units import rate_of
 from .evaluation import ARGUMENTS, evaluable, shared
+from .interface import variables_of
 from .types import Equations, Row, Switch, Variable
 
 __all__ = ["derive"]
@@ -123,7 +124,8 @@ class Kinematics:
             frame = self._by_joint(body, body.placed_by)
         else:
             raise DeclarationError(
-                f"{name}: nothing places {body.name}; give it a pose, or give one of its joints a coordinate"
+                f"{name}: nothing places {body.name}{self.mechanism.declared_at(body.name)}; give it a pose, or give "
+                "one of its joints a coordinate"
             )
         if body.between is None:
             for joint in self.held.get(body, ()):
@@ -368,6 +370,7 @@ def derive(mechanism: Mechanism) -> Equations:
     f = f_applied - ca.gradient(V, q)
 
     C = ca.jacobian(Phi, q)
+    _check_held_or_heavy(m, plain, M, C)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
     gaps = signs * stack([plain.gap(*c) for c in closures])
 
@@ -457,7 +460,38 @@ def derive(mechanism: Mechanism) -> Equations:
         options=m.options,
         functions={name: _function(m, name, symbols, x) for name, x in expressions.items()},
     )
+    _check_names(m, equations)
     return evaluable(equations)
+
+
+def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:
+    """Every coordinate must move a mass or be in a constraint, whatever the parameters are."""
+    there = {*ca.sparsify(M).sparsity().get_triplet()[1], *C.sparsity().get_triplet()[1]}
+    if free := [c for i, c in enumerate(m.coordinates) if i not in there]:
+        q = stack([c.q for c in free])
+        poses = {body: ca.vertcat(*kinematics.center(body), kinematics.frame(body).angle) for body in m.bodies}
+        bodies = [f"{b.name}{m.declared_at(b.name)}" for b, pose in poses.items() if ca.depends_on(pose, q)]
+        bodies += [f"{b.name}{m.declared_at(b.name)}" for b in m.spatial_bodies if ca.depends_on(b.position, q)]
+        along = ", ".join(c.name for c in free)
+        moves = f"it moves {', '.join(bodies)}" if bodies else "it moves nothing"
+        raise AssemblyError(
+            f"{m.name}: the motion along {along} has no mass and no constraint that holds it; {moves}: give a mass (an "
+            "inertia where it turns alone), or constraints at both ends of a massless body: "
+            "never the last body of an open chain"
+        )
+
+
+def _check_names(m: Mechanism, equations: Equations) -> None:
+    """No name of the user's may be that of a variable that is derived."""
+    found: dict[str, Variable] = {}
+    for _, v in variables_of(equations).causalities:
+        if v.name in found:
+            what = found[v.name].description or v.description
+            raise DeclarationError(
+                f"{m.name}: {v.name!r} is derived already ({what}), so that nothing else can be called so"
+                f"{m.declared_at(v.name)}; take another name"
+            )
+        found[v.name] = v
 
 
 def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) -> ca.Function:
@@ -491,7 +525,7 @@ def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
             elif not any(key_of(symbol) in coordinates for symbol in ca.symvar(residual)):
                 raise DeclarationError(
                     f"{m.name}: joint {closure.name} leaves a gap of {residual} along {direction} that no coordinate "
-                    "can close; check its markers, offset and angle"
+                    f"can close; check its markers, offset and angle{m.declared_at(closure.name)}"
                 )
         if zero:
             held[closure] = tuple(zero)

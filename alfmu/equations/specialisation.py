@@ -9,6 +9,7 @@ from fnmatch import fnmatchcase
 import casadi as ca
 
 from ..model.errors import InputError
+from ..model.words import there_is
 from .evaluation import ARGUMENTS, evaluable, shared, symbols
 from .interface import BALANCE, MONITORS, events
 from .types import Equations
@@ -40,7 +41,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     monitors = [m.name for m in (*MONITORS, *events(e)) if m.name not in e.monitors]
     for pattern in patterns:
         if not any(_matches(name, [pattern]) for name in [*names, *monitors]):
-            raise InputError(f"{e.name} has no output {pattern!r}; it has {', '.join([*names, *monitors])}")
+            raise InputError(f"{e.name} has no output {pattern!r}; {there_is(pattern, [*names, *monitors])}")
     kept = [i for i, name in enumerate(names) if _matches(name, patterns)]
     x = symbols(e)
     arguments = [x[letter] for letter in ARGUMENTS["readings"]]
@@ -62,10 +63,10 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
 def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
     """The same equations with parameters folded into them; start values and numbers of the solver stay."""
     e = equations
-    known = [p.name for p in e.parameters]
-    names = known if list(names) == [ALL] else list(names)
-    if unknown := [name for name in names if name not in known]:
-        raise InputError(f"{e.name} has no parameter {unknown[0]!r} to freeze; it has {', '.join(known) or 'none'}")
+    own = [p.name for p in e.parameters]
+    names = own if list(names) == [ALL] else list(names)
+    if unknown := [name for name in names if name not in own]:
+        raise InputError(f"{e.name} has no parameter {unknown[0]!r} to freeze; {there_is(unknown[0], own)}")
     left = [p for p in e.parameters if p.name not in names]
     x = symbols(replace(e, parameters=left))
     own = iter(ca.vertsplit(x["p"])) if x["p"].numel() else iter(())

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from ..equations import Variable
 from ..files import scratch
 from ..model.errors import ExportError, InputError, StepError
+from ..model.words import there_is
 from ..simulation import Result, run
 from .experiment import Experiment, unlike
 from .slave import OPTIONS
@@ -116,7 +117,7 @@ class Fmu:
         variable = self._by_name.get(name)
         if variable is None or variable.causality not in ("parameter", "input"):
             settable = [v.name for v in self._by_name.values() if v.causality in ("parameter", "input")]
-            raise InputError(f"{self.name} has no input or parameter {name!r}; it has {', '.join(settable)}")
+            raise InputError(f"{self.name} has no input or parameter {name!r}; {there_is(name, settable)}")
         try:
             kinds = {"Real": float, "Integer": int, "Boolean": _truth, "String": str}
             kinds["Enumeration"] = lambda given: _item(variable, given)

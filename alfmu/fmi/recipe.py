@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..kernel import KERNELS
 from ..model.errors import ExportError, InputError
+from ..model.words import LONGEST
 
 if TYPE_CHECKING:
     from ..model.mechanism import Mechanism
@@ -61,8 +62,8 @@ _LISTS = ("lock", "release", "outputs", "freeze", "platforms")
 _FORM: dict[str, tuple[Callable[[Any], bool], str]] = {
     "mechanism": (lambda x: isinstance(x, (str, Path)) or hasattr(x, "experiment"), "a name, a path or a Mechanism"),
     "name": (
-        lambda x: isinstance(x, str) and re.fullmatch(r"([A-Za-z_][A-Za-z_0-9]*)?", x),
-        "letters, digits and underscores; rename the file, or give the recipe a name",
+        lambda x: isinstance(x, str) and len(x) <= LONGEST and re.fullmatch(r"([A-Za-z_][A-Za-z_0-9]*)?", x),
+        f"letters, digits and underscores, {LONGEST} at most; rename the file, or give the recipe a name",
     ),
     "options": (_dictionary, "a dictionary from names to values"),
     "parameters": (

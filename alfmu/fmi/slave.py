@@ -123,8 +123,12 @@ class Slave(Fmi2Slave):
         return True
 
     def _initialize(self) -> None:
-        if not self.unit.initialized and self.unit.initialize() != DONE:
+        if self.unit.initialized:
+            return
+        if self.unit.initialize() != DONE:
             raise RuntimeError(self.unit.text)
+        if self.unit.text:
+            self._say(self.unit.text, Fmi2Status.warning)
 
     def _say(self, text: str, status: Fmi2Status) -> None:
         _LOGGER.warning("%s", text)

@@ -75,6 +75,12 @@ TRIES = 32
 """number of places [1]: another assembly is looked for from so many places around the guess before the start is
 refused."""
 
+AWAY = 0.5
+"""way from the guess [m or rad]: an assembly that ends farther from it than this is compared with others around it."""
+
+NEARER = 0.8
+"""ratio of ways from the guess [1]: the start warns of an assembly whose way is less than this part of its own."""
+
 RANKED = 8
 """number of places [1]: S1 finds the rank of C at so many places around the start, as the start itself may be singular;
 with four the five-bar, which starts at a singular position, stops."""

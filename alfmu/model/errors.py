@@ -4,6 +4,7 @@ from typing import Any
 
 __all__ = [
     "AlfmuError",
+    "AlfmuWarning",
     "AssemblyError",
     "DeclarationError",
     "ExportError",
@@ -19,6 +20,10 @@ class AlfmuError(Exception):
 
     result: Any = None
     """What a run had computed when this error ended it (`alfmu.Result`); None where none had begun."""
+
+
+class AlfmuWarning(UserWarning):
+    """Something that is allowed and yet looks like a mistake; its text is meant for the user."""
 
 
 class DeclarationError(AlfmuError):

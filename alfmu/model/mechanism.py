@@ -8,22 +8,25 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
+from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
-from .units import rate_of, unit
+from .units import UNITS, alike, rate_of, unit
+from .words import LONGEST, in_words, shown, text, there_is
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
 
 Scalar = float | ca.SX
 """A number or an expression."""
 
-_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*\Z")
+_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*\Z", re.ASCII)
 _RESERVED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
 
 DIRECTIONS: dict[str, tuple[str, ...]] = {
@@ -34,6 +37,26 @@ DIRECTIONS: dict[str, tuple[str, ...]] = {
     "distance": ("length",),
 }
 """The relative displacements that each kind of joint suppresses, in the order of its constraint rows."""
+
+CONSTANT = ("parameters",)
+PLACE = (*CONSTANT, "coordinates")
+GUESS = (*PLACE, "start values")
+MOTION = (*PLACE, "rates")
+EFFORT = (*MOTION, "inputs", "time")
+READING = (*EFFORT, "accelerations")
+"""What a number of a declaration may depend on: a mass, a place, a guess, an energy, a force, an output."""
+
+EFFORTS = {"rad": "N.m", "m": "N"}
+"""Unit of the effort along a displacement."""
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """What a symbol of a declaration stands for; `kind` is one of READING or GUESS."""
+
+    kind: str
+    text: str
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -127,6 +150,7 @@ class Body:
 
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0) -> Marker:
         """The point (x, y) [m] of the body's frame."""
+        x, y = (number(f"{axis} of {self.name}.at()", value) for axis, value in (("x", x), ("y", y)))
         return Marker(self, x, y)
 
     @property
@@ -138,7 +162,7 @@ class Body:
     def end(self) -> Marker:
         """The far end of a bar."""
         if self.length is None:
-            raise DeclarationError(f"{self.name} has no length, so no end; use at(x, y)")
+            raise DeclarationError(f"{self.name} has no length, so no end; use {self.name}.at(x, y), or a bar()")
         return self.at(self.length, 0.0)
 
     @property
@@ -238,6 +262,12 @@ class Experiment:
     interval: float | None = None
     """Communication step [s]; None for that of the solver."""
 
+    def __post_init__(self) -> None:
+        for name in ("stop_time", "step_size", "interval"):
+            value = getattr(self, name)
+            if value is not None and not number(f"{name} of an experiment", value) > 0:
+                raise DeclarationError(f"{name} of an experiment is {value} s; it must be above zero")
+
 
 @dataclass
 class Mechanism:
@@ -286,14 +316,20 @@ class Mechanism:
     compliant: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"[A-Za-z_]\w*", self.name):
+        if not re.fullmatch(r"[A-Za-z_]\w*", text("the name of a mechanism", self.name, LONGEST), re.ASCII):
             raise DeclarationError(f"{self.name!r} cannot name a mechanism; use letters, digits and underscores")
+        for each in ("description", "sketch", "author"):
+            text(f"{self.name}: its {each}", getattr(self, each))
+        if not isinstance(self.experiment, Experiment):
+            raise DeclarationError(f"{self.name}: its experiment is {shown(self.experiment)}; give an Experiment")
         self.ground = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
         origin, upright = ca.SX.zeros(3), ca.SX([1, 0, 0, 0])
         self.spatial_ground = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
         self.time = ca.SX.sym("time")
         self._names: dict[str, str] = {}
+        self._lines: dict[str, tuple[str, int]] = {}
         self._by_symbol: dict[int, Start | Coordinate] = {}
+        self._symbols: dict[int, Symbol] = {key_of(self.time): Symbol("time", "time", "s")}
         self._owned: set[Body | SpatialBody] = {self.ground, self.spatial_ground}
 
     # Quantities -------------------------------------------------------------------------------------------------
@@ -310,10 +346,20 @@ class Mechanism:
     ) -> ca.SX:
         """A constant with a default, a unit and inclusive bounds; returns its symbol."""
         symbol = self._claim(name, unit, "a parameter")
-        if (minimum is not None and default < minimum) or (maximum is not None and default > maximum):
-            raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{minimum}, {maximum}]")
-        self.parameters.append(Parameter(name, symbol, float(default), unit, minimum, maximum, description))
-        return symbol
+        default = self._plain(f"the default of {name}", default)
+        low, high = (
+            bound if bound is None else self._plain(f"the {which} of {name}", bound)
+            for which, bound in (("minimum", minimum), ("maximum", maximum))
+        )
+        if low is not None and high is not None and low > high:
+            raise DeclarationError(f"{self.name}: the minimum {low:g} of {name} is above its maximum {high:g}")
+        if (low is not None and default < low) or (high is not None and default > high):
+            raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{low}, {high}]")
+        if unit == "m":
+            perhaps_millimetres(f"{self.name}: the default of {name}", default)
+        text(f"{self.name}: the description of {name}", description)
+        self.parameters.append(Parameter(name, symbol, default, unit, low, high, description))
+        return self._stands_for(symbol, "parameters", f"the parameter {name}", unit)
 
     def start(
         self,
@@ -329,18 +375,25 @@ class Mechanism:
 
         A coordinate whose `start` is this symbol is independent; `tie` binds the symbol to any other expression.
         """
+        self._displacement(name, unit)
         rate_name = rate_name or f"{name}_rate"
         symbol = self._claim(f"start.{name}", unit, "a start value")
         self._claim(f"start.{rate_name}", rate_of(unit), "a start value")
-        self.starts.append(Start(name, symbol, float(value), unit, rate_name, float(rate), description))
+        value, rate = self._plain(f"start.{name}", value), self._plain(f"start.{rate_name}", rate)
+        if unit == "rad":
+            perhaps_degrees(f"{self.name}: start.{name}", value)
+        text(f"{self.name}: the description of {name}", description)
+        self.starts.append(Start(name, symbol, value, unit, rate_name, rate, description))
         self._by_symbol[key_of(symbol)] = self.starts[-1]
-        return symbol
+        return self._stands_for(symbol, "start values", f"the start value start.{name}", unit)
 
     def tie(self, start: ca.SX, expression: ca.SX) -> None:
         """Require `expression` (of the coordinates) to equal a start quantity when the run begins."""
         if not self._is_start(start):
-            raise DeclarationError(f"{self.name}: tie() takes a symbol that start() returned")
-        self.ties.append((start, expression))
+            raise DeclarationError(f"{self.name}: tie() takes a symbol that start() returned, not {shown(start)}")
+        quantity = self._by_symbol[key_of(start)]
+        what = f"what start.{quantity.name} is tied to"
+        self.ties.append((start, symbolic(self._quantity(what, expression, quantity.unit, PLACE))))
 
     def coordinate(
         self,
@@ -358,16 +411,26 @@ class Mechanism:
         quantities and coordinates declared before; its time derivative is the guess of the velocity. A coordinate with
         `independent=True`, or whose `start` is a start quantity, keeps the value the user gives.
         """
+        self._displacement(name, unit)
         symbol = self._claim(name, unit, "a coordinate")
+        start = self._quantity(f"the start of {name}", start, unit, GUESS)
         if independent:
             if isinstance(start, ca.SX) and not start.is_constant():
-                raise DeclarationError(f"{self.name}: the start of the independent coordinate {name} is a number")
+                raise DeclarationError(
+                    f"{self.name}: the start of the independent coordinate {name} is a number; give one, or tie() the "
+                    "coordinate to a start() quantity"
+                )
             start = self.start(name, float(start), unit, rate=rate, description=description)
-        elif rate:
-            raise DeclarationError(f"{self.name}: only an independent coordinate has a start rate; {name} is not")
+        elif self._plain(f"the rate of {name}", rate):
+            raise DeclarationError(
+                f"{self.name}: only an independent coordinate has a start rate; {name} is not, so add independent=True"
+            )
         c = Coordinate(name, symbol, ca.SX.sym(f"{name}_v"), ca.SX.sym(f"{name}_a"), unit, start)
         self.coordinates.append(c)
         self._by_symbol[key_of(symbol)] = c
+        self._stands_for(symbol, "coordinates", f"the coordinate {name}", unit)
+        self._stands_for(c.v, "rates", f"the rate of {name}", rate_of(unit))
+        self._stands_for(c.a, "accelerations", f"the acceleration of {name}", rate_of(rate_of(unit)))
         if self._is_start(start):
             self.tie(start, symbol)
         return symbol
@@ -383,13 +446,16 @@ class Mechanism:
     def input(self, name: str, unit: str, *, start: float = 0.0, description: str = "") -> ca.SX:
         """A quantity set from outside at any time; returns its symbol."""
         symbol = self._claim(name, unit, "an input")
-        self.inputs.append(Input(name, symbol, unit, float(start), description))
-        return symbol
+        text(f"{self.name}: the description of {name}", description)
+        self.inputs.append(Input(name, symbol, unit, self._plain(f"the start of {name}", start), description))
+        return self._stands_for(symbol, "inputs", f"the input {name}", unit)
 
     def output(self, name: str, expression: Scalar, unit: str = "1", description: str = "") -> None:
         """A result of the user's own: any expression in coordinates, rates, accelerations, inputs and time."""
         self._claim(name, unit, "an output")
-        self.outputs.append(Output(name, ca.SX(expression), unit, description))
+        text(f"{self.name}: the description of {name}", description)
+        expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
+        self.outputs.append(Output(name, expression, unit, description))
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
@@ -407,7 +473,9 @@ class Mechanism:
         `pose` gives the place of the *centre of mass* and the angle of the frame (absolute coordinates). A body without
         one is placed by a joint with a coordinate, or by a weld.
         """
-        return self._add(Body(name, mass, inertia, center, pose=pose))
+        mass, inertia = self._mass(name, mass), self._inertia(name, inertia)
+        center = self._vector(f"the center of {name}", center, ("m",) * 2, CONSTANT)
+        return self._add(Body(name, mass, inertia, center, pose=self._pose(name, pose)))
 
     def bar(
         self,
@@ -425,7 +493,10 @@ class Mechanism:
         """
         if pose is not None and between is not None:
             raise DeclarationError(f"{self.name}: {name} has a pose and two points; give one of them")
-        body = Body(name, mass, mass * length**2 / 12, (length / 2, 0.0), length, pose, between)
+        mass, length = self._mass(name, mass), self._length(f"the length of {name}", length, CONSTANT)
+        if between is not None:
+            between = self._ends(name, between)
+        body = Body(name, mass, mass * length**2 / 12, (length / 2, 0.0), length, self._pose(name, pose), between)
         self._add(body)
         if between is not None:
             self.closures.append(Rigidity(body))
@@ -433,11 +504,11 @@ class Mechanism:
 
     def point(self, x: Scalar, y: Scalar) -> Point:
         """A point in ground axes [m], usually a pair of coordinates."""
-        return Point(x, y)
+        return Point(*self._vector("a point", (x, y), ("m",) * 2, PLACE))
 
     def gravity(self, x: Scalar, y: Scalar, z: Scalar = 0.0) -> None:
         """The acceleration of gravity [m/s2] in ground axes."""
-        self.gravity_vector = (x, y, z)
+        self.gravity_vector = self._vector("gravity", (x, y, z), ("m/s2",) * 3, CONSTANT)
 
     def spatial_body(
         self,
@@ -457,16 +528,22 @@ class Mechanism:
         `start` of `coordinate` is; `spatial.about` and `spatial.product` make Euler parameters from turns. Joints to
         `spatial_ground` and to other bodies in space are closed by constraints.
         """
-        moments = [self._at_defaults(x) for x in inertia]
-        if len(moments) != 3 or min(moments) < 0 or 2 * max(moments) > sum(moments) * (1 + 1e-12):
+        inertia = self._vector(f"the inertia of {name}", inertia, ("kg.m2",) * 3, CONSTANT)
+        moments = [self._at_defaults(f"the inertia of {name}", x) for x in inertia]
+        if min(moments) < 0 or 2 * max(moments) > sum(moments) * (1 + 1e-12):
             raise DeclarationError(
                 f"{self.name}: no body has the principal moments of inertia {moments} that {name} is given; give "
                 "three, none negative and none above the sum of the others"
             )
-        r = [self.coordinate(f"{name}_{axis}", "m", start=x) for axis, x in zip("xyz", _entries(position), strict=True)]
-        e = [self.coordinate(f"{name}_e{i}", "1", start=x) for i, x in enumerate(_entries(attitude))]
-        body = SpatialBody(name, mass, tuple(inertia), center, stack(r), stack(e))
+        mass, center = self._mass(name, mass), self._vector(f"the center of {name}", center, ("m",) * 3, CONSTANT)
+        position = self._vector(f"the position of {name}", position, ("m",) * 3, GUESS)
+        attitude = self._vector(f"the attitude of {name}", attitude, ("1",) * 4, GUESS)
+        if not any(isinstance(x, ca.SX) or x for x in attitude):
+            raise DeclarationError(f"{self.name}: the attitude of {name} is zero; give (1, 0, 0, 0) for no turn")
         self._claim(name, "1", "a body")
+        r = [self.coordinate(f"{name}_{axis}", "m", start=x) for axis, x in zip("xyz", position, strict=True)]
+        e = [self.coordinate(f"{name}_e{i}", "1", start=x) for i, x in enumerate(attitude)]
+        body = SpatialBody(name, mass, inertia, center, stack(r), stack(e))
         self.spatial_bodies.append(body)
         self._owned.add(body)
         self.constraint(body.unit_length, (ca.sumsqr(body.attitude) - 1) / 2, "1")
@@ -502,6 +579,7 @@ class Mechanism:
         Where nothing else places one of the bodies, the weld does; otherwise it is closed by constraints.
         """
         joint = Joint(name, "weld", first, second, angle=angle)
+        self._own((first, second), f"joint {name}", Marker)
         if not (first.body.is_placed and second.body.is_placed):
             joint.coordinate = 0.0
         return self._join(joint)
@@ -514,6 +592,7 @@ class Mechanism:
 
     def distance(self, name: str, first: Marker, second: Marker, *, length: Scalar) -> Joint:
         """A massless rod: the markers stay `length` [m] apart."""
+        length = self._length(f"the length of {name}", length, PLACE)
         return self._join(Joint(name, "distance", first, second, length=length))
 
     def spherical(self, name: str, first: SpatialMarker, second: SpatialMarker) -> SpatialJoint:
@@ -560,15 +639,19 @@ class Mechanism:
 
     def drive(self, joint: AnyJoint, effort: Scalar) -> None:
         """A torque [N.m] (revolute) or force along the guide [N] (prismatic) on the second body from the first."""
-        self._free(joint)
-        self.drives.append(Drive(joint, effort))
+        unit = EFFORTS[self._free(joint, "drive()")]
+        self.drives.append(Drive(joint, self._quantity(f"the effort on {joint.name}", effort, unit, EFFORT)))
 
     def force(self, at: Marker, x: Scalar = 0.0, y: Scalar = 0.0) -> None:
         """A force [N] in ground axes at a point of a body: an input, a constant, or any expression."""
-        self.loads.append(Load(at, (x, y), 0.0))
+        self._own((at,), "force()", Marker)
+        force = self._vector(f"the force on {at.body.name}", (x, y), ("N",) * 2, EFFORT)
+        self.loads.append(Load(at, force, 0.0))
 
     def torque(self, body: Body, torque: Scalar) -> None:
         """A torque [N.m] on a body from the ground."""
+        self._body(body, "torque()")
+        torque = self._quantity(f"the torque on {body.name}", torque, "N.m", EFFORT)
         self.loads.append(Load(body.start, (0.0, 0.0), torque))
 
     def spring_damper(
@@ -585,13 +668,20 @@ class Mechanism:
         bodies in space; the angle of a spatial hinge is known within a turn, so that its spring should stay within one.
         """
         if isinstance(between, AnyJoint):
-            self._free(between)
+            along, what = self._free(between, "spring_damper()"), f"the spring at {between.name}"
         else:
+            along, what = "m", "the spring between two points"
+            if not isinstance(between, tuple | list) or len(between) != 2:
+                given = "" if isinstance(between, tuple | list) else f", not {shown(between)}"
+                raise DeclarationError(f"{self.name}: spring_damper() takes a joint, or a pair of markers{given}")
             self._own(between, "a spring")
             if isinstance(between[0], Marker) != isinstance(between[1], Marker):
                 raise DeclarationError(
                     f"{self.name}: a spring joins a point in the plane to one in space; take one kind"
                 )
+        stiffness = self._quantity(f"the stiffness of {what}", stiffness, f"{EFFORTS[along]}/{along}", PLACE)
+        damping = self._quantity(f"the damping of {what}", damping, f"{EFFORTS[along]}.s/{along}", EFFORT)
+        rest = self._quantity(f"the rest of {what}", rest, along, PLACE)
         self.springs.append(Spring(between, stiffness, damping, rest))
 
     def friction(self, joint: AnyJoint, coefficient: Scalar) -> None:
@@ -602,20 +692,23 @@ class Mechanism:
 
     def kinetic_energy(self, expression: ca.SX) -> None:
         """Kinetic energy [J] in coordinates and their rates, in addition to that of the bodies."""
-        self.kinetic.append(expression)
+        self.kinetic.append(symbolic(self._quantity("a kinetic energy", expression, "J", MOTION)))
 
     def potential_energy(self, expression: ca.SX) -> None:
         """Potential energy [J] in coordinates, in addition to that of the bodies and springs."""
-        self.potential.append(expression)
+        self.potential.append(symbolic(self._quantity("a potential energy", expression, "J", PLACE)))
 
     def generalized_force(self, coordinate: ca.SX, expression: Scalar) -> None:
         """A generalised force along a coordinate: any expression in coordinates, rates, inputs and time."""
-        self.generalized.append((self._coordinate(coordinate).q, expression))
+        along = self._coordinate(coordinate)
+        what = f"the generalised force along {along.name}"
+        expression = self._quantity(what, expression, EFFORTS.get(along.unit, "1"), EFFORT)
+        self.generalized.append((along.q, expression))
 
     def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
         """A holonomic constraint Phi(q) = 0 in m, rad or 1, after the joints declared so far."""
         self._claim(name, unit, "a constraint")
-        self.closures.append(Constraint(name, ca.SX(expression), unit))
+        self.closures.append(Constraint(name, self._of_coordinates(f"constraint {name}", expression, unit), unit))
 
     def compliances(self) -> None:
         """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.
@@ -633,13 +726,13 @@ class Mechanism:
         A joint that moves stops in a plastic impact, and keeps its state where it is let go.
         """
         joint = self._joint(of)
-        self._free(joint)
-        self._lock(joint.name, joint, "rad" if joint.kind == "revolute" else "m")
+        self._lock(joint.name, joint, self._free(joint, "lock()"))
 
     def clutch(self, name: str, first: Body, second: Body) -> None:
         """Let the Boolean input `<name>.locked` couple the turning of two bodies; a brake where one is the ground."""
         self._claim(name, "1", "a clutch")
-        self._own((first.start, second.start), name)
+        for body in (first, second):
+            self._body(body, f"clutch {name}")
         if first is second:
             raise DeclarationError(f"{self.name}: clutch {name} couples {first.name} to itself")
         self._lock(name, (first, second), "rad")
@@ -647,7 +740,7 @@ class Mechanism:
     def lock_displacement(self, name: str, expression: ca.SX, unit: str = "rad") -> None:
         """Let the Boolean input `<name>.locked` keep any expression in the coordinates [m or rad] as it is."""
         self._claim(name, unit, "a lock")
-        self._lock(name, ca.SX(expression), unit)
+        self._lock(name, self._of_coordinates(f"lock {name}", expression, unit), unit)
 
     def release(self, of: AnyJoint | str) -> None:
         """Let the Boolean input `<joint>.released` switch the constraints of a joint off while it is on.
@@ -673,27 +766,42 @@ class Mechanism:
         for joint in joints:
             if of is joint or of == joint.name:
                 return joint
-        names = ", ".join(joint.name for joint in joints) or "none"
         called = of.name if isinstance(of, AnyJoint) else of
-        raise DeclarationError(f"{self.name} has no joint {called}; it has {names}")
+        raise DeclarationError(f"{self.name} has no joint {called}; {there_is(called, [j.name for j in joints])}")
 
     # ------------------------------------------------------------------------------------------------------------
 
+    def declared_at(self, name: str) -> str:
+        """Where the user declared something of this name, as ` (pendulum.py, line 7)`."""
+        return " ({}, line {})".format(*self._lines[name]) if name in self._lines else ""
+
     def _claim(self, name: str, unit_name: str, what: str) -> ca.SX:
-        unit(unit_name)
+        text(f"{self.name}: the name of {what}", name, LONGEST)
         if not _NAME.match(name):
-            raise DeclarationError(f"{self.name}: {name!r} cannot be {what}; use words joined by dots")
+            raise DeclarationError(
+                f"{self.name}: {name!r} cannot be {what}; use words joined by dots, of the letters A to Z, digits and "
+                "underscores"
+            )
+        try:
+            unit(unit_name)
+        except DeclarationError as error:
+            raise DeclarationError(f"{self.name}: {name}: {error}") from None
         if name.split(".")[0] in _RESERVED and what != "a start value":
             raise DeclarationError(f"{self.name}: {name!r} is a name that alfmu uses itself")
         if name in self._names:
-            raise DeclarationError(f"{self.name}: {name!r} is {self._names[name]} already")
-        self._names[name] = what
+            raise DeclarationError(
+                f"{self.name}: {name!r} is {self._names[name]} already{self.declared_at(name)}; take another name"
+            )
+        self._names[name], self._lines[name] = what, users_line()
         return ca.SX.sym(name)
 
     def _coordinate(self, symbol: ca.SX) -> Coordinate:
         found = self._by_symbol.get(key_of(symbol))
         if not isinstance(found, Coordinate):
-            raise DeclarationError(f"{self.name}: {symbol} is not a coordinate of this mechanism")
+            raise DeclarationError(
+                f"{self.name}: {symbol if isinstance(symbol, ca.SX) else shown(symbol)} is not a coordinate of this "
+                "mechanism; give the symbol that coordinate() returned"
+            )
         return found
 
     def _is_start(self, symbol: Scalar) -> bool:
@@ -707,13 +815,18 @@ class Mechanism:
 
     def _join(self, joint: Joint) -> Joint:
         self._claim(joint.name, "1", "a joint")
-        self._own((joint.first, joint.second), joint.name)
+        self._own((joint.first, joint.second), f"joint {joint.name}", Marker)
+        for each, its in (("axis", "rad"), ("offset", "m"), ("angle", "rad"), ("length", "m")):
+            setattr(joint, each, self._quantity(f"the {each} of {joint.name}", getattr(joint, each), its, PLACE))
         first, second = joint.first.body, joint.second.body
         if first is second:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
         if second is self.ground:
             raise DeclarationError(f"{self.name}: joint {joint.name} ends on the ground; name the ground first")
         if joint.coordinate is not None:
+            what = f"the coordinate of {joint.name}, a {joint.kind},"
+            along = "m" if joint.kind == "prismatic" else "rad"
+            joint.coordinate = self._quantity(what, joint.coordinate, along, PLACE)
             # The joint places whichever body has no place yet, the second one if it can.
             target = second if not second.is_placed else first
             if target.is_placed:
@@ -729,13 +842,7 @@ class Mechanism:
 
     def _join_in_space(self, joint: SpatialJoint) -> SpatialJoint:
         self._claim(joint.name, "1", "a joint")
-        for marker in (joint.first, joint.second):
-            if not isinstance(marker, SpatialMarker):
-                raise DeclarationError(
-                    f"{self.name}: joint {joint.name} joins bodies in space; take its markers from spatial_body() and "
-                    "spatial_ground"
-                )
-        self._own((joint.first, joint.second), joint.name)
+        self._own((joint.first, joint.second), f"joint {joint.name}", SpatialMarker)
         first, second = joint.first.body, joint.second.body
         if first is second:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
@@ -746,31 +853,154 @@ class Mechanism:
         return joint
 
     def _axes(self, name: str, axis: Sequence[float], second: Sequence[float] | None) -> tuple[tuple[float, ...], ...]:
-        axes = tuple(axis), tuple(axis if second is None else second)
-        for x in axes:
-            if len(x) != 3 or any(isinstance(a, ca.SX) for a in x) or not 0 < math.hypot(*x) < math.inf:
-                raise DeclarationError(f"{self.name}: the axis {x} of {name} has no direction; give three numbers")
-        return axes
+        axes = []
+        for x in (axis, axis if second is None else second):
+            numbers = [a for a in _entries(x) if isinstance(a, float | int | np.number)] if _several(x) else []
+            if len(numbers) != 3 or len(_entries(x)) != 3 or not 0 < math.hypot(*numbers) < math.inf:
+                raise DeclarationError(
+                    f"{self.name}: the axis {shown(x)} of {name} has no direction; give three numbers, not all zero"
+                )
+            axes.append(tuple(numbers))
+        return axes[0], axes[1]
 
-    def _at_defaults(self, value: Scalar) -> float:
-        """A number, or an expression in parameters at their defaults."""
+    def _at_defaults(self, what: str, value: Scalar) -> float:
+        """A number, or an expression in parameters at their defaults; DeclarationError where that is not finite."""
+        if not isinstance(value, ca.SX):
+            return value
         symbols, defaults = stack([x.symbol for x in self.parameters]), stack([x.default for x in self.parameters])
-        found = ca.substitute(symbolic(value), symbols, defaults) if self.parameters else symbolic(value)
-        if not found.is_constant():
-            raise DeclarationError(f"{self.name}: {value} must be a number or an expression in parameters")
-        return float(found)
+        found = float(ca.substitute(value, symbols, defaults) if self.parameters else value)
+        if not math.isfinite(found):
+            raise DeclarationError(f"{self.name}: {what} is {found} at the defaults of its parameters; check them")
+        return found
 
-    def _own(self, markers: Iterable[AnyMarker], user: str) -> None:
+    def _own(
+        self, markers: Iterable[AnyMarker], user: str, kind: type[Marker] | type[SpatialMarker] | None = None
+    ) -> None:
+        """Points of bodies of this mechanism, all in the plane or all in space where the kind says so."""
         for marker in markers:
-            if marker.body not in self._owned:
-                raise DeclarationError(f"{self.name}: {user} uses {marker.body.name}, a body of another mechanism")
+            if isinstance(marker, Body | SpatialBody):
+                body = marker.name
+                raise DeclarationError(f"{self.name}: {user} takes a point of {body}, not the body; use {body}.at(...)")
+            if not isinstance(marker, kind or AnyMarker):
+                where = "the plane; take its markers from body(), bar() and ground"
+                if kind is SpatialMarker:
+                    where = "space; take its markers from spatial_body() and spatial_ground"
+                given = "" if isinstance(marker, AnyMarker) else f", as BODY.at(...), not {shown(marker)}"
+                raise DeclarationError(f"{self.name}: {user} joins bodies in {where}{given}")
+            self._body(marker.body, user)
+            place = (marker.x, marker.y, *((marker.z,) if isinstance(marker, SpatialMarker) else ()))
+            what = f"a point of {marker.body.name} that {user} uses"
+            self._vector(what, place, ("m",) * len(place), PLACE)
+            for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
+                perhaps_millimetres(f"{self.name}: {what}", x)
 
-    def _free(self, joint: AnyJoint) -> None:
+    def _body(self, body: Body | SpatialBody, user: str) -> None:
+        if not isinstance(body, Body | SpatialBody):
+            raise DeclarationError(
+                f"{self.name}: {user} takes a body, as body() and bar() return it, not {shown(body)}"
+            )
+        if body not in self._owned:
+            raise DeclarationError(f"{self.name}: {user} uses {body.name}, a body of another mechanism")
+
+    def _free(self, joint: AnyJoint, user: str) -> str:
+        """Unit of the free motion of a joint."""
+        if not isinstance(joint, AnyJoint):
+            raise DeclarationError(
+                f"{self.name}: {user} takes a joint, as revolute() and prismatic() return it, not {shown(joint)}"
+            )
         if joint.kind not in ("revolute", "prismatic"):
             raise DeclarationError(
                 f"{self.name}: {joint.name} is a {joint.kind}, which has no single free motion; "
                 "use force() or torque() on its bodies"
             )
+        if joint.first.body not in self._owned:
+            raise DeclarationError(f"{self.name}: {user} uses {joint.name}, a joint of another mechanism")
+        return "rad" if joint.kind == "revolute" else "m"
+
+    # What a number may be ---------------------------------------------------------------------------------------
+
+    def _stands_for(self, symbol: ca.SX, kind: str, text: str, unit: str) -> ca.SX:
+        self._symbols[key_of(symbol)] = Symbol(kind, text, unit)
+        return symbol
+
+    def _quantity(self, what: str, value: Any, unit: str, may: Collection[str]) -> Scalar:
+        """A number or an expression in the kinds of symbols that it may depend on, in a unit."""
+        what = f"{self.name}: {what}"
+        value = number(what, value)
+        for symbol in symbols_in(value):
+            found = self._symbols.get(key_of(symbol))
+            if found is None:
+                raise DeclarationError(f"{what} depends on {symbol}, which this mechanism does not declare")
+            if found.kind not in may:
+                later = "; motion that is prescribed (`motion`) is not supported yet"
+                raise DeclarationError(
+                    f"{what} depends on {found.text}; it must be a number or an expression in {_and(may)}"
+                    + later * (unit in ("m", "rad") and found.kind in ("time", "inputs", "rates"))
+                )
+        if isinstance(value, ca.SX):
+            for symbol in (value, -value):
+                own = self._symbols[key_of(symbol)] if symbol.is_symbolic() else None
+                if own and "1" not in (own.unit, unit) and not alike(own.unit, unit):
+                    raise DeclarationError(f"{what} is in {unit}, and {own.text} in {own.unit}; give one in {unit}")
+        return value
+
+    def _vector(self, what: str, values: Any, units: Sequence[str], may: Collection[str]) -> tuple[Scalar, ...]:
+        """Several quantities, each in its unit."""
+        if not _several(values) or len(_entries(values)) != len(units):
+            count = f"{len(_entries(values))} numbers" if _several(values) else shown(values)
+            wanted = {2: "two", 3: "three", 4: "four"}[len(units)]
+            raise DeclarationError(f"{self.name}: {what} is {count}; give {wanted}")
+        entries = zip(_entries(values), units, strict=True)
+        return tuple(self._quantity(what, value, unit, may) for value, unit in entries)
+
+    def _plain(self, what: str, value: Any) -> float:
+        """A number, where no expression will do."""
+        value = number(f"{self.name}: {what}", value)
+        if isinstance(value, ca.SX) and not value.is_constant():
+            raise DeclarationError(f"{self.name}: {what} is an expression; give a number")
+        return float(value)
+
+    def _displacement(self, name: str, unit: str) -> None:
+        if unit in UNITS and unit not in ("m", "rad", "1"):
+            raise DeclarationError(f"{self.name}: {name} is in {unit}; what moves is in m, rad or 1")
+
+    def _of_coordinates(self, what: str, expression: Any, unit: str) -> ca.SX:
+        """What a constraint or a lock keeps: an expression that moves."""
+        self._displacement(what, unit)
+        value = symbolic(self._quantity(what, expression, unit, PLACE))
+        if not any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(value)):
+            raise DeclarationError(f"{self.name}: {what} depends on no coordinate, so that no motion can keep it")
+        return value
+
+    def _mass(self, name: str, mass: Any, what: str = "mass", unit: str = "kg") -> Scalar:
+        what = f"the {what} of {name}"
+        mass = self._quantity(what, mass, unit, CONSTANT)
+        if (value := self._at_defaults(what, mass)) < 0:
+            raise DeclarationError(f"{self.name}: {what} is {value:g} {unit}; it must not be negative")
+        for i, parameter in enumerate(self.parameters):
+            if parameter.symbol is mass and parameter.minimum is None:
+                self.parameters[i] = replace(parameter, minimum=0.0)
+        return mass
+
+    def _inertia(self, name: str, inertia: Any) -> Scalar:
+        return self._mass(name, inertia, "inertia", "kg.m2")
+
+    def _length(self, what: str, length: Any, may: Collection[str]) -> Scalar:
+        length = self._quantity(what, length, "m", may)
+        moves = any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(length))
+        if not moves and not (value := self._at_defaults(what, length)) > 0:
+            raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
+        perhaps_millimetres(f"{self.name}: {what}", length)
+        return length
+
+    def _pose(self, name: str, pose: Any) -> tuple[Scalar, ...] | None:
+        return None if pose is None else self._vector(f"the pose of {name}", pose, ("m", "m", "rad"), PLACE)
+
+    def _ends(self, name: str, between: Any) -> tuple[Point | Marker, ...]:
+        if not isinstance(between, tuple | list) or len(between) != 2:
+            raise DeclarationError(f"{self.name}: {name} is between {shown(between)}; give a pair of points")
+        self._own([end for end in between if not isinstance(end, Point)], f"bar {name}", Marker)
+        return tuple(between)
 
 
 def key_of(symbol: Scalar) -> int | None:
@@ -780,6 +1010,17 @@ def key_of(symbol: Scalar) -> int | None:
 
 def _entries(vector: Sequence[Scalar] | ca.SX) -> Sequence[Scalar]:
     return ca.vertsplit(vector) if isinstance(vector, ca.SX) else vector
+
+
+def _several(values: Any) -> bool:
+    """Whether something is a row of things, as a vector is."""
+    if isinstance(values, ca.SX):
+        return values.is_column()
+    return isinstance(values, Sequence | np.ndarray) and not isinstance(values, str | bytes)
+
+
+def _and(words: Collection[str]) -> str:
+    return in_words(words).replace(" or ", " and ")
 
 
 def symbolic(value: Scalar) -> ca.SX:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 import runpy
 import traceback
 import typing
+import warnings
 from collections.abc import Callable
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from .errors import AlfmuError, InputError
+from .checks import casadi_function
+from .errors import AlfmuError, AlfmuWarning, DeclarationError, InputError
 from .mechanism import Mechanism
+from .words import in_words, nearest, there_is
 
 __all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options"]
 
@@ -21,6 +25,8 @@ GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
 
 Factory = Callable[..., Mechanism]
+
+_ANY = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 def mechanisms() -> list[str]:
@@ -39,20 +45,25 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
             raise InputError(f"{mechanism.name} is declared already and takes no options")
         return mechanism
     factory = _factory(mechanism)
-    known, hints = options(mechanism), _hints(mechanism, factory)
+    takes, hints = options(mechanism), _hints(mechanism, factory)
     for name, value in chosen.items():
-        if name not in known:
-            has = f"it has {', '.join(known)}" if known else "it has none"
-            raise InputError(f"{mechanism} has no option {name!r}; {has}")
-        if known[name] and value not in known[name]:
-            raise InputError(f"{mechanism}: option {name} is {value!r}; use one of {', '.join(map(str, known[name]))}")
+        if name not in takes:
+            raise InputError(f"{mechanism} has no option {name!r}; {there_is(name, takes)}")
+        if takes[name] and value not in takes[name]:
+            raise InputError(f"{mechanism}: option {name} is {value!r}; use one of {', '.join(map(str, takes[name]))}")
         if hints.get(name) is int:
             chosen[name] = _whole(f"{mechanism}: option {name}", value)
+    parameters = inspect.signature(factory).parameters
+    if lacking := [k for k, p in parameters.items() if p.default is p.empty and p.kind not in _ANY and k not in chosen]:
+        raise InputError(
+            f"{mechanism}: {factory.__name__}() takes {lacking[0]}, which has no default; give it one, or say "
+            f"--option {lacking[0]}=..."
+        )
     declared = _guarded(mechanism, lambda: factory(**chosen))
     if not isinstance(declared, Mechanism):
-        raise InputError(f"{mechanism}: {factory.__name__}() returns {type(declared).__name__}, not a Mechanism")
-    defaults = {k: p.default for k, p in inspect.signature(factory).parameters.items()}
-    declared.options = {**defaults, **chosen}
+        returned = "nothing" if declared is None else f"a {type(declared).__name__}, no Mechanism"
+        raise InputError(f"{mechanism}: {factory.__name__}() returns {returned}; end it with `return m`, the mechanism")
+    declared.options = {**{k: p.default for k, p in parameters.items() if p.kind not in _ANY}, **chosen}
     readme = Path(inspect.getsourcefile(factory) or "").with_name("README.md")
     if readme.is_file() and (not str(mechanism).endswith(".py")):
         declared.documentation = readme.read_text(encoding="utf-8")
@@ -135,13 +146,42 @@ def executed(path: Path) -> dict[str, Any]:
 
 def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
     """Run a user's code; what goes wrong in a file of theirs is said with its line."""
-    try:
+    if not str(mechanism).endswith(".py"):
         return run()
-    except AlfmuError:
-        raise
-    except Exception as error:
-        if not str(mechanism).endswith(".py"):
+    try:
+        with warnings.catch_warnings():
+            # What NumPy makes of symbols changes from one version of CasADi to the next.
+            warnings.filterwarnings("error", r"\s*casadi: a numpy function", FutureWarning)
+            return run()
+    except (Exception, SystemExit) as error:
+        if isinstance(error, AlfmuError | AlfmuWarning) and not isinstance(error, DeclarationError):
             raise
         lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(mechanism)]
-        line = getattr(error, "lineno", None) or (lines[-1] if lines else "?")
-        raise InputError(f"{mechanism}, line {line}: {type(error).__name__}: {error}") from error
+        line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
+        where = f"{mechanism}, line {line or '?'}"
+        if isinstance(error, DeclarationError):
+            raise DeclarationError(f"{where}: {error}") from error
+        raise InputError(f"{where}: {_explained(error, str(mechanism), line)}") from error
+
+
+def _explained(error: BaseException, file: str, line: int) -> str:
+    """What Python or CasADi says of a user's line, or what to do where they say it of symbols."""
+    said = str(error).strip().partition("\n")[0]
+    if "truth value" in said:
+        return (
+            "an if, and, or, min or max asks whether an expression is true, which is known only when it runs; use "
+            "ca.if_else(condition, a, b), ca.logic_and, ca.logic_or, ca.fmin or ca.fmax"
+        )
+    if "to_int" in said or re.search("'SX'.*as an integer|must be integers.*SX", said):
+        return (
+            "a symbol is no whole number, and what is counted is fixed when a mechanism is declared; use an option, as "
+            f"in def {Path(file).stem}(n: int = 3)"
+        )
+    of_symbols = casadi_function(file, line)
+    if isinstance(error, FutureWarning) or (of_symbols and re.search("SX|casadi", said)):
+        return f"functions of NumPy and of Python's math are not for symbols; use {of_symbols or 'those of CasADi'}"
+    if isinstance(error, AttributeError | NameError) and error.name:
+        names = dir(error.obj) if isinstance(error, AttributeError) else ()
+        if meant := nearest(error.name, [name for name in names if not name.startswith("_")]):
+            said += f"; did you mean {in_words(meant)}?"
+    return f"{type(error).__name__}: {said}"

@@ -18,6 +18,8 @@ from functools import cached_property
 
 import casadi as ca
 
+from .checks import number
+
 __all__ = ["SpatialBody", "SpatialJoint", "SpatialMarker", "about", "angular_velocity", "product", "rotation"]
 
 Scalar = float | ca.SX
@@ -90,7 +92,8 @@ class SpatialBody:
 
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0, z: Scalar = 0.0) -> SpatialMarker:
         """The point (x, y, z) [m] of the body's frame."""
-        return SpatialMarker(self, x, y, z)
+        named = zip("xyz", (x, y, z), strict=True)
+        return SpatialMarker(self, *(number(f"{axis} of {self.name}.at()", value) for axis, value in named))
 
     def displacements(self) -> tuple[ca.SX, list[Scalar]]:
         """Displacements X and weights w with the kinetic energy w' X'^2/2: the centre of mass and the three axes.

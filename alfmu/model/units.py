@@ -3,8 +3,9 @@
 from dataclasses import dataclass, field
 
 from .errors import DeclarationError
+from .words import in_words, nearest, shown
 
-__all__ = ["UNITS", "Unit", "rate_of", "unit"]
+__all__ = ["UNITS", "Unit", "alike", "rate_of", "unit"]
 
 
 @dataclass(frozen=True)
@@ -56,10 +57,21 @@ _RATES = {"m": "m/s", "rad": "rad/s", "m/s": "m/s2", "rad/s": "rad/s2", "1": "1/
 
 def unit(name: str) -> Unit:
     """The unit called `name`; DeclarationError where it is not one that alfmu knows."""
-    try:
+    if isinstance(name, str) and name in UNITS:
         return UNITS[name]
-    except KeyError:
-        raise DeclarationError(f"unknown unit {name!r}; use one of: {', '.join(UNITS)}") from None
+    for si, factor in ((u.name, u.display[name]) for u in UNITS.values() if name in u.display):
+        raise DeclarationError(f"the unit {name!r} is for display alone; give {si} (1 {si} is {factor:g} {name})")
+    plain = {_plain(each): each for each in UNITS}
+    meant = [plain[each] for each in (_plain(str(name)), _plain(str(name)).upper()) if each in plain]
+    meant = meant[:1] or nearest(name, UNITS)
+    advice = f"did you mean {in_words(meant)}?" if meant else f"use one of: {', '.join(UNITS)}"
+    raise DeclarationError(f"unknown unit {shown(name)}; {advice}")
+
+
+def alike(one: str, other: str) -> bool:
+    """Whether two units measure the same; an angle counts as a number."""
+    first, second = ({k: x for k, x in unit(name).exponents.items() if k != "rad"} for name in (one, other))
+    return first == second
 
 
 def rate_of(name: str) -> str:
@@ -68,3 +80,8 @@ def rate_of(name: str) -> str:
         return _RATES[unit(name).name]
     except KeyError:
         raise DeclarationError(f"a coordinate is in m, rad or 1, not in {name!r}") from None
+
+
+def _plain(name: str) -> str:
+    """A unit without what people write otherwise: dots, spaces, powers."""
+    return "".join(c for c in name if c not in " .*^·")

@@ -125,6 +125,16 @@ static Outcome stepped(Component *c, double point, double step)
     return outcome;
 }
 
+/* Whether the instance begins; what it says of the start, it says as a warning. */
+static int begun(Component *c)
+{
+    if (instance_initialize(c->instance) != DONE)
+        return 0;
+    if (*c->instance->text)
+        component_say(c, WARNING, c->instance->text);
+    return 1;
+}
+
 int component_in(Component *c, int phases, const char *call)
 {
     if (!component_good(c))
@@ -186,7 +196,7 @@ Status component_initialized(Component *c, const char *call)
     if (!component_in(c, INITIALIZING, call))
         return WRONG;
     i = c->instance;
-    if ((!i->flags.initialized && instance_initialize(i) != DONE) || instance_read(i) != DONE)
+    if ((!i->flags.initialized && !begun(c)) || instance_read(i) != DONE)
         return refused(c, WRONG);
     i->flags.phase = STEPPING;
     return told(c);
@@ -304,7 +314,7 @@ Status component_get(Component *c, const unsigned *references, size_t count, voi
     if (outputs && !i->flags.initialized) {
         if (phase(c) != INITIALIZING)
             return component_refuse(c, ERROR_, call, "outputs are known after initialising");
-        if (instance_initialize(i) != DONE)
+        if (!begun(c))
             return refused(c, WRONG);
     }
     if (outputs)
@@ -377,7 +387,7 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
         || !addressed_kind(c, knowns, known_count, directions, direction_count, INPUT, call))
         return WRONG;
     i = c->instance;
-    if (!i->flags.initialized && (phase(c) != INITIALIZING || instance_initialize(i) != DONE))
+    if (!i->flags.initialized && (phase(c) != INITIALIZING || !begun(c)))
         return component_refuse(c, ERROR_, call, "outputs are known after initialising");
     if (instance_read(i) != DONE
         || instance_derivative(i, unknowns, unknown_count, knowns, known_count, directions, changes) != DONE)

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import ctypes
 import logging
+import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..equations import Equations, Mobility
 from ..equations.derivation import derive
+from ..equations.evaluation import DENSE
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
-from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
+from ..model.errors import AlfmuError, AlfmuWarning, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED, Settings
+from ..model.words import there_is
 from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
 from .probe import mobility, shared
@@ -30,6 +34,9 @@ from .probe import mobility, shared
 __all__ = ["Instance"]
 
 _LOGGER = logging.getLogger("alfmu")
+
+_FREE = 1e-7
+"""Rate of a start value, or of a coordinate, over that of a motion [1]: below it the motion does not change it."""
 
 _COUNTED = (
     *("patient_steps", "reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
@@ -150,7 +157,7 @@ class Instance:
         reference = self._references.get(name)
         if reference is None or reference >= self._scene.first_output:
             names = list(self._references)[: self._scene.first_output]
-            raise InputError(f"{e.name} has no input or parameter {name!r}; it has {', '.join(names)}")
+            raise InputError(f"{e.name} has no input or parameter {name!r}; {there_is(name, names)}")
         v = self._variables[name]
         if v.type == "Boolean":
             if value not in (0, 1):
@@ -190,7 +197,7 @@ class Instance:
     def get(self, name: str) -> float | str:
         """The value of an output, input, parameter, start value or solver number."""
         if name not in self._references:
-            raise InputError(f"{self.equations.name} has no variable {name!r}")
+            raise InputError(f"{self.equations.name} has no variable {name!r}; {there_is(name, self._references)}")
         reference = self._references[name]
         if reference >= self._scene.first_output:
             self._read()
@@ -199,7 +206,10 @@ class Instance:
     # Life --------------------------------------------------------------------------------------------------------
 
     def initialize(self) -> None:
-        """Assemble the mechanism from its start values at `time`; parameters are fixed from here on."""
+        """Assemble the mechanism from its start values at `time`; parameters are fixed from here on.
+
+        Warns where it ends in another assembly than the one that the guess is nearest to.
+        """
         self._unit.run_on(False)
         self.memory["passes"][:] = 0.0
         outcome = self._unit.initialize()
@@ -208,7 +218,59 @@ class Instance:
             outcome = self._unit.initialize()
         if outcome != DONE:
             raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, AssemblyError)(self._unit.text)
+        self._assembled()
         self._unit.run_on(True)
+
+    def _assembled(self) -> None:
+        """Keep where the mechanism was assembled; the library says where that is far from the guess."""
+        self._start = np.array(self.q)
+        if self._unit.text:
+            body, way = next(iter(self.moved.items()), ("", 0.0))
+            most = f"; it moved {body} by {way:.3g} m" * (way > 0)
+            warnings.warn(self._unit.text + most, AlfmuWarning, stacklevel=3)
+
+    @property
+    def moved(self) -> dict[str, float]:
+        """How far the assembly moved each body from where the guess had it [m], the farthest first.
+
+        Of what has outputs NAME.x and NAME.y, and NAME.z in space; where nothing has, of coordinates that are lengths.
+        """
+        e, p, v = self.equations, self.memory["p"], np.zeros(self.equations.n)
+        s = self.values[len(e.parameters) :][: len(e.starts)]
+        guess = np.array(e.functions["guess"](p, s)).ravel()
+        places = [
+            np.array(e.functions["readings"](q, v, v, np.zeros(e.l), np.zeros(len(e.inputs)), p, 0.0)).ravel()
+            for q in (guess, self._start)
+        ]
+        square: dict[str, float] = {}
+        for output, before, after in zip(e.outputs, *places, strict=True):
+            name, _, axis = output.name.rpartition(".")
+            if name and axis in "xyz" and output.unit == "m":
+                square[name] = square.get(name, 0.0) + (after - before) ** 2
+        if not square:
+            changes = zip(e.coordinates, self._start - guess, strict=True)
+            square = {c.name: change**2 for c, change in changes if c.unit == "m"}
+        return {name: math.sqrt(x) for name, x in sorted(square.items(), key=lambda each: -each[1])}
+
+    def undetermined(self) -> list[str]:
+        """Coordinates that neither constraints nor start values determine, so that they begin at their guess.
+
+        Of mechanisms with up to `DENSE` coordinates, at regular positions: beside a singular one there are branches on
+        which other coordinates move.
+        """
+        e = self.equations
+        if e.n > DENSE:
+            return []
+        found, place = self._mobility()
+        if found.freedom_here > found.freedom:
+            return []
+        p, s = self.memory["p"], self.values[len(e.parameters) :][: len(e.starts)]
+        C = np.array(e.functions["constraints"](place, np.zeros(e.n), p)[1]).reshape(e.l, e.n)[self.penalty > 0]
+        motions = np.linalg.svd(np.vstack([C, np.zeros((e.n, e.n))]))[2][e.n - found.freedom :]
+        ties = np.array(e.functions["ties_matrix"](place, p, s)).reshape(len(e.tied), e.n)
+        _, sizes, rows = np.linalg.svd(np.vstack([ties @ motions.T, np.zeros((found.freedom,) * 2)]))
+        moves = np.abs(rows[sizes <= _FREE] @ motions).max(axis=0, initial=0.0)
+        return [c.name for c, part in zip(e.coordinates, moves, strict=True) if part > _FREE]
 
     def initialize_with(self, inputs: Mapping[str, float]) -> None:
         """Initialise with these inputs."""

@@ -94,6 +94,8 @@
 #define MOST 200
 #define LONGEST_TURN 0.3
 #define TRIES 32
+#define AWAY 0.5
+#define NEARER 0.8
 #define RANKED 8
 #define FEW_RANKED 2
 #define TORN 0.3

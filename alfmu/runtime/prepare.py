@@ -19,10 +19,11 @@ from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
 from ..model.errors import InputError
 from ..model.settings import Settings
+from ..model.words import there_is
 from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
-from .probe import Probe
+from .probe import SINGULAR, Probe
 
 __all__ = ["again", "decided", "loaded", "prepared", "retraced", "with_defaults"]
 
@@ -75,7 +76,10 @@ def _chosen(equations: Equations) -> tuple[str, str]:
     probe = Probe.of(untraced(with_tangents(equations)))
     if probe is None:
         return "explicit", "explicit: the defaults have no start"
-    values = probe.spectrum()
+    try:
+        values = probe.spectrum()
+    except SINGULAR:
+        return "explicit", "explicit: the augmented mass is singular at the start"
     if not values.size:
         return "explicit", "explicit: small motions at the start are not finite"
     fastest = values[np.argmax(np.abs(values))]
@@ -105,7 +109,11 @@ def _traced(equations: Equations, probe: Probe | None) -> Equations:
     mobility = probe.mobility()
     if mobility.freedom_here > mobility.freedom:
         return traced(equations, mobility, controlled=controlled)  # a singular start says nothing of other positions
-    return traced(equations, mobility, probe.iterations_needed(), controlled)
+    try:
+        needed = probe.iterations_needed()
+    except SINGULAR:  # the first evaluation of a run says so
+        return traced(equations, mobility, controlled=controlled)
+    return traced(equations, mobility, needed, controlled)
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
@@ -120,7 +128,7 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
             checked(equations.name, known[name], value)
         elif name not in {s.name for s in equations.switches} | set(CHOICES):
             names = [*(v.name for v in found.causal("input")), *known, *CHOICES]
-            raise InputError(f"{equations.name} has no input or parameter {name!r}; it has {', '.join(names)}")
+            raise InputError(f"{equations.name} has no input or parameter {name!r}; {there_is(name, names)}")
     own = {setting(name): value for name, value in values.items() if setting(name) != name}
     Settings(**own).checked(equations.name, equations.l)
     changed = {

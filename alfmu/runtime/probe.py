@@ -18,7 +18,10 @@ from ..method import formulations as method
 from ..method import implicit
 from .library import DONE, Scene, Unit
 
-__all__ = ["Probe", "mobility", "shared"]
+__all__ = ["SINGULAR", "Probe", "mobility", "shared"]
+
+SINGULAR = (RuntimeError, np.linalg.LinAlgError)
+"""What SciPy and NumPy raise where the augmented mass cannot be factorised, as next to a motion of hardly any mass."""
 
 _RETURNS = 4
 """Passes of (10) in derivatives by displacements that leave the constraints."""

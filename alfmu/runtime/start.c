@@ -238,21 +238,44 @@ static const char *gap_label(Instance *i, const Loops *loops, char *label, size_
     return label;
 }
 
+/* The length of the way from one place to another, and the coordinate that changes most on it. */
+static double way(const Scene *s, const double *from, const double *to, int *most)
+{
+    double square = 0.0;
+    *most = 0;
+    for (int c = 0; c < s->n; c++) {
+        square += (to[c] - from[c]) * (to[c] - from[c]);
+        if (fabs(to[c] - from[c]) > fabs(to[*most] - from[*most]))
+            *most = c;
+    }
+    return sqrt(square);
+}
+
 static Outcome positions(Instance *i, Loops *loops, const double *guess, double *q)
 {
     const Scene *s = i->scene;
-    double step, moved = 0.0, *other = take(i, (size_t)s->n);
+    double step, moved, away = INFINITY, *other = take(i, (size_t)s->n);
     char label[200];
-    int found;
+    int most, found, direct;
+    i->text[0] = '\0';
     memcpy(q, guess, (size_t)s->n * sizeof *q);
     step = followed(i, loops, q);
-    for (int c = 0; c < s->n; c++)
-        moved += (q[c] - guess[c]) * (q[c] - guess[c]);
-    moved = closes(i, loops, q) ? sqrt(moved) : INFINITY;
-    if (moved <= 1.5 * step + 1e-6)
+    moved = closes(i, loops, q) ? way(s, guess, q, &most) : INFINITY;
+    direct = moved <= 1.5 * step + 1e-6;
+    if (direct && (moved <= AWAY || s->n > DENSE))
         return DONE;
     /* A long way, or none: is there an assembly nearer to the guess? */
     found = nearest(i, loops, guess, fmin(moved, 3.0), other);
+    if (found)
+        away = way(s, guess, other, &most);
+    if (direct) {
+        if (away < NEARER * moved)
+            say(i, DONE,
+                "%s: the loops closed far from the guess (%.3g in m and rad), and a nearer assembly is %.3g from it, where "
+                "%s is %.6g %s instead of %.6g; give start values or guesses closer to the assembly you want",
+                s->name, moved, away, s->coordinates[most].name, other[most], s->coordinates[most].unit, q[most]);
+        return DONE;
+    }
     if (!found && moved == INFINITY) {
         closure_at(i, loops, q);
         return say(i, FAILED, "%s: %s; the nearest assembly leaves %s; %s", s->name,
@@ -261,22 +284,13 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
             gap_label(i, loops, label, sizeof label),
             s->ties > 1 ? "give fewer or consistent start values" : "check lengths, offsets and start values");
     }
-    if (found) {
-        double away = 0.0;
-        int worst = 0;
-        for (int c = 0; c < s->n; c++) {
-            away += (other[c] - guess[c]) * (other[c] - guess[c]);
-            if (fabs(other[c] - guess[c]) > fabs(other[worst] - guess[worst]))
-                worst = c;
-        }
-        if (sqrt(away) < 0.99 * moved) {
-            closure_at(i, loops, guess);
-            return say(i, FAILED,
-                "%s: the guess leaves %s and leads to an assembly elsewhere than the nearest one, where %s is %.6g %s; "
-                "give start values or guesses closer to the assembly you want",
-                s->name, gap_label(i, loops, label, sizeof label), s->coordinates[worst].name, other[worst],
-                s->coordinates[worst].unit);
-        }
+    if (found && away < 0.99 * moved) {
+        closure_at(i, loops, guess);
+        return say(i, FAILED,
+            "%s: the guess leaves %s and leads to an assembly elsewhere than the nearest one, where %s is %.6g %s; "
+            "give start values or guesses closer to the assembly you want",
+            s->name, gap_label(i, loops, label, sizeof label), s->coordinates[most].name, other[most],
+            s->coordinates[most].unit);
     }
     return DONE;
 }
@@ -456,7 +470,7 @@ Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
             "%s: the motion along %s has no mass and no constraint that holds it (singular value %.0e of [M; C] at the "
             "start); a massless body must be held by constraints at both ends: never the last body of an open chain, "
             "never one placed by a joint coordinate alone",
-            s->name, free, least);
+            s->name, *free ? free : "some coordinates", least);
     }
     i->used = used;
     return outcome;

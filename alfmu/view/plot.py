@@ -13,6 +13,7 @@ import numpy as np
 
 from ..files import atomic
 from ..model.errors import InputError
+from ..model.words import there_is
 from ..simulation import Result
 
 if TYPE_CHECKING:
@@ -123,7 +124,7 @@ def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
         names = [name for name in result.names if name == pattern or fnmatchcase(name, pattern)]
         if not names:
             raise InputError(
-                f"the result of {result.mechanism} has nothing like {pattern!r}; it has {', '.join(result.names)}"
+                f"the result of {result.mechanism} has nothing like {pattern!r}; {there_is(pattern, result.names)}"
             )
         found |= dict.fromkeys(names)
     return list(found)

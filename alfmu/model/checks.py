@@ -1,0 +1,123 @@
+"""What a declaration is checked for: numbers, lengths and angles, and where in a user's file a mistake is made."""
+
+from __future__ import annotations
+
+import linecache
+import math
+import os
+import re
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from .errors import AlfmuWarning, DeclarationError
+from .words import shown
+
+__all__ = ["casadi_function", "number", "perhaps_degrees", "perhaps_millimetres", "symbols_in", "users_line"]
+
+_LONG = 20.0
+"""Length [m] beyond which millimetres may have been meant."""
+
+_OURS = tuple(f"{Path(module.__file__).parent}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]]))
+"""Folders whose code is not the user's."""
+
+_OTHERWISE = {
+    "absolute": "fabs",
+    "abs": "fabs",
+    "arccos": "acos",
+    "arcsin": "asin",
+    "arctan": "atan",
+    "arctan2": "atan2",
+    "clip": "fmin and ca.fmax",
+    "max": "fmax",
+    "maximum": "fmax",
+    "min": "fmin",
+    "minimum": "fmin",
+    "norm": "norm_2",
+    "select": "if_else",
+    "where": "if_else",
+}
+"""Functions of Python and NumPy that CasADi calls otherwise."""
+
+
+def number(what: str, value: Any) -> float | ca.SX:
+    """A finite number, or an expression without NaN and infinity; DeclarationError where a value is neither."""
+    if not isinstance(value, ca.SX):
+        if isinstance(value, np.ndarray) and value.size == 1:
+            return number(what, value.item())
+        try:
+            found = float("text" if isinstance(value, str | bytes | ca.MX) else value)
+        except (TypeError, ValueError, RuntimeError):
+            raise DeclarationError(f"{what} is {shown(value)}; give a number or an expression") from None
+        if not math.isfinite(found):
+            raise DeclarationError(f"{what} is {found}; {_finite(found)}")
+        return value if isinstance(value, int) else found
+    if not value.is_scalar():
+        raise DeclarationError(f"{what} has {value.numel()} entries; give one number or expression")
+    if not value.is_symbolic():
+        steps = _steps(value)
+        for i in range(steps.n_instructions()):
+            if steps.instruction_id(i) == ca.OP_CONST and not math.isfinite(found := steps.instruction_constant(i)):
+                raise DeclarationError(f"{what} contains {found}; {_finite(found)}")
+    return value
+
+
+def symbols_in(value: float | ca.SX) -> list[ca.SX]:
+    """The symbols that an expression depends on."""
+    if not isinstance(value, ca.SX):
+        return []
+    return [value] if value.is_symbolic() else _steps(value).free_sx()
+
+
+def perhaps_degrees(what: str, value: float) -> None:
+    """Warn of an angle [rad] that looks like degrees."""
+    if abs(value) > 2 * math.pi:
+        turns = f"{abs(value) / (2 * math.pi):.1f} turns"
+        _hint(f"{what} is {value:g} rad, {turns}; if degrees were meant, give {math.radians(value):.6g}")
+
+
+def perhaps_millimetres(what: str, value: float | ca.SX) -> None:
+    """Warn of a length [m] that looks like millimetres."""
+    if not isinstance(value, ca.SX) and abs(value) > _LONG:
+        _hint(f"{what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
+
+
+def _hint(message: str) -> None:
+    """Warn of what is allowed and yet looks like a mistake, with the line of the user's code."""
+    file, line = users_line()
+    warnings.warn_explicit(message, AlfmuWarning, file, line)
+
+
+def casadi_function(file: str, line: int) -> str:
+    """CasADi's function for one of Python's `math` or of NumPy that a line of code calls; empty where it calls none."""
+    linecache.checkcache(file)
+    called = re.search(r"\b(math|np|numpy)\.(?:linalg\.)?(\w+)\(", linecache.getline(file, line))
+    if called is None:
+        return ""
+    name = _OTHERWISE.get(called[2], called[2])
+    return f"ca.{name} instead of {called.group()[:-1]}" if hasattr(ca, name.split()[0]) else ""
+
+
+def _finite(value: float) -> str:
+    """What to do about a number that is not finite."""
+    if not math.isnan(value):
+        return "give a finite number"
+    of_symbols = casadi_function(*users_line()) or "those of CasADi, such as ca.sin"
+    return f"give a finite number; functions of Python's math make nan of symbols, so use {of_symbols}"
+
+
+def users_line() -> tuple[str, int]:
+    """File and line of the user's code that is running."""
+    frame = sys._getframe(1)
+    while frame.f_back and frame.f_code.co_filename.startswith(_OURS):
+        frame = frame.f_back
+    return frame.f_code.co_filename, frame.f_lineno
+
+
+def _steps(value: ca.SX) -> ca.Function:
+    """The operations of an expression; walking it by its nodes is slow, and deep for long ones."""
+    return ca.Function("steps", [], [value], {"allow_free": True})

@@ -1,0 +1,494 @@
+"""What a user may declare by mistake: refused at its line, with the name, what was given and what would be right."""
+
+import math
+import subprocess
+import sys
+import textwrap
+import warnings
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import alfmu
+from alfmu.cli import main
+from alfmu.model.checks import number
+from alfmu.model.errors import AlfmuWarning
+from alfmu.model.words import nearest, there_is
+
+HEAD = """
+import math
+
+import casadi as ca
+import numpy as np
+
+from alfmu import Experiment, Mechanism
+
+
+def odd() -> Mechanism:
+    m = Mechanism("odd")
+"""
+
+PENDULUM = """
+    l = m.parameter("l", 1.0, "m", minimum=1e-6)
+    k = m.parameter("k", 1.0)
+    u = m.input("u", "N.m")
+    th = m.coordinate("th", "rad", start=0.5, independent=True)
+    rod = m.bar("rod", mass=1.0, length=l)
+    A = m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=th)
+"""
+"""What most mistakes are made beside."""
+
+
+@pytest.fixture
+def declare(tmp_path, monkeypatch):
+    """`declare(lines)` is the path of a file with a pendulum and these lines, and the number of the first of them."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(lines: str, head: str = HEAD + PENDULUM) -> tuple[Path, int]:
+        path = Path("odd.py")
+        path.write_text(head + textwrap.indent(lines, "    ") + "\n    return m\n", encoding="utf-8")
+        return path, head.count("\n") + 1
+
+    return write
+
+
+NUMBERS = [
+    # NaN and infinity, and where they come from.
+    ("m.force(rod.at(math.sin(th), 0), 1.0)", r"x of rod.at\(\) is nan; .* use ca.sin instead of math.sin"),
+    ('m.bar("b", mass=1.0, length=math.sqrt(l))', "the length of b is nan; .* use ca.sqrt instead of math.sqrt"),
+    ("m.drive(A, u * math.cos(th))", "the effort on A contains nan; .* use ca.cos instead of math.cos"),
+    ('m.bar("b", mass=float("nan"), length=l)', "the mass of b is nan; give a finite number; .* such as ca.sin"),
+    ('m.bar("b", mass=float("inf"), length=l)', "the mass of b is inf; give a finite number$"),
+    ('m.bar("b", mass=1.0, length=1 / (l - 1))', "the length of b is inf at the defaults"),
+    ("m.gravity(0, -math.inf)", "gravity is -inf"),
+    ('m.parameter("p", math.nan)', "the default of p is nan"),
+    ('m.parameter("p", 1.0, minimum=math.nan)', "the minimum of p is nan"),
+    ('m.parameter("p", 1.0, minimum=2, maximum=0)', "the minimum 2 of p is above its maximum 0"),
+    ('m.input("v", "N", start=math.nan)', "the start of v is nan"),
+    ('m.coordinate("x", "m", start=math.inf)', "the start of x is inf"),
+    # Texts and other things for numbers.
+    ('m.parameter("p", "1")', "the default of p is '1'; give a number"),
+    ('m.parameter("p", None)', "the default of p is None; give a number"),
+    ('m.parameter("p", l)', "the default of p is an expression; give a number"),
+    ('m.bar("b", mass="1", length=l)', "the mass of b is '1'; give a number or an expression"),
+    ('m.bar("b", mass=1j, length=l)', "the mass of b is 1j; give"),
+    ('m.bar("b", mass=ca.MX.sym("x"), length=l)', "the mass of b is the symbol x; give"),
+    ('m.bar("b", mass=np.array([1.0, 2.0]), length=l)', "the mass of b is a ndarray; give"),
+    ('m.output("o", ca.vertcat(th, th))', "output o has 2 entries; give one"),
+    ('m.output("o", "th")', "output o is 'th'; give a number or an expression"),
+    ('m.body("b", mass=1.0, center=0.5)', "the center of b is 0.5; give two"),
+    ('m.body("b", mass=1.0, pose=(0.0, 0.0))', "the pose of b is 2 numbers; give three"),
+    (
+        'm.spatial_body("b", mass=1.0, inertia=(1, 1, 1), attitude=(1, 0, 0))',
+        "the attitude of b is 3 numbers; give four",
+    ),
+    ('m.spatial_body("b", mass=1.0, inertia=(1, 1, 1), attitude=(0, 0, 0, 0))', "the attitude of b is zero"),
+    ('m.spatial_body("b", mass=1.0, inertia=1.0)', "the inertia of b is 1.0; give three"),
+    ('m.spatial_revolute("J", m.spatial_ground.at(), m.spatial_ground.at(), axis="z")', "the axis 'z' of J has no dir"),
+    # Sizes that no body has.
+    ('m.bar("b", mass=-1.0, length=l)', "the mass of b is -1 kg; it must not be negative"),
+    ('m.bar("b", mass=k - 3, length=l)', "the mass of b is -2 kg; it must not be negative"),
+    ('m.body("b", mass=1.0, inertia=-2.0)', "the inertia of b is -2 kg.m2; it must not be negative"),
+    ('m.spatial_body("b", mass=-1.0, inertia=(1, 1, 1))', "the mass of b is -1 kg"),
+    ('m.bar("b", mass=1.0, length=-1.0)', "the length of b is -1 m; it must be above zero"),
+    ('m.distance("d", m.ground.at(), rod.end, length=0.0)', "the length of d is 0 m; it must be above zero"),
+]
+
+SYMBOLS = [
+    (
+        'm.point_on_line("B", m.ground.at(0.3 * ca.sin(m.time), 0), rod.end)',
+        "ground that joint B .* on time; .*`motion`",
+    ),
+    (
+        'm.revolute("B", m.ground.at(u, 0), rod.end)',
+        "joint B uses depends on the input u; .*`motion`.* not supported yet",
+    ),
+    (
+        'm.revolute("B", m.ground.at(m.rate(th), 0), rod.end)',
+        "depends on the rate of th; .* parameters and coordinates",
+    ),
+    ('m.body("b", mass=1.0, pose=(th + m.time, 0.0, 0.0))', "the pose of b depends on time"),
+    ('m.prismatic("G", m.ground.at(), m.body("b", mass=1.0).at(), axis=u)', "the axis of G depends on the input u"),
+    (
+        'm.revolute("B", rod.end, m.bar("b", mass=1.0, length=l).start, coordinate=2 * m.time)',
+        "coordinate of B.* on time",
+    ),
+    ('m.bar("b", mass=1.0, length=1 + m.time)', "length of b depends on time; .* expression in parameters; .*`motion`"),
+    (
+        'm.bar("b", mass=1 + th, length=l)',
+        "mass of b depends on the coordinate th; it must .* expression in parameters$",
+    ),
+    ("m.gravity(0, -9.81 * u)", "gravity depends on the input u"),
+    ("m.spring_damper(A, stiffness=m.time)", "the stiffness of the spring at A depends on time"),
+    ("m.spring_damper(A, stiffness=1.0, rest=u)", "the rest of the spring at A depends on the input u"),
+    ("m.potential_energy(th * m.time)", "a potential energy depends on time"),
+    ("m.kinetic_energy(m.rate(th) ** 2 * u)", "a kinetic energy depends on the input u"),
+    ('m.constraint("c", th - m.time, "rad")', "constraint c depends on time; .*`motion`"),
+    ('m.constraint("c", l - 1)', "constraint c depends on no coordinate"),
+    ('m.coordinate("x", "m", start=m.time)', "the start of x depends on time"),
+    ("m.drive(A, m.acceleration(th))", "the effort on A depends on the acceleration of th"),
+    (
+        'm.bar("b", mass=1.0, length=ca.SX.sym("L"))',
+        "the length of b depends on L, which this mechanism does not declare",
+    ),
+    ('m.bar("b", mass=1.0, length=Mechanism("o").parameter("L", 1.0, "m"))', "depends on L, which this mechanism does"),
+]
+
+UNITS = [
+    ('m.drive(A, m.input("f", "N"))', "the effort on A is in N.m, and the input f in N; give one in N.m"),
+    ('m.drive(A, -m.input("f", "N"))', "the effort on A is in N.m, and the input f in N"),
+    ('m.torque(rod, m.input("f", "N"))', "the torque on rod is in N.m, and the input f in N"),
+    ("m.force(rod.end, u)", "the force on rod is in N, and the input u in N.m"),
+    ("m.generalized_force(th, l)", "the generalised force along th is in N.m, and the parameter l in m"),
+    (
+        'm.spring_damper(A, stiffness=m.parameter("s", 1.0, "N/m"))',
+        "stiffness .* in N.m/rad, and the parameter s in N/m",
+    ),
+    ('m.friction(A, m.parameter("s", 1.0, "N.s/m"))', "damping of the spring at A is in N.m.s/rad"),
+    ("m.spring_damper(A, rest=l)", "the rest of the spring at A is in rad, and the parameter l in m"),
+    ('m.bar("b", mass=l, length=l)', "the mass of b is in kg, and the parameter l in m"),
+    ('m.gravity(0, -m.parameter("g", 9.81, "m/s"))', "gravity is in m/s2, and the parameter g in m/s"),
+    ('m.prismatic("G", rod.end, m.body("b", mass=1.0).at(), coordinate=th)', "coordinate of G, a prismatic, is in m"),
+    ('m.coordinate("x", "kg")', "x is in kg; what moves is in m, rad or 1"),
+    ('m.constraint("c", th, "N")', "constraint c is in N; what moves is in m, rad or 1"),
+    ('m.input("v", "Nm")', "v: unknown unit 'Nm'; did you mean N.m?"),
+    ('m.parameter("p", 1.0, "kg m2")', "did you mean kg.m2?"),
+    ('m.parameter("p", 1.0, "m/s^2")', "did you mean m/s2?"),
+    ('m.parameter("p", 1.0, "deg")', r"the unit 'deg' is for display alone; give rad \(1 rad is 57.2958 deg\)"),
+    ('m.parameter("p", 1.0, "furlong")', "unknown unit 'furlong'; use one of: 1, s"),
+    ('m.parameter("p", 1.0, None)', "unknown unit None"),
+]
+
+KINDS = [
+    ('m.revolute("B", rod, m.ground.at())', r"joint B takes a point of rod, not the body; use rod.at\(...\)"),
+    ("m.force(rod, 1.0)", r"force\(\) takes a point of rod, not the body"),
+    ('m.revolute("B", (0, 0), rod.end)', r"joint B joins bodies in the plane; .*, not \(0, 0\)"),
+    ('m.revolute("B", m.spatial_ground.at(), rod.end)', "joint B joins bodies in the plane"),
+    ('m.drive("A", 1.0)', r"drive\(\) takes a joint, as revolute\(\) and prismatic\(\) return it, not 'A'"),
+    ("m.drive(th, 1.0)", "takes a joint, .*, not the symbol th"),
+    ('m.spring_damper("A", stiffness=1.0)', "takes a joint, or a pair of markers, not 'A'"),
+    ("m.spring_damper((rod.start, rod.end, rod.end), stiffness=1.0)", "takes a joint, or a pair of markers"),
+    ('m.torque("rod", 1.0)', r"torque\(\) takes a body, as body\(\) and bar\(\) return it, not 'rod'"),
+    ('m.clutch("C", m.ground, "rod")', "clutch C takes a body, .*, not 'rod'"),
+    ('m.bar("b", mass=1.0, length=l, between=((0, 0), rod.end))', r"bar b joins bodies in the plane.* not \(0, 0\)"),
+    ('m.revolute("B", rod.end, m.bar("b", mass=1.0, length=l).start, coordinate="th")', "coordinate of B, .* is 'th'"),
+    ("m.drive(Mechanism('o').weld('W', rod.start, rod.end), 1.0)", "a body of another mechanism"),
+    ('m.rate("th")', r"'th' is not a coordinate of this mechanism; give the symbol that coordinate\(\) returned"),
+    ('m.tie("th", th)', r"tie\(\) takes a symbol that start\(\) returned, not 'th'"),
+    (
+        'm.coordinate("x", "rad", start=1.0, rate=2.0)',
+        "only an independent coordinate has a start rate; .*independent=True",
+    ),
+    (
+        'm.coordinate("x", "rad", start=2 * k, independent=True)',
+        "the start of the independent coordinate x is a number",
+    ),
+    ('Mechanism("two", experiment=3.0)', "two: its experiment is 3.0; give an Experiment"),
+    ("Experiment(stop_time=-1.0)", "stop_time of an experiment is -1.0 s; it must be above zero"),
+    ("Experiment(step_size=math.nan)", "step_size of an experiment is nan"),
+]
+
+TEXTS = [
+    ('m.parameter("a\\0", 1.0)', r"the name of a parameter has the character '\\x00' at place 2"),
+    ('m.parameter("a\\ud800", 1.0)', r"has the character '\\ud800'"),
+    ('m.parameter("a" * 300, 1.0)', "the name of a parameter has 300 characters .*; give at most 200"),
+    ('m.parameter("größe", 1.0)', "'größe' cannot be a parameter; use words joined by dots, of the letters A to Z"),
+    ('m.parameter("my l", 1.0)', "'my l' cannot be a parameter"),
+    ("m.parameter(5, 1.0)", "the name of a parameter is 5; give a text"),
+    ('m.parameter("p", 1.0, description="a\\x07b")', r"the description of p has the character '\\x07' at place 2"),
+    ('m.input("v", "N", description=None)', "the description of v is None; give a text"),
+    ('Mechanism("two", "a\\0b")', "two: its description has the character"),
+    ('Mechanism("two", author="\\ud800")', "two: its author has the character"),
+    ('Mechanism("größe")', "'größe' cannot name a mechanism; use letters, digits and underscores"),
+    ('Mechanism("a" * 300)', "the name of a mechanism has 300 characters"),
+    ("Mechanism(5)", "the name of a mechanism is 5; give a text"),
+]
+
+
+@pytest.mark.parametrize(("line", "says"), [*NUMBERS, *SYMBOLS, *UNITS, *KINDS, *TEXTS])
+def test_a_mistake_is_named_at_its_line(declare, line, says):
+    path, at = declare(line)
+    with pytest.raises(alfmu.DeclarationError, match=says) as caught:
+        alfmu.load(path)
+    assert str(caught.value).startswith(f"odd.py, line {at}: ")
+    assert "\n" not in str(caught.value)
+
+
+PYTHON = [
+    ("if th > 0:\n    pass", "an if, .* asks whether an expression is true.* ca.if_else"),
+    ('m.bar("b", mass=1.0, length=max(l, 0.5))', "ca.fmax"),
+    ("for _ in range(l):\n    pass", r"a symbol is no whole number.* def odd\(n: int = 3\)"),
+    ('m.revolut("B", 1, 2)', "no attribute 'revolut'; did you mean revolute"),
+    ('m.bar("b")', "missing 2 required keyword-only arguments: 'mass' and 'length'"),
+    ("np.isfinite(th)", "functions of NumPy .* are not for symbols; use those of CasADi"),
+]
+
+
+@pytest.mark.parametrize(("line", "says"), PYTHON)
+def test_what_python_says_of_symbols_is_explained(declare, line, says):
+    path, at = declare(line)
+    with pytest.raises(alfmu.InputError, match=says) as caught:
+        alfmu.load(path)
+    assert str(caught.value).startswith(f"odd.py, line {at}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("called", "instead"), [("sin(th)", "sin"), ("arctan2(th, l)", "atan2"), ("where(l > 1, l, k)", "if_else")]
+)
+def test_a_function_of_numpy_is_refused_with_that_of_casadi(declare, called, instead):
+    """Where CasADi warns that its answer will change; others make expressions of NumPy's functions, which are right."""
+    path, at = declare(f"np.{called}")
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        np.sin(ca.SX.sym("x"))
+    if not seen:
+        assert alfmu.load(path).name == "odd"
+        return
+    with pytest.raises(alfmu.InputError, match=f"line {at}: .*use ca.{instead} instead of np."):
+        alfmu.load(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (HEAD, r"odd\(\) returns nothing; end it with `return m`"),
+        (HEAD + "    return 3\n", r"odd\(\) returns a int, no Mechanism"),
+        (HEAD.replace("odd()", "odd(n)") + "    return m\n", r"odd\(\) takes n, which has no default; .*--option n="),
+    ],
+)
+def test_a_function_that_declares_no_mechanism_says_so(tmp_path, text, says):
+    path = tmp_path / "odd.py"
+    path.write_text(text)
+    with pytest.raises(alfmu.InputError, match=says):
+        alfmu.load(path)
+
+
+DERIVED = [
+    (
+        'm.input("A.force.x", "N")',
+        r"'A.force.x' is derived already \(force along x on rod from ground\).*take another name",
+    ),
+    ('m.output("rod.angle", th, "rad")', "'rod.angle' is derived already"),
+    ('m.lock(A)\nm.output("A.locking_torque", u, "N.m")', "'A.locking_torque' is derived already"),
+    ('m.lock(A)\nm.output("A.impulse", 0.0, "N.m.s")', "'A.impulse' is derived already"),
+    ('m.lock(A)\nm.compliances()\nm.parameter("A.compliance.locked", 1.0)', "'A.compliance.locked' is derived already"),
+    ('m.bar("b", mass=1.0, length=l)', "nothing places b"),
+]
+
+
+@pytest.mark.parametrize(("lines", "says"), DERIVED)
+def test_what_the_whole_shows_is_said_with_the_line(declare, lines, says):
+    path, first = declare(lines)
+    with pytest.raises(alfmu.DeclarationError, match=says) as caught:
+        alfmu.derive(alfmu.load(path))
+    assert f"odd.py, line {first + lines.count(chr(10))})" in str(caught.value)
+
+
+MASSLESS = [
+    ('b = m.bar("b", mass=0.0, length=l)\nm.revolute("B", rod.end, b.start, coordinate=m.coordinate("x"))', "x", "b"),
+    ('m.body("b", mass=1.0, pose=(m.coordinate("x", "m"), 0.0, m.coordinate("a")))', "a", "b"),
+    ('m.spatial_body("b", mass=0.0, inertia=(0, 0, 0))', "b_x, b_y, b_z", "b"),
+]
+
+
+@pytest.mark.parametrize(("lines", "motion", "body"), MASSLESS)
+def test_massless_bodies_that_nothing_holds_are_named(declare, lines, motion, body):
+    path, first = declare(lines)
+    says = rf"motion along {motion} has no mass and no constraint.*it moves {body} \(odd.py, line {first}\)"
+    with pytest.raises(alfmu.AssemblyError, match=says):
+        alfmu.derive(alfmu.load(path))
+
+
+def test_a_coordinate_that_moves_nothing_is_named(declare):
+    path, _ = declare('m.coordinate("idle")')
+    with pytest.raises(alfmu.AssemblyError, match=r"motion along idle .* it moves nothing"):
+        alfmu.derive(alfmu.load(path))
+
+
+def test_a_mass_is_not_negative_later_either():
+    m = alfmu.Mechanism("free")
+    mass = m.parameter("mass", 1.0, "kg")
+    x = m.coordinate("x", "m", independent=True)
+    m.body("b", mass=mass, pose=(x, 0.0, 0.0))
+    with pytest.raises(alfmu.InputError, match=r"mass = -1 kg is outside \[0.0, inf\]"):
+        alfmu.simulate(m, 0.1, 0.1, parameters={"mass": -1.0})
+
+
+HINTS = [
+    ('m.coordinate("x", start=30.0, independent=True)', "start.x is 30 rad, 4.8 turns; if degrees .* give 0.523599"),
+    ('m.start("x", -90.0)', "start.x is -90 rad"),
+    ('m.parameter("p", 500.0, "m")', "the default of p is 500 m; if millimetres were meant, give 0.5"),
+    ('m.bar("b", mass=1.0, length=120.0)', "the length of b is 120 m"),
+    ("m.force(rod.at(350.0, 0.0), 1.0)", r"a point of rod that force\(\) uses is 350 m"),
+]
+
+
+@pytest.mark.parametrize(("line", "says"), HINTS)
+def test_what_looks_like_another_unit_is_hinted_at(declare, line, says):
+    path, at = declare(line)
+    with pytest.warns(AlfmuWarning, match=says) as seen:
+        alfmu.load(path)
+    assert (seen[0].filename, seen[0].lineno) == ("odd.py", at)
+
+
+def test_a_hint_is_one_line_and_the_run_goes_on(declare, capsys):
+    path, _ = declare('m.parameter("p", 500.0, "m")')
+    assert main(["simulate", str(path), "--stop-time", "0.02"]) == 0
+    err = capsys.readouterr().err
+    assert err == "alfmu: warning: odd: the default of p is 500 m; if millimetres were meant, give 0.5\n"
+
+
+def test_what_the_command_line_sets_is_hinted_at_too(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["simulate", "particle_on_circle", "--stop-time", "0.02", "--set", "start.angle=90", "--set", "rho=500"]
+    assert main(arguments) == 0
+    degrees, millimetres = capsys.readouterr().err.splitlines()
+    assert degrees.startswith("alfmu: warning: particle_on_circle: start.angle is 90 rad, 14.3 turns")
+    assert millimetres == "alfmu: warning: particle_on_circle: rho is 500 m; if millimetres were meant, give 0.5"
+
+
+def test_the_command_line_says_a_mistake_in_one_line(declare):
+    path, at = declare('m.revolute("B", m.ground.at(0.3 * ca.sin(m.time), 0), rod.end)')
+    command = [sys.executable, "-m", "alfmu.cli", "simulate", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"alfmu: odd.py, line {at}: odd: a point of ground that joint B uses depends on time")
+    assert done.stderr.count("\n") == 1
+
+
+# Near misses ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_nearest_names_are_offered_a_handful():
+    names = [f"link{i}.{what}" for i in range(1, 9) for what in ("x", "y", "angle", "force.x")]
+    assert nearest("link3.angel", names)[0] == "link3.angle"
+    assert len(nearest("link.angle", names)) <= 3
+    assert there_is("link3.angel", names).startswith("did you mean link3.angle")
+    assert there_is("nonsense", names) == "it has link1.x, link1.y, link1.angle, link1.force.x, link2.x and 27 more"
+    assert there_is("nonsense", []) == "it has none"
+    assert there_is("nonsense", ["a", "b"]) == "it has a, b"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["simulate", "four_bar", "--set", "A.torqe=1"], "did you mean A.torque"),
+        (["simulate", "four_bar", "--outputs", "link1.angel"], "did you mean link1.angle"),
+        (["simulate", "four_bar", "--option", "coordinate=joint"], "did you mean coordinates"),
+    ],
+)
+def test_a_misspelt_name_is_answered_by_the_nearest(arguments, says, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 1
+    err = capsys.readouterr().err
+    assert says in err
+    assert err.count("\n") == 1
+    assert len(err) < 200
+
+
+# Assembly -------------------------------------------------------------------------------------------------------------
+
+
+def hanging(marker: float) -> alfmu.Mechanism:
+    """A body on a ball joint, its centre guessed 1 m above it."""
+    m = alfmu.Mechanism("hanging")
+    b = m.spatial_body("b", mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.0, 0.0, 1.0))
+    m.spherical("S", m.spatial_ground.at(), b.at(0.0, 0.0, marker))
+    return m
+
+
+def test_a_loop_that_closes_in_another_configuration_is_warned_of():
+    """The joint is above the body: to shift the body by 2 m is a longer way than to turn it."""
+    i = alfmu.Instance(hanging(1.0))
+    with pytest.warns(
+        AlfmuWarning, match=r"hanging: the loops closed far from the guess .* a nearer .* moved b by 2 m"
+    ):
+        i.initialize()
+    assert i.get("b.z") == pytest.approx(-1.0)
+    assert i.moved == pytest.approx({"b": 2.0})
+
+
+def test_an_assembly_at_its_guess_says_nothing():
+    i = alfmu.Instance(hanging(-1.0))
+    i.initialize()
+    assert i.moved == {"b": 0.0}
+
+
+def test_info_says_how_far_bodies_moved_and_what_no_start_determines(declare, capsys):
+    path, _ = declare(
+        'x = m.coordinate("x", "m", start=0.2)\nb = m.body("b", mass=1.0, pose=(x, 0.0, 0.0))\n'
+        'y = m.coordinate("y", "m", start=0.1)\nm.body("c", mass=1.0, pose=(y, 0.0, 0.0))\n'
+        'm.constraint("same", x - 2.0 * ca.cos(th))'
+    )
+    assert main(["info", str(path)]) == 0
+    out = capsys.readouterr().out
+    way = abs(2 * math.cos(0.5) - 0.2)
+    assert f"assembly moved b by {way:.3g} m from where the guesses have them" in out
+    assert "no start value determines y: what the guesses say is taken" in out
+
+
+@pytest.mark.parametrize("name", ["slider_crank", "four_bar", "five_bar", "n_four_bar", "particle_on_circle"])
+def test_mechanisms_with_starts_for_all_they_do_are_told_nothing(name):
+    """At singular starts as well; their guesses are where they begin."""
+    i = alfmu.Instance(name)
+    i.initialize()
+    assert i.undetermined() == []
+    assert max(i.moved.values()) <= 1e-9
+
+
+def test_numbers_of_numpy_and_casadi_are_numbers():
+    assert number("x", np.float32(0.5)) == 0.5
+    assert number("x", np.array([2.0])) == 2.0
+    assert number("x", ca.DM(3.0)) == 3.0
+    assert number("x", 4) == 4
+
+
+def test_a_file_that_ends_the_process_is_said(declare):
+    path, at = declare("raise SystemExit(3)")
+    with pytest.raises(alfmu.InputError, match=f"odd.py, line {at}: SystemExit: 3"):
+        alfmu.load(path)
+
+
+def test_a_name_of_a_recipe_has_an_end():
+    with pytest.raises(alfmu.InputError, match=r"name is .* letters, digits and underscores, 200 at most"):
+        alfmu.Recipe("five_bar", name="a" * 300)
+
+
+# Sizes ----------------------------------------------------------------------------------------------------------------
+
+
+def arm(links: int, tip: float) -> alfmu.Mechanism:
+    """A chain in absolute coordinates, the last link of another mass."""
+    m = alfmu.Mechanism("arm")
+    at = m.ground.at()
+    for i in range(links):
+        x, y, th = m.coordinate(f"x{i}", "m", start=i + 0.5), m.coordinate(f"y{i}", "m"), m.coordinate(f"th{i}")
+        link = m.bar(f"link{i}", mass=tip if i == links - 1 else 1.0, length=1.0, pose=(x, y, th))
+        m.revolute(f"J{i}", at, link.start)
+        at = link.end
+    return m
+
+
+@pytest.mark.parametrize("links", [3, 18])
+@pytest.mark.parametrize("method", ["rk4", "auto"])
+def test_a_mass_below_round_off_of_the_others_is_said(links, method):
+    """Up to and beyond 50 coordinates."""
+    says = "arm, t = 0 s: the augmented mass matrix is singular; give the massless body a mass"
+    with pytest.raises(alfmu.StepError, match=says):
+        alfmu.simulate(arm(links, 1e-12), 0.02, 0.02, parameters={"solver.method": method})
+
+
+def test_many_bodies_that_depend_on_each_other_run():
+    result = alfmu.simulate(arm(60, 1.0), 0.02, 0.02, outputs=["link59.*"])
+    assert result["link59.x"][-1] == pytest.approx(59.5)
+
+
+def test_two_coordinates_for_one_motion_are_named_among_many():
+    m = arm(20, 1.0)
+    twice = m.coordinate("twice", "m")
+    m.body("cart", mass=1.0, pose=(twice + m.coordinate("again", "m"), 0.0, 0.0))
+    with pytest.raises(alfmu.AssemblyError, match="the motion along twice, again has no mass and no constraint"):
+        alfmu.simulate(m, 0.02, 0.02)
