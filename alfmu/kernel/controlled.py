@@ -65,9 +65,9 @@ def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
         return {}
     if explicit_one:
         programs = {"method": _Explicit(tracer, plan).program(explicit_one)}
-        if plan.quick:
-            careful = replace(plan, iterations=3, corrections=3, quick=False, gaining=True)
-            programs["method_careful"] = _softened(tracer, _Explicit(tracer, careful).program(explicit_one))
+        careful = replace(plan, iterations=3 if tracer.e.l else 1, corrections=3 * bool(tracer.e.l), quick=False)
+        program = _Explicit(tracer, replace(careful, gaining=True)).program(explicit_one)
+        programs["method_careful"] = _softened(tracer, program) if tracer.e.l else program
     else:
         kind = _Collocation if isinstance(rule, Collocation) else _Newmark
         programs = {"method": kind(tracer, plan, rule).program()}
@@ -98,9 +98,9 @@ class _Step:
         self.tracer, self.plan, self.e, self.layout = tracer, plan, tracer.e, tracer.layout
         self.calls = Calls(tracer, plan)
         self.scene = self.calls.scene
-        self.by_constraints = plan.gaining and not plan.branch and self.e.n <= DENSE
+        self.by_constraints = plan.gaining and not plan.branch and self.e.l > 0 and self.e.n <= DENSE
         """Whether constraints alone tell what is near a singular position, not what masses make of it."""
-        self.name = "beside" if plan.branch else "method" if plan.quick or not self.e.l else "method_careful"
+        self.name = "beside" if plan.branch else "method_careful" if plan.gaining else "method"
 
     def begin(self) -> None:
         """The length of the step and the time at its end, from what step control remembers."""
@@ -184,7 +184,7 @@ class _Explicit(_Step):
             calls("irregular", f"q{i + 1} p k", f"zone{i + 1}", scene.irregular)
         q, v = scene.symbol("q"), scene.symbol("v")
         known = spaced("z step", rates, "q v p k")
-        if self.plan.quick or not self.e.l:
+        if not self.plan.gaining:
             least = None
         else:
             known += " round_off"

@@ -484,8 +484,8 @@ class Scene:
         return 1 - self._within(left[0], q) * self._within(left[1], v)
 
     def error_size(self, z: SX, q: SX, v: SX, error: SX, least: SX | None = None) -> tuple[SX, SX]:
-        """Largest error of the constrained state over the tolerance, or over `least` (2 n) where that is more; and
-        `least` over the tolerance at most."""
+        """Largest error of the constrained state beyond `least` (2 n), which is none, over the tolerance or over that
+        where it is more; and `least` over the tolerance at most."""
         n = self.e.n
         parts = error[:n], error[n : 2 * n]
         if self.e.l:
@@ -495,7 +495,7 @@ class Scene:
         size = ca.fabs(ca.vertcat(*parts))
         if least is None:
             return ca.mmax(size / allowed), SX(0)
-        return ca.mmax(size / ca.fmax(allowed, least)), ca.mmax(least / allowed)
+        return ca.mmax(ca.fmax(size - least, 0) / ca.fmax(allowed, least)), ca.mmax(least / allowed)
 
     def nudged(self, q: SX, v: SX) -> tuple[SX, SX]:
         """q and v with their last digits changed."""

@@ -197,6 +197,7 @@ def layout_header() -> str:
         "OMEGA": Settings.omega,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "GIVEN_UP": stepping.SHORTEST,
+        "NOISE": stepping.NOISE,
         "UNBALANCED": UNBALANCED,
         "ROUND_OFF": ROUND_OFF,
     }

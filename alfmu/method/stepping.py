@@ -409,9 +409,8 @@ SPLIT = 2.0
 """Steps that are left up to an end below which they are made equal."""
 
 NOISE = 8.0
-"""Errors that round-off is taken for, over one sample of what it leaves: below them no step is judged. A slider-crank
-with a slider of 1e6 times the mass of its links takes 21,000 evaluations for 5 s at 1e-12; with 2 it takes 444,000, and
-with 32 it is 1e-8 rad off at 1e-8, three times as much."""
+"""Errors that round-off is taken for, over one sample of what it leaves: so much of an error is none. With 4 steps of
+the flyball governor by an explicit method collapse at 1e-12."""
 
 SHORTEST = 1e-12
 """Step [s] below which a run ends."""

@@ -27,6 +27,7 @@
 #define OMEGA 10.0
 #define LEAST_BEFORE 0.01
 #define GIVEN_UP 1e-12
+#define NOISE 8.0
 #define UNBALANCED 0.001
 #define ROUND_OFF 1.7763568394002505e-15
 #define SETTINGS 10

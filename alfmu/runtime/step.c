@@ -8,6 +8,11 @@
 /* Tries with careful iterations after one that needed them. */
 #define STAYS_CAREFUL 8.0
 
+/* Tries without careful iterations after which one is made with them, to see what round-off leaves; from so much of the
+   tolerance on it counts. */
+#define UNSEEN 16.0
+#define SEEN_FLOOR 0.1
+
 /* Of a step that cannot be judged, the next try. */
 #define SHORTENED 0.2
 
@@ -59,10 +64,11 @@ static void try_step(Instance *i)
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     const double dt = pace[PACE_DT], before = pace[PACE_BEFORE], refused = pace[PACE_REFUSED];
-    int careful = s->method_careful >= 0 && pace[PACE_CAREFUL] > 0.0;
+    int careful = s->method_careful >= 0 && (pace[PACE_CAREFUL] > 0.0 || pace[PACE_CAREFUL] <= -UNSEEN);
     if (careful)
-        pace[PACE_CAREFUL] -= 1.0;
+        pace[PACE_CAREFUL] = fmax(pace[PACE_CAREFUL], 1.0) - 1.0;
     else {
+        pace[PACE_CAREFUL] -= 1.0;
         run(i, s->method_step);
         tally[TALLY_TRIES] += 1.0;
         if (s->method_careful >= 0 && (after[s->trouble] != 0.0 || pace[PACE_ACCEPTED] == 0.0)
@@ -78,6 +84,8 @@ static void try_step(Instance *i)
         run(i, s->method_careful);
         tally[TALLY_TRIES] += 1.0;
         tally[TALLY_CAREFUL_TRIES] += 1.0;
+        if (after[s->trouble] == 0.0 && pace[PACE_FLOOR] > SEEN_FLOOR)
+            pace[PACE_CAREFUL] = STAYS_CAREFUL;
     }
     if (after[s->trouble] != 0.0 && s->beside >= 0) {
         run(i, s->beside);
@@ -111,11 +119,11 @@ int cover(Instance *i, double end, long tries)
         }
         judged = 0.0;
         /* The tolerance of a step is a share of that of the run. */
-        if (pace[PACE_ACCEPTED] != 0.0 && pace[PACE_FLOOR] * s->share > 1.0)
+        if (pace[PACE_ACCEPTED] != 0.0 && pace[PACE_FLOOR] * s->share > NOISE)
             warn(i, WARNED_OF_ROUND_OFF,
                 "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had here, "
                 "and the motion goes on at that",
-                s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share,
+                s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share / NOISE,
                 i->values[s->relative_tolerance]);
         if (pace[PACE_ACCEPTED] != 0.0)
             memcpy(m + s->z, after, state_length(s) * sizeof *m);
