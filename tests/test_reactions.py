@@ -149,18 +149,11 @@ def test_a_penalty_runs_as_the_default_does_or_is_refused_by_name(name, options)
         assert angle == pytest.approx(usual_angle, abs=1e-6), ratio
 
 
-@pytest.mark.parametrize(("method", "ratio"), [("explicit", 1.0), ("stiff", 1.0), ("stiff", 100.0)])
+@pytest.mark.parametrize("method", ["explicit", "stiff"])
+@pytest.mark.parametrize("ratio", [1.0, 100.0])
 def test_a_penalty_that_a_method_cannot_take_is_named(method, ratio):
     with pytest.raises(alfmu.StepError, match=r"solver\.penalty"):
         alfmu.simulate(derived("four_bar"), 0.5, 0.02, parameters={"solver.method": method, "solver.penalty": ratio})
-
-
-def test_error_control_takes_more_iterations_where_a_penalty_needs_them():
-    runs = [
-        alfmu.simulate(derived("four_bar"), 0.5, 0.02, parameters={"solver.method": "explicit", "solver.penalty": p})
-        for p in (0.0, 100.0)
-    ]
-    assert runs[1]["link1.angle"] == pytest.approx(runs[0]["link1.angle"], abs=1e-8)
 
 
 def test_an_evaluation_that_did_not_converge_is_told(caplog):

@@ -23,7 +23,7 @@ PATIENT = 4
 """factor to the most multiplier iterations [1]: where the motion may end at a singular position, each
 iteration gains little."""
 
-UNFINISHED = 1e-9
+UNFINISHED = 1e-7
 """last change of accelerations over them [1]: a step or a reading with a given penalty is refused where the multiplier
 iteration ends above it; what it ends with above `solver.tolerance` is counted and told."""
 

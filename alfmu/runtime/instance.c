@@ -1131,8 +1131,8 @@ static Outcome covered(Instance *i, double end, double dt)
         if (s->method == 1 && pace[PACE_DT] < GIVEN_UP)
             return say(i, FAILED,
                 "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use "
-                "smaller inputs",
-                s->name, *time);
+                "smaller inputs%s",
+                s->name, *time, or_penalty(i));
         return say(i, FAILED,
             "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and where "
             "constraints stay open, use explicit or rk4%s",

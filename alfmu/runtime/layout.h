@@ -81,7 +81,7 @@
 #define FAR_RATIO 2.0
 #define COARSE 1024.0
 #define PATIENT 4
-#define UNFINISHED 1e-09
+#define UNFINISHED 1e-07
 #define REGULAR 0.001
 #define PENALTY_RATIO 100000000.0
 #define ALIKE 10.0

@@ -109,7 +109,8 @@ int cover(Instance *i, double end, long tries)
         if (after[s->trouble] != 0.0) {
             const double shorter = SHORTENED * fmin(pace[PACE_DT], end - m[s->z + s->time]);
             if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP) {
-                pace[PACE_DT] = fmax(pace[PACE_DT], judged);
+                /* Near a singular position it is not the length of the step that is wrong. */
+                pace[PACE_DT] = after[s->near] != 0.0 ? judged : fmin(pace[PACE_DT], shorter);
                 return 0;
             }
             pace[PACE_DT] = shorter;
