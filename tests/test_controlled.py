@@ -228,12 +228,14 @@ def test_the_kernel_passes_singular_positions(kernel):
     for k in range(1, 7):
         i.step(times[k] - times[k - 1])
         assert abs(i.q[0] - exact[k]) <= 1e-5  # ten times the tolerance
-    made, refused, beside, limits = i.memory["tally"][-4:]
+    tries, careful, made, refused, beside, limits = i.memory["tally"][-6:]
     assert beside >= 10
     assert limits >= 10
     assert i.counters.steps == made
-    # Each after one that was troubled; outputs are read at the end of each of six communication steps.
-    assert i.counters.evaluations == 13 * (made + refused + beside) + 7 * limits + 6
+    # Each after one that was troubled, and with one more evaluation to see what round-off leaves, as careful tries have
+    # it; outputs are read at the end of each of six communication steps.
+    assert tries >= made + refused
+    assert i.counters.evaluations == 13 * (tries + beside) + careful + beside + 7 * limits + 6
 
 
 @each_kernel

@@ -54,6 +54,9 @@ _STATE = {
 }
 """Calls of fmpy that get, set, free, write and read a state."""
 
+_LOGGERS: list[object] = []
+"""Callbacks of all FMUs, which have to outlive them."""
+
 
 class Fmu:
     """A co-simulation FMU of FMI 2 or 3, unpacked and instantiated; close it, or use it in a `with` statement.
@@ -88,6 +91,8 @@ class Fmu:
                 self.slave = instantiate_fmu(
                     self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
                 )
+                # fmpy's library for logs calls the last logger that any FMU of this process was given, also of a dead one.
+                _LOGGERS.append(getattr(self.slave, "callbacks", None))
             except Exception:
                 why = " ".join(self._why("it says nothing").removeprefix("cannot be instantiated: ").split())
                 raise ExportError(f"{path} cannot be instantiated: {why}") from None

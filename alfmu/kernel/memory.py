@@ -25,9 +25,9 @@ CONTROL = ("step_size", "tier", "method")
 """Largest internal step [s]; first tier (0 quick, 1 careful); what makes the steps (0 the tiers, 1 the method of the
 scene with error control, 2 the same in steps of one length)."""
 
-TALLY = (*TIERS, "limits", "covered", "refused", "beside", "beside_limits", "tries", "careful_tries")
-"""Internal steps made by each tier, limits taken; by the method of the scene: steps, refused ones, tries on the branch,
-limits taken there, other tries, those of them with careful iterations."""
+TALLY = (*TIERS, "limits", "tries", "careful_tries", "covered", "refused", "beside", "beside_limits")
+"""Internal steps made by each tier, limits taken; by the method of the scene: tries, those of them with careful
+iterations, steps made, refused ones, tries on the branch, limits taken there."""
 
 PACE = ("dt", "before", "refused", "fixed", "end", "last", "accepted", "floor", "careful")
 """What step control remembers (`method.stepping.Control.numbers`); the length of all steps where they have one, else 0,

@@ -45,7 +45,7 @@ TITLES = {
 }
 """Panels by unit, in their order; other units follow."""
 
-ERRORS = ("monitor.position_error", "monitor.velocity_error")
+ERRORS = ("monitor.position_error", "monitor.velocity_error", "monitor.step_error")
 """What has a panel of its own, on a logarithmic scale."""
 
 
@@ -111,7 +111,7 @@ def _interesting(result: Result) -> list[str]:
         for name in result.names
         if not name.startswith("multiplier[")
         and not result.units.get(name, "").endswith("/s2")
-        and name not in ("monitor.iterations", "monitor.distance", "monitor.singular")
+        and name not in ("monitor.step_error", "monitor.iterations", "monitor.distance", "monitor.singular")
         and (name == "monitor.energy" or _range(result, name) > 0)
     ]
     return names or result.names
