@@ -91,7 +91,7 @@ class Fmu:
                 self.slave = instantiate_fmu(
                     self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
                 )
-                # fmpy's library for logs calls the last logger that any FMU of this process was given, also of a dead one.
+                # fmpy's library for logs calls the last logger that an FMU of this process had, even of a dead one.
                 _LOGGERS.append(getattr(self.slave, "callbacks", None))
             except Exception:
                 why = " ".join(self._why("it says nothing").removeprefix("cannot be instantiated: ").split())
