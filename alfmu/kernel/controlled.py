@@ -47,9 +47,6 @@ RENEWALS = 4
 NEWMARK_PASSES = 16
 """Most passes of Newton's method in the index-3 form, each with new tangents."""
 
-BESIDE = 7
-"""Multiplier iterations of a step on the branch: enough at the nearest places that a limit is taken from."""
-
 RETURNS = 4
 """Projections of q and v after them."""
 
