@@ -22,8 +22,7 @@ _HOME = {
     "Marker": "model.mechanism",
     "Mechanism": "model.mechanism",
     "Recipe": "fmi.recipe",
-    "Result": "simulation",
-    "Settings": "model.settings",
+    "Result": "result",
     "StepError": "model.errors",
     "WriteError": "model.errors",
     "derive": "equations.derivation",
@@ -56,13 +55,25 @@ if TYPE_CHECKING:
     from .model.mechanism import Mechanism as Mechanism
     from .model.registry import load as load
     from .model.registry import mechanisms as mechanisms
-    from .model.settings import Settings as Settings
+    from .result import Result as Result
     from .runtime import Instance as Instance
-    from .simulation import Result as Result
     from .simulation import simulate as simulate
 
 
+_GONE = {
+    "Settings": "settings of the solver are variables: give parameters={'solver.method': 'explicit'} to simulate(), or "
+    "set('solver.method', 'explicit') of an Instance; `alfmu info NAME --all` lists them",
+}
+"""Names that somebody may look for, and what to do instead."""
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])
+
+
 def __getattr__(name: str) -> Any:
+    if name in _GONE:
+        raise AttributeError(f"module 'alfmu' has no attribute {name!r}; {_GONE[name]}")
     if name not in _HOME:
         raise AttributeError(f"module 'alfmu' has no attribute {name!r}")
     return getattr(import_module(f".{_HOME[name]}", __name__), name)

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import re
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .files import write
 from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, AlfmuWarning, InputError
 
@@ -25,7 +23,7 @@ if TYPE_CHECKING:
     from .equations import Equations
     from .fmi.recipe import Recipe
     from .model.mechanism import Mechanism
-    from .simulation import Result
+    from .result import Result
 
 __all__ = ["main"]
 
@@ -279,10 +277,9 @@ def _changed(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
 
 def _recipe(chosen: argparse.Namespace, name: str) -> Recipe:
     """What is shown or run: a mechanism, or a recipe where no mechanism is called so."""
-    from .fmi.recipe import Recipe, load
-    from .model.registry import mechanisms
+    from .fmi.recipe import of
 
-    return _changed(chosen, Recipe(name) if name in mechanisms() else load(name))
+    return _changed(chosen, of(name))
 
 
 def _equations(recipe: Recipe, mechanism: Mechanism) -> Equations:
@@ -468,7 +465,8 @@ def _export(chosen: argparse.Namespace) -> None:
 
 
 def _simulate(chosen: argparse.Namespace) -> None:
-    from .simulation import read_inputs, run
+    from .result import read_inputs
+    from .simulation import run
 
     inputs = read_inputs(chosen.input) if chosen.input else {}
     if chosen.plot_names and not chosen.plot:
@@ -477,9 +475,8 @@ def _simulate(chosen: argparse.Namespace) -> None:
         from .view.plot import check_name
 
         check_name(Path(chosen.plot))
-    unit, about = _unit(chosen)
-    own = {"stop_time": about.pop("stop_time"), "step": about.pop("interval"), "parameters": about.pop("set")}
-    asked = {"stop_time": chosen.stop_time, "step": chosen.step}
+    unit, own = _unit(chosen)
+    asked = {"stop_time": chosen.stop_time, "communication_step": chosen.step}
     how = {**own, **{name: value for name, value in asked.items() if value is not None}}
     try:
         table = _table_path(chosen, unit.name)
@@ -490,7 +487,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
         result = getattr(ended, "result", None)
         if result is not None:
             try:
-                _keep(chosen, result, about, table)
+                _keep(chosen, result, table)
             except AlfmuError as error:
                 _failed(str(error))
             except BrokenPipeError:
@@ -501,19 +498,21 @@ def _simulate(chosen: argparse.Namespace) -> None:
             unit.close()
     for note in notes:
         print(note)
-    _keep(chosen, result, about, table)
+    _keep(chosen, result, table)
 
 
 def _table_path(chosen: argparse.Namespace, name: str) -> Path:
     """Where the table of a run goes; InputError where it, or the facts beside it, would replace something else."""
+    from .result import facts_beside, facts_in
+
     table = Path(chosen.output or f"{_file_name(name)}.csv")
     if table.suffix.lower() != ".csv":
         raise InputError(f"{table} cannot hold a table; its name must end in .csv")
     if chosen.input and table.resolve() == Path(chosen.input).resolve():
         raise InputError(f"{table} has the inputs of the run and would be replaced; name another file with -o")
-    facts = table.with_suffix(".json")
+    facts = facts_beside(table)
     theirs = facts if facts.exists() else table if table.exists() and not chosen.output else None
-    if theirs and not _facts(facts):
+    if theirs and not facts_in(facts):
         raise InputError(f"{theirs} is there and was not written by alfmu; name another file with -o, or remove it")
     return table
 
@@ -523,16 +522,12 @@ def _file_name(name: str) -> str:
     return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:60] or "result"
 
 
-def _keep(chosen: argparse.Namespace, result: Result, about: dict[str, Any], table: Path) -> None:
+def _keep(chosen: argparse.Namespace, result: Result, table: Path) -> None:
     """Write what a run gave, then say so."""
-    facts = {**about, "parameters": {**about["parameters"], **dict(chosen.set)}}
-    facts["drawing"] = _drawing(facts.pop("declared"), facts["parameters"])
     said: list[str] = []
     try:
         wrote = _wrote(table)
         result.to_csv(table)
-        lines = (f" {json.dumps(key)}: {json.dumps(value, default=str)}" for key, value in facts.items())
-        write(table.with_suffix(".json"), ("{\n" + ",\n".join(lines) + "\n}\n").encode())
         if (c := result.counters) is not None:
             said += [
                 f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
@@ -583,19 +578,8 @@ def _between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[
         yield checked
 
 
-def _drawing(mechanism: Mechanism | None, parameters: Mapping[str, Any]) -> dict[str, Any] | None:
-    """How a mechanism is drawn, for the facts about a run; None where it is not known, or cannot be drawn."""
-    from .view.drawing import as_data
-    from .view.picture import geometry
-
-    try:
-        return as_data(geometry(mechanism, parameters)) if mechanism else None
-    except AlfmuError:
-        return None
-
-
 def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
-    """What to run, and what a later look at the result needs to know."""
+    """What to run, and how where nobody says otherwise."""
     if chosen.unit.endswith(".fmu"):
         from .fmi.drive import Fmu
 
@@ -614,10 +598,9 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
                 f"{chosen.unit}: options, outputs, frozen parameters, locks and the kernel of an FMU are fixed when it "
                 "is exported; give them to `alfmu export`"
             )
-        fmu = Fmu(chosen.unit)
-        about = {"mechanism": fmu.mechanism or fmu.name, "options": fmu.options, "parameters": fmu.parameters}
-        about |= {"declared": _registered(fmu.mechanism, fmu.options), "set": dict(chosen.set)}
-        return fmu, {**about, "stop_time": fmu.stop_time, "interval": fmu.interval}
+        fmu, given = Fmu(chosen.unit), dict(chosen.set)
+        about = {"parameters": given, "facts": fmu.facts(given), "declared": fmu.declared()}
+        return fmu, {**about, "stop_time": fmu.stop_time, "communication_step": fmu.interval}
     from .equations.specialisation import specialised
     from .simulation import instance
 
@@ -626,19 +609,9 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     equations = _equations(recipe, mechanism)
     unit = instance(specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT)
     source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
-    about = {"mechanism": str(source), "options": mechanism.options, "parameters": recipe.parameters}
-    about |= {"declared": mechanism, "set": {}}
-    return unit, {**about, "stop_time": equations.stop_time, "interval": equations.interval}
-
-
-def _registered(name: str, options: Mapping[str, Any]) -> Mechanism | None:
-    """The mechanism that an FMU says it is of, where one of that name is installed here; never a file."""
-    from .model.registry import load, mechanisms
-
-    try:
-        return load(name, **options) if name in mechanisms() else None
-    except (AlfmuError, TypeError, ValueError):  # options are what the FMU says
-        return None
+    facts = {"mechanism": str(source), "options": mechanism.options, "parameters": dict(recipe.parameters)}
+    about = {"parameters": {}, "facts": facts, "declared": mechanism}
+    return unit, {**about, "stop_time": equations.stop_time, "communication_step": equations.interval}
 
 
 def _validate(chosen: argparse.Namespace) -> int:
@@ -653,15 +626,14 @@ def _validate(chosen: argparse.Namespace) -> int:
 
 def _animate(chosen: argparse.Namespace) -> None:
     from .model.registry import load
-    from .simulation import Result
+    from .result import Result, facts_beside
     from .view.drawing import from_data
     from .view.picture import animate, check_film
 
     path = Path(chosen.output or Path(chosen.result).with_suffix(".gif"))
     check_film(path)
     result = Result.from_csv(chosen.result)
-    beside = Path(chosen.result).with_suffix(".json")
-    facts = _facts(beside)
+    facts = result.facts
     if chosen.mechanism:
         shown: Any = load(chosen.mechanism, **dict(chosen.option))
     elif chosen.option or chosen.set:
@@ -670,6 +642,7 @@ def _animate(chosen: argparse.Namespace) -> None:
         try:
             shown = from_data(facts.get("drawing"))
         except ValueError as error:
+            beside = facts_beside(chosen.result)
             why = f"{beside.name} has no drawing ({error})" if facts else f"alfmu wrote no {beside.name} beside it"
             raise InputError(f"{chosen.result}: {why}; say which mechanism it is with --mechanism") from None
     parameters = {**facts.get("parameters", {}), **dict(chosen.set)}
@@ -677,17 +650,6 @@ def _animate(chosen: argparse.Namespace) -> None:
     said = _wrote(path)
     animate(shown, result, path, **how)
     print(said)
-
-
-def _facts(path: Path) -> dict[str, Any]:
-    """What `alfmu simulate` wrote beside a result; nothing where a file is missing, damaged or something else."""
-    form = {"mechanism": str, "options": dict, "parameters": dict}
-    try:
-        found = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        return {}
-    known = isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in form.items())
-    return found if known else {}
 
 
 def _report(chosen: argparse.Namespace) -> None:

@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-import codecs
-import csv
 import math
-from array import array
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import oracle
 from .equations import Equations, Variable
-from .equations.derivation import derive
-from .equations.interface import Counters
-from .equations.specialisation import specialised
-from .files import atomic
 from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
-from .model.registry import load
 from .model.settings import Settings
-from .model.words import there_is
+from .result import Result, Signal, read_inputs
 from .runtime import Instance
 from .runtime.prepare import prepared, with_defaults
+from .runtime.reuse import derived, ready
+
+if TYPE_CHECKING:
+    from .fmi.recipe import Recipe
 
 __all__ = [
     "KERNELS",
@@ -43,48 +37,11 @@ __all__ = [
     "with_defaults",
 ]
 
-Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
-"""An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
-
 MOST = 500_000_000
 """Numbers in a result, at most: 4 GB."""
 
 Progress = Callable[[Sequence[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
-
-
-@dataclass(frozen=True)
-class Result:
-    """Outputs and inputs over time, with what it took: `result["link1.angle"]` is an array like `result.time`."""
-
-    mechanism: str
-    time: NDArray
-    names: list[str]
-    units: dict[str, str]
-    values: NDArray
-    """One row per communication point, one column per name."""
-    counters: Counters | None = None
-    """Work and largest errors; None where the run was made by somebody else's solver."""
-
-    def __getitem__(self, name: str) -> NDArray:
-        try:
-            return self.values[:, self.names.index(name)]
-        except ValueError:
-            raise InputError(f"the result of {self.mechanism} has no {name!r}; {there_is(name, self.names)}") from None
-
-    @classmethod
-    def from_csv(cls, path: str | Path) -> Result:
-        """A table with a column `time` and columns of numbers, called after its file; units are not known."""
-        names, table = _table(path)
-        return cls(Path(path).stem, table[:, 0], names[1:], {}, table[:, 1:])
-
-    def to_csv(self, path: str | Path) -> None:
-        """Write time and all columns with 17 significant digits; the first row holds the names. Raises WriteError."""
-        with atomic(path) as file:
-            writer = csv.writer(codecs.getwriter("utf-8")(file))
-            writer.writerow(["time", *self.names])
-            for t, row in zip(self.time, self.values, strict=True):
-                writer.writerow([f"{x:.17g}" for x in (t, *row)])
 
 
 class Unit(Protocol):
@@ -102,25 +59,28 @@ class Unit(Protocol):
 
 
 def simulate(
-    mechanism: str | Path | Mechanism | Equations,
+    mechanism: str | Path | Mechanism | Equations | Recipe,
     stop_time: float | None = None,
-    step: float | None = None,
+    communication_step: float | None = None,
     *,
     inputs: Mapping[str, Signal] | None = None,
     parameters: Mapping[str, float | str] | None = None,
-    settings: Settings | None = None,
     outputs: Sequence[str] | None = None,
     freeze: Sequence[str] | None = None,
-    kernel: str = DEFAULT,
+    kernel: str | None = None,
     held_rows: bool = False,
     progress: Progress = iter,
 ) -> Result:
-    """Run a mechanism from 0 to `stop_time` [s] with communication steps of `step` [s].
+    """Run a mechanism from 0 to `stop_time` [s] with communication steps of `communication_step` [s].
 
-    `parameters` sets parameters, start values and solver variables by name; `inputs` are held over each communication
-    step at their value at its beginning. Defaults are the mechanism's own. Only outputs that match `outputs` (names, or
-    patterns such as `link*.angle`) are computed, None for all; parameters in `freeze` are folded into the equations.
-    `kernel` is one of `alfmu.kernel.KERNELS`.
+    `mechanism` is a `Mechanism`, a Python file that declares one, the name of a mechanism or of a recipe, an `.fmu`
+    file, a `Recipe`, or equations.
+
+    `parameters` sets parameters, start values and solver variables by name, such as `solver.method`; `inputs` are held
+    over each communication step at their value at its beginning. Defaults are the mechanism's own. Only outputs that
+    match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; parameters in `freeze` are
+    folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`. Runs of one mechanism share what is traced, as
+    long as they differ in numbers alone.
 
     Outputs of a row that depend on inputs at once, such as accelerations and reactions, are those with the inputs that
     are set at its communication point; with `held_rows` those with the inputs of the step that ends there, as importers
@@ -129,13 +89,49 @@ def simulate(
     Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
     that has begun, the exception's `result` has the rows up to then.
     """
-    equations = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
-    if freeze is not None or "solver.method" in (parameters or {}):
-        equations, parameters = with_defaults(equations, parameters or {}), {}
-    unit = instance(specialised(equations, outputs, freeze), kernel, settings)
+    given, how = dict(parameters or {}), {"inputs": inputs, "progress": progress, "held_rows": held_rows}
+    if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
+        if outputs is not None or freeze is not None or kernel is not None:
+            raise InputError(
+                f"{mechanism}: outputs, frozen parameters and the kernel of an FMU are fixed when it is exported; give "
+                "them to alfmu.export()"
+            )
+        return _simulate_fmu(mechanism, stop_time, communication_step, given, how)
+    facts: dict[str, Any] = {}
+    if isinstance(mechanism, Equations):
+        equations = mechanism
+        facts |= {"mechanism": equations.name, "options": equations.options}
+    else:
+        from .fmi.recipe import of
+
+        recipe = of(mechanism)
+        how["declared"] = declared = recipe.declared()
+        equations, given = derived(declared), {**recipe.parameters, **given}
+        outputs = recipe.outputs if outputs is None else outputs
+        freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
+        facts |= {"mechanism": str(recipe), "options": declared.options}
+    kernel = kernel or DEFAULT
+    scene, left = ready(equations, given, outputs, freeze, kernel)
     stop_time = equations.stop_time if stop_time is None else stop_time
-    step = equations.interval if step is None else step
-    return run(unit, stop_time, step, inputs, parameters, progress, held_rows)
+    step = equations.interval if communication_step is None else communication_step
+    return run(instance(scene, kernel), stop_time, step, parameters=left, facts={**facts, "parameters": given}, **how)
+
+
+def _simulate_fmu(
+    path: str | Path,
+    stop_time: float | None,
+    communication_step: float | None,
+    parameters: dict[str, float | str],
+    how: dict[str, Any],
+) -> Result:
+    """Run an FMU as `simulate` does."""
+    from .fmi.drive import Fmu
+
+    with Fmu(path) as fmu:
+        step = fmu.interval if communication_step is None else communication_step
+        facts = fmu.facts(parameters)
+        stop_time = fmu.stop_time if stop_time is None else stop_time
+        return run(fmu, stop_time, step, parameters=parameters, facts=facts, declared=fmu.declared(), **how)
 
 
 def instance(equations: Equations, kernel: str, settings: Settings | None = None) -> Instance:
@@ -146,17 +142,19 @@ def instance(equations: Equations, kernel: str, settings: Settings | None = None
 def run(
     unit: Unit,
     stop_time: float,
-    step: float,
+    communication_step: float,
     inputs: Mapping[str, Signal] | None = None,
     parameters: Mapping[str, float | str] | None = None,
     progress: Progress = iter,
     held_rows: bool = False,
+    facts: Mapping[str, Any] | None = None,
+    declared: Mechanism | None = None,
 ) -> Result:
-    """Drive a unit that is not yet initialised as `simulate` does."""
+    """Drive a unit that is not yet initialised as `simulate` does; the result has `facts` and the mechanism."""
     for name, value in (parameters or {}).items():
         unit.set(name, value)
     variables = [*unit.outputs, *unit.input_variables]
-    times = communication_points(unit.name, stop_time, step, 1 + len(variables))
+    times = communication_points(unit.name, stop_time, communication_step, 1 + len(variables))
     signals = {name: _signal(signal) for name, signal in (inputs or {}).items()}
     names, units = [v.name for v in variables], {v.name: v.unit for v in variables}
     switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
@@ -170,7 +168,8 @@ def run(
         values, ended = _in_one_call(unit, times, list(signals), at, names, progress)
     else:
         values, ended = _step_by_step(unit, times, list(signals), at, progress, held_rows)
-    result = Result(unit.name, times[: len(values)], names, units, values, getattr(unit, "counters", None))
+    counters = getattr(unit, "counters", None)
+    result = Result(unit.name, times[: len(values)], tuple(names), units, values, counters, facts or {}, declared)
     if ended is not None:
         ended.result = result if len(values) else None
         raise ended
@@ -257,69 +256,6 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
     if stop_time - times[-1] > 1e-9 * step:
         return np.append(times, stop_time)
     return times
-
-
-def read_inputs(path: str | Path) -> dict[str, Signal]:
-    """Inputs from a CSV file: a column `time` [s], and a column of finite numbers for each input."""
-    names, table = _table(path)
-    for row, column in np.argwhere(~np.isfinite(table))[:1]:
-        raise InputError(f"{path}: {names[column]} is {table[row, column]} at {table[row, 0]:g} s; inputs are finite")
-    return {name: (table[:, 0], table[:, i]) for i, name in enumerate(names) if i}
-
-
-def _table(path: str | Path) -> tuple[list[str], NDArray]:
-    """Names and numbers of a CSV file whose first column is time; InputError, with the line, where it is none."""
-    line, numbers = 0, array("d")
-    try:
-        with Path(path).open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.reader(file, strict=True)
-            rows = (row for row in reader if row)
-            names = [name.strip() for name in next(rows, [])]
-            _check_names(path, names)
-            for row in rows:
-                line = reader.line_num
-                if len(row) != len(names):
-                    raise InputError(f"{path}, line {line}: {len(row)} columns under {len(names)} names")
-                numbers.extend(map(float, row))
-                if not -math.inf < numbers[-len(names)] < math.inf:
-                    raise InputError(f"{path}, line {line}: time is {row[0]}; it must be a finite number")
-                if len(numbers) > len(names) and numbers[-len(names)] < numbers[-2 * len(names)]:
-                    raise InputError(f"{path}, line {line}: time goes back to {row[0]}; sort the rows by time")
-    except OSError as error:
-        raise InputError(f"cannot read {path} ({error.strerror})") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not a table of numbers: it is no text in UTF-8 ({error.reason})") from None
-    except csv.Error as error:
-        quoted = "end of data" in str(error)
-        why = "a quotation mark is opened and not closed" if quoted else f"it has a {error}"
-        raise InputError(f"{path} is not a table of numbers: {why}, at line {reader.line_num} or before") from None
-    except ValueError:
-        wrong = next(cell for cell in row if not _number(cell))
-        raise InputError(f"{path} is not a table of numbers: line {line} has {wrong[:40]!r}") from None
-    if not numbers:
-        raise InputError(f"{path} has no rows of numbers under its names")
-    return names, np.array(numbers).reshape(-1, len(names))
-
-
-def _check_names(path: str | Path, names: list[str]) -> None:
-    """InputError where a row of names cannot stand over a table."""
-    if names[:1] != ["time"]:
-        raise InputError(
-            f"{path} is not a table of numbers under names: its first column is {(names or [''])[0][:40]!r}; it must "
-            "be 'time', with commas between the columns"
-        )
-    if "" in names:
-        raise InputError(f"{path}: column {1 + names.index('')} has no name")
-    if twice := next((name for name, count in Counter(names).items() if count > 1), None):
-        raise InputError(f"{path}: two columns are called {twice!r}; leave one out")
-
-
-def _number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _signal(signal: Signal) -> Callable[[float], float]:

@@ -40,6 +40,7 @@ from tqdm import tqdm
 
 import alfmu
 from alfmu.equations.specialisation import specialised
+from alfmu.model.settings import Settings
 from alfmu.simulation import prepared
 from alfmu.studies.peers import (
     ANGLE,
@@ -206,7 +207,7 @@ class Alfmu(Peer):
 
 def started(equations: alfmu.Equations, start: Start, step: float = SAMPLE) -> alfmu.Instance:
     """An instance at its start, with this internal step [s]."""
-    instance = alfmu.Instance(equations, alfmu.Settings(step_size=step))
+    instance = alfmu.Instance(equations, Settings(step_size=step))
     instance.set("start.angle", start.angle)
     instance.set("start.angular_velocity", start.rate)
     instance.initialize()

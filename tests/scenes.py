@@ -11,6 +11,7 @@ from oracles.parallelogram import Parallelogram
 import alfmu
 from alfmu import oracle
 from alfmu.method import formulations as method
+from alfmu.model.settings import Settings
 from alfmu.simulation import instance
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
@@ -142,7 +143,7 @@ def evaluate(
     return dict(zip(names, y, strict=True)) | {c.name: x for c, x in zip(equations.coordinates, q, strict=True)}
 
 
-def made(equations: alfmu.Equations, kernel: str, settings: alfmu.Settings | None = None) -> alfmu.Instance:
+def made(equations: alfmu.Equations, kernel: str, settings: Settings | None = None) -> alfmu.Instance:
     """An instance run by a kernel, `oracle` among them."""
     return instance(equations, kernel, settings)
 
@@ -156,7 +157,7 @@ def by_the_oracle(
     equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings
 ) -> oracle.Instance:
     """What `started` gives, on NumPy arrays."""
-    instance = oracle.Instance(equations, alfmu.Settings(step_size=equations.step_size, **settings))
+    instance = oracle.Instance(equations, Settings(step_size=equations.step_size, **settings))
     for name, value in (given or {}).items():
         instance.set(name, value)
     instance.initialize()
@@ -165,7 +166,7 @@ def by_the_oracle(
 
 def started(equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings) -> alfmu.Instance:
     """An initialised instance with parameters, start values, inputs and solver numbers by name."""
-    instance = alfmu.Instance(equations, alfmu.Settings(step_size=equations.step_size, **settings))
+    instance = alfmu.Instance(equations, Settings(step_size=equations.step_size, **settings))
     for name, value in (given or {}).items():
         instance.set(name, value)
     instance.initialize()

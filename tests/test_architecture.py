@@ -19,13 +19,19 @@ ROOMS: dict[str, set[str]] = {
     "kernel": {"equations", "method", "model"},
     "runtime": {"equations", "files", "kernel", "method", "model"},
     "oracle": {"equations", "kernel", "method", "model", "runtime"},
-    "simulation": {"equations", "files", "kernel", "model", "oracle", "runtime"},
-    "view": {"equations", "files", "model", "runtime", "simulation"},
-    "fmi": {"equations", "files", "kernel", "model", "runtime", "simulation", "view"},
+    "result": {"equations", "files", "model"},
+    "simulation": {"equations", "kernel", "model", "oracle", "result", "runtime"},
+    "view": {"equations", "files", "model", "result", "runtime", "simulation"},
+    "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation"},
-    "cli": {"equations", "files", "fmi", "kernel", "model", "runtime", "simulation", "studies", "view"},
+    "cli": {"equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "view"},
+    "__main__": {"cli"},
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
+
+LATE: dict[str, set[str]] = {"result": {"view"}, "simulation": {"fmi"}}
+"""Room -> the rooms above it that it imports when it is asked to: `result.plot()`, the film of a result, an FMU that
+`simulate` is given. Never where a module is imported."""
 
 
 def modules() -> dict[str, Path]:
@@ -42,11 +48,24 @@ MODULES = modules()
 
 
 def imports(path: Path) -> tuple[set[str], set[str]]:
-    """Modules of alfmu, and top-level packages from elsewhere, that a file imports anywhere in its text."""
+    """Modules of alfmu, those of LATE in functions left out, and top-level packages from elsewhere, that a file imports
+    anywhere in its text."""
+    tree = ast.parse(path.read_text())
+    own, foreign = imports_of(path, list(ast.walk(tree)))
+    late = LATE.get(path.relative_to(PACKAGE).parts[0].removesuffix(".py"), set())
+    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+    typed = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    within = {id(node) for each in (*functions, *typed) for node in ast.walk(each)}
+    at_once, _ = imports_of(path, [node for node in ast.walk(tree) if id(node) not in within])
+    return {name for name in own if name in at_once or room(name) not in late}, foreign
+
+
+def imports_of(path: Path, nodes: list[ast.AST]) -> tuple[set[str], set[str]]:
+    """The same of some nodes of a file."""
     own: set[str] = set()
     foreign: set[str] = set()
     package = list(path.relative_to(PACKAGE).parent.parts)
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in nodes:
         if isinstance(node, ast.ImportFrom) and node.level:
             base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
             names = {".".join([*base, name.name]) for name in node.names}

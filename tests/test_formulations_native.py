@@ -20,7 +20,7 @@ from alfmu.kernel.alternatives import SYSTEMS, alternatives, formulations
 from alfmu.kernel.memory import Layout
 from alfmu.kernel.tables import known_choices
 from alfmu.kernel.trace import Calls, Tracer
-from alfmu.model.settings import FORMULATIONS
+from alfmu.model.settings import FORMULATIONS, Settings
 from alfmu.simulation import prepared, run, with_defaults
 
 SCENES = ("slider_crank", "five_bar", "particle_on_circle", "four_bar")
@@ -165,7 +165,7 @@ def test_stabilisation_and_projection_are_numbers_of_the_instance(built, formula
     forced = {-1.0: None, 0.0: False, 1.0: True}[projects]
     values = {"solver.formulation": formulation, "start.angle": 0.4, **SOFT}
     library = oracle.Instance(
-        prepared(equations, "oracle"), alfmu.Settings(step_size=0.02, zeta=zeta, omega=omega, projection=forced)
+        prepared(equations, "oracle"), Settings(step_size=0.02, zeta=zeta, omega=omega, projection=forced)
     )
     for name, value in values.items():
         library.set(name, value)

@@ -7,6 +7,7 @@ from scenes import derived, made
 import alfmu
 from alfmu.equations import Mobility
 from alfmu.kernel.trace import traced
+from alfmu.model.settings import Settings
 from alfmu.simulation import prepared
 from alfmu.studies.cost import cost
 
@@ -156,9 +157,9 @@ def test_a_penalty_of_the_users_own_is_as_exact_by_the_kernel(penalty):
 @pytest.mark.parametrize(
     "settings",
     [
-        alfmu.Settings(formulation="classic"),
-        alfmu.Settings(projection=False),
-        alfmu.Settings(max_iterations=1),
+        Settings(formulation="classic"),
+        Settings(projection=False),
+        Settings(max_iterations=1),
     ],
     ids=["classic", "no projection", "one iteration"],
 )
@@ -182,7 +183,7 @@ def test_a_penalty_for_each_constraint_runs_by_the_kernel(kernel, off):
     alpha = np.geomspace(1e7, 1e10, 8)
     if off is not None:
         alpha[off] = 0.0
-    settings = alfmu.Settings(penalty=alpha)
+    settings = Settings(penalty=alpha)
     both = [made(derived("five_bar"), k, settings) for k in (kernel, "oracle")]
     for i in both:
         i.set("start.angle", 0.4)

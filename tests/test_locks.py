@@ -310,4 +310,4 @@ def test_a_scene_without_switches_carries_none_of_it():
         "monitor.energy_lost",
     }
     some = alfmu.simulate(alfmu.load("four_bar"), 0.1, outputs=["link1.angle"])
-    assert some.names == ["link1.angle", "A.torque", "D.torque"]
+    assert some.names == ("link1.angle", "A.torque", "D.torque")

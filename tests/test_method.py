@@ -13,8 +13,9 @@ from scenes import by_the_oracle as started
 from scenes import derived, readings
 
 import alfmu
-from alfmu import oracle
+from alfmu import oracle, simulation
 from alfmu.method import formulations as method
+from alfmu.model.settings import Settings
 
 EPS = np.finfo(float).eps
 
@@ -60,7 +61,7 @@ class TestResidualForm:
 
     def iterations(self, ratio: float) -> int:
         """Iterations that are enough whatever the round-off, at least the default."""
-        return max(alfmu.Settings.max_iterations, math.ceil(math.log(1e-13) / math.log(16 * EPS * ratio)))
+        return max(Settings.max_iterations, math.ceil(math.log(1e-13) / math.log(16 * EPS * ratio)))
 
     def instances(self, ratio: float, sizes: dict) -> Iterator[tuple[alfmu.Instance, np.ndarray, np.ndarray]]:
         """At each state, the exact accelerations and multipliers of least norm beside it."""
@@ -363,8 +364,8 @@ def run(mechanism: str, formulation: str, step: float, **settings) -> tuple[floa
     else:
         given, inputs, name = start(-1.0, 2.0), {}, "link1.angle"
         exact = Parallelogram().swing(-1.0, 2.0, TIMES)
-    chosen = alfmu.Settings(step_size=step, formulation=formulation, **settings)
-    r = alfmu.simulate(derived(mechanism), 1.0, 0.1, parameters=given, inputs=inputs, settings=chosen)
+    chosen = Settings(step_size=step, formulation=formulation, **settings)
+    r = simulation.run(alfmu.Instance(derived(mechanism), chosen), 1.0, 0.1, inputs, given)
     return float(np.abs(r[name] - exact[:, 0]).max()), r
 
 
@@ -496,4 +497,4 @@ def test_unconverged_iterations_are_counted() -> None:
 def test_settings_that_make_no_sense(settings: dict, says: str) -> None:
     """InputError with the mechanism, the number and what it may be."""
     with pytest.raises(alfmu.InputError, match=f"five_bar: .*{says}"):
-        oracle.Instance(derived("five_bar"), alfmu.Settings(**settings))
+        oracle.Instance(derived("five_bar"), Settings(**settings))

@@ -187,7 +187,7 @@ def test_a_constraint_written_up_to_five_times_changes_no_motion(name, options, 
         m = alfmu.load(name, **options)
         row = {c.name: c for c in m.closures}["rod.length" if "natural" in options.values() else "C"]
         for k in range(1, copies):
-            m.closures.append(replace(row, **({"name": f"C{k}"} if isinstance(row, Joint) else {})))
+            alfmu.Mechanism.closures.of(m).append(replace(row, **({"name": f"C{k}"} if isinstance(row, Joint) else {})))
         parameters = {**given, "solver.step_size": 0.0025}
         r = alfmu.simulate(alfmu.derive(m), 3.0, 0.05, parameters=parameters, inputs=inputs)
         angles.append(r[next(n for n in r.names if n.endswith("angle"))])

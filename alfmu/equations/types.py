@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from ..model.words import Brief
+
 if TYPE_CHECKING:
     import casadi as ca
 
@@ -19,8 +21,8 @@ column offsets, row indices] where it is sparse; `matrices`, how many of the res
 vectors."""
 
 
-@dataclass(frozen=True)
-class Variable:
+@dataclass(frozen=True, repr=False)
+class Variable(Brief):
     """A named quantity with unit, start value, inclusive bounds and description."""
 
     name: str
@@ -35,8 +37,8 @@ class Variable:
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
 
 
-@dataclass(frozen=True)
-class Switch:
+@dataclass(frozen=True, repr=False)
+class Switch(Brief):
     """A Boolean input that puts constraints in force and out of it while the mechanism moves."""
 
     name: str
@@ -71,7 +73,7 @@ class Mobility:
     """Independent velocities at the given position; more than `freedom` where it is singular."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Equations:
     """The equations that `alfmu.derive` found of a mechanism with n coordinates and l constraints.
 
@@ -159,6 +161,9 @@ class Equations:
     programs: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     """The scene as it was loaded, and these equations traced with other settings: once for all instances of these
     equations, and not for others made of them."""
+
+    def __repr__(self) -> str:
+        return f"Equations({self.name!r}, n = {self.n}, l = {self.l}{', traced' if self.kernel else ''})"
 
     @property
     def n(self) -> int:

@@ -6,7 +6,7 @@ import json
 import math
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
@@ -21,9 +21,12 @@ from numpy.typing import NDArray
 
 from ..equations import Variable
 from ..files import scratch
-from ..model.errors import ExportError, InputError, StepError
+from ..model import registry
+from ..model.errors import AlfmuError, ExportError, InputError, StepError
+from ..model.mechanism import Mechanism
 from ..model.words import there_is
-from ..simulation import Result, run
+from ..result import Result
+from ..simulation import run
 from .experiment import Experiment, unlike
 from .slave import OPTIONS
 
@@ -100,6 +103,9 @@ class Fmu:
         self.mechanism, self.options = _facts(self._folder / "resources" / OPTIONS) or ("", {})
         """The mechanism, and the options that it was exported with, if alfmu exported it; as the FMU says."""
         self.begun = False
+
+    def __repr__(self) -> str:
+        return f"Fmu({self.name!r}, FMI {self.description.fmiVersion}{'' if self.slave else ', closed'})"
 
     def __enter__(self) -> Fmu:
         return self
@@ -190,6 +196,18 @@ class Fmu:
     def reference(self) -> tuple[Experiment, Result] | None:
         """The experiment and the reference results inside, None where there are none."""
         return Experiment.read(self._folder, self.description.coSimulation.modelIdentifier)
+
+    def facts(self, parameters: Mapping[str, float | str]) -> dict[str, Any]:
+        """What a result of it says of what was run, with these parameters."""
+        known = {**self.parameters, **parameters}
+        return {"mechanism": self.mechanism or self.name, "options": self.options, "parameters": known}
+
+    def declared(self) -> Mechanism | None:
+        """The mechanism that it says it is of, where one of that name is installed here; never a file."""
+        try:
+            return registry.load(self.mechanism, **self.options) if self.mechanism in registry.mechanisms() else None
+        except (AlfmuError, TypeError, ValueError):  # options are what the FMU says
+            return None
 
     def _check_folder(self, path: str | Path) -> None:
         """ExportError where pythonfmu's library would end the process: of a URI, it decodes blanks alone."""

@@ -19,8 +19,9 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import MONITORS
 from ..model.errors import InputError, StepError
+from ..result import Result
 from ..runtime import Instance
-from ..simulation import Result, run
+from ..simulation import run
 
 __all__ = ["AGREES", "FOLDER", "Experiment", "reference_results", "unlike"]
 

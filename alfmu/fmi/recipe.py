@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 from ..kernel import KERNELS
 from ..model.errors import ExportError, InputError
-from ..model.words import LONGEST
+from ..model.words import LONGEST, Brief
 
 if TYPE_CHECKING:
     from ..model.mechanism import Mechanism
 
-__all__ = ["GROUP", "KINDS", "Recipe", "load", "recipes"]
+__all__ = ["GROUP", "KINDS", "Recipe", "load", "of", "recipes"]
 
 GROUP = "alfmu.fmus"
 """Entry-point group in which any package can register modules that declare a recipe."""
@@ -79,8 +79,8 @@ _FORM: dict[str, tuple[Callable[[Any], bool], str]] = {
 """Fields of a recipe: whether a value can be one, and in words."""
 
 
-@dataclass(frozen=True)
-class Recipe:
+@dataclass(frozen=True, repr=False)
+class Recipe(Brief):
     """One exported FMU: a mechanism, what of it the FMU has, and its form. Checked when it is made.
 
     `mechanism` is a registered name, the path of a Python file that declares one (relative to the recipe's file), or a
@@ -196,6 +196,13 @@ class Recipe:
         own = {name: value for name, value in own.items() if value is not None}
         mechanism.experiment = replace(mechanism.experiment, **own)
         return mechanism
+
+
+def of(which: str | Path | Mechanism | Recipe) -> Recipe:
+    """What a name or a file stands for where something is run or shown: a mechanism as it is, or else a recipe."""
+    from ..model.registry import mechanisms
+
+    return Recipe(which) if isinstance(which, str) and which in mechanisms() else load(which)
 
 
 def recipes() -> dict[str, Recipe]:

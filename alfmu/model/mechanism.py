@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Generic, Never, Self, TypeVar, overload
 
 import casadi as ca
 import numpy as np
@@ -19,7 +19,7 @@ from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, us
 from .errors import DeclarationError
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .units import UNITS, alike, rate_of, unit
-from .words import LONGEST, in_words, shown, text, there_is
+from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
 
@@ -50,8 +50,8 @@ EFFORTS = {"rad": "N.m", "m": "N"}
 """Unit of the effort along a displacement."""
 
 
-@dataclass(frozen=True)
-class Symbol:
+@dataclass(frozen=True, repr=False)
+class Symbol(Brief):
     """What a symbol of a declaration stands for; `kind` is one of READING or GUESS."""
 
     kind: str
@@ -59,8 +59,8 @@ class Symbol:
     unit: str
 
 
-@dataclass(frozen=True)
-class Parameter:
+@dataclass(frozen=True, repr=False)
+class Parameter(Brief):
     """A constant that a user may change before the start."""
 
     name: str
@@ -72,8 +72,8 @@ class Parameter:
     description: str
 
 
-@dataclass(frozen=True)
-class Start:
+@dataclass(frozen=True, repr=False)
+class Start(Brief):
     """A quantity whose value and rate the user gives at the start; `tied` is the expression that must equal it."""
 
     name: str
@@ -85,8 +85,8 @@ class Start:
     description: str
 
 
-@dataclass(frozen=True)
-class Coordinate:
+@dataclass(frozen=True, repr=False)
+class Coordinate(Brief):
     """A dependent coordinate with its symbols for q, v, a and its guess at the start."""
 
     name: str
@@ -97,8 +97,8 @@ class Coordinate:
     guess: Scalar
 
 
-@dataclass(frozen=True)
-class Input:
+@dataclass(frozen=True, repr=False)
+class Input(Brief):
     """A quantity that the environment sets at any time."""
 
     name: str
@@ -108,8 +108,8 @@ class Input:
     description: str
 
 
-@dataclass(frozen=True)
-class Output:
+@dataclass(frozen=True, repr=False)
+class Output(Brief):
     """An expression that a user asked for by name."""
 
     name: str
@@ -118,16 +118,16 @@ class Output:
     description: str
 
 
-@dataclass(frozen=True)
-class Point:
+@dataclass(frozen=True, repr=False)
+class Point(Brief):
     """A point in ground axes given by expressions in the coordinates (natural coordinates)."""
 
     x: Scalar
     y: Scalar
 
 
-@dataclass(frozen=True, eq=False)
-class Marker:
+@dataclass(frozen=True, eq=False, repr=False)
+class Marker(Brief):
     """A point fixed on a body, by its place in the body's frame."""
 
     body: Body
@@ -135,8 +135,8 @@ class Marker:
     y: Scalar
 
 
-@dataclass(eq=False)
-class Body:
+@dataclass(eq=False, repr=False)
+class Body(Brief):
     """A rigid planar body; its frame's origin is wherever the user measures from."""
 
     name: str
@@ -170,8 +170,8 @@ class Body:
         return self.pose is not None or self.between is not None or self.placed_by is not None
 
 
-@dataclass(eq=False)
-class Joint:
+@dataclass(eq=False, repr=False)
+class Joint(Brief):
     """A joint between two bodies: closed by a coordinate where one is given, otherwise by constraints."""
 
     name: str
@@ -194,8 +194,8 @@ AnyMarker = Marker | SpatialMarker
 AnyJoint = Joint | SpatialJoint
 
 
-@dataclass(frozen=True)
-class Rigidity:
+@dataclass(frozen=True, repr=False)
+class Rigidity(Brief):
     """The constant distance between the two points that carry a body in natural coordinates."""
 
     body: Body
@@ -205,8 +205,8 @@ class Rigidity:
         return f"{self.body.name}.length"
 
 
-@dataclass(frozen=True)
-class Constraint:
+@dataclass(frozen=True, repr=False)
+class Constraint(Brief):
     """A constraint written out by the user."""
 
     name: str
@@ -214,8 +214,8 @@ class Constraint:
     unit: str
 
 
-@dataclass(frozen=True)
-class Lock:
+@dataclass(frozen=True, repr=False)
+class Lock(Brief):
     """A displacement that a Boolean input stops where it is and lets go again; `value` is where it was stopped."""
 
     name: str
@@ -224,8 +224,8 @@ class Lock:
     value: ca.SX
 
 
-@dataclass(frozen=True)
-class Spring:
+@dataclass(frozen=True, repr=False)
+class Spring(Brief):
     """A linear spring-damper along a displacement: of a joint, or the distance of two markers."""
 
     between: AnyJoint | tuple[AnyMarker, AnyMarker]
@@ -234,16 +234,16 @@ class Spring:
     rest: Scalar
 
 
-@dataclass(frozen=True)
-class Drive:
+@dataclass(frozen=True, repr=False)
+class Drive(Brief):
     """An effort along a joint's free direction, on the second body from the first."""
 
     joint: AnyJoint
     effort: Scalar
 
 
-@dataclass(frozen=True)
-class Load:
+@dataclass(frozen=True, repr=False)
+class Load(Brief):
     """A force in ground axes at a marker, or a torque on a body."""
 
     at: Marker
@@ -269,7 +269,34 @@ class Experiment:
                 raise DeclarationError(f"{name} of an experiment is {value} s; it must be above zero")
 
 
-@dataclass
+_Part = TypeVar("_Part")
+
+
+class _Parts(Generic[_Part]):
+    """Parts of a mechanism in the order of their declaration: a tuple for readers; its methods alone add to it."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    @overload
+    def __get__(self, mechanism: None, owner: type) -> Self: ...
+    @overload
+    def __get__(self, mechanism: Mechanism, owner: type) -> tuple[_Part, ...]: ...
+    def __get__(self, mechanism: Mechanism | None, owner: type) -> Self | tuple[_Part, ...]:
+        return self if mechanism is None else tuple(self.of(mechanism))
+
+    def __set__(self, mechanism: Mechanism, value: object) -> Never:
+        raise DeclarationError(
+            f"{mechanism.name}: its {self._name.replace('_', ' ')} cannot be set; declare them one by one, by methods "
+            "such as bar() and revolute()"
+        )
+
+    def of(self, mechanism: Mechanism) -> list[_Part]:
+        """The list itself."""
+        return mechanism._parts.setdefault(self._name, [])
+
+
+@dataclass(eq=False, repr=False)
 class Mechanism:
     """A mechanism: bodies and joints in the plane or in space, with a general level for everything else.
 
@@ -292,30 +319,56 @@ class Mechanism:
     sketch: str = ""
     experiment: Experiment = field(default_factory=Experiment)
     author: str = ""
-    parameters: list[Parameter] = field(default_factory=list, init=False)
-    starts: list[Start] = field(default_factory=list, init=False)
-    ties: list[tuple[ca.SX, ca.SX]] = field(default_factory=list, init=False)
-    coordinates: list[Coordinate] = field(default_factory=list, init=False)
-    inputs: list[Input] = field(default_factory=list, init=False)
-    outputs: list[Output] = field(default_factory=list, init=False)
-    bodies: list[Body] = field(default_factory=list, init=False)
-    joints: list[Joint] = field(default_factory=list, init=False)
-    spatial_bodies: list[SpatialBody] = field(default_factory=list, init=False)
-    spatial_joints: list[SpatialJoint] = field(default_factory=list, init=False)
-    closures: list[AnyJoint | Rigidity | Constraint | Lock] = field(default_factory=list, init=False)
-    releases: list[AnyJoint | Constraint] = field(default_factory=list, init=False)
-    springs: list[Spring] = field(default_factory=list, init=False)
-    drives: list[Drive] = field(default_factory=list, init=False)
-    loads: list[Load] = field(default_factory=list, init=False)
-    kinetic: list[ca.SX] = field(default_factory=list, init=False)
-    potential: list[ca.SX] = field(default_factory=list, init=False)
-    generalized: list[tuple[ca.SX, Scalar]] = field(default_factory=list, init=False)
+    parameters = _Parts[Parameter]()
+    """Constants that a user may change."""
+    starts = _Parts[Start]()
+    """Quantities given at the start."""
+    ties = _Parts[tuple[ca.SX, ca.SX]]()
+    """Start quantities and the expressions that must equal them."""
+    coordinates = _Parts[Coordinate]()
+    """The dependent coordinates q, in their order."""
+    inputs = _Parts[Input]()
+    """What the environment sets."""
+    outputs = _Parts[Output]()
+    """Results of the user's own."""
+    bodies = _Parts[Body]()
+    """Bodies in the plane, without the ground."""
+    joints = _Parts[Joint]()
+    """Joints in the plane."""
+    spatial_bodies = _Parts[SpatialBody]()
+    """Bodies in space, without the ground."""
+    spatial_joints = _Parts[SpatialJoint]()
+    """Joints in space."""
+    closures = _Parts[AnyJoint | Rigidity | Constraint | Lock]()
+    """What is closed by constraints, in the order of its rows."""
+    releases = _Parts[AnyJoint | Constraint]()
+    """What a Boolean input can open."""
+    springs = _Parts[Spring]()
+    """Springs and dampers."""
+    drives = _Parts[Drive]()
+    """Efforts along joints."""
+    loads = _Parts[Load]()
+    """Forces and torques from the ground."""
+    kinetic = _Parts[ca.SX]()
+    """Kinetic energies at the general level."""
+    potential = _Parts[ca.SX]()
+    """Potential energies at the general level."""
+    generalized = _Parts[tuple[ca.SX, Scalar]]()
+    """Coordinates and generalised forces along them."""
     gravity_vector: Vector = field(default=(0.0, 0.0, 0.0), init=False)
     documentation: str = field(default="", init=False)
     options: dict[str, Any] = field(default_factory=dict, init=False)
     compliant: bool = field(default=False, init=False)
 
+    def __repr__(self) -> str:
+        sizes = {"coordinate": len(self.coordinates), "input": len(self.inputs)}
+        sizes["body"] = len(self.bodies) + len(self.spatial_bodies)
+        sizes["joint"] = len(self.joints) + len(self.spatial_joints)
+        said = [counted(size, of) for of, size in sizes.items() if size]
+        return f"Mechanism({', '.join([repr(self.name), *said])})"
+
     def __post_init__(self) -> None:
+        self._parts: dict[str, list[Any]] = {}
         if not re.fullmatch(r"[A-Za-z_]\w*", text("the name of a mechanism", self.name, LONGEST), re.ASCII):
             raise DeclarationError(f"{self.name!r} cannot name a mechanism; use letters, digits and underscores")
         for each in ("description", "sketch", "author"):
@@ -358,7 +411,7 @@ class Mechanism:
         if unit == "m":
             perhaps_millimetres(f"{self.name}: the default of {name}", default)
         text(f"{self.name}: the description of {name}", description)
-        self.parameters.append(Parameter(name, symbol, default, unit, low, high, description))
+        Mechanism.parameters.of(self).append(Parameter(name, symbol, default, unit, low, high, description))
         return self._stands_for(symbol, "parameters", f"the parameter {name}", unit)
 
     def start(
@@ -383,7 +436,7 @@ class Mechanism:
         if unit == "rad":
             perhaps_degrees(f"{self.name}: start.{name}", value)
         text(f"{self.name}: the description of {name}", description)
-        self.starts.append(Start(name, symbol, value, unit, rate_name, rate, description))
+        Mechanism.starts.of(self).append(Start(name, symbol, value, unit, rate_name, rate, description))
         self._by_symbol[key_of(symbol)] = self.starts[-1]
         return self._stands_for(symbol, "start values", f"the start value start.{name}", unit)
 
@@ -393,7 +446,7 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: tie() takes a symbol that start() returned, not {shown(start)}")
         quantity = self._by_symbol[key_of(start)]
         what = f"what start.{quantity.name} is tied to"
-        self.ties.append((start, symbolic(self._quantity(what, expression, quantity.unit, PLACE))))
+        Mechanism.ties.of(self).append((start, symbolic(self._quantity(what, expression, quantity.unit, PLACE))))
 
     def coordinate(
         self,
@@ -426,7 +479,7 @@ class Mechanism:
                 f"{self.name}: only an independent coordinate has a start rate; {name} is not, so add independent=True"
             )
         c = Coordinate(name, symbol, ca.SX.sym(f"{name}_v"), ca.SX.sym(f"{name}_a"), unit, start)
-        self.coordinates.append(c)
+        Mechanism.coordinates.of(self).append(c)
         self._by_symbol[key_of(symbol)] = c
         self._stands_for(symbol, "coordinates", f"the coordinate {name}", unit)
         self._stands_for(c.v, "rates", f"the rate of {name}", rate_of(unit))
@@ -447,7 +500,9 @@ class Mechanism:
         """A quantity set from outside at any time; returns its symbol."""
         symbol = self._claim(name, unit, "an input")
         text(f"{self.name}: the description of {name}", description)
-        self.inputs.append(Input(name, symbol, unit, self._plain(f"the start of {name}", start), description))
+        Mechanism.inputs.of(self).append(
+            Input(name, symbol, unit, self._plain(f"the start of {name}", start), description)
+        )
         return self._stands_for(symbol, "inputs", f"the input {name}", unit)
 
     def output(self, name: str, expression: Scalar, unit: str = "1", description: str = "") -> None:
@@ -455,7 +510,7 @@ class Mechanism:
         self._claim(name, unit, "an output")
         text(f"{self.name}: the description of {name}", description)
         expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
-        self.outputs.append(Output(name, expression, unit, description))
+        Mechanism.outputs.of(self).append(Output(name, expression, unit, description))
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
@@ -499,7 +554,7 @@ class Mechanism:
         body = Body(name, mass, mass * length**2 / 12, (length / 2, 0.0), length, self._pose(name, pose), between)
         self._add(body)
         if between is not None:
-            self.closures.append(Rigidity(body))
+            Mechanism.closures.of(self).append(Rigidity(body))
         return body
 
     def point(self, x: Scalar, y: Scalar) -> Point:
@@ -544,7 +599,7 @@ class Mechanism:
         r = [self.coordinate(f"{name}_{axis}", "m", start=x) for axis, x in zip("xyz", position, strict=True)]
         e = [self.coordinate(f"{name}_e{i}", "1", start=x) for i, x in enumerate(attitude)]
         body = SpatialBody(name, mass, inertia, center, stack(r), stack(e))
-        self.spatial_bodies.append(body)
+        Mechanism.spatial_bodies.of(self).append(body)
         self._owned.add(body)
         self.constraint(body.unit_length, (ca.sumsqr(body.attitude) - 1) / 2, "1")
         return body
@@ -640,19 +695,21 @@ class Mechanism:
     def drive(self, joint: AnyJoint, effort: Scalar) -> None:
         """A torque [N.m] (revolute) or force along the guide [N] (prismatic) on the second body from the first."""
         unit = EFFORTS[self._free(joint, "drive()")]
-        self.drives.append(Drive(joint, self._quantity(f"the effort on {joint.name}", effort, unit, EFFORT)))
+        Mechanism.drives.of(self).append(
+            Drive(joint, self._quantity(f"the effort on {joint.name}", effort, unit, EFFORT))
+        )
 
     def force(self, at: Marker, x: Scalar = 0.0, y: Scalar = 0.0) -> None:
         """A force [N] in ground axes at a point of a body: an input, a constant, or any expression."""
         self._own((at,), "force()", Marker)
         force = self._vector(f"the force on {at.body.name}", (x, y), ("N",) * 2, EFFORT)
-        self.loads.append(Load(at, force, 0.0))
+        Mechanism.loads.of(self).append(Load(at, force, 0.0))
 
     def torque(self, body: Body, torque: Scalar) -> None:
         """A torque [N.m] on a body from the ground."""
         self._body(body, "torque()")
         torque = self._quantity(f"the torque on {body.name}", torque, "N.m", EFFORT)
-        self.loads.append(Load(body.start, (0.0, 0.0), torque))
+        Mechanism.loads.of(self).append(Load(body.start, (0.0, 0.0), torque))
 
     def spring_damper(
         self,
@@ -682,7 +739,7 @@ class Mechanism:
         stiffness = self._quantity(f"the stiffness of {what}", stiffness, f"{EFFORTS[along]}/{along}", PLACE)
         damping = self._quantity(f"the damping of {what}", damping, f"{EFFORTS[along]}.s/{along}", EFFORT)
         rest = self._quantity(f"the rest of {what}", rest, along, PLACE)
-        self.springs.append(Spring(between, stiffness, damping, rest))
+        Mechanism.springs.of(self).append(Spring(between, stiffness, damping, rest))
 
     def friction(self, joint: AnyJoint, coefficient: Scalar) -> None:
         """Viscous friction in a joint [N.m.s/rad or N.s/m]."""
@@ -692,23 +749,25 @@ class Mechanism:
 
     def kinetic_energy(self, expression: ca.SX) -> None:
         """Kinetic energy [J] in coordinates and their rates, in addition to that of the bodies."""
-        self.kinetic.append(symbolic(self._quantity("a kinetic energy", expression, "J", MOTION)))
+        Mechanism.kinetic.of(self).append(symbolic(self._quantity("a kinetic energy", expression, "J", MOTION)))
 
     def potential_energy(self, expression: ca.SX) -> None:
         """Potential energy [J] in coordinates, in addition to that of the bodies and springs."""
-        self.potential.append(symbolic(self._quantity("a potential energy", expression, "J", PLACE)))
+        Mechanism.potential.of(self).append(symbolic(self._quantity("a potential energy", expression, "J", PLACE)))
 
     def generalized_force(self, coordinate: ca.SX, expression: Scalar) -> None:
         """A generalised force along a coordinate: any expression in coordinates, rates, inputs and time."""
         along = self._coordinate(coordinate)
         what = f"the generalised force along {along.name}"
         expression = self._quantity(what, expression, EFFORTS.get(along.unit, "1"), EFFORT)
-        self.generalized.append((along.q, expression))
+        Mechanism.generalized.of(self).append((along.q, expression))
 
     def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
         """A holonomic constraint Phi(q) = 0 in m, rad or 1, after the joints declared so far."""
         self._claim(name, unit, "a constraint")
-        self.closures.append(Constraint(name, self._of_coordinates(f"constraint {name}", expression, unit), unit))
+        Mechanism.closures.of(self).append(
+            Constraint(name, self._of_coordinates(f"constraint {name}", expression, unit), unit)
+        )
 
     def compliances(self) -> None:
         """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.
@@ -755,11 +814,11 @@ class Mechanism:
                 f"{self.name}: {called} is not closed by constraints, so it cannot be released; those are {names}"
             )
         self._claim(f"{found[0].name}.released", "1", "an input")
-        self.releases.append(found[0])
+        Mechanism.releases.of(self).append(found[0])
 
     def _lock(self, name: str, of: AnyJoint | tuple[Body, Body] | ca.SX, unit: str) -> None:
         self._claim(f"{name}.locked", "1", "an input")
-        self.closures.append(Lock(name, of, unit, ca.SX.sym(f"{name}.locked_at")))
+        Mechanism.closures.of(self).append(Lock(name, of, unit, ca.SX.sym(f"{name}.locked_at")))
 
     def _joint(self, of: AnyJoint | str) -> AnyJoint:
         joints = [*self.joints, *self.spatial_joints]
@@ -809,7 +868,7 @@ class Mechanism:
 
     def _add(self, body: Body) -> Body:
         self._claim(body.name, "1", "a body")
-        self.bodies.append(body)
+        Mechanism.bodies.of(self).append(body)
         self._owned.add(body)
         return body
 
@@ -836,8 +895,8 @@ class Mechanism:
                 )
             target.placed_by = joint
         else:
-            self.closures.append(joint)
-        self.joints.append(joint)
+            Mechanism.closures.of(self).append(joint)
+        Mechanism.joints.of(self).append(joint)
         return joint
 
     def _join_in_space(self, joint: SpatialJoint) -> SpatialJoint:
@@ -848,8 +907,8 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
         if second is self.spatial_ground:
             raise DeclarationError(f"{self.name}: joint {joint.name} ends on the ground; name the ground first")
-        self.closures.append(joint)
-        self.spatial_joints.append(joint)
+        Mechanism.closures.of(self).append(joint)
+        Mechanism.spatial_joints.of(self).append(joint)
         return joint
 
     def _axes(self, name: str, axis: Sequence[float], second: Sequence[float] | None) -> tuple[tuple[float, ...], ...]:
@@ -979,7 +1038,7 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: {what} is {value:g} {unit}; it must not be negative")
         for i, parameter in enumerate(self.parameters):
             if parameter.symbol is mass and parameter.minimum is None:
-                self.parameters[i] = replace(parameter, minimum=0.0)
+                Mechanism.parameters.of(self)[i] = replace(parameter, minimum=0.0)
         return mass
 
     def _inertia(self, name: str, inertia: Any) -> Scalar:

@@ -19,6 +19,7 @@ from functools import cached_property
 import casadi as ca
 
 from .checks import number
+from .words import Brief
 
 __all__ = ["SpatialBody", "SpatialJoint", "SpatialMarker", "about", "angular_velocity", "product", "rotation"]
 
@@ -66,8 +67,8 @@ def product(e: ca.SX, f: ca.SX) -> ca.SX:
     return ca.vertcat(e[0] * f[0] - ca.dot(e[1:], f[1:]), e[0] * f[1:] + f[0] * e[1:] + ca.cross(e[1:], f[1:]))
 
 
-@dataclass(eq=False)
-class SpatialBody:
+@dataclass(eq=False, repr=False)
+class SpatialBody(Brief):
     """A rigid body in space; its frame is parallel to its principal axes of inertia."""
 
     name: str
@@ -80,7 +81,7 @@ class SpatialBody:
     """The centre of mass (3,) in ground axes."""
     attitude: ca.SX
     """Euler parameters (4,) of the frame."""
-    rotation: ca.SX = field(init=False)
+    rotation: ca.SX = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         self.rotation = rotation(self.attitude)
@@ -105,8 +106,8 @@ class SpatialBody:
         return ca.vertcat(self.position, ca.vec(self.rotation)), [self.mass] * 3 + [w for w in axes for _ in range(3)]
 
 
-@dataclass(frozen=True, eq=False)
-class SpatialMarker:
+@dataclass(frozen=True, eq=False, repr=False)
+class SpatialMarker(Brief):
     """A point fixed on a body in space, by its place in the body's frame."""
 
     body: SpatialBody
@@ -121,8 +122,8 @@ class SpatialMarker:
         return self.body.position + self.body.rotation @ local
 
 
-@dataclass(eq=False)
-class SpatialJoint:
+@dataclass(eq=False, repr=False)
+class SpatialJoint(Brief):
     """A joint between two bodies in space, closed by constraints; `axes` is its axis in the frames of both."""
 
     name: str

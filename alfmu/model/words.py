@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Mapping
+from dataclasses import MISSING, fields
 from typing import Any
 
 from .errors import DeclarationError
 
-__all__ = ["LONGEST", "in_words", "nearest", "shown", "text", "there_is"]
+__all__ = ["LONGEST", "Brief", "counted", "in_words", "nearest", "shown", "text", "there_is"]
 
 LONGEST = 200
 """Most characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
@@ -44,8 +45,42 @@ def shown(value: Any) -> str:
     return text if 0 < len(text) <= _WIDEST else f"a {type(value).__name__}"
 
 
-def nearest(name: object, names: Iterable[str]) -> list[str]:
-    """The names that somebody may have meant, the likeliest first."""
+class Brief:
+    """Of dataclasses: a `repr` of one short line, with what differs from the defaults, symbols and parts by name."""
+
+    def __repr__(self) -> str:
+        said = []
+        for field in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, field.name)
+            default = field.default if field.default_factory is MISSING else field.default_factory()
+            if field.repr and not (value is default or (type(value) is type(default) and value == default)):
+                said.append(f"{field.name}={_brief(value)}")
+        return f"{type(self).__name__}({', '.join(said)})"
+
+
+def _brief(value: Any) -> str:
+    """A value in a `repr`."""
+    if hasattr(value, "is_symbolic"):  # of CasADi
+        plain = value.is_symbolic() or value.is_constant()
+        return str(value) if plain else f"<{type(value).__name__}>"
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{key!r}: {_brief(each)}' for key, each in value.items())}}}"
+    if isinstance(value, tuple | list):
+        entries = [_brief(each) for each in value[:_SHOWN]] + ["..."] * (len(value) > _SHOWN)
+        return f"({', '.join(entries)})"
+    if isinstance(value, str | int | float | None):
+        return repr(value if not isinstance(value, str) or len(value) <= _WIDEST else f"{value[: _WIDEST - 3]}...")
+    name = getattr(value, "name", None)
+    if isinstance(value, Brief) and not isinstance(name, str):
+        return repr(value)
+    return name if isinstance(name, str) else shown(value)
+
+
+def nearest(name: object, names: Collection[str]) -> list[str]:
+    """The names that somebody may have meant, the likeliest first; those that end with it before all others."""
+    ending = [each for each in names if re.search(rf"[._]{re.escape(str(name))}$", each)]
+    if 0 < len(ending) <= _SHOWN:
+        return ending
     by_case = {each.lower(): each for each in names}
     return [by_case[each] for each in difflib.get_close_matches(str(name).lower(), by_case, 3, 0.6)]
 
@@ -63,3 +98,8 @@ def in_words(names: Collection[str]) -> str:
     """a, b or c"""
     *most, last = names
     return f"{', '.join(most)} or {last}" if most else last
+
+
+def counted(count: int, of: str) -> str:
+    """So many things: 1 body, 2 bodies, 2 joints."""
+    return f"{count} {of if count == 1 else f'{of[:-1]}ies' if of.endswith('y') else f'{of}s'}"

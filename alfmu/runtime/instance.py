@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..equations import Equations, Mobility
-from ..equations.derivation import derive
 from ..equations.evaluation import DENSE
 from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
+from ..kernel import DEFAULT
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AlfmuWarning, AssemblyError, InputError, OpenError, StepError
@@ -30,6 +30,7 @@ from ..model.words import there_is
 from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
 from .probe import mobility, shared
+from .reuse import derived, ready
 
 __all__ = ["Instance"]
 
@@ -60,9 +61,14 @@ class Instance:
     """
 
     def __init__(self, mechanism: str | Path | Mechanism | Equations, settings: Settings | None = None):
-        e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+        e = mechanism
+        if not isinstance(e, Equations):
+            e, _ = ready(derived(load(e)), {}, None, None, DEFAULT)
         self._given = (settings or default_settings(e)).checked(e.name, e.l)
         self._take(e)
+
+    def __repr__(self) -> str:
+        return f"Instance({self.name!r}, {f't = {self.time:g} s' if self.initialized else 'not initialised'})"
 
     def _take(self, equations: Equations) -> None:
         """Run these equations with the settings that are given."""
@@ -70,8 +76,8 @@ class Instance:
         self._given = given = replace(self._given, method=e.solver.get("method", self._given.method))
         self.name = e.name
         found = variables_of(e, given)
-        self.parameters, self.outputs = found.parameters, found.outputs
-        self.input_variables = [*found.inputs, *found.switches]
+        self.parameters, self.outputs = tuple(found.parameters), tuple(found.outputs)
+        self.input_variables = (*found.inputs, *found.switches)
         self._variables = {v.name: v for _, v in found.causalities}
         self._scene = loaded(e)
         self._unit = Unit(self._scene)

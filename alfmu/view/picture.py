@@ -30,9 +30,10 @@ from ..equations.derivation import derive
 from ..files import atomic, write
 from ..model.errors import AlfmuError, DeclarationError, InputError
 from ..model.mechanism import Joint, Marker, Mechanism, Scalar, key_of
+from ..result import Result
 from ..runtime import Instance
 from ..runtime.probe import Probe
-from ..simulation import Progress, Result, simulate, with_defaults
+from ..simulation import Progress, simulate, with_defaults
 
 __all__ = ["Shapes", "View", "animate", "draw", "geometry", "model_png", "view_of"]
 

@@ -14,7 +14,7 @@ import numpy as np
 from ..files import atomic
 from ..model.errors import InputError
 from ..model.words import there_is
-from ..simulation import Result
+from ..result import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

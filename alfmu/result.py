@@ -1,0 +1,343 @@
+"""What a run gave: columns over time by name, as a table in a file, a plot, a film; inputs from tables.
+
+Beside a table `run.csv` stands `run.json`, with what a table of plain columns cannot say: what was run, the units, the
+drawing. Importers of FMUs read the table as it is.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import json
+import math
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .equations.interface import Counters
+from .files import atomic, scratch, write
+from .model.content import content
+from .model.errors import AlfmuError, InputError
+from .model.mechanism import Mechanism
+from .model.words import counted, there_is
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+__all__ = ["Film", "Result", "Signal", "facts_beside", "facts_in", "read_inputs"]
+
+Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
+"""An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
+
+_ROWS = 25
+"""Rows of the table that a notebook shows."""
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Result:
+    """Outputs and inputs over time: `result["link1.angle"]` is an array like `result.time`.
+
+    Patterns take several columns: `result["link*.angle"]` is an array (rows, columns), `result.select("link*.angle")` a
+    result with these columns alone. Names are iterated and counted as in a dictionary, without the time:
+    `"A.force.x" in result`, `len(result)`, `dict(result)`.
+    """
+
+    mechanism: str
+    time: NDArray[np.float64]
+    """(rows,) [s]"""
+    names: tuple[str, ...]
+    units: Mapping[str, str]
+    """Unit of each column, as far as it is known: those of a table from elsewhere are not."""
+    values: NDArray[np.float64]
+    """(rows, columns): one row per communication point, one column per name."""
+    counters: Counters | None = None
+    """Work and largest errors; None where the run was made by somebody else's solver."""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """What was run: `mechanism`, `options` and `parameters`; of a table from a file, all that stands beside it."""
+    declared: Mechanism | None = None
+    """The mechanism, where it is known and not only its drawing."""
+    _ran: str | None = field(default=None, init=False)
+    """What it declared at the run."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", tuple(self.names))
+        object.__setattr__(self, "_ran", self.declared and content(self.declared))
+
+    def __repr__(self) -> str:
+        return f"Result({self._said()})"
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def keys(self) -> tuple[str, ...]:
+        """The names, so that `dict(result)` has the columns by name."""
+        return self.names
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
+        """A column (rows,) by its name, `time` included, or those of a pattern (rows, columns) in their order.
+
+        Raises InputError where nothing is called so, with the nearest names.
+        """
+        if name in self.names:
+            return self.values[:, self.names.index(name)]
+        return self.time if name == "time" else self.values[:, self._places((name,))]
+
+    def select(self, *patterns: str) -> Result:
+        """The same result with those columns alone that match a name or a pattern, in the order of these."""
+        places = self._places(patterns)
+        names = tuple(self.names[i] for i in places)
+        units = {name: self.units[name] for name in names if name in self.units}
+        return replace(self, names=names, units=units, values=self.values[:, places])
+
+    def _places(self, patterns: Sequence[str]) -> list[int]:
+        """The columns called like the patterns, each once."""
+        found: dict[int, None] = {}
+        for pattern in patterns:
+            fit = [i for i, name in enumerate(self.names) if name == pattern or fnmatchcase(name, pattern)]
+            if not fit:
+                what = "nothing like" if set(pattern) & set("*?") else "no"
+                raise InputError(
+                    f"the result of {self.mechanism} has {what} {pattern!r}; {there_is(pattern, self.names)}"
+                )
+            found |= dict.fromkeys(fit)
+        return list(found)
+
+    # To look at --------------------------------------------------------------------------------------------------
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A table of pandas over the index `time` [s]; `attrs["units"]` has the units. Needs `alfmu[pandas]`."""
+        try:
+            import pandas
+        except ImportError:
+            raise InputError("to_pandas() needs pandas; install it with: pip install 'alfmu[pandas]'") from None
+        table = pandas.DataFrame(
+            self.values, pandas.Index(self.time, name="time"), pandas.Index(self.names, dtype=object)
+        )
+        table.attrs["units"] = dict(self.units)
+        return table
+
+    def plot(self, names: Sequence[str] | str | None = None) -> Figure:
+        """A figure of matplotlib over time, of names or patterns such as "link*.angle"; see `alfmu.view.plot.figure`.
+
+        It shows itself in a notebook, `savefig("run.png")` writes it. Needs `alfmu[plot]`.
+        """
+        from .view.plot import figure
+
+        return figure(self, [names] if isinstance(names, str) else names)
+
+    def animate(self, path: str | Path | None = None, *, fps: float = 25.0, speed: float = 1.0) -> Film | None:
+        """A film of the motion, written as `.gif` or `.html`, or without a path one that shows itself in a notebook.
+
+        `speed` is the time [s] shown per second, `fps` the frames per second of a GIF. Raises InputError where it is
+        not known how the mechanism looks, as with a table or an FMU from elsewhere.
+        """
+        from .view.drawing import from_data
+        from .view.picture import animate
+
+        shown: Any = self._shown()
+        if shown is None:
+            try:
+                shown = from_data(self.facts.get("drawing"))
+            except ValueError as error:
+                raise InputError(
+                    f"the result of {self.mechanism} has no drawing ({error}); use alfmu animate RESULT.csv "
+                    "--mechanism NAME"
+                ) from None
+        how = {"parameters": self.facts.get("parameters", {}), "fps": fps, "speed": speed}
+        if path is not None:
+            animate(shown, self, path, **how)
+            return None
+        with scratch() as folder:
+            animate(shown, self, folder / "film.html", **how)
+            return Film((folder / "film.html").read_text(encoding="utf-8"))
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the range of each column."""
+        heads = ("", "unit", "start", "end", "least", "largest")
+        rows = []
+        for name, column in zip(self.names[:_ROWS], self.values.T, strict=False):
+            numbers = (column[0], column[-1], column.min(), column.max()) if len(column) else ()
+            cells = [name, self.units.get(name, ""), *(f"{x:.6g}" for x in numbers)]
+            rows.append("".join(f"<td>{escape(cell)}</td>" for cell in cells))
+        more = len(self.names) - _ROWS
+        rows += [f'<td colspan="6">and {more} more columns</td>'] if more > 0 else []
+        body = "".join(f"<tr>{row}</tr>" for row in ["".join(f"<th>{head}</th>" for head in heads), *rows])
+        return f"<table><caption>{escape(self._said())}</caption>{body}</table>"
+
+    def _said(self) -> str:
+        span = f" from {self.time[0]:g} to {self.time[-1]:g} s" if len(self.time) else ""
+        sizes = f"{counted(len(self.time), 'row')}{span}, {counted(len(self.names), 'column')}"
+        return f"{self.mechanism}: {sizes}"
+
+    # Tables ------------------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_csv(cls, path: str | Path) -> Result:
+        """A table with a column `time` and columns of numbers; with its units and its drawing, where alfmu wrote them
+        beside it. Nothing of what stands there is run."""
+        names, table = _table(path)
+        facts = facts_in(facts_beside(path))
+        name, units = facts.get("name"), facts.get("units")
+        units = units if isinstance(units, dict) else {}
+        return cls(
+            name if isinstance(name, str) else Path(path).stem,
+            table[:, 0],
+            tuple(names[1:]),
+            {each: units[each] for each in names[1:] if isinstance(units.get(each), str)},
+            table[:, 1:],
+            facts=facts,
+        )
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write time and all columns with 17 significant digits under a row of names, and beside it, in a file of the
+        same name with the suffix `.json`, the units and what was run.
+
+        Raises WriteError, and InputError where a file of that name is there that alfmu did not write.
+        """
+        beside = facts_beside(path)
+        if beside.exists() and not facts_in(beside):
+            raise InputError(f"{beside} is there and was not written by alfmu; take another name, or remove it")
+        with atomic(path) as file:
+            writer = csv.writer(codecs.getwriter("utf-8")(file))
+            writer.writerow(["time", *self.names])
+            for t, row in zip(self.time, self.values, strict=True):
+                writer.writerow([f"{x:.17g}" for x in (t, *row)])
+        facts: dict[str, Any] = {"mechanism": self.mechanism, "options": {}, "parameters": {}, **self.facts}
+        facts |= {"name": self.mechanism, "units": dict(self.units), "drawing": self._drawing()}
+        lines = (f" {json.dumps(key)}: {json.dumps(value, default=_as_json)}" for key, value in facts.items())
+        write(beside, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
+
+    def _drawing(self) -> Any:
+        """How the mechanism is drawn, as data; None where it is not known, or cannot be drawn."""
+        from .view.drawing import as_data
+        from .view.picture import geometry
+
+        try:
+            declared = self._shown()
+            parameters = self.facts.get("parameters", {})
+            return self.facts.get("drawing") if declared is None else as_data(geometry(declared, parameters))
+        except AlfmuError:
+            return None
+
+    def _shown(self) -> Mechanism | None:
+        """The mechanism as it ran; InputError where it was changed since."""
+        if self.declared is not None and content(self.declared) != self._ran:
+            raise InputError(
+                f"{self.mechanism} was changed since this run, so that its motion cannot be drawn any more"
+            )
+        return self.declared
+
+
+@dataclass(frozen=True, repr=False)
+class Film:
+    """A film as a page that needs nothing else; it shows itself in a notebook."""
+
+    html: str
+
+    def __repr__(self) -> str:
+        return f"Film({len(self.html) / 1000:.0f} kB of HTML)"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the page in a frame of its own."""
+        return f'<iframe srcdoc="{escape(self.html)}" width="100%" height="620" style="border:0"></iframe>'
+
+
+def _as_json(value: object) -> object:
+    """What JSON has no form for: mappings as they are, numbers of NumPy, all else as a text."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    return value.item() if isinstance(value, np.generic) else str(value)
+
+
+def facts_beside(table: str | Path) -> Path:
+    """The file with what was run, beside a table."""
+    return Path(table).with_suffix(".json")
+
+
+def facts_in(path: Path) -> dict[str, Any]:
+    """What stands beside a table; nothing where a file is missing, damaged or not by alfmu."""
+    form = {"mechanism": str, "options": dict, "parameters": dict}
+    try:
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    known = isinstance(found, dict) and all(isinstance(found.get(key), kind) for key, kind in form.items())
+    return found if known else {}
+
+
+def read_inputs(path: str | Path) -> dict[str, Signal]:
+    """Inputs from a CSV file: a column `time` [s], and a column of finite numbers for each input."""
+    names, table = _table(path)
+    for row, column in np.argwhere(~np.isfinite(table))[:1]:
+        raise InputError(f"{path}: {names[column]} is {table[row, column]} at {table[row, 0]:g} s; inputs are finite")
+    return {name: (table[:, 0], table[:, i]) for i, name in enumerate(names) if i}
+
+
+def _table(path: str | Path) -> tuple[list[str], NDArray]:
+    """Names and numbers of a CSV file whose first column is time; InputError, with the line, where it is none."""
+    line, numbers = 0, array("d")
+    try:
+        with Path(path).open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file, strict=True)
+            rows = (row for row in reader if row)
+            names = [name.strip() for name in next(rows, [])]
+            _check_names(path, names)
+            for row in rows:
+                line = reader.line_num
+                if len(row) != len(names):
+                    raise InputError(f"{path}, line {line}: {len(row)} columns under {len(names)} names")
+                numbers.extend(map(float, row))
+                if not -math.inf < numbers[-len(names)] < math.inf:
+                    raise InputError(f"{path}, line {line}: time is {row[0]}; it must be a finite number")
+                if len(numbers) > len(names) and numbers[-len(names)] < numbers[-2 * len(names)]:
+                    raise InputError(f"{path}, line {line}: time goes back to {row[0]}; sort the rows by time")
+    except OSError as error:
+        raise InputError(f"cannot read {path} ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a table of numbers: it is no text in UTF-8 ({error.reason})") from None
+    except csv.Error as error:
+        quoted = "end of data" in str(error)
+        why = "a quotation mark is opened and not closed" if quoted else f"it has a {error}"
+        raise InputError(f"{path} is not a table of numbers: {why}, at line {reader.line_num} or before") from None
+    except ValueError:
+        wrong = next(cell for cell in row if not _number(cell))
+        raise InputError(f"{path} is not a table of numbers: line {line} has {wrong[:40]!r}") from None
+    if not numbers:
+        raise InputError(f"{path} has no rows of numbers under its names")
+    return names, np.array(numbers).reshape(-1, len(names))
+
+
+def _check_names(path: str | Path, names: list[str]) -> None:
+    """InputError where a row of names cannot stand over a table."""
+    if names[:1] != ["time"]:
+        raise InputError(
+            f"{path} is not a table of numbers under names: its first column is {(names or [''])[0][:40]!r}; it must "
+            "be 'time', with commas between the columns"
+        )
+    if "" in names:
+        raise InputError(f"{path}: column {1 + names.index('')} has no name")
+    if twice := next((name for name, count in Counter(names).items() if count > 1), None):
+        raise InputError(f"{path}: two columns are called {twice!r}; leave one out")
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
