@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
+import json
 import os
 import re
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,15 +26,6 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-MOVED = 1e-6
-"""Way [m] up to which assembly has left a body where its guess has it."""
-
-MANY = 300
-"""Lines of one kind up to which `info` shows each."""
-
-_NUMBER = re.compile(r"(?<=[A-Za-z_\[])(\d+)")
-"""In a name."""
-
 _REPORT = """Beside alfmu's methods, formulations and kernels: SciPy on every mechanism; Pinocchio, Exudyn and MuJoCo on
 five_bar and slider_crank (pip install 'alfmu[bench]'). Also in it: tolerances held or not, the study of Blajer (2002)
 on particle_on_circle, five_bar and four_bar, what a scene leaves out, small maps of stability (`alfmu stability` has
@@ -48,6 +38,12 @@ _SIMULATE = """A run that ends early, by an error or by Ctrl-C, leaves its rows 
 is said last, and the exit code is 1 or 130. Beside the table, FILE.json says what was run and holds its drawing, from
 which `alfmu animate` makes a film. What alfmu did not write is replaced only where -o or --plot names it."""
 
+STEP = ("--communication-step", "--step")
+"""How the communication step is given: as FMI calls it, or in short."""
+
+SHELLS = ("bash", "zsh", "fish", "powershell")
+"""Shells whose completion argcomplete knows."""
+
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
 _EITHER_HELP = "a registered mechanism or recipe (see `alfmu list`), or a Python file that declares one"
@@ -55,8 +51,20 @@ _EITHER_HELP = "a registered mechanism or recipe (see `alfmu list`), or a Python
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage, 130 interrupted."""
-    parser = _parser()
-    chosen = parser.parse_args(arguments)
+    parser, commands = _parser()
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if words and not words[0].startswith("-") and words[0] not in commands:
+        parser.error(f"there is no command {words[0]!r}; {_perhaps(words[0], commands)}")
+    chosen, unknown = parser.parse_known_args(words)
+    if unknown:
+        sub = commands[words[0]]
+        options = re.findall(r"--[\w-]+", sub.format_usage())
+        known = f"; {_perhaps(unknown[0].partition('=')[0], options)}" if unknown[0].startswith("-") else ""
+        sub.error(f"{unknown[0]} is not understood{known}")
     try:
         with warnings.catch_warnings(), _signals(signal.default_int_handler, signal.SIGTERM):
             # What is under way when a signal comes is put in order.
@@ -74,6 +82,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _failed("there is not enough memory for this")
     except KeyboardInterrupt:
         return _failed("interrupted", 130)
+
+
+def _perhaps(word: str, words: Collection[str]) -> str:
+    """What to say of a word that is none of these."""
+    from .model.words import in_words, nearest
+
+    meant = nearest(word, words)
+    return f"did you mean {in_words(meant)}?" if meant else f"use one of {', '.join(words)}"
 
 
 def _failed(why: str, code: int = 1) -> int:
@@ -117,7 +133,8 @@ def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
     return show
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    """The parser, and those of the commands by name."""
     from importlib.metadata import version
 
     parser = argparse.ArgumentParser(
@@ -128,24 +145,29 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"alfmu {version('alfmu')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    by_name: dict[str, argparse.ArgumentParser] = {}
 
     def command(name: str, run: Callable[[argparse.Namespace], int | None], text: str) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
         sub.set_defaults(run=run)
+        by_name[name] = sub
         return sub
 
     command("list", _list, "list the registered mechanisms")
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
-    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
-    sub.add_argument(
+    _add_name(sub, "mechanism", "NAME", _EITHER_HELP)
+    form = sub.add_mutually_exclusive_group()
+    form.add_argument("--all", action="store_true", help="all variables with units and descriptions, and what it costs")
+    form.add_argument("--json", action="store_true", help="the same as JSON, for programs")
+    form.add_argument(
         "--sizes", action="store_true", help="export it as well, to show what its FMUs carry, in kB by part"
     )
     _add_scene(sub)
 
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
-    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
+    _add_name(sub, "mechanism", "NAME", _EITHER_HELP)
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
@@ -162,7 +184,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     _add_kernel(sub)
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the default experiment in s")
-    sub.add_argument("--step", type=float, metavar="S", help="communication step of the default experiment in s")
+    sub.add_argument(
+        *STEP, dest="step", type=float, metavar="S", help="communication step of the default experiment in s"
+    )
     sub.add_argument(
         "--reference",
         action=argparse.BooleanOptionalAction,
@@ -172,9 +196,11 @@ def _parser() -> argparse.ArgumentParser:
 
     sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
     sub.epilog = _SIMULATE
-    sub.add_argument("unit", metavar="NAME|FMU", help=f"{_EITHER_HELP}, or an .fmu file")
+    _add_name(sub, "unit", "NAME|FMU", f"{_EITHER_HELP}, or an .fmu file", ".fmu")
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the unit's own)")
-    sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the unit's own)")
+    sub.add_argument(
+        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the unit's own)"
+    )
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
     sub.add_argument(
         "--held-rows",
@@ -215,7 +241,30 @@ def _parser() -> argparse.ArgumentParser:
     sub.epilog = _REPORT
     sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")
     _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within an hour for all")
-    return parser
+
+    sub = command("completion", _completion, "print what makes a shell complete the names of commands and mechanisms")
+    sub.add_argument("shell", choices=SHELLS, help='for bash, put this into ~/.bashrc: eval "$(alfmu completion bash)"')
+    return parser, by_name
+
+
+def _add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *suffixes: str) -> None:
+    """What is shown or run: a name, or a file with one of the suffixes, `.py` at least."""
+
+    def known(prefix: str, **_: Any) -> list[str]:
+        from .fmi.recipe import GROUP as RECIPES
+        from .model.registry import GROUP, registered
+
+        return registered(GROUP, RECIPES) + _files(prefix, (".py", *suffixes))
+
+    sub.add_argument(name, metavar=metavar, help=text).completer = known  # type: ignore[attr-defined]
+
+
+def _files(prefix: str, suffixes: tuple[str, ...]) -> list[str]:
+    """Files and folders that a word on the command line may be the beginning of."""
+    folder = Path(prefix if prefix.endswith("/") else os.path.dirname(prefix) or ".")
+    base = prefix[: prefix.rfind("/") + 1]
+    found = list(folder.iterdir()) if folder.is_dir() else []
+    return [f"{base}{each.name}{'/' * each.is_dir()}" for each in found if each.is_dir() or each.suffix in suffixes]
 
 
 def _add_study(sub: argparse.ArgumentParser, what: str, usual: str) -> None:
@@ -350,96 +399,19 @@ def _list(chosen: argparse.Namespace) -> None:
 
 
 def _info(chosen: argparse.Namespace) -> None:
-    from .equations.interface import variables_of
-    from .equations.specialisation import specialised
-    from .model.registry import choices
-    from .runtime import Instance
-    from .runtime.prepare import decided
-    from .studies.cost import described
+    from .studies.about import about, in_all, in_short
 
     recipe = _recipe(chosen, chosen.mechanism)
     mechanism = recipe.declared()
-    everything = _equations(recipe, mechanism)
-    equations = specialised(everything, recipe.outputs, recipe.freeze)
-    instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
-    instance.initialize()
-    size = instance.mobility()
-    print(f"{mechanism.name}: {mechanism.description}\n\n{mechanism.sketch.strip()}\n")
-    for option, values in choices(recipe.mechanism).items():
-        print(f"option {option} = {mechanism.options[option]} ({' | '.join(values)})")
-    coordinates = _merged((f"{c.name} [{c.unit}]",) for c in equations.coordinates)
-    print(f"\ncoordinates ({equations.n}): {', '.join(text for (text,) in coordinates)}")
-    rows = _merged((f"{r.name} {r.direction}".strip(),) for r in equations.rows)
-    print(f"constraints ({equations.l}): {', '.join(text for (text,) in rows) or 'none'}")
-    print(f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}", end="")
-    print(f", singular at the start: {size.freedom_here} motions possible" if size.freedom_here > size.freedom else "")
-    for note in _notes(instance):
-        print(note)
-    if shared := instance.shared():
-        each = _merged((name,) for name in shared)
-        print(f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}")
-    for title, variables in (
-        (
-            "parameters and start values",
-            variables_of(instance.equations).causal("parameter"),
-        ),
-        ("inputs", instance.input_variables),
-        ("outputs", instance.outputs),
-    ):
-        print(f"\n{title}:")
-        starts = ("" if title == "outputs" else v.start if v.type == "String" else f"{v.start:g}" for v in variables)
-        lines = _merged((v.name, start, v.unit, v.description) for v, start in zip(variables, starts, strict=True))
-        width = max([32, *(len(name) for name, *_ in lines)])
-        for name, start, unit, text in lines:
-            print(f"  {name:{width}} {start:>10} {unit:12} {text}".rstrip())
-    chosen_method = decided(equations)
-    print(f"\nmethod of integration: {chosen_method.reason or chosen_method.solver.get('method', 'rk4')}")
-    print("\n" + "\n".join(described(everything, equations, size)))
+    found = about(recipe, mechanism, _equations(recipe, mechanism))
+    if chosen.json:
+        print(json.dumps(found.as_data(), indent=1, default=str))
+        return
+    print("\n".join(in_all(found) if chosen.all else in_short(found)))
     if chosen.sizes:
         from .fmi.sizes import sizes
 
         print("\n" + "\n".join(sizes(mechanism, recipe.parameters, recipe.outputs, recipe.freeze)))
-
-
-def _notes(unit: Any) -> list[str]:
-    """What a user should know of a start: how far bodies are from their guesses, what nobody gave a start value."""
-    from .runtime import Instance
-
-    if not isinstance(unit, Instance):
-        return []
-    notes, moved = [], {name: way for name, way in unit.moved.items() if way > MOVED}
-    if moved:
-        name, way = next(iter(moved.items()))
-        most = f", {name} most" * (len(moved) > 1)
-        what = f"{len(moved)} bodies by up to {way:.3g} m" if len(moved) > 1 else f"{name} by {way:.3g} m"
-        notes.append(f"assembly moved {what} from where the guesses have them{most}")
-    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
-        if free := unit.undetermined():
-            notes.append(
-                f"no start value determines {', '.join(free)}: what the guesses say is taken; to set one, give it "
-                "independent=True, or tie() it to a start()"
-            )
-    return notes
-
-
-def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Lines in columns; of many, one for all that differ in numbers of names alone, as `link{1..200}.x`."""
-    lines = list(lines)
-    if len(lines) <= MANY:
-        return lines
-    alike: dict[tuple[str, ...], list[tuple[str, ...]]] = {}
-    for line in lines:
-        alike.setdefault(tuple(_NUMBER.sub("0", column) for column in line), []).append(line)
-    return [tuple(_range(texts) for texts in zip(*group, strict=True)) for group in alike.values()]
-
-
-def _range(texts: Sequence[str]) -> str:
-    """Texts that differ in numbers of names alone as one."""
-    whole = ""
-    for pieces in zip(*(_NUMBER.split(text) for text in texts), strict=True):
-        same = len(set(pieces)) == 1
-        whole += pieces[0] if same else f"{{{min(map(int, pieces))}..{max(map(int, pieces))}}}"
-    return whole
 
 
 def _export(chosen: argparse.Namespace) -> None:
@@ -467,6 +439,7 @@ def _export(chosen: argparse.Namespace) -> None:
 def _simulate(chosen: argparse.Namespace) -> None:
     from .result import read_inputs
     from .simulation import run
+    from .studies.about import notes
 
     inputs = read_inputs(chosen.input) if chosen.input else {}
     if chosen.plot_names and not chosen.plot:
@@ -482,7 +455,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
         table = _table_path(chosen, unit.name)
         with _between_steps(_progress("simulating")) as progress:
             result = run(unit, **how, inputs=inputs, progress=progress, held_rows=chosen.held_rows)
-        notes = _notes(unit)
+        said = notes(unit)
     except (AlfmuError, KeyboardInterrupt) as ended:
         result = getattr(ended, "result", None)
         if result is not None:
@@ -496,7 +469,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
     finally:
         if hasattr(unit, "close"):
             unit.close()
-    for note in notes:
+    for note in said:
         print(note)
     _keep(chosen, result, table)
 
@@ -673,6 +646,14 @@ def _study(chosen: argparse.Namespace, write: Callable[..., Path]) -> None:
         print(f"wrote {write(names, chosen.output, chosen.quick, lambda name: _progress(name, 'case'))}")
     except OSError as error:
         raise InputError(f"cannot write into {chosen.output} ({error.strerror or error})") from None
+
+
+def _completion(chosen: argparse.Namespace) -> None:
+    try:
+        from argcomplete import shellcode
+    except ImportError:
+        raise InputError("completion needs argcomplete; install it with: pip install 'alfmu[completion]'") from None
+    print(shellcode(["alfmu"], shell=chosen.shell))
 
 
 def _progress(what: str, unit: str = "step") -> Callable[[Iterable[Any]], Iterable[Any]]:

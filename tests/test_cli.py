@@ -96,7 +96,7 @@ def test_options_parameters_and_inputs_reach_the_run(here):
 
 def test_info_of_many_bodies_stays_short(capsys):
     """One line for all that differ in numbers of names alone; every number of a few."""
-    assert main(["info", "n_four_bar", "--option", "loops=40"]) == 0
+    assert main(["info", "n_four_bar", "--option", "loops=40", "--all"]) == 0
     text = capsys.readouterr().out
     assert len(text.splitlines()) < 120
     assert "option loops = 40 (whole number)" in text
@@ -118,7 +118,7 @@ def test_list_names_every_registered_mechanism_and_its_options(capsys):
 
 
 def test_info_counts_freedoms_and_redundancy_and_shows_names_and_units(capsys):
-    assert main(["info", "five_bar"]) == 0
+    assert main(["info", "five_bar", "--all"]) == 0
     out = capsys.readouterr().out
     assert "degrees of freedom: 1, redundant constraints: 1, singular at the start: 2 motions possible" in out
     assert "E ---- link4 ---- F" in out
@@ -126,7 +126,7 @@ def test_info_counts_freedoms_and_redundancy_and_shows_names_and_units(capsys):
         assert name in out
 
 
-@pytest.mark.parametrize("command", ["list", "info", "export", "simulate", "validate", "animate"])
+@pytest.mark.parametrize("command", ["list", "info", "export", "simulate", "validate", "animate", "completion"])
 def test_help_explains_every_command(command, capsys):
     with pytest.raises(SystemExit) as exit_:
         main([command, "--help"])
@@ -245,9 +245,92 @@ def test_info_shows_what_fmus_carry(capsys, tmp_path):
 
 
 def test_info_says_which_reactions_are_unique(capsys):
-    assert main(["info", "five_bar"]) == 0
+    assert main(["info", "five_bar", "--all"]) == 0
     line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("not unique"))
     names = line.split(": ")[1].split(", ")
     assert names == [f"{joint}.force.x" for joint in "ABCDEF"] + [f"multiplier[{i}]" for i in (1, 3, 5, 7)]
     assert main(["info", "four_bar"]) == 0
     assert "not unique" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", alfmu.mechanisms())
+def test_info_fits_on_a_screen(name, capsys):
+    assert main(["info", name]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) <= 20
+    e = alfmu.derive(alfmu.load(name))
+    assert lines[0] == f"{name}: {e.description}"
+    text = "\n".join(lines)
+    for said in (f"coordinates ({e.n}): {e.coordinates[0].name} [", f"constraints ({e.l}): ", "degrees of freedom: "):
+        assert said in text
+    parameters = next(line for line in lines if line.startswith("parameters: "))
+    assert f"{e.parameters[0].name} = {e.parameters[0].start:g}" in parameters
+    assert f"run: {e.stop_time:g} s in steps of {e.interval:g} s, method " in text
+
+
+def test_info_in_short_says_what_was_left_out_of_its_lists(capsys):
+    assert main(["info", "n_four_bar", "--option", "loops=40"]) == 0
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) <= 20
+    assert max(map(len, out.splitlines())) < 130
+    assert "constraints (81): crank1.length length" in out
+    shown = re.search(r"constraints \(81\): (.*) and (\d+) more", out)
+    assert len(shown[1].split(", ")) + int(shown[2]) == 81
+    assert "crank{1..41}, coupler{1..40} (9 each)" in out
+
+
+def test_info_as_json_has_all_of_it(capsys):
+    assert main(["info", "five_bar", "--json", "--set", "m2=2.5"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["degrees_of_freedom"], found["redundant_constraints"], found["motions_at_start"]) == (1, 1, 2)
+    assert found["options"] == {"coordinates": {"value": "mixed", "choices": ["mixed", "joint"]}}
+    parameters = {v["name"]: v for v in found["parameters"]}
+    assert (parameters["m2"]["start"], parameters["m2"]["unit"], parameters["m2"]["minimum"]) == (2.5, "kg", 0.0)
+    assert "A.force.x" in found["not_unique"]
+    assert [c["name"] for c in found["coordinates"]][:3] == ["th1", "x2", "y2"]
+    assert len(found["constraints"]) == 8
+    assert {"name": "A.torque", "unit": "N.m"}.items() <= found["inputs"][0].items()
+    assert "monitor.energy" in {v["name"] for v in found["outputs"]}
+    assert found["operations"]["careful_step"] > found["operations"]["step"] > 100
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["simulte", "five_bar"], "there is no command 'simulte'; did you mean simulate?"),
+        (["fly"], "there is no command 'fly'; use one of list, info, "),
+        (["simulate", "five_bar", "--stop-tme", "3"], "--stop-tme is not understood; did you mean --stop-time?"),
+        (["info", "five_bar", "extra"], "extra is not understood"),
+        (["info", "five_bar", "--all", "--json"], "not allowed with"),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) else "",
+)
+def test_a_misspelt_command_or_option_is_answered_by_the_nearest(arguments, says, capsys):
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    assert exit_.value.code == 2
+    assert says in capsys.readouterr().err
+
+
+def completions(line: str, folder: Path) -> list[str]:
+    """What a shell is offered at the end of a line."""
+    command = [sys.executable, "-m", "alfmu"]
+    environment = {**os.environ, "_ARGCOMPLETE": "1", "_ARGCOMPLETE_IFS": "\n", "COMP_LINE": line}
+    environment |= {"COMP_POINT": str(len(line)), "_ARGCOMPLETE_STDOUT_FILENAME": str(folder / "offered")}
+    done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=60)
+    assert done.stdout == ""
+    return (folder / "offered").read_text().split()
+
+
+def test_a_shell_completes_commands_options_names_and_files(tmp_path, capsys):
+    pytest.importorskip("argcomplete")
+    for name in ("fourth.fmu", "fox.py", "foo.txt"):
+        (tmp_path / name).write_text("")
+    assert completions("alfmu sim", tmp_path) == ["simulate"]
+    assert completions("alfmu info fo", tmp_path) == ["four_bar", "fox.py"]
+    assert completions("alfmu simulate fo", tmp_path) == ["four_bar", "fourth.fmu", "fox.py"]
+    assert completions("alfmu simulate four_bar --ker", tmp_path) == ["--kernel"]
+    assert completions("alfmu simulate four_bar --kernel or", tmp_path) == ["oracle"]
+    assert main(["completion", "bash"]) == 0
+    assert "complete " in (script := capsys.readouterr().out)
+    assert "alfmu" in script

@@ -191,7 +191,7 @@ def test_auto_says_what_it_chose_and_why(capsys):
         assert e.reason.startswith(f"{expected}: the fastest small motion at the start has ")
         again = prepared(e)
         assert (again.solver["method"], again.reason) == (expected, e.reason)
-    assert main(["info", "four_bar", "--set", "solver.method=auto"]) == 0
+    assert main(["info", "four_bar", "--all", "--set", "solver.method=auto"]) == 0
     assert "method of integration: explicit: the fastest small motion" in capsys.readouterr().out
 
 

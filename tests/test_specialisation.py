@@ -119,7 +119,7 @@ def test_operations_are_counted_without_moves():
 
 
 def test_info_says_what_a_scene_costs_and_what_was_left_out(capsys):
-    assert main(["info", "five_bar", "--outputs", "link*.angle", "--freeze", "all"]) == 0
+    assert main(["info", "five_bar", "--all", "--outputs", "link*.angle", "--freeze", "all"]) == 0
     text = capsys.readouterr().out
     step = int(re.search(r"operations of a step: (\d+)", text)[1])
     parts = {

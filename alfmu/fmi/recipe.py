@@ -207,7 +207,9 @@ def of(which: str | Path | Mechanism | Recipe) -> Recipe:
 
 def recipes() -> dict[str, Recipe]:
     """All registered recipes by name, in alphabetical order."""
-    return {name: load(name) for name in sorted({entry.name for entry in entry_points(group=GROUP)})}
+    from ..model.registry import registered
+
+    return {name: load(name) for name in registered(GROUP)}
 
 
 def load(which: str | Path | Mechanism | Recipe) -> Recipe:

@@ -19,7 +19,7 @@ from .errors import AlfmuError, AlfmuWarning, DeclarationError, InputError
 from .mechanism import Mechanism
 from .words import in_words, nearest, there_is
 
-__all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options"]
+__all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options", "registered"]
 
 GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
@@ -31,7 +31,12 @@ _ANY = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 def mechanisms() -> list[str]:
     """Names of all registered mechanisms, in alphabetical order."""
-    return sorted({e.name for e in entry_points(group=GROUP)})
+    return registered(GROUP)
+
+
+def registered(*groups: str) -> list[str]:
+    """Names that are registered in groups of entry points, in alphabetical order."""
+    return sorted({e.name for group in groups for e in entry_points(group=group)})
 
 
 def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:

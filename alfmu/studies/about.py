@@ -1,0 +1,265 @@
+"""What there is to know of a mechanism before it runs: as data, in a few lines, or all of it."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from ..equations import Equations, Mobility, Variable
+from ..equations.interface import variables_of
+from ..equations.specialisation import specialised
+from ..fmi.recipe import Recipe
+from ..model.errors import AlfmuError
+from ..model.mechanism import Mechanism
+from ..model.registry import choices
+from ..runtime import Instance
+from ..runtime.prepare import decided, prepared
+from .cost import cost, described
+
+__all__ = ["About", "about", "in_all", "in_short", "notes"]
+
+LINES = 20
+"""Lines of a mechanism in short, at most."""
+
+_WIDE = 100
+"""Characters of a line in short, at most, but for what a user must know in full."""
+
+_FEW = 3
+"""Outputs of a body or joint up to which they are named and not counted."""
+
+_MOVED = 1e-6
+"""Way [m] up to which assembly has left a body where its guess has it."""
+
+_MANY = 300
+"""Lines of one kind up to which each is shown."""
+
+_NUMBER = re.compile(r"(?<=[A-Za-z_\[])(\d+)")
+"""In a name."""
+
+
+@dataclass(frozen=True)
+class About:
+    """A mechanism with the scene that is made of it, at its start."""
+
+    mechanism: Mechanism
+    options: dict[str, list[str]]
+    """The values that each option takes."""
+    everything: Equations
+    equations: Equations
+    """Of the scene: what is left out of `everything` is not in it."""
+    mobility: Mobility
+    notes: list[str]
+    shared: list[str]
+    """Outputs that are not unique, as redundant constraints share a load."""
+    inputs: Sequence[Variable]
+    outputs: Sequence[Variable]
+
+    @property
+    def parameters(self) -> list[Variable]:
+        """Parameters, start values and what may be chosen of the solver."""
+        return variables_of(self.equations).causal("parameter")
+
+    @property
+    def method(self) -> str:
+        """The method of integration, and why where it was chosen."""
+        chosen = decided(self.equations)
+        return chosen.reason or chosen.solver.get("method", "rk4")
+
+    def as_data(self) -> dict[str, Any]:
+        """All of it, as JSON has it."""
+        m, e, size = self.mechanism, self.equations, self.mobility
+        counted = cost(prepared(e))
+        return {
+            "name": m.name,
+            "description": m.description,
+            "sketch": m.sketch.strip("\n"),
+            "options": {name: {"value": m.options[name], "choices": each} for name, each in self.options.items()},
+            "coordinates": [{"name": c.name, "unit": c.unit} for c in e.coordinates],
+            "constraints": [asdict(row) for row in e.rows],
+            "degrees_of_freedom": size.freedom,
+            "redundant_constraints": size.redundant,
+            "motions_at_start": size.freedom_here,
+            "not_unique": self.shared,
+            "notes": self.notes,
+            **{name: [asdict(v) for v in getattr(self, name)] for name in ("parameters", "inputs", "outputs")},
+            "stop_time": e.stop_time,
+            "communication_step": e.interval,
+            "method": self.method,
+            "operations": {"step": counted.step, "careful_step": counted.careful, "outputs": counted.outputs},
+        }
+
+
+def about(recipe: Recipe, mechanism: Mechanism, everything: Equations) -> About:
+    """What there is to know of the mechanism of a recipe, whose equations with all in them are `everything`.
+
+    Raises AlfmuError where it has no start.
+    """
+    equations = specialised(everything, recipe.outputs, recipe.freeze)
+    instance = Instance(replace(equations, solver={**equations.solver, "method": "rk4"}))
+    instance.initialize()
+    return About(
+        mechanism,
+        choices(recipe.mechanism),
+        everything,
+        equations,
+        instance.mobility(),
+        notes(instance),
+        instance.shared(),
+        instance.input_variables,
+        instance.outputs,
+    )
+
+
+def notes(unit: Any) -> list[str]:
+    """What a user should know of a start: how far bodies are from their guesses, what nobody gave a start value."""
+    if not isinstance(unit, Instance):
+        return []
+    found, moved = [], {name: way for name, way in unit.moved.items() if way > _MOVED}
+    if moved:
+        name, way = next(iter(moved.items()))
+        most = f", {name} most" * (len(moved) > 1)
+        what = f"{len(moved)} bodies by up to {way:.3g} m" if len(moved) > 1 else f"{name} by {way:.3g} m"
+        found.append(f"assembly moved {what} from where the guesses have them{most}")
+    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
+        if free := unit.undetermined():
+            found.append(
+                f"no start value determines {', '.join(free)}: what the guesses say is taken; to set one, give it "
+                "independent=True, or tie() it to a start()"
+            )
+    return found
+
+
+def in_short(a: About) -> list[str]:
+    """The mechanism in LINES lines at most, notes apart: its picture where there is room."""
+    e, parameters = a.equations, [v for v in a.parameters if not v.name.startswith("solver.")]
+    starts = [v for v in parameters if v.name.startswith("start.")]
+    own = [v for v in parameters if not v.name.startswith(("start.", *(f"{row.name}.compliance" for row in e.rows)))]
+    facts = [
+        *_options(a),
+        _fitted(f"coordinates ({e.n})", [f"{c.name} [{c.unit}]" for c in e.coordinates]),
+        _fitted(f"constraints ({e.l})", [f"{row.name} {row.direction}".strip() for row in e.rows]),
+        _freedom(a),
+        *([_fitted("not unique, as redundant constraints share a load", a.shared)] if a.shared else []),
+        _fitted("parameters", [f"{v.name} = {_start(v)} {v.unit}".removesuffix(" 1") for v in own]),
+        _fitted("at the start", [f"{v.name} = {_start(v)} {v.unit}" for v in starts]),
+        _fitted("inputs", [f"{v.name} [{v.unit}]" for v in a.inputs]),
+        _fitted(f"outputs ({len(a.outputs)})", _owned(a.outputs), "; "),
+        _fitted("run", [f"{e.stop_time:g} s in steps of {e.interval:g} s", f"method {a.method}"]),
+        "--all shows every name with unit and description, and the operations of a step; --json is for programs",
+    ]
+    title = f"{a.mechanism.name}: {a.mechanism.description}"
+    picture = _picture(a.mechanism.sketch)
+    for lines in ([title, "", *picture, "", *facts], [title, *picture, *facts], [title, "", *facts]):
+        if len(lines) <= LINES:
+            break
+    return [*lines, *a.notes]
+
+
+def in_all(a: About) -> list[str]:
+    """All of it, in lines."""
+    m, e = a.mechanism, a.equations
+    lines = [f"{m.name}: {m.description}", "", m.sketch.strip(), "", *_options(a), ""]
+    coordinates = _merged((f"{c.name} [{c.unit}]",) for c in e.coordinates)
+    rows = _merged((f"{r.name} {r.direction}".strip(),) for r in e.rows)
+    lines += [f"coordinates ({e.n}): {', '.join(text for (text,) in coordinates)}"]
+    lines += [f"constraints ({e.l}): {', '.join(text for (text,) in rows) or 'none'}", _freedom(a), *a.notes]
+    if a.shared:
+        each = _merged((name,) for name in a.shared)
+        lines += [f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}"]
+    titles = {"parameters and start values": a.parameters, "inputs": a.inputs, "outputs": a.outputs}
+    for title, variables in titles.items():
+        starts = ["" if title == "outputs" else _start(v) for v in variables]
+        rows = _merged((v.name, start, v.unit, v.description) for v, start in zip(variables, starts, strict=True))
+        width = max([32, *(len(name) for name, *_ in rows)])
+        lines += ["", f"{title}:"]
+        lines += [f"  {name:{width}} {start:>10} {unit:12} {text}".rstrip() for name, start, unit, text in rows]
+    return [*lines, "", f"method of integration: {a.method}", "", *described(a.everything, e, a.mobility)]
+
+
+def _options(a: About) -> list[str]:
+    return [f"option {name} = {a.mechanism.options[name]} ({' | '.join(each)})" for name, each in a.options.items()]
+
+
+def _freedom(a: About) -> str:
+    size = a.mobility
+    here = f", singular at the start: {size.freedom_here} motions possible" * (size.freedom_here > size.freedom)
+    return f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}{here}"
+
+
+def _start(v: Variable) -> str:
+    return v.start if isinstance(v.start, str) else f"{v.start:g}"
+
+
+def _fitted(title: str, texts: Sequence[str], between: str = ", ") -> str:
+    """A line of texts, as many as there is room for, and how many more there are."""
+    shown, line = 0, f"{title}: "
+    for k, text in enumerate(texts):
+        added = f"{between if k else ''}{text}"
+        if k and len(line) + len(added) > _WIDE - len(" and 999 more") * (k < len(texts) - 1):
+            break
+        line, shown = line + added, k + 1
+    return line + (f" and {len(texts) - shown} more" if shown < len(texts) else "" if texts else "none")
+
+
+def _owned(variables: Sequence[Variable]) -> list[str]:
+    """Outputs by what they belong to: those that have the same ones together, a few by name and many by number."""
+    parts: dict[str, list[str]] = {}
+    for v in variables:
+        owner, _, rest = v.name.replace("[", ".[").partition(".")
+        parts.setdefault(owner, []).append(rest)
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for owner, rests in parts.items():
+        alike.setdefault(tuple(rests), []).append(owner)
+    texts = []
+    for rests, owners in alike.items():
+        alone = not any(rests)
+        by_name = len(rests) <= _FEW and not rests[0].startswith("[")
+        known = ", ".join(rests) if by_name else f"{len(rests)}{' each' * (len(owners) > 1)}"
+        texts.append(", ".join(_ranges(owners)) + f" ({known})" * (not alone))
+    return texts
+
+
+def _ranges(names: Sequence[str]) -> list[str]:
+    """Names, a few; of those that differ in numbers alone, one for all."""
+    if len(names) <= _FEW:
+        return list(names)
+    alike: dict[str, list[str]] = {}
+    for name in names:
+        alike.setdefault(_NUMBER.sub("0", name), []).append(name)
+    return [_range(group) for group in alike.values()]
+
+
+def _picture(sketch: str) -> list[str]:
+    """The drawing in a sketch: the first lines together that begin with blanks."""
+    lines: list[str] = []
+    for line in sketch.strip("\n").splitlines():
+        if line.startswith(" ") or (lines and not line.strip()):
+            lines.append(line)
+        elif lines:
+            break
+        if lines and not line.strip():
+            break
+    return [line for line in lines if line.strip()]
+
+
+def _merged(lines: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Lines in columns; of many, one for all that differ in numbers of names alone, as `link{1..200}.x`."""
+    lines = list(lines)
+    if len(lines) <= _MANY:
+        return lines
+    alike: dict[tuple[str, ...], list[tuple[str, ...]]] = {}
+    for line in lines:
+        alike.setdefault(tuple(_NUMBER.sub("0", column) for column in line), []).append(line)
+    return [tuple(_range(texts) for texts in zip(*group, strict=True)) for group in alike.values()]
+
+
+def _range(texts: Sequence[str]) -> str:
+    """Texts that differ in numbers of names alone as one."""
+    whole = ""
+    for pieces in zip(*(_NUMBER.split(text) for text in texts), strict=True):
+        same = len(set(pieces)) == 1
+        whole += pieces[0] if same else f"{{{min(map(int, pieces))}..{max(map(int, pieces))}}}"
+    return whole
