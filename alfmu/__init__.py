@@ -71,9 +71,11 @@ def __dir__() -> list[str]:
     return sorted([*globals(), *__all__])
 
 
-def __getattr__(name: str) -> Any:
-    if name in _GONE:
-        raise AttributeError(f"module 'alfmu' has no attribute {name!r}; {_GONE[name]}")
-    if name not in _HOME:
-        raise AttributeError(f"module 'alfmu' has no attribute {name!r}")
-    return getattr(import_module(f".{_HOME[name]}", __name__), name)
+if not TYPE_CHECKING:  # a checker knows the names above, and no others
+
+    def __getattr__(name: str) -> Any:
+        if name in _GONE:
+            raise AttributeError(f"module 'alfmu' has no attribute {name!r}; {_GONE[name]}")
+        if name not in _HOME:
+            raise AttributeError(f"module 'alfmu' has no attribute {name!r}")
+        return getattr(import_module(f".{_HOME[name]}", __name__), name)

@@ -425,7 +425,7 @@ def _export(chosen: argparse.Namespace) -> None:
         platforms=chosen.platform,
         kernel=chosen.kernel,
         stop_time=chosen.stop_time,
-        interval=chosen.step,
+        communication_step=chosen.step,
         reference=chosen.reference,
     )
     older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # none where -o names the file

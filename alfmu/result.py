@@ -35,7 +35,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Film", "Result", "Signal", "facts_beside", "facts_in", "read_inputs"]
 
-Signal = float | Callable[[float], float] | tuple[Sequence[float], Sequence[float]]
+Table = Sequence[float] | NDArray[Any]
+
+Signal = float | Callable[[float], float] | tuple[Table, Table]
 """An input over time: a number, a function of time [s], or a table (times, values) that is interpolated linearly."""
 
 _ROWS = 25

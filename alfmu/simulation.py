@@ -40,7 +40,7 @@ __all__ = [
 MOST = 500_000_000
 """Numbers in a result, at most: 4 GB."""
 
-Progress = Callable[[Sequence[float]], Iterable[float]]
+Progress = Callable[[Iterable[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
 
 
@@ -48,8 +48,11 @@ class Unit(Protocol):
     """What the driver needs of a mechanism, whether it is an `Instance` or an FMU."""
 
     name: str
-    outputs: Sequence[Variable]
-    input_variables: Sequence[Variable]
+
+    @property
+    def outputs(self) -> Sequence[Variable]: ...
+    @property
+    def input_variables(self) -> Sequence[Variable]: ...
 
     def set(self, name: str, value: float | str) -> None: ...
     def initialize(self) -> None: ...
@@ -89,7 +92,8 @@ def simulate(
     Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
     that has begun, the exception's `result` has the rows up to then.
     """
-    given, how = dict(parameters or {}), {"inputs": inputs, "progress": progress, "held_rows": held_rows}
+    given: dict[str, float | str] = dict(parameters or {})
+    how: dict[str, Any] = {"inputs": inputs, "progress": progress, "held_rows": held_rows}
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
         if outputs is not None or freeze is not None or kernel is not None:
             raise InputError(
@@ -171,7 +175,7 @@ def run(
     counters = getattr(unit, "counters", None)
     result = Result(unit.name, times[: len(values)], tuple(names), units, values, counters, facts or {}, declared)
     if ended is not None:
-        ended.result = result if len(values) else None
+        ended.result = result if len(values) else None  # type: ignore[attr-defined]
         raise ended
     return result
 

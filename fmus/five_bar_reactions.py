@@ -10,7 +10,7 @@ recipe = Recipe(
     outputs=["link*.angle", "*.force.*", "monitor.singular"],
     freeze=["l", "g"],
     stop_time=5.0,
-    interval=0.01,
+    communication_step=0.01,
 )
 
 

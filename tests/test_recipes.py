@@ -52,7 +52,7 @@ recipe = Recipe(
     outputs=["rod.angle", "A.force.*"],
     freeze=["mass"],
     stop_time=3.0,
-    interval=0.05,
+    communication_step=0.05,
 )
 
 
@@ -277,7 +277,10 @@ MISTAKES = [
     ("Recipe('five_bar', lock=None)", "lock is None; it must be a list of names"),
     ("Recipe('five_bar', reference=1)", "reference is 1; it must be True or False"),
     ("Recipe('five_bar', stop_time=-1)", "stop_time is -1; it must be a finite number of seconds above zero"),
-    ("Recipe('five_bar', interval=float('nan'))", "interval is nan; it must be a finite number of seconds above zero"),
+    (
+        "Recipe('five_bar', communication_step=float('nan'))",
+        "communication_step is nan; it must be a finite number of seconds above zero",
+    ),
     ("Recipe('five_bar', kernel='fast')", "kernel is 'fast'; it must be vm or compiled or auto or oracle or None"),
     ("Recipe('five_bar', kind='c')", "there is no kind 'c' of FMU; use one of python, native"),
     ("Recipe('five_bar', fmi=3)", "there is no python FMU of FMI 3; use FMI 2, or a native one of FMI 3"),

@@ -456,7 +456,7 @@ def derive(mechanism: Mechanism) -> Equations:
         works=not f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
         step_size=m.experiment.step_size,
-        interval=m.experiment.interval or m.experiment.step_size,
+        interval=m.experiment.communication_step or m.experiment.step_size,
         options=m.options,
         functions={name: _function(m, name, symbols, x) for name, x in expressions.items()},
     )

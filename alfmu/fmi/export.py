@@ -274,10 +274,10 @@ def _write(path: Path, text: str) -> Path:
 def _license(distribution: str) -> str:
     """Licence text of an installed package, or its declared licence."""
     for file in importlib.metadata.files(distribution) or ():
-        if re.search(r"LICEN[CS]E", file.name) and file.locate().is_file():
+        if re.search(r"LICEN[CS]E", file.name) and Path(str(file.locate())).is_file():
             return file.read_text()
     about = importlib.metadata.metadata(distribution)
-    terms = about.get("License-Expression") or about.get("License") or "see its site"
+    terms = next((about[key] for key in ("License-Expression", "License") if key in about), "see its site")
     return f"{distribution} {about['Version']}: {terms}\n"
 
 

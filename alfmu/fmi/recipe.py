@@ -6,7 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from copy import copy
-from dataclasses import KW_ONLY, dataclass, field, fields, replace
+from dataclasses import KW_ONLY, InitVar, dataclass, field, fields, replace
 from importlib.metadata import entry_points
 from numbers import Real
 from pathlib import Path
@@ -48,7 +48,7 @@ def _names(value: object) -> bool:
 
 
 def _seconds(value: object) -> bool:
-    return value is None or (isinstance(value, Real) and value is not True and 0 < value < math.inf)
+    return value is None or (isinstance(value, Real) and value is not True and 0 < float(value) < math.inf)
 
 
 def _one_of(*known: object) -> tuple[Callable[[object], bool], str]:
@@ -59,7 +59,7 @@ def _one_of(*known: object) -> tuple[Callable[[object], bool], str]:
 _LISTS = ("lock", "release", "outputs", "freeze", "platforms")
 """Fields that are lists of names; one name stands for a list of one."""
 
-_FORM: dict[str, tuple[Callable[[Any], bool], str]] = {
+_FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     "mechanism": (lambda x: isinstance(x, (str, Path)) or hasattr(x, "experiment"), "a name, a path or a Mechanism"),
     "name": (
         lambda x: isinstance(x, str) and len(x) <= LONGEST and re.fullmatch(r"([A-Za-z_][A-Za-z_0-9]*)?", x),
@@ -73,7 +73,7 @@ _FORM: dict[str, tuple[Callable[[Any], bool], str]] = {
     **dict.fromkeys(("lock", "release", "platforms"), (_names, "a list of names")),
     **dict.fromkeys(("outputs", "freeze"), (lambda x: x is None or _names(x), "a list of names, or None")),
     **dict.fromkeys(("compliances", "reference"), _one_of(True, False)),
-    **dict.fromkeys(("stop_time", "interval"), (_seconds, "a finite number of seconds above zero, or None")),
+    **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
     "kernel": _one_of(*KERNELS, None),
 }
 """Fields of a recipe: whether a value can be one, and in words."""
@@ -109,8 +109,8 @@ class Recipe(Brief):
     """Parameters of the mechanism that become constants, `["all"]` for every one."""
     stop_time: float | None = None
     """End of the default experiment [s]; None for the mechanism's own."""
-    interval: float | None = None
-    """Communication step of the default experiment [s]; None for the mechanism's own."""
+    communication_step: float | None = None
+    """Of the default experiment [s]; None for the mechanism's own."""
     kind: str = "python"
     """One of KINDS."""
     kernel: str | None = None
@@ -122,8 +122,14 @@ class Recipe(Brief):
     """Version of FMI; 3 for native FMUs."""
     reference: bool = True
     """Whether reference results (`alfmu.fmi.experiment`) are inside."""
+    interval: InitVar[float | None] = None
+    """Former name of `communication_step`."""
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, interval: float | None) -> None:
+        if interval is not None:
+            if self.communication_step is not None:
+                raise InputError(f"recipe of {self}: give communication_step or its former name interval, not both")
+            object.__setattr__(self, "communication_step", interval)
         for name, (good, what) in _FORM.items():
             value = getattr(self, name)
             if name in _LISTS and isinstance(value, Iterable):
@@ -192,8 +198,8 @@ class Recipe(Brief):
         if self.compliances:
             mechanism.compliances()
         mechanism.name = self.name or mechanism.name
-        own = {"stop_time": self.stop_time, "interval": self.interval}
-        own = {name: value for name, value in own.items() if value is not None}
+        given = {"stop_time": self.stop_time, "communication_step": self.communication_step}
+        own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         mechanism.experiment = replace(mechanism.experiment, **own)
         return mechanism
 
@@ -223,7 +229,8 @@ def load(which: str | Path | Mechanism | Recipe) -> Recipe:
     if str(which).endswith(".py"):
         from ..model.registry import executed
 
-        return _declared(Path(which), executed(Path(which))) or Recipe(which)
+        path = Path(str(which))
+        return _declared(path, executed(path)) or Recipe(which)
     for entry in entry_points(group=GROUP):
         if entry.name == which:
             module = entry.load()

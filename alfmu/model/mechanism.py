@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import InitVar, dataclass, field, replace
 from typing import Any, Generic, Never, Self, TypeVar, overload
 
 import casadi as ca
@@ -259,11 +259,17 @@ class Experiment:
     """[s]"""
     step_size: float = 0.02
     """Default of `solver.step_size` [s]."""
-    interval: float | None = None
-    """Communication step [s]; None for that of the solver."""
+    communication_step: float | None = None
+    """[s]; None for the step size of the solver."""
+    interval: InitVar[float | None] = None
+    """Former name of `communication_step`."""
 
-    def __post_init__(self) -> None:
-        for name in ("stop_time", "step_size", "interval"):
+    def __post_init__(self, interval: float | None) -> None:
+        if interval is not None:
+            if self.communication_step is not None:
+                raise DeclarationError("an experiment takes communication_step or its former name interval, not both")
+            object.__setattr__(self, "communication_step", interval)
+        for name in ("stop_time", "step_size", "communication_step"):
             value = getattr(self, name)
             if value is not None and not number(f"{name} of an experiment", value) > 0:
                 raise DeclarationError(f"{name} of an experiment is {value} s; it must be above zero")
@@ -381,8 +387,8 @@ class Mechanism:
         self.time = ca.SX.sym("time")
         self._names: dict[str, str] = {}
         self._lines: dict[str, tuple[str, int]] = {}
-        self._by_symbol: dict[int, Start | Coordinate] = {}
-        self._symbols: dict[int, Symbol] = {key_of(self.time): Symbol("time", "time", "s")}
+        self._by_symbol: dict[int | None, Start | Coordinate] = {}
+        self._symbols: dict[int | None, Symbol] = {key_of(self.time): Symbol("time", "time", "s")}
         self._owned: set[Body | SpatialBody] = {self.ground, self.spatial_ground}
 
     # Quantities -------------------------------------------------------------------------------------------------
@@ -484,7 +490,7 @@ class Mechanism:
         self._stands_for(symbol, "coordinates", f"the coordinate {name}", unit)
         self._stands_for(c.v, "rates", f"the rate of {name}", rate_of(unit))
         self._stands_for(c.a, "accelerations", f"the acceleration of {name}", rate_of(rate_of(unit)))
-        if self._is_start(start):
+        if isinstance(start, ca.SX) and self._is_start(start):
             self.tie(start, symbol)
         return symbol
 
@@ -821,7 +827,7 @@ class Mechanism:
         Mechanism.closures.of(self).append(Lock(name, of, unit, ca.SX.sym(f"{name}.locked_at")))
 
     def _joint(self, of: AnyJoint | str) -> AnyJoint:
-        joints = [*self.joints, *self.spatial_joints]
+        joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
         for joint in joints:
             if of is joint or of == joint.name:
                 return joint
@@ -911,7 +917,9 @@ class Mechanism:
         Mechanism.spatial_joints.of(self).append(joint)
         return joint
 
-    def _axes(self, name: str, axis: Sequence[float], second: Sequence[float] | None) -> tuple[tuple[float, ...], ...]:
+    def _axes(
+        self, name: str, axis: Sequence[float], second: Sequence[float] | None
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
         axes = []
         for x in (axis, axis if second is None else second):
             numbers = [a for a in _entries(x) if isinstance(a, float | int | np.number)] if _several(x) else []
@@ -1003,8 +1011,8 @@ class Mechanism:
                     raise DeclarationError(f"{what} is in {unit}, and {own.text} in {own.unit}; give one in {unit}")
         return value
 
-    def _vector(self, what: str, values: Any, units: Sequence[str], may: Collection[str]) -> tuple[Scalar, ...]:
-        """Several quantities, each in its unit."""
+    def _vector(self, what: str, values: Any, units: Sequence[str], may: Collection[str]) -> Any:
+        """Several quantities, each in its unit: a tuple of as many as there are units."""
         if not _several(values) or len(_entries(values)) != len(units):
             count = f"{len(_entries(values))} numbers" if _several(values) else shown(values)
             wanted = {2: "two", 3: "three", 4: "four"}[len(units)]
@@ -1052,14 +1060,14 @@ class Mechanism:
         perhaps_millimetres(f"{self.name}: {what}", length)
         return length
 
-    def _pose(self, name: str, pose: Any) -> tuple[Scalar, ...] | None:
+    def _pose(self, name: str, pose: Any) -> tuple[Scalar, Scalar, Scalar] | None:
         return None if pose is None else self._vector(f"the pose of {name}", pose, ("m", "m", "rad"), PLACE)
 
-    def _ends(self, name: str, between: Any) -> tuple[Point | Marker, ...]:
+    def _ends(self, name: str, between: Any) -> tuple[Point | Marker, Point | Marker]:
         if not isinstance(between, tuple | list) or len(between) != 2:
             raise DeclarationError(f"{self.name}: {name} is between {shown(between)}; give a pair of points")
         self._own([end for end in between if not isinstance(end, Point)], f"bar {name}", Marker)
-        return tuple(between)
+        return between[0], between[1]
 
 
 def key_of(symbol: Scalar) -> int | None:

@@ -92,7 +92,7 @@ def choices(mechanism: str | Path | Mechanism) -> dict[str, list[str]]:
     hints = _hints(mechanism, _factory(mechanism))
     words = {int: "whole number", float: "number", str: "text"}
     return {
-        name: list(map(str, values)) or [words.get(hints.get(name), "any")]
+        name: list(map(str, values)) or [words.get(hints.get(name, object), "any")]
         for name, values in options(mechanism).items()
     }
 
@@ -162,7 +162,7 @@ def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
         if isinstance(error, AlfmuError | AlfmuWarning) and not isinstance(error, DeclarationError):
             raise
         lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(mechanism)]
-        line = getattr(error, "lineno", None) or (lines[-1] if lines else 0)
+        line = int(getattr(error, "lineno", None) or (lines[-1] if lines else None) or 0)
         where = f"{mechanism}, line {line or '?'}"
         if isinstance(error, DeclarationError):
             raise DeclarationError(f"{where}: {error}") from error

@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -169,7 +170,8 @@ class Instance:
             if value not in (0, 1):
                 raise InputError(f"{e.name}: {name} is {value!r}; it must be true or false")
         elif v.type == "String":
-            replace(self._given, **{setting(name): value}).checked(e.name, e.l)
+            changed: dict[str, Any] = {setting(name): value}
+            replace(self._given, **changed).checked(e.name, e.l)
         else:
             checked(e.name, v, value)
         if setting(name) in ("method", "input_order") and not self.initialized:
@@ -179,11 +181,11 @@ class Instance:
 
     def _retrace(self, name: str, value: float | str) -> None:
         """Another method of integration, or order of inputs: another scene, with the values that are set."""
-        value = int(value) if name == "input_order" else value
-        if getattr(self._given, name) == value:
-            return
+        changed: dict[str, Any] = {name: int(value) if name == "input_order" else value}
         before = self._given
-        self._given = replace(before, **{name: value})
+        if getattr(before, name) == changed[name]:
+            return
+        self._given = replace(before, **changed)
         try:
             self._rebuild(self.equations)
         except AlfmuError:
@@ -400,7 +402,7 @@ class Instance:
     @penalty.setter
     def penalty(self, alpha: ArrayLike) -> None:
         e, full = self.equations, np.array(alpha, float)
-        replace(self._given, penalty=full).checked(e.name, e.l)
+        replace(self._given, penalty=full.tolist()).checked(e.name, e.l)
         self._penalize(np.broadcast_to(full, (e.l,)))
 
     def _penalize(self, alpha: NDArray) -> None:

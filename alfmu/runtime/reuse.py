@@ -62,7 +62,12 @@ def ready(
         chosen = _decided(equations, own | folded)
         e = replace(e, solver=chosen.solver, reason=chosen.reason)
         method = e.solver["method"]
-    key = (None if outputs is None else tuple(outputs), None if freeze is None else tuple(freeze), kernel, method)
+    key: tuple[object, ...] = (
+        None if outputs is None else tuple(outputs),
+        None if freeze is None else tuple(freeze),
+        kernel,
+        method,
+    )
     key += tuple(sorted(folded.items()))
     known = equations.programs.setdefault("ready", {})
     if key not in known:

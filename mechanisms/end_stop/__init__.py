@@ -29,7 +29,7 @@ def end_stop() -> Mechanism:
         "end_stop",
         "Slider-crank with masses a million apart, whose ram runs into an elastic end stop",
         SKETCH,
-        Experiment(5.0, 5e-5, interval=1e-3),
+        Experiment(5.0, 5e-5, communication_step=1e-3),
     )
     l1 = m.parameter("l1", 0.5, "m", minimum=1e-6, description="distance of the crank pin from the flywheel's axis")
     l2 = m.parameter("l2", 1.0, "m", minimum=1e-6, description="length of the rod")

@@ -27,7 +27,7 @@ def flexible_four_bar() -> Mechanism:
         "flexible_four_bar",
         "Four-bar linkage whose coupler bends at a stiff torsional spring-damper",
         SKETCH,
-        Experiment(5.0, 2e-4, interval=1e-3),
+        Experiment(5.0, 2e-4, communication_step=1e-3),
     )
     lengths = (("l0", 1.0, "base"), ("l1", 0.3, "crank"), ("l2", 0.9, "coupler when straight"), ("l3", 0.7, "rocker"))
     l0, l1, l2, l3 = (

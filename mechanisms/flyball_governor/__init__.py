@@ -30,7 +30,7 @@ def flyball_governor() -> Mechanism:
         "flyball_governor",
         "Flyball governor with stiff spring-dampers, in space",
         SKETCH,
-        Experiment(10.0, 1e-4, interval=0.01),
+        Experiment(10.0, 1e-4, communication_step=0.01),
     )
     l = m.parameter("l", 1.0, "m", minimum=1e-6, description="length of shaft and rods")
     width = m.parameter("width", 0.01, "m", minimum=1e-6, description="width of the square sections of shaft and rods")
