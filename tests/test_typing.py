@@ -1,4 +1,4 @@
-"""Types of the public names, as a checker tells a user: of a small file of theirs, and of the modules they come from."""
+"""Types of the public names, as a checker tells a user: of a file of theirs, and of the modules they come from."""
 
 import subprocess
 import sys
