@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -73,6 +74,13 @@ class Mobility:
     """Independent velocities at the given position; more than `freedom` where it is singular."""
 
 
+_TUPLES = (
+    *("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs", "rows"),
+    *("compliances", "switches"),
+)
+"""Fields of equations that users read."""
+
+
 @dataclass(frozen=True, repr=False)
 class Equations:
     """The equations that `alfmu.derive` found of a mechanism with n coordinates and l constraints.
@@ -107,14 +115,14 @@ class Equations:
 
     name: str
     description: str
-    coordinates: list[Variable]
-    parameters: list[Variable]
-    starts: list[Variable]
-    start_rates: list[Variable]
+    coordinates: Sequence[Variable]
+    parameters: Sequence[Variable]
+    starts: Sequence[Variable]
+    start_rates: Sequence[Variable]
     tied: list[int]
-    inputs: list[Variable]
-    outputs: list[Variable]
-    rows: list[Row]
+    inputs: Sequence[Variable]
+    outputs: Sequence[Variable]
+    rows: Sequence[Row]
     wrapped: dict[str, int]
     """Outputs that are angles known up to whole turns only, and the start value they begin near (-1: none)."""
     works: bool
@@ -127,7 +135,7 @@ class Equations:
     """Options that the mechanism was declared with."""
     kernel: dict[str, Any] = field(default_factory=dict)
     """Once traced, the programs of the kernel by name (`alfmu.kernel.form.Program`)."""
-    solver: dict[str, float | str] = field(default_factory=dict)
+    solver: dict[str, Any] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
     reason: str = ""
     """Why `solver.method` is what it is, where `auto` chose it."""
@@ -147,9 +155,9 @@ class Equations:
     """Whether constraints are in different units, so that each has a penalty of its own."""
     lengths: list[int] = field(default_factory=list)
     """Constraints that keep Euler parameters at unit length: they belong to no joint."""
-    compliances: list[Variable] = field(default_factory=list)
+    compliances: Sequence[Variable] = ()
     """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
-    switches: list[Switch] = field(default_factory=list)
+    switches: Sequence[Switch] = ()
     """Boolean inputs that change the topology."""
     held: list[str] = field(default_factory=list)
     """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them."""
@@ -161,6 +169,11 @@ class Equations:
     programs: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
     """The scene as it was loaded, and these equations traced with other settings: once for all instances of these
     equations, and not for others made of them."""
+
+    def __post_init__(self) -> None:
+        # Equations are shared by instances, so that nobody may change them.
+        for each in _TUPLES:
+            object.__setattr__(self, each, tuple(getattr(self, each)))
 
     def __repr__(self) -> str:
         return f"Equations({self.name!r}, n = {self.n}, l = {self.l}{', traced' if self.kernel else ''})"
