@@ -68,7 +68,7 @@ _GONE = {
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted(__all__)
 
 
 if not TYPE_CHECKING:  # a checker knows the names above, and no others

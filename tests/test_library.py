@@ -342,6 +342,17 @@ def test_only_the_latest_mechanisms_are_kept(traces):
     assert len(reuse._KEPT) == reuse._MOST
 
 
+def test_only_the_latest_scenes_of_a_mechanism_are_kept(traces):
+    m, count = pendulum(), reuse._MOST + 2
+    for k in range(count):
+        alfmu.simulate(m, 0.1, 0.05, parameters={"l": 1.0 + k}, freeze=["l"])
+    (equations,) = reuse._KEPT.values()
+    assert len(equations.programs["ready"]) == reuse._MOST
+    assert len(traces) == count
+    alfmu.simulate(m, 0.1, 0.05, parameters={"l": float(count)}, freeze=["l"])
+    assert len(traces) == count
+
+
 # Texts and lists ----------------------------------------------------------------------------------------------------
 
 
@@ -386,8 +397,8 @@ def test_lists_of_a_mechanism_are_read_and_not_written():
 
 
 def test_public_names_are_found(four_bar):
-    assert set(alfmu.__all__) <= set(dir(alfmu))
-    assert "simulate" in dir(alfmu)
+    assert dir(alfmu) == sorted(alfmu.__all__)
+    assert {"Mechanism", "Result", "simulate", "export"} <= set(dir(alfmu))
     assert alfmu.__all__ == sorted(alfmu.__all__, key=lambda name: (name.islower(), name))
 
 

@@ -51,20 +51,21 @@ BAD = {
 
 @pytest.fixture(scope="module")
 def said(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
-    """What mypy says of a user's file, and of the modules that public names come from."""
+    """What mypy says of a user's file; of the modules that public names come from, and of the gallery."""
     folder = tmp_path_factory.mktemp("typed")
     bad = "\n".join(BAD)
     (folder / "users.py").write_text(f"# mypy: disallow-untyped-defs, disallow-untyped-calls\n{GOOD}\n{bad}\n")
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["mypy"]
     command = [sys.executable, "-m", "mypy", "--config-file", "pyproject.toml", "--cache-dir", str(folder / "cache")]
-    command += ["--no-error-summary", *settings["files"], str(folder / "users.py")]
+    gallery = map(str, sorted((ROOT / "docs" / "gallery").glob("plot_*.py")))
+    command += ["--no-error-summary", *settings["files"], *gallery, str(folder / "users.py")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=500)
     assert done.stderr == ""
     lines = done.stdout.splitlines()
     return tuple("\n".join(x for x in lines if ("users.py" in x) == theirs) for theirs in (True, False))
 
 
-def test_the_public_surface_has_no_errors(said):
+def test_the_public_surface_and_the_gallery_have_no_errors(said):
     assert said[1] == ""
 
 

@@ -58,7 +58,9 @@ class Instance:
         i.step(0.02)
         i.get("link1.angle")
 
-    `mechanism` is a `Mechanism`, a name, a file, or equations. A call that raises leaves the instance as it was before.
+    `mechanism` is a `Mechanism`, a name, a file, or equations. `settings` are for studies of the method: all of its
+    numbers at once, those that no variable has included (`alfmu.model.settings`). A call that raises leaves the instance
+    as it was before.
     """
 
     def __init__(self, mechanism: str | Path | Mechanism | Equations, settings: Settings | None = None):

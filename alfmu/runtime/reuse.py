@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from threading import Lock
+from typing import Any, TypeVar
 
 from ..equations import Equations
 from ..equations.derivation import derive
@@ -15,10 +16,15 @@ from ..model.mechanism import Mechanism
 from ..model.settings import Settings
 from .prepare import decided, prepared, with_defaults
 
+_Made = TypeVar("_Made")
+
 __all__ = ["derived", "ready"]
 
 _MOST = 8
-"""Mechanisms whose equations and scenes are kept, the latest."""
+"""Mechanisms whose equations are kept, and scenes of each: the latest."""
+
+_DECISIONS = 1000
+"""Choices of the method of integration that are kept of a mechanism, the latest."""
 
 _KEPT: OrderedDict[str, Equations] = OrderedDict()
 _LOCK = Lock()
@@ -29,16 +35,7 @@ def derived(mechanism: Mechanism) -> Equations:
     key = content(mechanism)
     if key is None:
         return derive(mechanism)
-    with _LOCK:
-        known = _KEPT.get(key)
-    if known is None:
-        known = derive(mechanism)
-    with _LOCK:
-        _KEPT[key] = known
-        _KEPT.move_to_end(key)
-        while len(_KEPT) > _MOST:
-            _KEPT.popitem(last=False)
-    return known
+    return _kept(_KEPT, key, lambda: derive(mechanism), _MOST)
 
 
 def ready(
@@ -59,26 +56,33 @@ def ready(
     folded = {name: own.pop(name) for name in frozen & own.keys()}
     e = with_defaults(equations, {**folded, "solver.method": method})
     if method == "auto":
-        chosen = _decided(equations, own | folded)
-        e = replace(e, solver=chosen.solver, reason=chosen.reason)
-        method = e.solver["method"]
-    key: tuple[object, ...] = (
-        None if outputs is None else tuple(outputs),
-        None if freeze is None else tuple(freeze),
-        kernel,
-        method,
-    )
-    key += tuple(sorted(folded.items()))
-    known = equations.programs.setdefault("ready", {})
-    if key not in known:
-        known[key] = prepared(specialised(e, outputs, freeze), kernel)
-    return known[key], own
+        method, reason = _decided(equations, own | folded)
+        e = replace(e, solver={**e.solver, "method": method}, reason=reason)
+    asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
+    key = (*asked, kernel, method, *sorted(folded.items()))
+    scenes = equations.programs.setdefault("ready", OrderedDict())
+    return _kept(scenes, key, lambda: prepared(specialised(e, outputs, freeze), kernel), _MOST), own
 
 
-def _decided(equations: Equations, values: Mapping[str, float | str]) -> Equations:
-    """The equations with the method that `auto` stands for where these values are set."""
-    known = equations.programs.setdefault("decided", {})
-    key = tuple(sorted(values.items()))
-    if key not in known:
-        known[key] = decided(with_defaults(equations, {**values, "solver.method": "auto"}))
-    return known[key]
+def _decided(equations: Equations, values: Mapping[str, float | str]) -> tuple[str, str]:
+    """The method that `auto` stands for where these values are set, and why."""
+
+    def choose() -> tuple[str, str]:
+        e = decided(with_defaults(equations, {**values, "solver.method": "auto"}))
+        return str(e.solver["method"]), e.reason
+
+    known = equations.programs.setdefault("decided", OrderedDict())
+    return _kept(known, tuple(sorted(values.items())), choose, _DECISIONS)
+
+
+def _kept(known: OrderedDict[Any, _Made], key: object, make: Callable[[], _Made], most: int) -> _Made:
+    """What was made before for a key, or is made now; of all that is known, the latest stay."""
+    with _LOCK:
+        found = known.get(key)
+    made = make() if found is None else found
+    with _LOCK:
+        known[key] = made
+        known.move_to_end(key)
+        while len(known) > most:
+            known.popitem(last=False)
+    return made
