@@ -59,8 +59,8 @@ class Instance:
         i.get("link1.angle")
 
     `mechanism` is a `Mechanism`, a name, a file, or equations. `settings` are for studies of the method: all of its
-    numbers at once, those that no variable has included (`alfmu.model.settings`). A call that raises leaves the instance
-    as it was before.
+    numbers at once, those that no variable has included (`alfmu.model.settings`). A call that raises leaves the
+    instance as it was before.
     """
 
     def __init__(self, mechanism: str | Path | Mechanism | Equations, settings: Settings | None = None):
