@@ -396,7 +396,7 @@ def _info(chosen: argparse.Namespace) -> None:
         for name, start, unit, text in lines:
             print(f"  {name:{width}} {start:>10} {unit:12} {text}".rstrip())
     chosen_method = decided(equations)
-    print(f"\nmethod of integration: {chosen_method.reason or chosen_method.solver.get('method', 'rk4')}")
+    print(f"\nmethod of integration: {chosen_method.reason or chosen_method.chosen}")
     print("\n" + "\n".join(described(everything, equations, size)))
     if chosen.sizes:
         from .fmi.sizes import sizes
