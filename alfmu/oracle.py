@@ -61,7 +61,7 @@ class Instance(runtime.Instance):
         self.counters = Counters()
 
     def initialize(self) -> None:
-        """Begin as the runtime does, RK4 in place of `auto`; InputError where another method of integration is asked for."""
+        """Begin as the runtime does, with RK4 for `auto`; InputError where another method is asked for."""
         if (chosen := self.choices["solver.method"]) not in ("auto", "rk4"):
             raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
         super().initialize()

@@ -109,7 +109,7 @@ AnyInstance = alfmu.Instance | oracle.Instance
 
 def begun(equations: alfmu.Equations, step_size: float = SHORT, **settings: float) -> alfmu.Instance:
     """An instance at the regular position, with internal steps of `step_size` [s]."""
-    instance = alfmu.Instance(equations, alfmu.Settings(step_size=step_size, **settings))
+    instance = alfmu.Instance(equations, alfmu.Settings(step_size=step_size, method="rk4", **settings))
     start(instance)
     return instance
 
@@ -175,7 +175,7 @@ def step_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
         if scene.endswith("frozen"):
             derived = specialised(derived, None, ["all"])
         traced, dt = prepared(derived), derived.step_size
-        by_oracle = oracle.Instance(derived, alfmu.Settings(step_size=dt))
+        by_oracle = oracle.Instance(derived, alfmu.Settings(step_size=dt, method="rk4"))
         start(by_oracle)
         calls = {"solve": solve_call(), "oracle step": stepping(by_oracle, dt, once=True)}
         calls |= functions(begun(traced))

@@ -116,7 +116,7 @@ def measured(name: str, effort: Effort, kernel: str = "auto", methods: Sequence[
 def choice(name: str, rows: Sequence[Row]) -> Row:
     """What `auto` chose on a mechanism, and its run time over that of the better method."""
     decided = prepared(with_defaults(alfmu.derive(alfmu.load(name)), {"solver.method": "auto"}), "oracle")
-    chosen = decided.solver["method"]
+    chosen = decided.chosen
     seconds = {r["method"]: r["median [s]"] for r in rows if r.get("tolerance") == COMPARED and r["median [s]"]}
     ratio = seconds[chosen] / min(seconds.values()) if chosen in seconds else None
     verdict = "not judged" if ratio is None else "met" if ratio <= TWICE else "not met"

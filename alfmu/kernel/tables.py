@@ -186,7 +186,7 @@ _FIXED = ("solver.input_order",)
 
 
 def known_choices(equations: Equations) -> dict[str, dict[str, str]]:
-    """What text variables can be, and what that is: a scene carries one method of integration, and RK4 beside `auto`."""
+    """What text variables can be, and what that is: a scene carries one method of integration, RK4 beside `auto`."""
     methods = {"auto": ["rk4", "auto"]}
     method = default_settings(equations).method
     carries = {"solver.formulation": carried(equations), "solver.method": methods.get(method, [method])}
