@@ -156,7 +156,9 @@ def by_the_oracle(
     equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings
 ) -> oracle.Instance:
     """What `started` gives, on NumPy arrays."""
-    instance = oracle.Instance(equations, alfmu.Settings(step_size=equations.step_size, **settings))
+    instance = oracle.Instance(
+        equations, alfmu.Settings(**{"step_size": equations.step_size, "method": "rk4", **settings})
+    )
     for name, value in (given or {}).items():
         instance.set(name, value)
     instance.initialize()
@@ -165,7 +167,9 @@ def by_the_oracle(
 
 def started(equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings) -> alfmu.Instance:
     """An initialised instance with parameters, start values, inputs and solver numbers by name."""
-    instance = alfmu.Instance(equations, alfmu.Settings(step_size=equations.step_size, **settings))
+    instance = alfmu.Instance(
+        equations, alfmu.Settings(**{"step_size": equations.step_size, "method": "rk4", **settings})
+    )
     for name, value in (given or {}).items():
         instance.set(name, value)
     instance.initialize()

@@ -113,6 +113,7 @@ def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps, 
     dt = 1 / 256  # exact in binary, so that no step differs from another
     for i in (one, many):
         i.set("start.angular_velocity", 4.0)
+        i.set("solver.method", "rk4")
         i.set("solver.step_size", dt)
         i.initialize()
     many.step(steps * dt)
@@ -199,6 +200,7 @@ def test_a_penalty_for_each_constraint_runs_by_the_kernel(kernel, off):
 @each_kernel
 def test_a_step_that_neither_can_take_keeps_the_state(kernel):
     i = alfmu.Instance(prepared(derived("four_bar"), kernel))
+    i.set("solver.method", "rk4")
     i.set("solver.step_size", 5.0)
     i.set("start.angle", 0.4)
     i.initialize()
@@ -276,6 +278,7 @@ def test_a_long_communication_step_is_many_short_ones():
     for kernel in ("vm", "compiled", "oracle"):
         parts = 1200 if kernel == "oracle" else 1
         i = made(derived("slider_crank", coordinates="mixed"), kernel)
+        i.set("solver.method", "rk4")
         i.set("solver.step_size", 1 / 1024)
         i.initialize()
         for k in range(parts):

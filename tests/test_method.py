@@ -141,7 +141,7 @@ def test_a_zero_penalty_switches_its_constraint_off(off: tuple[int, ...]) -> Non
 
 def test_constraints_removed_while_running() -> None:
     """Link 4 is let go after half a second: it falls freely, the others go on as a four-bar with its inertia gone."""
-    i = started(derived("five_bar"), start(-0.8, 1.0, **{"solver.step_size": 0.005}))
+    i = started(derived("five_bar"), start(-0.8, 1.0, **{"solver.method": "rk4", "solver.step_size": 0.005}))
     i.step(0.5)
     r = readings(i)
     q = {k: r[f"link4.{k}"] for k in ("x", "y", "vx", "vy")}
@@ -363,7 +363,7 @@ def run(mechanism: str, formulation: str, step: float, **settings) -> tuple[floa
     else:
         given, inputs, name = start(-1.0, 2.0), {}, "link1.angle"
         exact = Parallelogram().swing(-1.0, 2.0, TIMES)
-    chosen = alfmu.Settings(step_size=step, formulation=formulation, **settings)
+    chosen = alfmu.Settings(method="rk4", step_size=step, formulation=formulation, **settings)
     r = alfmu.simulate(derived(mechanism), 1.0, 0.1, parameters=given, inputs=inputs, settings=chosen)
     return float(np.abs(r[name] - exact[:, 0]).max()), r
 
@@ -433,7 +433,7 @@ def test_stabilised_constraints_follow_their_own_oscillator(formulation: str, ze
     """Phi'' + 2 zeta omega Phi' + omega^2 Phi = 0 from a disturbed start: exactly for (9), up to 1 / alpha for (6)."""
     e, omega = derived("slider_crank"), 8.0
     settings = {"formulation": formulation, "zeta": zeta, "omega": omega, "penalty": 1e10}
-    i = started(e, {"start.angle": 0.6, "solver.step_size": 0.001}, **settings)
+    i = started(e, {"start.angle": 0.6, "solver.method": "rk4", "solver.step_size": 0.001}, **settings)
     i.q[6] += 1e-3  # the slider off the end of the rod
     gap = np.array(e.Phi(i.q, i.values[: len(e.parameters)])).reshape(-1)
     t = 0.3

@@ -405,10 +405,11 @@ def share(method: Explicit | Collocation) -> tuple[float, float]:
     """Factor and exponent that make the tolerance of a run that of a step.
 
     The estimate of a collocation method is of an order far below its own: with the exponent of Hairer and Wanner's
-    RADAU code, the error follows the tolerance all the same. So it does for RK4, whose steps are short.
+    RADAU code, the error follows the tolerance all the same. So it does for RK4, of whose short steps there are more.
     """
     low = isinstance(method, Collocation) or method is EXPLICIT4
-    return SHARE, (method.estimate + 1) / (method.order + 1) if low else 1.0
+    factor = SHARE / 2 if method is EXPLICIT4 else SHARE
+    return factor, (method.estimate + 1) / (method.order + 1) if low else 1.0
 
 
 def tolerance(method: Explicit | Collocation, run: float) -> float:

@@ -1144,6 +1144,13 @@ static Outcome covered(Instance *i, double end, double dt)
             hold(i);
         if (cover(i, end, tries))
             continue;
+        if (method(i) == 1 && field(i, s->after)[s->near] != 0.0) {
+            Outcome outcome;
+            i->left = MOST_STEPS;
+            outcome = subdivided(i, *time, i->values[s->step_size]);
+            if (outcome != DONE)
+                return outcome;
+        }
         if (method(i) == 1 && pace[PACE_DT] < GIVEN_UP)
             return say(i, FAILED,
                 "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use "

@@ -16,6 +16,10 @@
 /* Of a step that cannot be judged, the next try. */
 #define SHORTENED 0.2
 
+/* Tries that cannot be judged near a singular position, before the step that was wanted at the first of them is covered:
+   from so many on no motion goes on there. */
+#define STUCK 20
+
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
 long advance(Instance *i, long steps, double dt)
 {
@@ -169,14 +173,21 @@ int cover(Instance *i, double end, long tries)
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     double judged = 0.0; /* step of the first try that could not be judged, since one that could */
+    double until = -INFINITY;
+    int stuck = 0;
     pace[PACE_END] = end;
     for (; m[s->z + s->time] < end && tries != 0; tries--) {
         try_step(i);
         if (after[s->trouble] != 0.0 && judged == 0.0)
             judged = pace[PACE_DT];
         if (after[s->trouble] != 0.0) {
-            const double shorter = SHORTENED * fmin(pace[PACE_DT], end - m[s->z + s->time]);
-            if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP) {
+            const double wanted = fmin(pace[PACE_DT], end - m[s->z + s->time]), shorter = SHORTENED * wanted;
+            if (after[s->near] != 0.0 && m[s->z + s->time] > until) {
+                until = m[s->z + s->time] + wanted;
+                stuck = 0;
+            }
+            stuck += after[s->near] != 0.0;
+            if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP || stuck == STUCK) {
                 /* Near a singular position it is not the length of the step that is wrong. */
                 pace[PACE_DT] = after[s->near] != 0.0 ? judged : fmin(pace[PACE_DT], shorter);
                 return 0;
