@@ -11,7 +11,7 @@ from oracles.parallelogram import Parallelogram
 import alfmu
 from alfmu import oracle
 from alfmu.method import formulations as method
-from alfmu.simulation import instance
+from alfmu.simulation import instance, with_defaults
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
 """Mass, inertia, centre of mass of the bodies of `arm`."""
@@ -117,6 +117,12 @@ def double_pendulum() -> alfmu.Mechanism:
 def derived(name: str, **options: str) -> alfmu.Equations:
     """Equations of a registered mechanism, derived once."""
     return alfmu.derive(alfmu.load(name, **options))
+
+
+@cache
+def by_rk4(name: str, **options: str) -> alfmu.Equations:
+    """The same, to be integrated by RK4 with steps of one length, as the oracle does."""
+    return with_defaults(derived(name, **options), {"solver.method": "rk4"})
 
 
 def evaluate(

@@ -27,12 +27,12 @@ CONTROL = ("step_size", "tier", "method")
 scene with error control, 2 the same in steps of one length)."""
 
 TALLY = (
-    *(*TIERS, "limits", "tries", "careful_tries", "covered", "refused", "beside", "beside_limits"),
-    *("short_tries", "short_beside", "short_limits"),
+    *(*TIERS, "limits", "short_tries", "short_beside", "short_limits"),
+    *("tries", "careful_tries", "covered", "refused", "beside", "beside_limits"),
 )
-"""Internal steps made by each tier, limits taken; by the method of the scene: tries, those of them with careful
-iterations, steps made, refused ones, tries on the branch, limits taken there; tries of short steps, those on
-the branch, limits taken there."""
+"""Internal steps made by each tier, limits taken; tries of short steps, those of them on the branch, limits taken there;
+by the method of the scene: tries, those of them with careful iterations, steps made, refused ones (short ones too), tries
+on the branch, limits taken there."""
 
 PACE = (
     *("dt", "before", "refused", "fixed", "end", "last", "accepted", "floor", "careful"),
