@@ -30,9 +30,9 @@ TALLY = (
     *(*TIERS, "limits", "short_tries", "short_beside", "short_limits"),
     *("tries", "careful_tries", "covered", "refused", "beside", "beside_limits"),
 )
-"""Internal steps made by each tier, limits taken; tries of short steps, those of them on the branch, limits taken there;
-by the method of the scene: tries, those of them with careful iterations, steps made, refused ones (short ones too), tries
-on the branch, limits taken there."""
+"""Internal steps made by each tier, limits taken; tries of short steps, those of them on the branch, limits taken
+there; by the method of the scene: tries, those of them with careful iterations, steps made, refused ones (short ones
+too), tries on the branch, limits taken there."""
 
 PACE = (
     *("dt", "before", "refused", "fixed", "end", "last", "accepted", "floor", "careful"),
