@@ -215,19 +215,19 @@ class Instance(runtime.Instance):
         magnifies what is left open, so that one more is made; what is left above the tolerance is counted. Raises
         OpenError where more than `GROSS` is left.
         """
-        _, C, Phi, Cv, solve = self.augmented(q, v)
+        M, C, Phi, Cv, solve = self.augmented(q, v)
         for _ in range(CORRECTIONS):
             if self._closed(Phi, C, q):
                 if not near:
                     break
                 near = False
-            q = q + method.project(C, self.alpha, solve, Phi)  # (10)
-            _, C, Phi, Cv, solve = self.augmented(q, v)
+            q = self._closer(M, C, Phi, solve, q)
+            M, C, Phi, Cv, solve = self.augmented(q, v)
             self.counters.projection_iterations += 1
         for _ in range(CORRECTIONS):
             if self._closed(Cv, C, v):
                 break
-            v = v + method.project(C, self.alpha, solve, Cv)  # (10)
+            v = v + self._correction(M, C, Cv, solve)
             Cv = C @ v
             self.counters.projection_iterations += 1
         for what, residue in (("|Phi|", Phi), ("|Phi-dot|", Cv)):
@@ -237,6 +237,18 @@ class Instance(runtime.Instance):
                 raise self._error(OpenError, t, left)
         self.counters.unprojected += not (self._closed(Phi, C, q) and self._closed(Cv, C, v))
         return q, v, self._largest(Phi), self._largest(Cv)
+
+    def _closer(self, M: NDArray, C: NDArray, Phi: NDArray, solve: method.Solve, q: NDArray) -> NDArray:
+        """q after a correction (10)."""
+
+        def left(d: NDArray) -> NDArray:
+            return self.constraints(q + d, d)[2]
+
+        return q + method.project_residual(M, C, self.alpha, solve, Phi, left)
+
+    def _correction(self, M: NDArray, C: NDArray, Cv: NDArray, solve: method.Solve) -> NDArray:
+        """A correction (10) of v."""
+        return method.project_residual(M, C, self.alpha, solve, Cv, lambda d: Cv + C @ d)
 
     def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
         """Whether a residue of C is within the tolerance, or within the round-off of the row where that is larger."""
@@ -281,16 +293,16 @@ class Instance(runtime.Instance):
         """
 
         def closer(q: NDArray) -> NDArray:
-            _, C, Phi, _, solve = self.augmented(q, v)
-            return q + method.project(C, self.alpha, solve, Phi)  # (10)
+            M, C, Phi, _, solve = self.augmented(q, v)
+            return self._closer(M, C, Phi, solve, q)
 
         near = closer(closer(q))
         M, C, _, _, solve = self.augmented(near, v)
         near, v = branch.returned(M, C, self.alpha, solve, self.heavy, near, q, v)
         near = closer(near)
-        _, C, _, _, solve = self.augmented(near, v)
+        M, C, _, _, solve = self.augmented(near, v)
         for _ in range(2):
-            v = v + method.project(C, self.alpha, solve, C @ v)  # (10)
+            v = v + self._correction(M, C, C @ v, solve)
         return near, v
 
     def reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
