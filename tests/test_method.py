@@ -11,6 +11,7 @@ from oracles.parallelogram import DIGITS, Parallelogram, constrained, floats, le
 from oracles.slider_crank import SliderCrank
 from scenes import by_the_oracle as started
 from scenes import derived, readings
+from scenes import started as running
 
 import alfmu
 from alfmu import oracle
@@ -481,12 +482,32 @@ def test_the_same_lines_run_on_symbols(iterate: Callable) -> None:
     assert used == want[2] == 4
 
 
-def test_unconverged_iterations_are_counted() -> None:
-    """An iteration that reaches its limit is no silence: the counter says so."""
+def test_unconverged_iterations_are_counted(caplog: pytest.LogCaptureFixture) -> None:
+    """An iteration that reaches its limit is no silence: the counter says so, and one warning of a run."""
     i = started(derived("five_bar"), start(-1.0, 2.0, **{"solver.max_iterations": 1}))
-    i.step(0.02)
-    i.get("link1.angle")
+    with caplog.at_level("WARNING", "alfmu"):
+        i.step(0.02)
+        i.get("link1.angle")
     assert i.counters.unconverged == i.counters.evaluations == i.counters.multiplier_iterations == 5
+    (warning,) = caplog.messages
+    assert "an evaluation ended without convergence after 1 passes of the multiplier iteration" in warning
+
+
+@pytest.mark.parametrize("kernel", ["oracle", "vm"])
+def test_a_penalty_that_leaves_too_much_is_refused_by_both(kernel: str) -> None:
+    """A step with a given penalty that is as small as a mass, and a reading, each by name; the state is kept."""
+    e = derived("five_bar")
+    i = (started if kernel == "oracle" else running)(e, start(-1.0, 2.0, **{"solver.penalty": 1.0}))
+    before = i.save()
+    said = (
+        r"five_bar, t = \S+ s: with solver\.penalty 1 the multiplier iteration still changes accelerations by \S+ of "
+    )
+    said += r"themselves after 10 passes, more than 1e-07; use solver\.penalty 0"
+    with pytest.raises(alfmu.StepError, match=said):
+        i.get("A.force_x")
+    with pytest.raises(alfmu.StepError, match=said):
+        i.step(0.02)
+    assert i.save() == before
 
 
 @pytest.mark.parametrize(
