@@ -9,6 +9,7 @@ positions, and plastic impacts.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -24,7 +25,7 @@ from .equations.arrays import ArrayFunction, ArrayFunctions
 from .equations.evaluation import DENSE
 from .equations.interface import MONITORS, Counters, events
 from .kernel.memory import GROSS, SETTINGS, TURN
-from .kernel.thresholds import PATIENT, REGULAR, SAID, SHORTEST, TORN
+from .kernel.thresholds import PATIENT, REGULAR, SAID, SHORTEST, TORN, UNFINISHED
 from .method import formulations as method
 from .method import singular as branch
 from .method.formulations import CORRECTIONS
@@ -37,7 +38,9 @@ __all__ = ["Instance"]
 Found = tuple[NDArray, NDArray, int, NDArray]
 """Accelerations a (n,), multipliers lam (l,), the multiplier iterations used, Phi-ddot (l,) that is left."""
 
-EPS = float(np.finfo(float).eps)
+EPS, TINY = float(np.finfo(float).eps), float(np.finfo(float).tiny)
+
+_LOGGER = logging.getLogger("alfmu")
 
 SOLVER = {"step_size": float, "tolerance": float, "max_iterations": int, "input_order": int}
 
@@ -58,14 +61,15 @@ class Instance(runtime.Instance):
         self._functions = {name: ArrayFunction(arrays, name, e.signatures[name]) for name in names}
         self._turns = np.array([c.unit == "rad" for c in e.coordinates])
         self._seen: tuple = (None, None, None)
-        self.counters = Counters()
+        self.counters, self._unfinished, self._by_row = Counters(), 0.0, False
 
     def initialize(self) -> None:
-        """Begin as the runtime does; InputError where another method of integration is asked for."""
-        if (chosen := self.choices["solver.method"]) != "rk4":
+        """Begin as the runtime does, with RK4 for `auto`; InputError where another method is asked for."""
+        if (chosen := self.choices["solver.method"]) not in ("auto", "rk4"):
             raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
         super().initialize()
         self.counters, self._step_error = Counters(), 0.0
+        self._unfinished, self._told = 0.0, False
         self._know()
 
     def _know(self) -> None:
@@ -170,14 +174,40 @@ class Instance(runtime.Instance):
         Null vectors of C' do not act on a, so that alpha times the round-off of each pass stays in lam along them. Yet
         they act on tangents: lam is handed out without them.
         """
-        scale = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300)
+        scale, left = np.abs(F).max(initial=0.0) / np.abs(M).max(initial=1e-300), math.inf
 
         def done(da: NDArray, a: NDArray) -> bool:
+            nonlocal left
+            left = float(np.linalg.norm(da) / max(np.linalg.norm(a), TINY))
             return np.abs(da).max() <= self.settings.tolerance * max(np.abs(a).max(), scale)
 
         zeros, most = (np.zeros_like(F), np.zeros_like(xi)), patience * self.settings.max_iterations
         a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
+        if not converged:
+            self._unfinished = max(self._unfinished, left)
         return a, _least_norm(C, self.alpha, solve, lam), used, converged
+
+    def _check_converged(self, t: float) -> None:
+        """What multiplier iterations left since this was asked last: told once, StepError where it is too much.
+
+        As the runtime, for the formulation that continues through singular positions; the others are only told about.
+        """
+        left, most, self._unfinished = self._unfinished, self.settings.max_iterations, 0.0
+        if not left:
+            return
+        penalty = float(self.get("solver.penalty"))
+        given = penalty > 0 or self._by_row
+        remedy = "use solver.penalty 0, which scales it with the masses" if given else "reduce solver.step_size"
+        remedy += ", or raise solver.max_iterations"
+        if left > UNFINISHED and given and self.continues:
+            penalty = penalty or float(self.penalty.max())
+            measured = f"with solver.penalty {penalty:g} the multiplier iteration still changes accelerations by "
+            measured += f"{left:.1e} of themselves after {most} passes, more than {UNFINISHED:.0e}"
+            raise self._error(StepError, t, measured, remedy)
+        if not self._told:
+            measured = f"an evaluation ended without convergence after {most} passes of the multiplier iteration"
+            _LOGGER.warning("%s", self._error(StepError, t, measured, remedy))
+            self._told = True
 
     def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray) -> NDArray:
         """Multipliers that act like lam (l,): of least norm, or as joints of the given compliances share them."""
@@ -215,19 +245,19 @@ class Instance(runtime.Instance):
         magnifies what is left open, so that one more is made; what is left above the tolerance is counted. Raises
         OpenError where more than `GROSS` is left.
         """
-        _, C, Phi, Cv, solve = self.augmented(q, v)
+        M, C, Phi, Cv, solve = self.augmented(q, v)
         for _ in range(CORRECTIONS):
             if self._closed(Phi, C, q):
                 if not near:
                     break
                 near = False
-            q = q + method.project(C, self.alpha, solve, Phi)  # (10)
-            _, C, Phi, Cv, solve = self.augmented(q, v)
+            q = self._closer(M, C, Phi, solve, q)
+            M, C, Phi, Cv, solve = self.augmented(q, v)
             self.counters.projection_iterations += 1
         for _ in range(CORRECTIONS):
             if self._closed(Cv, C, v):
                 break
-            v = v + method.project(C, self.alpha, solve, Cv)  # (10)
+            v = v + self._correction(M, C, Cv, solve)
             Cv = C @ v
             self.counters.projection_iterations += 1
         for what, residue in (("|Phi|", Phi), ("|Phi-dot|", Cv)):
@@ -237,6 +267,18 @@ class Instance(runtime.Instance):
                 raise self._error(OpenError, t, left)
         self.counters.unprojected += not (self._closed(Phi, C, q) and self._closed(Cv, C, v))
         return q, v, self._largest(Phi), self._largest(Cv)
+
+    def _closer(self, M: NDArray, C: NDArray, Phi: NDArray, solve: method.Solve, q: NDArray) -> NDArray:
+        """q after a correction (10)."""
+
+        def left(d: NDArray) -> NDArray:
+            return self.constraints(q + d, d)[2]
+
+        return q + method.project_residual(M, C, self.alpha, solve, Phi, left)
+
+    def _correction(self, M: NDArray, C: NDArray, Cv: NDArray, solve: method.Solve) -> NDArray:
+        """A correction (10) of v."""
+        return method.project_residual(M, C, self.alpha, solve, Cv, lambda d: Cv + C @ d)
 
     def _closed(self, residue: NDArray, C: NDArray, x: NDArray) -> bool:
         """Whether a residue of C is within the tolerance, or within the round-off of the row where that is larger."""
@@ -281,16 +323,16 @@ class Instance(runtime.Instance):
         """
 
         def closer(q: NDArray) -> NDArray:
-            _, C, Phi, _, solve = self.augmented(q, v)
-            return q + method.project(C, self.alpha, solve, Phi)  # (10)
+            M, C, Phi, _, solve = self.augmented(q, v)
+            return self._closer(M, C, Phi, solve, q)
 
         near = closer(closer(q))
         M, C, _, _, solve = self.augmented(near, v)
         near, v = branch.returned(M, C, self.alpha, solve, self.heavy, near, q, v)
         near = closer(near)
-        _, C, _, _, solve = self.augmented(near, v)
+        M, C, _, _, solve = self.augmented(near, v)
         for _ in range(2):
-            v = v + method.project(C, self.alpha, solve, C @ v)  # (10)
+            v = v + self._correction(M, C, C @ v, solve)
         return near, v
 
     def reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
@@ -389,10 +431,11 @@ class Instance(runtime.Instance):
             return np.concatenate([v, a, [self.power(q, v, u, t)]])
 
         self.hold(self.q)
+        self._unfinished = 0.0
         begin, unconverged, self._near = np.concatenate([self.q, self.v, [self.work]]), c.unconverged, False
         y = rk4(rate, start, begin, dt)
         if self._near:
-            c.unconverged = unconverged
+            c.unconverged, self._unfinished = unconverged, 0.0
             y = rk4(lambda t, y: rate(t, y, on_branch=True), start, begin, dt)
         if not np.isfinite(y).all():
             raise self._error(StepError, t, "the state is not finite")
@@ -402,6 +445,7 @@ class Instance(runtime.Instance):
             q, v, position, velocity = self.project(q, v, t, self._near)
         else:
             position, velocity = self.residues(q, v)
+        self._check_converged(t)
         c.steps += 1
         c.position_error, c.velocity_error = max(c.position_error, position), max(c.velocity_error, velocity)
         self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.inputs, t))
@@ -424,6 +468,7 @@ class Instance(runtime.Instance):
 
     def _penalize(self, alpha: NDArray) -> None:
         if not self.initialized:
+            self._by_row = True
             return super()._penalize(alpha)
         before, v = self.penalty, self.v.copy()
         super()._penalize(alpha)
@@ -447,7 +492,9 @@ class Instance(runtime.Instance):
             raise InputError(f"{self.name}: outputs are known after initialising")
         if self._seen[0] != self._key():
             self.hold(self.q)
+            self._unfinished = 0.0
             a, lam, used, left, singular = self._now()
+            self._check_converged(self.time)
             q, v, e = self.q, self.v, self.equations
             y = self._unwrap(self.readings(q, v, a, lam, self.inputs, self.time))
             values = *self.residues(q, v), self.energy(q, v), self.work, self._step_error

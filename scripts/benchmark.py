@@ -48,7 +48,7 @@ from alfmu.kernel.memory import TIERS as KINDS
 from alfmu.model.registry import mechanisms
 from alfmu.model.settings import Settings
 from alfmu.runtime.build import HERE, PLATFORMS, compiler
-from alfmu.simulation import prepared
+from alfmu.simulation import prepared, with_defaults
 from alfmu.studies.cost import cost, operations, parts
 from alfmu.studies.tables import Chapter, Row, environment, rounded
 
@@ -105,12 +105,21 @@ def solve_call() -> Call:
     return Call(Timer(partial(np.linalg.solve, A, b)))
 
 
+RK4 = {"solver.method": "rk4"}
+"""What all times are of: steps of a given length, each four evaluations."""
+
+
+def by_rk4(name: str, **options: str | int) -> alfmu.Equations:
+    """The equations of a mechanism, for steps of RK4."""
+    return with_defaults(alfmu.derive(alfmu.load(name, **options)), RK4)
+
+
 AnyInstance = alfmu.Instance | oracle.Instance
 
 
 def begun(equations: alfmu.Equations, step_size: float = SHORT, **settings: float) -> alfmu.Instance:
     """An instance at the regular position, with internal steps of `step_size` [s]."""
-    instance = alfmu.Instance(equations, Settings(step_size=step_size, **settings))
+    instance = alfmu.Instance(equations, Settings(step_size=step_size, method="rk4", **settings))
     start(instance)
     return instance
 
@@ -172,11 +181,11 @@ def step_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
     """Rows of step.csv: times of a step made in every way, and its operations by part."""
     rows = []
     for scene, (mechanism, options) in tqdm(SCENES.items(), "step", unit="scene"):
-        derived = alfmu.derive(alfmu.load(mechanism, **options))
+        derived = by_rk4(mechanism, **options)
         if scene.endswith("frozen"):
             derived = specialised(derived, None, ["all"])
         traced, dt = prepared(derived), derived.step_size
-        by_oracle = oracle.Instance(derived, Settings(step_size=dt))
+        by_oracle = oracle.Instance(derived, Settings(step_size=dt, method="rk4"))
         start(by_oracle)
         calls = {"solve": solve_call(), "oracle step": stepping(by_oracle, dt, once=True)}
         calls |= functions(begun(traced))
@@ -249,7 +258,7 @@ def spread_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
     """Rows of spread.csv: what the slowest internal step of a mechanism's own motion takes over the median one."""
     rows: list[Row] = []
     for name in tqdm(effort.mechanisms or mechanisms(), "spread", unit="mechanism"):
-        traced = prepared(alfmu.derive(alfmu.load(name)))
+        traced = prepared(by_rk4(name))
         for kernel in kernels:
             row: Row = {"mechanism": name, "kernel": kernel, "method": traced.solver.get("method", "rk4")}
             for ratio, dt in zip(SPREAD, (traced.step_size, traced.step_size / FINER), strict=True):
@@ -330,7 +339,7 @@ def dostep_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
         script.write_text(EMPTY_SLAVE, encoding="utf-8")
         paths = {"empty": FmuBuilder.build_FMU(script, dest=folder)}
         for kernel in tqdm(kernels, "dostep", unit="FMU"):
-            paths[kernel] = alfmu.export("five_bar", Path(folder) / f"{kernel}.fmu", kernel=kernel)
+            paths[kernel] = alfmu.export("five_bar", Path(folder) / f"{kernel}.fmu", kernel=kernel, parameters=RK4)
         motions = {(slave, name): start for slave in paths for name, start in MOTIONS.items()}
         del motions["empty", REGULAR]
         calls = {
@@ -365,7 +374,7 @@ def driven(fmu: Fmu, points: Sequence[float], start: Mapping[str, float]) -> Cal
 
 def tiers(kernel: str, points: Sequence[float], start: Mapping[str, float]) -> Row:
     """Steps of the same motion by what made them, counted in the library."""
-    instance, made = alfmu.Instance(prepared(alfmu.derive(alfmu.load("five_bar")), kernel)), Counter()
+    instance, made = alfmu.Instance(prepared(by_rk4("five_bar"), kernel)), Counter()
     for name, value in start.items():
         instance.set(name, value)
     instance.initialize()
@@ -387,7 +396,7 @@ def native_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
     points = [i * DT for i in range(round(STOP / DT))]
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         top = Path(folder)
-        path = alfmu.export("five_bar", top / "five_bar.fmu", kind="native")
+        path = alfmu.export("five_bar", top / "five_bar.fmu", kind="native", parameters=RK4)
         with zipfile.ZipFile(path) as archive:
             archive.extractall(top / "native")
         guid = fmpy.read_model_description(str(path)).guid
@@ -491,7 +500,7 @@ def build(coordinates: str, loops: int, effort: Effort, kernels: Sequence[str], 
         return result
 
     m = alfmu.load("n_four_bar", loops=loops, coordinates=coordinates)
-    derived = clocked("derive [s]", lambda: alfmu.derive(m))
+    derived = clocked("derive [s]", lambda: with_defaults(alfmu.derive(m), RK4))
     scene = {"vm": clocked("trace [s]", lambda: prepared(derived))}
     row["peak memory [MB]"] = peak_memory()
     if "compiled" in kernels:

@@ -14,6 +14,7 @@ import traceback
 from collections import Counter
 
 import numpy as np
+from _report import Heard
 
 import alfmu
 from alfmu.equations import Equations
@@ -32,17 +33,6 @@ STRONGEST = 1e3
 
 KINDS = ("right", "warned", "ended", "refused", "silent", "traceback")
 """What comes of a run: right to 1e-3; wrong, and warned of; an error on the way, or at the start. The rest is bad."""
-
-
-class Heard(logging.Handler):
-    """Keeps the warnings of a run."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.said: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.said.append(record.getMessage())
 
 
 def drawn(equations: Equations, random: np.random.Generator) -> tuple[dict[str, float], dict[str, float]]:
@@ -66,20 +56,17 @@ def drawn(equations: Equations, random: np.random.Generator) -> tuple[dict[str, 
 
 def outcome(equations: Equations, values: dict[str, float], inputs: dict[str, float], stop: float) -> tuple[str, str]:
     """One of KINDS, and what was said."""
-    heard, logger = Heard(), logging.getLogger("alfmu")
-    logger.addHandler(heard)
     unit = alfmu.Instance(equations)
-    try:
-        for name, value in {**values, **inputs}.items():
-            unit.set(name, value)
-        unit.initialize()
-        off = balance(unit, equations, stop)
-    except alfmu.AlfmuError as error:
-        return ("ended" if unit.initialized else "refused"), str(error)
-    except Exception:
-        return "traceback", traceback.format_exc()
-    finally:
-        logger.removeHandler(heard)
+    with Heard() as heard:
+        try:
+            for name, value in {**values, **inputs}.items():
+                unit.set(name, value)
+            unit.initialize()
+            off = balance(unit, equations, stop)
+        except alfmu.AlfmuError as error:
+            return ("ended" if unit.initialized else "refused"), str(error)
+        except Exception:
+            return "traceback", traceback.format_exc()
     text = f"balance {off:.2g}; {'; '.join(heard.said) or 'nothing said'}"
     if off <= WRONG:
         return "right", text

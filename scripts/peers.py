@@ -207,7 +207,7 @@ class Alfmu(Peer):
 
 def started(equations: alfmu.Equations, start: Start, step: float = SAMPLE) -> alfmu.Instance:
     """An instance at its start, with this internal step [s]."""
-    instance = alfmu.Instance(equations, Settings(step_size=step))
+    instance = alfmu.Instance(equations, Settings(step_size=step, method="rk4"))
     instance.set("start.angle", start.angle)
     instance.set("start.angular_velocity", start.rate)
     instance.initialize()

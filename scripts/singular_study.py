@@ -29,10 +29,14 @@ from tqdm import tqdm
 import alfmu
 from alfmu.method.integrators import rk4
 from alfmu.runtime.build import compiler
-from alfmu.simulation import prepared, simulate
+from alfmu.simulation import prepared, simulate, with_defaults
 from alfmu.studies.tables import Chapter, Row, environment, rounded, write_csv
 
 GRAVITY = 9.81
+
+RK4 = {"solver.method": "rk4"}
+"""Steps have the length that each study gives."""
+
 
 OWN, PAPER = BRANCHES = ("continue", "paper")
 """Values of solver.branch that are compared: the default, and the plain scheme."""
@@ -197,8 +201,8 @@ def _rate(acceleration: Acceleration, torque: float | NDArray, t: float, y: NDAr
 
 @cache
 def scene(kernel: str, name: str, **options: str | int) -> alfmu.Equations:
-    """A mechanism made ready to run, once a process; compiled code is shared by all through the user's cache."""
-    return prepared(alfmu.derive(alfmu.load(name, **options)), kernel)
+    """A mechanism made ready to run by RK4, once a process; compiled code is shared by all through the user's cache."""
+    return prepared(with_defaults(alfmu.derive(alfmu.load(name, **options)), RK4), kernel)
 
 
 @dataclass

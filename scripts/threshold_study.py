@@ -183,6 +183,7 @@ def _read(_: Any, torque: float) -> Found:
 def _locked(_: Any) -> Found:
     """A point that runs into the cusp of y^2 = x^3: by how much [s] the time of the lock-up is off."""
     import alfmu
+    from alfmu.model.settings import Settings
     from alfmu.simulation import prepared
 
     m = alfmu.Mechanism("cusp")
@@ -190,7 +191,7 @@ def _locked(_: Any) -> Found:
     m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
     m.constraint("curve", y**2 - x**3, "m")
     m.output("place", x, "m")
-    i = alfmu.Instance(prepared(alfmu.derive(m), "vm"))
+    i = alfmu.Instance(prepared(alfmu.derive(m), "vm"), Settings(method="rk4"))
     i.set("solver.step_size", 0.005)
     i.initialize()
     try:
@@ -232,9 +233,10 @@ def _assembled(_: Any) -> Found:
 def _regular(_: Any, name: str, stop: float) -> Found:
     """A mechanism over some time without a singular position: what it takes."""
     import alfmu
-    from alfmu.simulation import prepared, simulate
+    from alfmu.simulation import prepared, simulate, with_defaults
 
-    r = simulate(prepared(alfmu.derive(alfmu.load(name)), "vm"), stop, stop)
+    equations = with_defaults(alfmu.derive(alfmu.load(name)), {"solver.method": "rk4"})
+    r = simulate(prepared(equations, "vm"), stop, stop)
     return Found(float(r.counters.position_error), r.counters.evaluations)
 
 

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from _report import parser, written
+from _report import Heard, parser, written
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import alfmu
-from alfmu.model.registry import mechanisms
+from alfmu.method.stepping import EXPLICIT8, RADAU9
+from alfmu.model.registry import mechanisms, options
 from alfmu.simulation import prepared, with_defaults
 from alfmu.studies import reference, tables
 from alfmu.studies.cases import POSITION, Case, Judge, exactness, restarting, run, scene
@@ -27,8 +28,17 @@ PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
 
 METHODS = ("explicit", "stiff")
 
+ORDERS = {"explicit": EXPLICIT8.estimate + 1, "stiff": RADAU9.order + 1}
+"""Steps become as many times more as the tolerance becomes smaller, to the power of one over this."""
+
 TWICE = 2.0
 """Run time of `auto` over that of the better method that is wanted at most."""
+
+SLOWER = 2.0
+"""Evaluations over those of the looser tolerance beside, times what the order adds to them, that are wanted at most."""
+
+SAID = "cannot be had"
+"""In the warning that a tolerance is below round-off."""
 
 POINTS = 11
 """At which a run is judged; so few that error control decides on the steps."""
@@ -52,7 +62,7 @@ class Effort:
     """Wall time of an integration of the reference [s]."""
 
 
-USUAL = Effort((1e-4, 1e-6, 1e-9), np.inf, 120.0, 100, 120.0)
+USUAL = Effort((1e-4, 1e-6, 1e-9, 1e-11), np.inf, 120.0, 100, 120.0)
 QUICK = Effort((1e-6, 1e-9), 1.0, 10.0, 20, 20.0)
 
 CHAPTERS = {
@@ -61,11 +71,13 @@ CHAPTERS = {
         "The largest difference of places and angles to a motion from an unrelated method (`alfmu.studies.reference`), "
         "from the start with all defaults, at few points, so that error control decides the steps. The change of the "
         "reference is its own error: the largest difference to other ways to compute it. A run that takes too long is "
-        "judged up to where it came.",
+        "judged up to where it came. A tolerance that is not held is told where a warning says that round-off is above "
+        "it. The trend is the number of evaluations over that at the looser tolerance above, over what the order of "
+        f"the method makes of it; it is wanted to be {SLOWER:g} at most.",
         {
             "Held, or not": (
                 *("mechanism", "method", "tolerance", "simulated [s]", POSITION, "error over tolerance"),
-                *("change of reference", "steps", "refused", "median [s]", "verdict", "note"),
+                *("change of reference", "steps", "refused", "evaluations", "trend", "median [s]", "verdict", "note"),
             )
         },
     ),
@@ -78,9 +90,21 @@ CHAPTERS = {
 }
 
 
-def measured(name: str, effort: Effort, kernel: str = "auto", methods: Sequence[str] | None = None) -> list[Row]:
-    """Runs of a mechanism with every method and tolerance, judged."""
-    equations = alfmu.derive(alfmu.load(name))
+def variants(name: str) -> list[dict[str, str]]:
+    """What is chosen of the options of a mechanism: each of its coordinate sets, if it has some."""
+    return [{"coordinates": str(x)} for x in options(name).get("coordinates", ())] or [{}]
+
+
+def measured(
+    name: str,
+    effort: Effort,
+    kernel: str = "auto",
+    methods: Sequence[str] | None = None,
+    chosen: Mapping[str, str] | None = None,
+) -> list[Row]:
+    """Runs of a mechanism, with what is chosen of its options, by every method and tolerance, judged."""
+    equations = alfmu.derive(alfmu.load(name, **(chosen or {})))
+    name = " ".join([name, *(chosen or {}).values()])
     plain = prepared(equations, "oracle")
     instance = alfmu.Instance(plain)
     instance.initialize()
@@ -100,32 +124,40 @@ def measured(name: str, effort: Effort, kernel: str = "auto", methods: Sequence[
             rows.append({"mechanism": name, "method": method, "note": str(error), "verdict": "not judged"})
             continue
         restart = restarting(unit)
+        before: tuple[float, int] | None = None
         for tolerance in effort.tolerances:
-            found = run(unit, restart, Case(exactness(method, tolerance), times, effort.limit))
+            with Heard() as heard:
+                found = run(unit, restart, Case(exactness(method, tolerance), times, effort.limit))
             error = judge.errors(found)[POSITION]
             cost = found.cost()
             over = error / tolerance if found.complete else None
-            verdict = "not judged" if over is None else "held" if over <= HELD else "not held"
+            told = [text for text in heard.said if SAID in text]
+            verdict = "not judged" if over is None else "held" if over <= HELD else "told" if told else "not held"
             row = {"mechanism": name, "method": method, "tolerance": tolerance, POSITION: error}
             row |= {"error over tolerance": over, "change of reference": max(changes, default=None)}
-            row |= {x: cost[x] for x in ("simulated [s]", "steps", "median [s]", "note")} | {"verdict": verdict}
+            row |= {x: cost[x] for x in ("simulated [s]", "steps", "evaluations", "median [s]")} | {"verdict": verdict}
+            if found.complete and before:
+                row["trend"] = cost["evaluations"] / before[1] / (before[0] / tolerance) ** (1 / ORDERS[method])
+            before = (tolerance, cost["evaluations"]) if found.complete else None
             rows.append(row | {"refused": found.counters.refused if found.counters else None})
+            rows[-1]["note"] = cost["note"] or "; ".join(told)
     return rows
 
 
-def choice(name: str, rows: Sequence[Row]) -> Row:
+def choice(name: str, rows: Sequence[Row], chosen: Mapping[str, str]) -> Row:
     """What `auto` chose on a mechanism, and its run time over that of the better method."""
-    decided = prepared(with_defaults(alfmu.derive(alfmu.load(name)), {"solver.method": "auto"}), "oracle")
-    chosen = decided.solver["method"]
+    decided = prepared(with_defaults(alfmu.derive(alfmu.load(name, **chosen)), {"solver.method": "auto"}), "oracle")
+    name = " ".join([name, *chosen.values()])
+    made = decided.chosen
     seconds = {r["method"]: r["median [s]"] for r in rows if r.get("tolerance") == COMPARED and r["median [s]"]}
-    ratio = seconds[chosen] / min(seconds.values()) if chosen in seconds else None
+    ratio = seconds[made] / min(seconds.values()) if made in seconds else None
     verdict = "not judged" if ratio is None else "met" if ratio <= TWICE else "not met"
-    return {"mechanism": name, "chosen": chosen, "ratio": ratio, "verdict": verdict, "reason": decided.reason}
+    return {"mechanism": name, "chosen": made, "ratio": ratio, "verdict": verdict, "reason": decided.reason}
 
 
 def picture(rows: Sequence[Row], tolerances: Sequence[float]) -> Figure:
     """Error over tolerance, a panel for each tolerance."""
-    figure = Figure(figsize=(12, 4.2), layout="constrained")
+    figure = Figure(figsize=(12, 4.8), layout="constrained")
     names = list(dict.fromkeys(row["mechanism"] for row in rows))
     for axes, tolerance in zip(np.ravel(figure.subplots(1, len(tolerances), sharey=True)), tolerances, strict=True):
         for method, marker, colour in zip(METHODS, "os", ("#3b75af", "#d98c1f"), strict=False):
@@ -149,12 +181,13 @@ def write(folder: Path, effort: Effort, names: Sequence[str], command: str) -> N
     where = tables.where(command, PACKAGES, {"wall time of a run, at most [s]": effort.limit})
     results: Mapping[str, list[Row]] = {"tolerances": [], "auto": []}
     for name in tqdm(names, "tolerances", unit="mechanism"):
-        rows = measured(name, effort)
-        results["tolerances"] += rows
-        results["auto"].append(choice(name, rows))
+        for chosen in variants(name):
+            rows = measured(name, effort, chosen=chosen)
+            results["tolerances"] += rows
+            results["auto"].append(choice(name, rows, chosen))
+            for table, chapter in CHAPTERS.items():  # as they come, since a run of hours may be ended
+                chapter.write(folder / f"{table}.csv", results[table])
     tables.write_csv(folder / "environment.csv", where)
-    for name, chapter in CHAPTERS.items():
-        chapter.write(folder / f"{name}.csv", results[name])
     picture(results["tolerances"], effort.tolerances).savefig(folder / "tolerances.png", dpi=110)
     parts = ["# Tolerances", tables.shown("Where this was measured", "environment", ("what", "value"), where)]
     parts += [chapter.markdown(name, results[name]) for name, chapter in CHAPTERS.items()]
@@ -165,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line asks for."""
     names = mechanisms()
     text = "Measure whether runs hold the tolerance that they are given, on every mechanism over its own stop time."
-    chosen = parser("tolerances", names, text, "a quarter of an hour", "one second each").parse_args(arguments)
+    chosen = parser("tolerances", names, text, "an hour", "one second each").parse_args(arguments)
 
     def make(studies: list[str], command: str) -> None:
         write(chosen.output, QUICK if chosen.quick else USUAL, studies, command)

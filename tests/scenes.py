@@ -12,7 +12,7 @@ import alfmu
 from alfmu import oracle
 from alfmu.method import formulations as method
 from alfmu.model.settings import Settings
-from alfmu.simulation import instance
+from alfmu.simulation import instance, with_defaults
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
 """Mass, inertia, centre of mass of the bodies of `arm`."""
@@ -120,6 +120,12 @@ def derived(name: str, **options: str) -> alfmu.Equations:
     return alfmu.derive(alfmu.load(name, **options))
 
 
+@cache
+def by_rk4(name: str, **options: str) -> alfmu.Equations:
+    """The same, to be integrated by RK4 with steps of one length, as the oracle does."""
+    return with_defaults(derived(name, **options), {"solver.method": "rk4"})
+
+
 def evaluate(
     equations: alfmu.Equations, q: Sequence, v: Sequence, u: Sequence = (), t: float = 0.0, p: Sequence | None = None
 ) -> dict[str, float]:
@@ -157,7 +163,7 @@ def by_the_oracle(
     equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings
 ) -> oracle.Instance:
     """What `started` gives, on NumPy arrays."""
-    instance = oracle.Instance(equations, Settings(step_size=equations.step_size, **settings))
+    instance = oracle.Instance(equations, Settings(**{"step_size": equations.step_size, "method": "rk4", **settings}))
     for name, value in (given or {}).items():
         instance.set(name, value)
     instance.initialize()
@@ -166,7 +172,7 @@ def by_the_oracle(
 
 def started(equations: alfmu.Equations, given: Mapping[str, float | str] | None = None, **settings) -> alfmu.Instance:
     """An initialised instance with parameters, start values, inputs and solver numbers by name."""
-    instance = alfmu.Instance(equations, Settings(step_size=equations.step_size, **settings))
+    instance = alfmu.Instance(equations, Settings(**{"step_size": equations.step_size, "method": "rk4", **settings}))
     for name, value in (given or {}).items():
         instance.set(name, value)
     instance.initialize()

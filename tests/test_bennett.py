@@ -50,7 +50,7 @@ def test_fourth_order_for_every_penalty(penalty):
     _, _, exact = reference()
     errors = []
     for h in STEPS:
-        given = {"solver.penalty": penalty, "solver.step_size": h}
+        given = {"solver.penalty": penalty, "solver.method": "rk4", "solver.step_size": h}
         if 0 < penalty < 1e4:
             given["solver.max_iterations"] = 200
         r = alfmu.simulate(derived("bennett"), 2.0, 0.1, parameters=given)
@@ -66,7 +66,7 @@ def at_default() -> list[float]:
     _, _, exact = reference()
     found = []
     for h in STEPS:
-        r = alfmu.simulate(derived("bennett"), 2.0, 0.1, parameters={"solver.step_size": h})
+        r = alfmu.simulate(derived("bennett"), 2.0, 0.1, parameters={"solver.method": "rk4", "solver.step_size": h})
         found.append(float(np.abs(r["hinge1.angle"] - exact[:, 0]).max()))
     return found
 

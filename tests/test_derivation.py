@@ -312,7 +312,7 @@ def test_every_kind_of_joint_holds_its_points_together(ram_machine: alfmu.Equati
 def test_energy_changes_by_the_work_of_loads_and_dampers(arms: dict) -> None:
     """Work by Simpson's rule over power that is put together by hand from what is read."""
     u, h, steps = {"slide.drive": 5.0, "hinge.drive": 1.0, "tip.pull": -3.0, "boom.torque": 0.5}, 0.005, 200
-    i = started(arms["coordinates"], {**u, "solver.step_size": 0.0025})
+    i = started(arms["coordinates"], {**u, "solver.method": "rk4", "solver.step_size": 0.0025})
     first, power = i.get("monitor.energy"), []
     for k in range(steps + 1):
         r = readings(i)
@@ -493,7 +493,7 @@ def test_spring_and_damper_oscillate(kind: str) -> None:
         joint = m.prismatic("J", m.ground.at(), cart.at(), axis=0.7, coordinate=x)
     m.spring_damper((m.ground.at(), cart.at()) if kind == "points" else joint, stiffness=k, damping=c, rest=rest)
     e = alfmu.derive(m)
-    r = alfmu.simulate(e, 3.0, 0.01, parameters={"solver.step_size": 0.005})
+    r = alfmu.simulate(e, 3.0, 0.01, parameters={"solver.method": "rk4", "solver.step_size": 0.005})
     decay = c / mass / 2
     w = np.sqrt(k / mass - decay**2)
     t = r.time
@@ -613,7 +613,7 @@ def spherical(rate: float) -> alfmu.Equations:
 def test_conical_pendulum() -> None:
     """A spatial mechanism at the general level: thrown at w = sqrt(g / h), it circles, with a tension of m g l / h."""
     w = np.sqrt(G / 0.8)
-    r = alfmu.simulate(spherical(0.6 * w), 4.0, 0.01, parameters={"solver.step_size": 0.005})
+    r = alfmu.simulate(spherical(0.6 * w), 4.0, 0.01, parameters={"solver.method": "rk4", "solver.step_size": 0.005})
     circle = np.array([0.6 * np.cos(w * r.time), 0.6 * np.sin(w * r.time), np.full_like(r.time, -0.8)])
     # RK4 lags by (w h)^4 w t / 120 = 1e-8 m; the tension follows with its own frequency squared.
     assert np.abs(np.array([r["bob.x"], r["bob.y"], r["bob.z"]]) - circle).max() <= 4e-8
@@ -622,7 +622,7 @@ def test_conical_pendulum() -> None:
 
 def test_spherical_pendulum_conserves() -> None:
     """Energy and the angular momentum about the vertical stay, while it rises and falls."""
-    r = alfmu.simulate(spherical(1.0), 4.0, 0.01, parameters={"solver.step_size": 0.0025})
+    r = alfmu.simulate(spherical(1.0), 4.0, 0.01, parameters={"solver.method": "rk4", "solver.step_size": 0.0025})
     assert np.ptp(r["bob.z"]) > 0.1
     assert np.ptp(r["bob.spin"]) <= 1e-8
     assert np.ptp(r["monitor.energy"]) <= 1e-8 * WEIGHT

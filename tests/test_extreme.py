@@ -25,7 +25,7 @@ def five_bar(coordinates: str) -> alfmu.Equations:
 def error(given: dict, step: float, steps: int, coordinates: str = "mixed") -> tuple[float, alfmu.Instance]:
     """Largest angle error [rad] of the five-bar under gravity."""
     i = alfmu.Instance(five_bar(coordinates))
-    for name, value in {**given, "solver.step_size": step}.items():
+    for name, value in {**given, "solver.method": "rk4", "solver.step_size": step}.items():
         i.set(name, value)
     i.initialize()
     sizes = {name: value for name, value in given.items() if name in ("l", "m1", "m2", "m3", "m4", "g")}
@@ -67,6 +67,7 @@ def test_ten_thousand_radians_per_second():
 def test_ten_million_steps_do_not_drift():
     """The particle on its circle, free: radius to round-off, speed to 1e-11."""
     i = alfmu.Instance(prepared(derived("particle_on_circle"), "compiled"))
+    i.set("solver.method", "rk4")
     i.set("solver.step_size", 1e-3)
     i.initialize()
     for _ in range(10):
@@ -78,6 +79,7 @@ def test_ten_million_steps_do_not_drift():
 
 def test_steps_much_too_long_are_refused_and_keep_the_state():
     i = alfmu.Instance(five_bar("mixed"))
+    i.set("solver.method", "rk4")
     i.set("solver.step_size", 3.0)
     i.initialize()
     before = [i.save()]
@@ -105,7 +107,7 @@ EXTREMES = {
 @pytest.mark.parametrize("case", EXTREMES)
 def test_extreme_scenes_are_the_same_through_an_fmu(exported, case):
     given, step = EXTREMES[case]
-    parameters = {**given, "solver.step_size": step}
+    parameters = {**given, "solver.method": "rk4", "solver.step_size": step}
     own = simulate(five_bar("mixed"), 40 * step, step, parameters=parameters)
     with Fmu(exported("five_bar")) as fmu:
         result = run(fmu, 40 * step, step, parameters=parameters)
@@ -155,7 +157,13 @@ def test_a_millimetre_and_a_kilometre_in_one_scene(crank, rod):
     times = np.linspace(0.0, 0.2, 21)
     exact = SliderCrank(l1=crank, l2=rod).motion(0.7, 0.0, times)[:, 0]
     i = alfmu.Instance(prepared(derived("slider_crank"), "vm"))
-    for name, value in {"l1": crank, "l2": rod, "start.angle": 0.7, "solver.step_size": step}.items():
+    for name, value in {
+        "l1": crank,
+        "l2": rod,
+        "start.angle": 0.7,
+        "solver.method": "rk4",
+        "solver.step_size": step,
+    }.items():
         i.set(name, value)
     i.initialize()
     worst = 0.0
@@ -183,6 +191,7 @@ def test_a_torque_step_of_a_million_is_refused_until_the_step_suits_it(coordinat
     assert i.save() == before
     fine = alfmu.Instance(equations)
     fine.set("start.angle", 0.5)
+    fine.set("solver.method", "rk4")
     fine.set("solver.step_size", 1e-5)
     fine.initialize()
     fine.set("A.torque", torque)
@@ -206,6 +215,7 @@ def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
     arrival = (13**1.5 - 8) / 27 / np.hypot(1.0, 1.5)
     for kernel in ("oracle", "vm"):
         i = made(alfmu.derive(m), kernel)
+        i.set("solver.method", "rk4")
         i.set("solver.step_size", 0.005)
         i.initialize()
         with pytest.raises(alfmu.StepError, match=r"cusp, t = 0\.\d+ s: locked up at x = .*, y = .*; no"):
@@ -219,7 +229,9 @@ def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
         assert float(str(said.value).split("t = ")[1].split(" s")[0]) == pytest.approx(arrival, rel=0.005)
         assert np.hypot(*i.v) == pytest.approx(np.hypot(1.0, 1.5), rel=1e-5)
         assert np.isfinite(i.read()).all()  # so near that there is no limit to be read
-    with Fmu(alfmu.export(m, tmp_path / "cusp.fmu", parameters={"solver.step_size": 0.005})) as fmu:
+    with Fmu(
+        alfmu.export(m, tmp_path / "cusp.fmu", parameters={"solver.method": "rk4", "solver.step_size": 0.005})
+    ) as fmu:
         fmu.initialize()
         with pytest.raises(alfmu.StepError, match="locked up at x = "):
             fmu.step(1.0, 0.0)
@@ -230,6 +242,7 @@ def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
 def test_tiny_steps_pass_singular_positions(communication):
     """Five-bar at 2e-4 s past -pi: a motion that goes on is not taken for one that is locked up."""
     i = alfmu.Instance(prepared(derived("five_bar"), "vm"))
+    i.set("solver.method", "rk4")
     i.set("solver.step_size", 2e-4)
     i.initialize()
     while i.time < 1.2:

@@ -146,7 +146,13 @@ def test_torques_on_both_ground_links(torques: tuple[float, float]) -> None:
     sizes = {"m1": 1.3, "m2": 0.7, "m3": 0.9, "m4": 1.6, "l": 0.8}
     given = {**sizes, "start.angle": -1.2, "start.angular_velocity": 0.4}
     inputs = {"A.torque": torques[0], "D.torque": torques[1]}
-    r = alfmu.simulate(derived("five_bar"), 2.0, 0.05, parameters={**given, "solver.step_size": 0.0025}, inputs=inputs)
+    r = alfmu.simulate(
+        derived("five_bar"),
+        2.0,
+        0.05,
+        parameters={**given, "solver.method": "rk4", "solver.step_size": 0.0025},
+        inputs=inputs,
+    )
     exact = five_bar.driven(-1.2, 0.4, r.time, sum(torques))
     # RK4 at 0.0025 s: (0.02 / 0.0025)^4 = 4096 times less than the 1e-5 rad of the run above.
     assert np.abs(r["link1.angle"] - exact[:, 0]).max() <= 1e-9
@@ -173,7 +179,8 @@ def test_order_four(m2: float, th: float, w: float) -> None:
     errors = []
     for h in steps:
         i = started(
-            derived("five_bar"), {"m2": m2, "start.angle": th, "start.angular_velocity": w, "solver.step_size": h}
+            derived("five_bar"),
+            {"m2": m2, "start.angle": th, "start.angular_velocity": w, "solver.method": "rk4", "solver.step_size": h},
         )
         i.step(1.0)
         r = readings(i)

@@ -11,6 +11,7 @@ from oracles.parallelogram import DIGITS, Parallelogram, constrained, floats, le
 from oracles.slider_crank import SliderCrank
 from scenes import by_the_oracle as started
 from scenes import derived, readings
+from scenes import started as running
 
 import alfmu
 from alfmu import oracle, simulation
@@ -142,7 +143,7 @@ def test_a_zero_penalty_switches_its_constraint_off(off: tuple[int, ...]) -> Non
 
 def test_constraints_removed_while_running() -> None:
     """Link 4 is let go after half a second: it falls freely, the others go on as a four-bar with its inertia gone."""
-    i = started(derived("five_bar"), start(-0.8, 1.0, **{"solver.step_size": 0.005}))
+    i = started(derived("five_bar"), start(-0.8, 1.0, **{"solver.method": "rk4", "solver.step_size": 0.005}))
     i.step(0.5)
     r = readings(i)
     q = {k: r[f"link4.{k}"] for k in ("x", "y", "vx", "vy")}
@@ -225,6 +226,7 @@ def reported() -> dict[str, np.ndarray]:
     i, free = started(e, given), started(e, given, projection=False)
     p, alpha = i.values[: len(e.parameters)], 1e6 * np.eye(8)
     found: dict[str, list] = {"after three": [], "changes": [], "to 1e-15": [], "Phi": [], "Phi-dot": []}
+    found |= {"round-off of v": [], "sine": []}
 
     def solver(q: np.ndarray) -> tuple[np.ndarray, Callable]:
         C = np.array(e.C(q, p))
@@ -265,6 +267,8 @@ def reported() -> dict[str, np.ndarray]:
             left.append(np.abs(C @ v).max())
             v += method.project(C, alpha, solve, C @ v)
         found["Phi-dot"].append(left)
+        found["round-off of v"].append(EPS * (abs(C) @ abs(v)).max())
+        found["sine"].append(np.sin(free.get("link1.angle")))
         i.step(0.04)
     return {name: np.array(x) for name, x in found.items()}
 
@@ -287,13 +291,18 @@ def test_iterations_that_the_paper_reports(reported: dict) -> None:
 
 
 def test_corrections_that_the_paper_reports(reported: dict) -> None:
-    """At most two corrections for |Phi| and |Phi-dot| <= 1e-15 after a step of 0.02 s: seen, but for round-off of v."""
+    """At most two corrections for |Phi| and |Phi-dot| <= 1e-15 after a step of 0.02 s: seen, but for round-off of v.
+
+    The second one gains less beside a singular position, as H holds masses there as much as constraints.
+    """
     Phi, rate = reported["Phi"], reported["Phi-dot"]
     assert Phi[:, 0].max() > 1e-8  # what RK4 leaves
     assert Phi[:, 1].max() <= 1e-13  # after one
     assert Phi[:, 2].max() <= 1e-15  # after two
     assert (rate[:, 2] <= 1e-15).mean() >= 0.99
-    assert rate[:, 2].max() <= 1e-14
+    beside = np.abs(reported["sine"]) < 0.01
+    assert (rate[:, 2] <= np.maximum(1e-15, 2 * reported["round-off of v"]))[~beside].all()
+    assert (rate[:, 2] < 0.2 * rate[:, 1])[beside].all()
 
 
 # Projections ----------------------------------------------------------------------------------------------------------
@@ -364,7 +373,7 @@ def run(mechanism: str, formulation: str, step: float, **settings) -> tuple[floa
     else:
         given, inputs, name = start(-1.0, 2.0), {}, "link1.angle"
         exact = Parallelogram().swing(-1.0, 2.0, TIMES)
-    chosen = Settings(step_size=step, formulation=formulation, **settings)
+    chosen = Settings(method="rk4", step_size=step, formulation=formulation, **settings)
     r = simulation.run(alfmu.Instance(derived(mechanism), chosen), 1.0, 0.1, inputs, given)
     return float(np.abs(r[name] - exact[:, 0]).max()), r
 
@@ -434,7 +443,7 @@ def test_stabilised_constraints_follow_their_own_oscillator(formulation: str, ze
     """Phi'' + 2 zeta omega Phi' + omega^2 Phi = 0 from a disturbed start: exactly for (9), up to 1 / alpha for (6)."""
     e, omega = derived("slider_crank"), 8.0
     settings = {"formulation": formulation, "zeta": zeta, "omega": omega, "penalty": 1e10}
-    i = started(e, {"start.angle": 0.6, "solver.step_size": 0.001}, **settings)
+    i = started(e, {"start.angle": 0.6, "solver.method": "rk4", "solver.step_size": 0.001}, **settings)
     i.q[6] += 1e-3  # the slider off the end of the rod
     gap = np.array(e.Phi(i.q, i.values[: len(e.parameters)])).reshape(-1)
     t = 0.3
@@ -474,12 +483,32 @@ def test_the_same_lines_run_on_symbols(iterate: Callable) -> None:
     assert used == want[2] == 4
 
 
-def test_unconverged_iterations_are_counted() -> None:
-    """An iteration that reaches its limit is no silence: the counter says so."""
+def test_unconverged_iterations_are_counted(caplog: pytest.LogCaptureFixture) -> None:
+    """An iteration that reaches its limit is no silence: the counter says so, and one warning of a run."""
     i = started(derived("five_bar"), start(-1.0, 2.0, **{"solver.max_iterations": 1}))
-    i.step(0.02)
-    i.get("link1.angle")
+    with caplog.at_level("WARNING", "alfmu"):
+        i.step(0.02)
+        i.get("link1.angle")
     assert i.counters.unconverged == i.counters.evaluations == i.counters.multiplier_iterations == 5
+    (warning,) = caplog.messages
+    assert "an evaluation ended without convergence after 1 passes of the multiplier iteration" in warning
+
+
+@pytest.mark.parametrize("kernel", ["oracle", "vm"])
+def test_a_penalty_that_leaves_too_much_is_refused_by_both(kernel: str) -> None:
+    """A step with a given penalty that is as small as a mass, and a reading, each by name; the state is kept."""
+    e = derived("five_bar")
+    i = (started if kernel == "oracle" else running)(e, start(-1.0, 2.0, **{"solver.penalty": 1.0}))
+    before = i.save()
+    said = (
+        r"five_bar, t = \S+ s: with solver\.penalty 1 the multiplier iteration still changes accelerations by \S+ of "
+    )
+    said += r"themselves after 10 passes, more than 1e-07; use solver\.penalty 0"
+    with pytest.raises(alfmu.StepError, match=said):
+        i.get("A.force_x")
+    with pytest.raises(alfmu.StepError, match=said):
+        i.step(0.02)
+    assert i.save() == before
 
 
 @pytest.mark.parametrize(

@@ -153,7 +153,7 @@ def test_motion(coordinates: str, loops: int) -> None:
     RK4 at 1 ms leaves (3.4 rad/s h)^4 of a swing of 1 rad, so 1e-10 rad.
     """
     equations = derived("n_four_bar", loops=loops, coordinates=coordinates)
-    r = alfmu.simulate(equations, 0.5, 0.05, parameters={"solver.step_size": 0.001})
+    r = alfmu.simulate(equations, 0.5, 0.05, parameters={"solver.method": "rk4", "solver.step_size": 0.001})
     row = Row(loops)
     exact = ode.motion(lambda t, th, w: row.acceleration(th), np.pi / 2, -1.0, r.time)
     assert exact[-1, 0] > 0.5
@@ -274,7 +274,7 @@ def test_a_drive_at_one_crank_passes_singular_positions_at_full_order(loops):
     errors = {}
     for coordinates, step in (("absolute", 0.005), ("natural", 0.005), ("natural", 0.0025)):
         i = alfmu.Instance(prepared(derived("n_four_bar", loops=loops, coordinates=coordinates), "vm"))
-        for name, value in {"A1.torque": 6.0, "solver.step_size": step}.items():
+        for name, value in {"A1.torque": 6.0, "solver.method": "rk4", "solver.step_size": step}.items():
             i.set(name, value)
         i.initialize()
         worst = 0.0

@@ -54,7 +54,7 @@ def errors(equations, linkage, parameters, torques, stop=5.0, steps=STEPS) -> tu
     for h in steps:
         n = round(stop / h)
         i = alfmu.Instance(equations)
-        for name, value in {**parameters, "solver.step_size": h}.items():
+        for name, value in {**parameters, "solver.method": "rk4", "solver.step_size": h}.items():
             i.set(name, value)
         for name, torque in torques.items():
             i.set(name, torque(0.0))
@@ -162,7 +162,7 @@ def test_masses_penalties_inputs_and_redundancy_change_nothing_in_an_fmu(exporte
         both = exact_and_rk4(linkage, 0.0, 2.0, lambda t: sum(x(t) for x in torques.values()), h, n)
         angles = [0.0]
         with Fmu(exported(name)) as fmu:
-            for variable, value in {**parameters, "solver.step_size": h}.items():
+            for variable, value in {**parameters, "solver.method": "rk4", "solver.step_size": h}.items():
                 fmu.set(variable, value)
             for variable, torque in torques.items():
                 fmu.set(variable, torque(0.0))
@@ -175,7 +175,7 @@ def test_masses_penalties_inputs_and_redundancy_change_nothing_in_an_fmu(exporte
         own, best = (np.abs(x - both[:, 0]).max() for x in (np.array(angles), both[:, 1]))
         assert own <= 2.0 * best
     i = alfmu.Instance(scene(name, "vm"))
-    for variable, value in {**parameters, "solver.step_size": h}.items():
+    for variable, value in {**parameters, "solver.method": "rk4", "solver.step_size": h}.items():
         i.set(variable, value)
     i.initialize()
     for k in range(n):
@@ -211,9 +211,11 @@ HARD = {
 def test_hard_scenes_are_the_same_through_an_fmu(exported, case):
     """All outputs to the last bit over 1 s, in which each passes a singular position."""
     name, options, given, h = HARD[case]
-    own = alfmu.simulate(derived(name, **options), 1.0, 0.02, parameters={"solver.step_size": h, **given})
+    own = alfmu.simulate(
+        derived(name, **options), 1.0, 0.02, parameters={"solver.method": "rk4", "solver.step_size": h, **given}
+    )
     with Fmu(exported(name, **{key: str(value) for key, value in options.items()})) as fmu:
-        result = run(fmu, 1.0, 0.02, parameters={"solver.step_size": h, **given})
+        result = run(fmu, 1.0, 0.02, parameters={"solver.method": "rk4", "solver.step_size": h, **given})
     assert own["monitor.distance"].min() <= 0.2
     assert np.array_equal(result.values, own.values)
 
@@ -274,7 +276,8 @@ def plain_mixed(th: float, w: float, torque: float, step: float, steps: int) -> 
 def test_a_step_too_long_for_the_quick_kernel_is_taken_patiently():
     """A stage of 0.06 s at 35 rad/s finds no place on the branch by few iterations; nothing is lost by more."""
     i = started(
-        scene("four_bar", "vm"), {"solver.step_size": 0.06, "start.angle": 1.8812043850778126, "A.torque": 20.0}
+        scene("four_bar", "vm"),
+        {"solver.method": "rk4", "solver.step_size": 0.06, "start.angle": 1.8812043850778126, "A.torque": 20.0},
     )
     angles = [i.q[0]]
     for k in range(41):
@@ -374,7 +377,7 @@ def test_a_slider_crank_of_equal_links_is_as_exact_as_a_regular_one(coordinates)
     regular = SliderCrank(l1=0.3, l2=0.5).motion(np.pi / 4, 0.0, times)[:, 0]
     worst = []
     for l1, exact in ((0.5, folded), (0.3, regular)):
-        given = {"l1": l1, "l2": 0.5, "start.angle": np.pi / 4, "solver.step_size": 0.00125}
+        given = {"l1": l1, "l2": 0.5, "start.angle": np.pi / 4, "solver.method": "rk4", "solver.step_size": 0.00125}
         scene = derived("slider_crank", coordinates=coordinates)
         r = alfmu.simulate(scene, 2.0, 0.05, parameters=given, kernel="compiled")
         worst.append(np.abs(r["crank.angle"] - exact).max())
@@ -387,7 +390,7 @@ def test_a_slider_crank_of_equal_links_is_as_exact_as_a_regular_one(coordinates)
 def test_rows_of_loops_pass_their_singular_positions(loops, coordinates, step):
     """IFToMM A02, 10 s: first upper point to 1e-8 m, energy to 1e-7 J a loop, cranks alike to 1e-8."""
     e = scene_of_row(loops, coordinates)
-    i = started(e, {"solver.step_size": step})
+    i = started(e, {"solver.method": "rk4", "solver.step_size": step})
     times = np.arange(0.0, 10.05, 0.1)
 
     def acceleration(t, th, w):

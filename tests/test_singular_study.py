@@ -196,7 +196,7 @@ def test_a_single_phase_is_what_the_library_gives(study, folder):
         alfmu.derive(alfmu.load("four_bar", coordinates=row["coordinates"])),
         study.PHASE_STOP,
         dt,
-        parameters={**given, "solver.step_size": dt},
+        parameters={**given, "solver.method": "rk4", "solver.step_size": dt},
         inputs={"A.torque": torque},
         kernel="auto",
     )

@@ -89,7 +89,9 @@ def test_motion_and_all_reactions(coordinates: str, scene: Scene) -> None:
     """
     e = derived("slider_crank", coordinates=coordinates, rod=scene.rod)
     h = 0.004
-    r = alfmu.simulate(e, 2.0, 0.04, parameters={**scene.given(), "solver.step_size": h}, inputs=scene.inputs())
+    r = alfmu.simulate(
+        e, 2.0, 0.04, parameters={**scene.given(), "solver.method": "rk4", "solver.step_size": h}, inputs=scene.inputs()
+    )
     exact = scene.reference.motion(scene.angle, scene.rate, r.time)[:, 0]
     # Kutta's method on the exact equation of one degree of freedom is the measure; four times it, because the constant
     # of the error belongs to the coordinates that are integrated (points instead of angles).
@@ -159,7 +161,7 @@ def test_order_four(coordinates: str) -> None:
     steps, errors = 0.02 / 2 ** np.arange(5), []
     for h in steps:
         e = derived("slider_crank", coordinates=coordinates)
-        given = {**scene.given(), "solver.step_size": h}
+        given = {**scene.given(), "solver.method": "rk4", "solver.step_size": h}
         r = alfmu.simulate(e, 1.0, 0.1, parameters=given, inputs=scene.inputs())
         state = np.array([r["crank.angle"], r["crank.angular_velocity"]]).T
         errors.append([*np.abs(state - exact).max(0), np.abs([r[n] for n in names] - forces).max()])
@@ -188,7 +190,7 @@ def test_equal_links_pass_the_vertical(coordinates: str) -> None:
         limit = np.abs(plain - ALIGNED.motion(np.pi / 4, 0.0, fine)[:, 0]).max()
         # Stages that are brought to the branch have an error of their own, of fourth order too: a quarter more at most.
         for branch, most in (("paper", limit), ("continue", 1.3 * limit)):
-            given = {"l1": 1.0, "l2": 1.0, "solver.step_size": h, "solver.branch": branch}
+            given = {"l1": 1.0, "l2": 1.0, "solver.method": "rk4", "solver.step_size": h, "solver.branch": branch}
             r = alfmu.simulate(e, 4.0, 0.02, parameters=given)
             exact = ALIGNED.motion(np.pi / 4, 0.0, r.time)[:, 0]
             assert np.abs(r["crank.angle"] - exact).max() <= most
@@ -205,7 +207,9 @@ def test_equal_links_reactions_stay_bounded(coordinates: str) -> None:
     it to round-off, four in all.
     """
     e = derived("slider_crank", coordinates=coordinates)
-    r = alfmu.simulate(e, 4.0, 0.02, parameters={"l1": 1.0, "l2": 1.0, "solver.step_size": 0.005})
+    r = alfmu.simulate(
+        e, 4.0, 0.02, parameters={"l1": 1.0, "l2": 1.0, "solver.method": "rk4", "solver.step_size": 0.005}
+    )
     nearest = 1.0
     for k in range(0, len(r.time), 2):
         th, w = r["crank.angle"][k], r["crank.angular_velocity"][k]

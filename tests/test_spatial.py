@@ -89,7 +89,7 @@ def test_a_thrown_body_turns_by_eulers_equations():
     e = alfmu.derive(m)
     steps = (0.02, 0.01, 0.005)
     for h in steps:
-        i = started(e, {"solver.step_size": h})
+        i = started(e, {"solver.method": "rk4", "solver.step_size": h})
         i.v[:] = [0.3, 0.0, 2.0, *rates_of([1.0, 0.0, 0.0, 0.0], w)]
         i.step(1.0)
         r = readings(i)

@@ -23,6 +23,7 @@ __all__ = [
     "default_settings",
     "events",
     "every_event",
+    "integrator",
     "setting",
     "variables_of",
 ]
@@ -162,6 +163,12 @@ class Interface:
 def default_settings(equations: Equations) -> Settings:
     """The settings of a mechanism where nobody says otherwise."""
     return Settings(**{"step_size": equations.step_size, **equations.solver})
+
+
+def integrator(equations: Equations) -> str:
+    """The method of integration that the settings of a mechanism ask for; of `auto` what it was decided to be."""
+    method = default_settings(equations).method
+    return equations.chosen if method == "auto" and equations.chosen else method
 
 
 def variables_of(equations: Equations, settings: Settings | None = None) -> Interface:

@@ -137,8 +137,10 @@ class Equations:
     """Once traced, the programs of the kernel by name (`alfmu.kernel.form.Program`)."""
     solver: dict[str, Any] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
+    chosen: str = ""
+    """What `solver.method` auto stands for; empty where that is not decided yet."""
     reason: str = ""
-    """Why `solver.method` is what it is, where `auto` chose it."""
+    """Why that is so."""
     monitors: list[str] = field(default_factory=list)
     """Monitors that are left out."""
     order: list[int] = field(default_factory=list)

@@ -26,7 +26,7 @@ def checked(equations: Equations) -> None:
     known = formulations(e)
     if chosen.formulation not in known:
         what = f"solver.formulation {chosen.formulation} of more than {DENSE} coordinates; use {', '.join(known)}"
-    elif e.l and chosen.formulation != Settings.formulation and chosen.method != Settings.method:
+    elif e.l and chosen.formulation != Settings.formulation and chosen.method not in ("auto", "rk4"):
         what = f"solver.method {chosen.method} with solver.formulation {chosen.formulation}; use solver.method rk4"
     else:
         return

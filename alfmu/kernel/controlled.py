@@ -16,10 +16,12 @@ import casadi as ca
 from casadi import SX
 
 from ..equations.evaluation import DENSE
+from ..equations.interface import default_settings, integrator
 from ..method import formulations as method
 from ..method import implicit
 from ..method.singular import LONG_NOISE, LONG_PLACES, LONG_SPACING
 from ..method.stepping import (
+    EXPLICIT4,
     SHORTEST,
     Collocation,
     Explicit,
@@ -31,10 +33,9 @@ from ..method.stepping import (
     landing,
     newton,
 )
-from ..model.settings import Settings
 from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewritten
 from .memory import PACE
-from .trace import Calls, Tracer, spaced
+from .trace import CAREFUL, Calls, Tracer, spaced
 
 __all__ = ["controlled"]
 
@@ -51,19 +52,23 @@ RETURNS = 4
 """Projections of q and v after them."""
 
 
-def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
-    """The programs of the method of a scene; none where RK4 makes its steps."""
-    solver = tracer.e.solver
-    name = solver.get("method", "rk4")
-    plan = replace(plan, weighted=True, margins=bool(tracer.e.l))
-    tolerance = solver.get("relative_tolerance", Settings.relative_tolerance)
+def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
+    """The programs of the method of a scene; none where RK4 makes its steps.
+
+    `quick` is the plan of a quick step, which short steps of `auto` share.
+    """
+    name = integrator(tracer.e)
+    # Where redundant constraints would brake, what stands for their penalties is not the one that two iterations suit.
+    careful = Plan(CAREFUL, 3) if tracer.e.brakes else quick
+    plan = replace(careful, corrections=2 * bool(tracer.e.l), weighted=True, margins=bool(tracer.e.l))
+    tolerance = default_settings(tracer.e).relative_tolerance
     rule, explicit_one = implicit.RULES.get(name), explicit_rule(name, tolerance)
     if rule is None and explicit_one is None:
         return {}
     if explicit_one:
         programs = {"method": _Explicit(tracer, plan).program(explicit_one)}
         careful = replace(plan, iterations=3 if tracer.e.l else 1, corrections=3 * bool(tracer.e.l), quick=False)
-        program = _Explicit(tracer, replace(careful, gaining=True)).program(explicit_one)
+        program = _Explicit(tracer, replace(careful, gaining=True), name="method_careful").program(explicit_one)
         programs["method_careful"] = _softened(tracer, program) if tracer.e.l else program
     else:
         kind = _Collocation if isinstance(rule, Collocation) else _Newmark
@@ -71,9 +76,13 @@ def controlled(tracer: Tracer, plan: Plan) -> dict[str, Program]:
     if tracer.e.l:
         # Implicit methods have no limits at singular positions: an explicit one passes them.
         beside = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
-        step = _Explicit(tracer, beside)
-        step.mark = "method" if explicit_one else "beside"
+        step = _Explicit(tracer, beside, "method" if explicit_one else "beside", "beside")
         programs["beside"] = step.program(explicit_one or explicit_rule("explicit", tolerance))
+    if default_settings(tracer.e).method == "auto":
+        programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT4)
+        if tracer.e.l:
+            on_branch = Plan(CAREFUL, 3, weighted=True, branch=True)
+            programs["short_beside"] = _Explicit(tracer, on_branch, "short", "short_beside").program(EXPLICIT4)
     return programs
 
 
@@ -91,13 +100,14 @@ def _softened(tracer: Tracer, program: Program) -> Program:
 class _Step:
     """What all methods have: the calls before and after a step."""
 
-    def __init__(self, tracer: Tracer, plan: Plan):
+    def __init__(self, tracer: Tracer, plan: Plan, mark: str = "method", name: str = ""):
         self.tracer, self.plan, self.e, self.layout = tracer, plan, tracer.e, tracer.layout
+        self.mark, self.name = mark, name or mark
+        """What the names of functions of stages begin with, and those of the end of the step."""
         self.calls = Calls(tracer, plan)
         self.scene = self.calls.scene
         self.by_constraints = plan.gaining and not plan.branch and self.e.l > 0 and self.e.n <= DENSE
         """Whether constraints alone tell what is near a singular position, not what masses make of it."""
-        self.name = "beside" if plan.branch else "method_careful" if plan.gaining else "method"
 
     def begin(self) -> None:
         """The length of the step and the time at its end, from what step control remembers."""
@@ -112,6 +122,9 @@ class _Step:
 
     def project(self) -> None:
         """q and v brought back to the constraints."""
+        if self.plan.quick and self.plan.corrections == 1:
+            self.tracer.correct(self.calls)
+            return
         for _ in range(self.plan.corrections):
             self.tracer.place(self.calls, "q", "q")
         if self.e.l:
@@ -146,7 +159,9 @@ class _Step:
         following = [ca.if_else(fixed, old, new) for old, new in zip(numbers, following, strict=True)]
         last = ca.if_else(accepted, step, known["last"])
         floor = ca.if_else(fixed, 0, floor)
-        following = ca.vertcat(*following, known["fixed"], known["end"], last, accepted, floor, known["careful"])
+        known |= zip(("dt", "before", "refused"), following, strict=True)
+        known |= {"last": last, "accepted": accepted, "floor": floor}
+        following = ca.vertcat(*(known[name] for name in PACE))
         results = [ca.vertcat(after[: layout.trouble], trouble, after[layout.change :])]
         results.append(ca.if_else(trouble, pace, following))
         if kept:
@@ -156,9 +171,7 @@ class _Step:
 
 
 class _Explicit(_Step):
-    """A step of an explicit method with projection; functions of stages have the mark in their names."""
-
-    mark = "method"
+    """A step of an explicit method with projection."""
 
     def program(self, rule: Explicit) -> Program:
         n, layout, calls, scene = self.e.n, self.layout, self.calls, self.scene
@@ -187,7 +200,8 @@ class _Explicit(_Step):
             known += " round_off"
             self._rounded(str(len(rates)))
             least = ca.fmax(scene.least_error(rule, dt, v, scene.symbol("round_off")), LONG_NOISE * self.plan.branch)
-        calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error, least))
+        allowed = scene.settings.short if rule is EXPLICIT4 else 1
+        calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error / allowed, least))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return Program(calls.steps, self.plan, rule.name, len(rates))
 

@@ -417,8 +417,7 @@ class Scene:
         mass, heavy = branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.settings.nothing, SX(self.e.n, 1)
         for i in self.e.telling:
             heavy[i] = mass / self.inverse_scales[i]
-        C, _, solve = self._augmented(q)
-        M = self.scale * self.e.M(q, self.p)
+        M, C, _, solve = self._augmented(q)
         return branch.returned(M, C, self.weights, solve, heavy, q, wanted, v)
 
     def read_places(self, q: SX, v: SX, dt: SX) -> list[SX]:
@@ -457,22 +456,24 @@ class Scene:
     def corrected(self, q: SX, v: SX) -> tuple[SX, SX, SX, SX]:
         """q and v after one correction (10) each, by H and C' of q as it was, which serves both at a regular position;
         the smallest pivot, the residues (squared) of both."""
-        C, D, solve = self._augmented(q)
-        q = q + method.project(C, self.weights, solve, self.e.Phi(q, self.p))
+        M, C, D, solve = self._augmented(q)
+        q = self._closer(M, C, solve, q)
         after = self.e.C(q, self.p)
-        v = v + method.project(C, self.weights, solve, after @ v)
+        Cv = after @ v
+        v = v + method.project_residual(M, C, self.weights, solve, Cv, lambda d: Cv + C @ d)
         return q, v, ca.mmin(D), self._residues(q, after @ v)
 
     def placed(self, q: SX) -> SX:
         """q after a correction (10)."""
-        C, _, solve = self._augmented(q)
-        return q + method.project(C, self.weights, solve, self.e.Phi(q, self.p))
+        M, C, _, solve = self._augmented(q)
+        return self._closer(M, C, solve, q)
 
     def settled(self, q: SX, v: SX, corrections: int) -> tuple[SX, SX, SX]:
         """v after corrections (10), the smallest pivot, and the residues (squared) of q and v."""
-        C, D, solve = self._augmented(q)
+        M, C, D, solve = self._augmented(q)
         for _ in range(corrections):
-            v = v + method.project(C, self.weights, solve, C @ v)
+            Cv = C @ v
+            v = v + method.project_residual(M, C, self.weights, solve, Cv, lambda d, Cv=Cv: Cv + C @ d)
         return v, ca.mmin(D), self._residues(q, C @ v)
 
     def open(self, q: SX) -> SX:
@@ -489,7 +490,7 @@ class Scene:
         n = self.e.n
         parts = error[:n], error[n : 2 * n]
         if self.e.l:
-            C, _, solve = self._augmented(q)
+            _, C, _, solve = self._augmented(q)
             parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
         allowed = self.allowed(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v))))
         size = ca.fabs(ca.vertcat(*parts))
@@ -610,11 +611,16 @@ class Scene:
             return ca.sumsqr(rows) * self.inverse_units**2
         return ca.sumsqr(rows * self.held * self.inverse_units)
 
-    def _augmented(self, q: SX) -> tuple[SX, SX, method.Solve]:
-        """C, the pivots of H, and what solves with it."""
-        C = self.e.C(q, self.p)
-        D, L = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), C))
-        return C, D, self.solver(D, L)
+    def _closer(self, M: SX, C: SX, solve: method.Solve, q: SX) -> SX:
+        """q after a correction (10)."""
+        Phi = self.e.Phi(q, self.p)
+        return q + method.project_residual(M, C, self.weights, solve, Phi, lambda d: self.e.Phi(q + d, self.p))
+
+    def _augmented(self, q: SX) -> tuple[SX, SX, SX, method.Solve]:
+        """M and C, the pivots of H, and what solves with it."""
+        M, C = self.scale * self.e.M(q, self.p), self.e.C(q, self.p)
+        D, L = self.factors(self.augmented_mass(M, C))
+        return M, C, D, self.solver(D, L)
 
     def augmented_mass(self, M: SX, C: SX) -> SX:
         """H, with what is the same at every position left to the parameters alone."""

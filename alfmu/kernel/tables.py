@@ -14,9 +14,19 @@ import numpy as np
 
 from ..equations import Equations, Variable
 from ..equations.evaluation import DENSE
-from ..equations.interface import BALANCE, CHOICES, SOLVER_VARIABLES, Interface, events, every_event, variables_of
+from ..equations.interface import (
+    BALANCE,
+    CHOICES,
+    SOLVER_VARIABLES,
+    Interface,
+    default_settings,
+    events,
+    every_event,
+    integrator,
+    variables_of,
+)
 from ..method import formulations, implicit, singular, stepping
-from ..method.stepping import Collocation, Explicit, explicit_rule, share
+from ..method.stepping import EXPLICIT4, Collocation, Explicit, explicit_rule, share
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from . import memory, thresholds
 from .alternatives import OWN
@@ -42,7 +52,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 4
+VERSION = 5
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -78,7 +88,8 @@ FUNCTIONS = {
 
 PROGRAMS = {
     **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
-    **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful"},
+    **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful", "short_step": "short"},
+    **_same("short_beside"),
     **_same("instant_patient limit_patient keep"),
     **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
 }
@@ -128,7 +139,11 @@ NUMBERS: dict[str, Number] = {
     "same_tiers": lambda t: t.e.kernel["quick"] == t.e.kernel["careful"],
     "careful_iterations": lambda t: CAREFUL if t.e.l else 1,
     **{f"monitor_{name}": partial(lambda key, t: t.output(f"monitor.{key}"), key) for name, key in _WATCHED.items()},
-    "method": lambda t: 0 if t.method == Settings.method else 1 + (t.method in FIXED),
+    "method": lambda t: 1 + (t.method in FIXED) if t.rule else 0,
+    "rk4_choice": lambda t: list(t.known["solver.method"]).index("rk4") if "rk4" in t.known["solver.method"] else -1,
+    "automatic": lambda t: default_settings(t.e).method == "auto",
+    "method_cost": lambda t: t.cost("method"),
+    "short_cost": lambda t: t.cost("short"),
     **{name: partial(lambda name, t: t.layout.fields[name][0], name) for name in FIELDS},
     "past_size": lambda t: t.layout.fields["past"][1],
     "seen_size": lambda t: t.layout.fields["seen"][1],
@@ -148,9 +163,14 @@ REALS: dict[str, Number] = {
     "no_slope": lambda t: math.inf if "reach" in t.e.kernel else 0.0,
     "share": lambda t: t.share[0],
     "exponent": lambda t: t.share[1],
+    "short_share": lambda t: share(EXPLICIT4)[0],
+    "short_exponent": lambda t: share(EXPLICIT4)[1],
 }
 
-HOT = ("quick", "instant", "method")
+NODE_COST = 6
+"""Evaluations that a node of an implicit step costs, with its tangents and passes of Newton's method."""
+
+HOT = ("quick", "instant", "method", "short")
 """Programs whose calls are joined: they run in every step."""
 
 
@@ -166,9 +186,10 @@ _FIXED = ("solver.input_order",)
 
 
 def known_choices(equations: Equations) -> dict[str, dict[str, str]]:
-    """What text variables can be, and what that is: a scene carries one method of integration."""
-    chosen = {v.name: str(v.start) for v in variables_of(equations).choices}
-    carries = {"solver.formulation": carried(equations), "solver.method": [chosen["solver.method"]]}
+    """What text variables can be, and what that is: a scene carries one method of integration, RK4 beside `auto`."""
+    methods = {"auto": ["rk4", "auto"]}
+    method = default_settings(equations).method
+    carries = {"solver.formulation": carried(equations), "solver.method": methods.get(method, [method])}
     return {
         name: {each: text for each, text in known.items() if each in carries.get(name, known)}
         for name, known in CHOICES.items()
@@ -196,6 +217,7 @@ def layout_header() -> str:
         "ZETA": Settings.zeta,
         "OMEGA": Settings.omega,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
+        "REGAINED": stepping.REGAINED,
         "GIVEN_UP": stepping.SHORTEST,
         "NOISE": stepping.NOISE,
         "UNBALANCED": UNBALANCED,
@@ -284,9 +306,9 @@ class _Table:
     def __init__(self, scene: Equations, own: Equations):
         self.e, self.layout = own, Layout(scene)
         self.variables, self.known, self.passed = interface(scene), known_choices(scene), passed(scene)
-        self.method = scene.solver.get("method", Settings.method)
-        carried = own.kernel["method"].rule if "method" in own.kernel else None
-        rule = explicit_rule(self.method, 1.0, carried) or implicit.RULES.get(self.method)
+        self.method = integrator(scene)
+        self.rule = own.kernel["method"].rule if "method" in own.kernel else ""
+        rule = explicit_rule(self.method, 1.0, self.rule) or implicit.RULES.get(self.method)
         self.share = share(rule) if isinstance(rule, Explicit | Collocation) else (1.0, 1.0)
         self.places: dict[str, tuple[int, int]] = {}
         """Where values stand in the workspace that programs hand on, and their lengths."""
@@ -352,6 +374,11 @@ class _Table:
             if self._length(each) != length:
                 raise ValueError(f"{self.e.name}: {each} has {self._length(each)} entries, and {step} gives {length}")
         return [*what, *(self._at(each) for each in (*step.arguments, *step.results))]
+
+    def cost(self, program: str) -> int:
+        """Of a step, in evaluations of accelerations."""
+        known = self.e.kernel.get(program)
+        return known.evaluations + NODE_COST * known.nodes if known else 0
 
     def causal(self, name: str) -> int:
         """Number of a variable that a user may set, among all of them."""

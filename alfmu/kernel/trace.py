@@ -69,8 +69,7 @@ def traced(
     continues = e.l and e.solver.get("branch", Settings.branch) == Settings.branch
     if continues:
         kernel["branch"] = tracer.step(replace(careful, branch=True))
-    # Where redundant constraints would brake, what stands for their penalties is not the one that two iterations suit.
-    kernel |= controlled(tracer, replace(careful if e.brakes else quick, corrections=2 * bool(e.l)))
+    kernel |= controlled(tracer, quick)
     kernel["instant"] = tracer.instant(careful, redundant)
     if tracer.order:
         kernel["reach"] = tracer.reach()
@@ -121,10 +120,7 @@ class Tracer:
         rates = self._moved(calls)
         closing = ["z", "dt", "q", "v", "work", "p", "k", *(f"watch{i + 1}" for i in range(len(rates)))]
         if self.e.l:
-            if plan.corrections > 1:
-                self._projected(calls)
-            else:
-                calls(f"{calls.scene.kind}_correct", "q v p k", "q v pivot left", calls.scene.corrected)
+            (self._projected if plan.corrections > 1 else self.correct)(calls)
             closing += ["pivot", "left"]
         if plan.branch:
             closing += [f"zone{i + 1}" for i in range(len(rates))]
@@ -140,6 +136,10 @@ class Tracer:
         y = rk4(rate, z[layout.time], ca.vertcat(z[: 2 * n], z[layout.work]), dt)
         calls("sum", spaced("z dt", rates), "q v work", lambda *_: (y[:n], y[n : 2 * n], y[2 * n]))
         return rates
+
+    def correct(self, calls: Calls) -> None:
+        """q and v after one correction (10) of both, and what tells whether that was enough."""
+        calls(f"{calls.scene.kind}_correct", "q v p k", "q v pivot left", calls.scene.corrected)
 
     def _projected(self, calls: Calls) -> None:
         """q and v brought back to the constraints; on the branch by as many corrections as it takes."""

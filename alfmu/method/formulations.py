@@ -23,6 +23,7 @@ __all__ = [
     "nearer_norm",
     "penalty",
     "project",
+    "project_residual",
     "residual",
     "stabilised",
     "stiffness",
@@ -129,3 +130,15 @@ def dae(M: Array, F: Array, C: Array, xi: Array, solve: Callable[[list, list], t
 def project(C: Array, alpha: Array, solve: Solve, residue: Array) -> Array:
     """One correction (10): of q when the residue is Phi, of v when it is C v."""
     return -solve(C.T @ (alpha @ residue))  # (10)
+
+
+def project_residual(
+    M: Array, C: Array, alpha: Array, solve: Solve, residue: Array, left: Callable[[Array], Array]
+) -> Array:
+    """A correction (10) in residual form; `left(d)` is what a correction d leaves of the residue.
+
+    As printed, it moves q along the motion by the round-off of alpha times what it moves it across, over a mass. Here
+    the same factors give what it lacks, from what it leaves.
+    """
+    d = project(C, alpha, solve, residue)
+    return d - solve(M @ d + C.T @ (alpha @ left(d)))  # (10) for what d lacks

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .formulations import project, project_residual
+
 __all__ = ["along", "curvature", "first_distance", "mean", "returned", "tangential", "weights", "with_pole"]
 
 Array = Any
@@ -148,7 +150,7 @@ def with_pole(values: dict[int, NDArray]) -> tuple[NDArray, bool]:
 
 def tangential(C: Array, alpha: Array, solve: Callable[[Array], Array], d: Array) -> Array:
     """S3: the part of a displacement d (n,) that keeps the constraints; the rest is orthogonal to it in metric M."""
-    return d - solve(C.T @ (alpha @ (C @ d)))
+    return d + project(C, alpha, solve, C @ d)
 
 
 def along(M: Array, heavy: Array, way: Array, d: Array) -> Array:
@@ -169,6 +171,6 @@ def returned(
     v: Array,
 ) -> tuple[Array, Array]:
     """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion."""
-    way, d = (tangential(C, alpha, solve, x) for x in (v, wanted - q))
+    way, d = (x + project_residual(M, C, alpha, solve, C @ x, lambda d, x=x: C @ (x + d)) for x in (v, wanted - q))
     q = q + d + way * along(M, heavy, way, wanted - q - d)
     return q, way + way * along(M, heavy, way, v - way)

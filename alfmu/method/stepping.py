@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 __all__ = [
+    "EXPLICIT4",
     "EXPLICIT5",
     "EXPLICIT8",
     "RADAU9",
@@ -80,6 +81,16 @@ class Collocation:
         """The name of the method, different from that of any other."""
         return f"collocation {self.order}"
 
+
+EXPLICIT4 = Explicit(
+    order=4,
+    estimate=3,
+    nodes=(0.0, 1 / 2, 1 / 2, 1.0),
+    stages=((1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)),
+    weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6),
+    errors=((0.0, 0.0, 0.0, 1 / 6, -1 / 6),),
+)
+"""RK4, and the method of order 3 that takes the rate at the end of the step in place of that of the last stage."""
 
 EXPLICIT5 = Explicit(
     order=5,
@@ -394,9 +405,11 @@ def share(method: Explicit | Collocation) -> tuple[float, float]:
     """Factor and exponent that make the tolerance of a run that of a step.
 
     The estimate of a collocation method is of an order far below its own: with the exponent of Hairer and Wanner's
-    RADAU code, the error follows the tolerance all the same.
+    RADAU code, the error follows the tolerance all the same. So it does for RK4, of whose short steps there are more.
     """
-    return SHARE, (method.estimate + 1) / (method.order + 1) if isinstance(method, Collocation) else 1.0
+    low = isinstance(method, Collocation) or method is EXPLICIT4
+    factor = SHARE / 2 if method is EXPLICIT4 else SHARE
+    return factor, (method.estimate + 1) / (method.order + 1) if low else 1.0
 
 
 def tolerance(method: Explicit | Collocation, run: float) -> float:
@@ -426,6 +439,9 @@ PROPORTIONAL = 0.4
 
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 """Of a step over the one before."""
+
+REGAINED = 1.05
+"""Of the step that a method wants which is not used, at each step by the other one: conditions change."""
 
 LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-2
 """Errors over the tolerance below which one counts no more, as this error and as the one before."""

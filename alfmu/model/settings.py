@@ -28,7 +28,7 @@ METHODS: dict[str, str] = {
     "stiff": "Radau IIA of order 9, steps by solver.relative_tolerance",
     "trapezoidal": "index-3 augmented Lagrangian with the trapezoidal rule, steps of solver.step_size",
     "generalized_alpha": "the same with damping of high frequencies",
-    "auto": "explicit or stiff, chosen from the scene",
+    "auto": "explicit or stiff as the scene asks, RK4 with error control where communication steps are short",
 }
 """Names of the methods of integration."""
 
@@ -62,8 +62,8 @@ class Settings:
     """Of the multiplier iteration."""
     formulation: str = "residual"
     """One of FORMULATIONS."""
-    method: str = "rk4"
-    """One of METHODS."""
+    method: str = "auto"
+    """One of METHODS; formulations but `residual` are integrated by `rk4` where it is `auto`."""
     relative_tolerance: float = 1e-6
     """Of a run, for methods that control their error."""
     absolute_tolerance: float = 0.0

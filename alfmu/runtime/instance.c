@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define FORMAT 3
+#define FORMAT 4
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
@@ -520,6 +520,15 @@ static void weigh(Instance *i)
     }
 }
 
+/* What makes the steps: 0 RK4, 1 the method of the scene with error control, 2 the same in steps of one length. What `auto`
+   stands for takes one formulation alone. */
+static int method(const Instance *i)
+{
+    const Scene *s = i->scene;
+    const int rk4 = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && !all_serve(i));
+    return rk4 ? 0 : s->method;
+}
+
 /* The kernel told what the settings ask for. */
 static void settle_kernel(Instance *i)
 {
@@ -536,6 +545,7 @@ static void settle_kernel(Instance *i)
     k[SETTINGS_CONTINUES] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
     k[SETTINGS_RELATIVE] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
     k[SETTINGS_ABSOLUTE] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
+    k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
     for (int r = 0; r < s->compliances; r++)
@@ -544,7 +554,7 @@ static void settle_kernel(Instance *i)
         rows[2 * s->l + s->n + r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
     field(i, s->dt)[0] = control[CONTROL_STEP_SIZE] = i->values[s->step_size];
     control[CONTROL_TIER] = !(i->flags.scaled || s->same_tiers);
-    control[CONTROL_METHOD] = s->method;
+    control[CONTROL_METHOD] = method(i);
     i->flags.fast = !s->l || (all_serve(i) && i->values[s->max_iterations] >= s->careful_iterations);
     i->flags.whole = i->flags.fast && !i->flags.brakes;
     if (i->flags.brakes)
@@ -603,6 +613,12 @@ static Outcome knowledge(Instance *i, const double *q, const double *v)
             s->name);
     i->used = used;
     return outcome;
+}
+
+static const char *method_name(const Instance *i)
+{
+    const Scene *s = i->scene;
+    return s->choice[s->method_choice].values[i->flags.choice[s->method_choice]];
 }
 
 /* Other constraints from now on; what comes into force must be closed, and makes the velocity consistent. */
@@ -785,9 +801,9 @@ void instance_balance(Instance *i)
         warn(i, WARNED_OF_BALANCE,
             "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
             z[s->time], c[RUN_ERROR],
-            s->method == 1 ? "use a smaller solver.relative_tolerance"
-                           : "steps of solver.step_size are too long: take shorter ones, or solver.method explicit or "
-                             "stiff, which control their error");
+            method(i) == 1 ? "use a smaller solver.relative_tolerance"
+                           : "steps of solver.step_size are too long: take shorter ones, or solver.method auto with "
+                             "solver.formulation residual, which controls its error");
 }
 
 /* What the last communication step changed of the balance, where somebody reads it. */
@@ -894,11 +910,11 @@ Outcome instance_initialize(Instance *i)
 {
     const Scene *s = i->scene;
     Outcome outcome;
-    if (s->method && !all_serve(i))
+    if (method(i) && !all_serve(i))
         return say(i, REFUSED,
             "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
             "solver.method rk4",
-            s->name, s->choice[s->method_choice].values[0]);
+            s->name, method_name(i));
     i->used = 0;
     i->flags.initialized = i->flags.known = i->flags.pending = 0;
     hand_over(i);
@@ -1118,7 +1134,7 @@ static Outcome covered(Instance *i, double end, double dt)
     const Scene *s = i->scene;
     double *time = instance_time(i), *pace = field(i, s->pace);
     pace[PACE_LAST] = 0.0;
-    pace[PACE_FIXED] = s->method == 2 ? dt : 0.0;
+    pace[PACE_FIXED] = method(i) == 2 ? dt : 0.0;
     while (*time < end) {
         const long tries = i->flags.brakes ? 1 : i->left;
         if (i->left <= 0)
@@ -1128,7 +1144,14 @@ static Outcome covered(Instance *i, double end, double dt)
             hold(i);
         if (cover(i, end, tries))
             continue;
-        if (s->method == 1 && pace[PACE_DT] < GIVEN_UP)
+        if (method(i) == 1 && field(i, s->after)[s->near] != 0.0) {
+            Outcome outcome;
+            i->left = MOST_STEPS;
+            outcome = subdivided(i, *time, i->values[s->step_size]);
+            if (outcome != DONE)
+                return outcome;
+        }
+        if (method(i) == 1 && pace[PACE_DT] < GIVEN_UP)
             return say(i, FAILED,
                 "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use "
                 "smaller inputs%s",
@@ -1136,7 +1159,7 @@ static Outcome covered(Instance *i, double end, double dt)
         return say(i, FAILED,
             "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and where "
             "constraints stay open, use explicit or rk4%s",
-            s->name, *time, s->choice[s->method_choice].values[0], or_penalty(i));
+            s->name, *time, method_name(i), or_penalty(i));
     }
     return DONE;
 }
@@ -1161,7 +1184,7 @@ static Outcome slow_step(Instance *i, double start, double h)
     z[s->time] = start;
     if (s->reach >= 0)
         run(i, s->reach);
-    if (s->method) {
+    if (method(i)) {
         outcome = covered(i, start + h, dt);
         done = steps;
     }
@@ -1245,7 +1268,7 @@ static Outcome whole_step(Instance *i, double start, double h)
     const Scene *s = i->scene;
     Outcome outcome = DONE;
     /* Methods beside RK4 may need any number of steps, which the slower way counts. */
-    if (!i->flags.whole || s->method || !communicate(i, start, h))
+    if (!i->flags.whole || method(i) || !communicate(i, start, h))
         outcome = slow_step(i, start, h);
     if (outcome != DONE)
         return outcome;
@@ -1631,7 +1654,7 @@ static Outcome sound(Instance *i)
     if (control[CONTROL_STEP_SIZE] != i->values[s->step_size] ||
         (control[CONTROL_TIER] != 0.0 && control[CONTROL_TIER] != 1.0))
         return unsound(i, "the first tier", control[CONTROL_TIER]);
-    if (control[CONTROL_METHOD] != s->method)
+    if (control[CONTROL_METHOD] != method(i))
         return unsound(i, "the method", control[CONTROL_METHOD]);
     return DONE;
 }

@@ -76,7 +76,7 @@ class Instance:
     def _take(self, equations: Equations) -> None:
         """Run these equations with the settings that are given."""
         self.equations = e = retraced(equations, self._given)
-        self._given = given = replace(self._given, method=e.solver.get("method", self._given.method))
+        given = self._given
         self.name = e.name
         found = variables_of(e, given)
         self.parameters, self.outputs = tuple(found.parameters), tuple(found.outputs)
@@ -430,14 +430,21 @@ class Instance:
                 c.evaluations += evaluations
                 c.multiplier_iterations += evaluations * kernel[tier].plan.iterations
                 c.projection_iterations += 2 * made * kernel[tier].plan.corrections
+        for name, tries, limits in (("short", "short_tries", ""), ("short_beside", "short_beside", "short_limits")):
+            if tries := tally[tries]:
+                plan = kernel[name].plan
+                evaluations = tries * kernel[name].evaluations + (2 * plan.side - 1) * tally.get(limits, 0)
+                c.evaluations += evaluations
+                c.multiplier_iterations += evaluations * plan.iterations
+                c.projection_iterations += 2 * tries * plan.corrections
+        c.steps += covered
+        c.refused += refused
         if tried := tally["tries"] + beside:
             program = kernel["method"]
             # Careful tries, and those on the branch, evaluate once more for what round-off leaves.
             judging = tally["careful_tries"] + beside
             evaluations = tried * program.evaluations + judging + int(self.memory["passes"].sum()) * program.nodes
             evaluations += tally["beside_limits"] * (2 * kernel["beside"].plan.side - 1) if beside else 0
-            c.steps += covered
-            c.refused += refused
             c.evaluations += evaluations
             c.multiplier_iterations += evaluations * program.plan.iterations
             c.projection_iterations += 2 * tried * program.plan.corrections

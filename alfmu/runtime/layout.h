@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 4
+#define SCENE_VERSION 5
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -26,11 +26,12 @@
 #define ZETA 1.0
 #define OMEGA 10.0
 #define LEAST_BEFORE 0.01
+#define REGAINED 1.05
 #define GIVEN_UP 1e-12
 #define NOISE 8.0
 #define UNBALANCED 0.001
 #define ROUND_OFF 1.7763568394002505e-15
-#define SETTINGS 10
+#define SETTINGS 11
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1
 #define SETTINGS_FREEDOM 2
@@ -41,22 +42,26 @@
 #define SETTINGS_CONTINUES 7
 #define SETTINGS_RELATIVE 8
 #define SETTINGS_ABSOLUTE 9
+#define SETTINGS_SHORT 10
 #define CONTROL 3
 #define CONTROL_STEP_SIZE 0
 #define CONTROL_TIER 1
 #define CONTROL_METHOD 2
-#define TALLY 10
+#define TALLY 13
 #define TALLY_QUICK 0
 #define TALLY_CAREFUL 1
 #define TALLY_BRANCH 2
 #define TALLY_LIMITS 3
-#define TALLY_TRIES 4
-#define TALLY_CAREFUL_TRIES 5
-#define TALLY_COVERED 6
-#define TALLY_REFUSED 7
-#define TALLY_BESIDE 8
-#define TALLY_BESIDE_LIMITS 9
-#define PACE 9
+#define TALLY_SHORT_TRIES 4
+#define TALLY_SHORT_BESIDE 5
+#define TALLY_SHORT_LIMITS 6
+#define TALLY_TRIES 7
+#define TALLY_CAREFUL_TRIES 8
+#define TALLY_COVERED 9
+#define TALLY_REFUSED 10
+#define TALLY_BESIDE 11
+#define TALLY_BESIDE_LIMITS 12
+#define PACE 13
 #define PACE_DT 0
 #define PACE_BEFORE 1
 #define PACE_REFUSED 2
@@ -66,6 +71,10 @@
 #define PACE_ACCEPTED 6
 #define PACE_FLOOR 7
 #define PACE_CAREFUL 8
+#define PACE_SHORT 9
+#define PACE_OTHER_DT 10
+#define PACE_OTHER_BEFORE 11
+#define PACE_OTHER_REFUSED 12
 #define SEEN 3
 #define SEEN_ACCELERATION_ERROR 0
 #define SEEN_NEAR 1
@@ -171,6 +180,10 @@
     X(monitor_iterations) \
     X(monitor_step_error) \
     X(method) \
+    X(rk4_choice) \
+    X(automatic) \
+    X(method_cost) \
+    X(short_cost) \
     X(z) \
     X(after) \
     X(begin) \
@@ -244,6 +257,8 @@
     X(branch_step) \
     X(method_step) \
     X(method_careful) \
+    X(short_step) \
+    X(short_beside) \
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \
@@ -261,7 +276,9 @@
 #define SCENE_REALS(X) \
     X(no_slope) \
     X(share) \
-    X(exponent)
+    X(exponent) \
+    X(short_share) \
+    X(short_exponent)
 
 #define SCENE_PROGRAMS(X) \
     X(quick) \
@@ -279,6 +296,8 @@
     X(branch_step) \
     X(method_step) \
     X(method_careful) \
+    X(short_step) \
+    X(short_beside) \
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \

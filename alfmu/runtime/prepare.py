@@ -10,7 +10,7 @@ import numpy as np
 
 from ..equations import Equations
 from ..equations.evaluation import DENSE, with_tangents
-from ..equations.interface import CHOICES, checked, setting, variables_of
+from ..equations.interface import CHOICES, checked, default_settings, integrator, setting, variables_of
 from ..kernel import DEFAULT, KERNELS
 from ..kernel.alternatives import formulations
 from ..kernel.controlled import controlled
@@ -55,18 +55,17 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
 
 def decided(equations: Equations) -> Equations:
     """The same equations with what their method of integration needs, and `auto` decided."""
-    chosen, reason = equations.solver.get("method", "rk4"), equations.reason
+    chosen, reason = integrator(equations), equations.reason
     if chosen == "auto":
         chosen, reason = _chosen(equations)
-    formulation, known = equations.solver.get("formulation", Settings.formulation), formulations(equations)
+    formulation, known = default_settings(equations).formulation, formulations(equations)
     if formulation not in known:
         limit = f"solver.formulation {formulation} takes up to {DENSE} coordinates"
         raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
     if chosen in RULES and equations.n > DENSE:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
     e = with_tangents(equations) if chosen in RULES else equations
-    same = reason == equations.reason
-    return e if same else replace(e, solver={**e.solver, "method": chosen}, reason=reason)
+    return replace(e, chosen=chosen, reason=reason)
 
 
 def _chosen(equations: Equations) -> tuple[str, str]:
@@ -149,7 +148,7 @@ def retraced(equations: Equations, settings: Settings) -> Equations:
     known = e.programs.setdefault("traced", {})
     chosen = tuple(wanted.values())
     if chosen not in known:
-        known[chosen] = again(replace(e, solver={**e.solver, **wanted}, reason=""))
+        known[chosen] = again(replace(e, solver={**e.solver, **wanted}, chosen="", reason=""))
     return known[chosen]
 
 

@@ -56,10 +56,10 @@ def ready(
     folded = {name: own.pop(name) for name in frozen & own.keys()}
     e = with_defaults(equations, {**folded, "solver.method": method})
     if method == "auto":
-        method, reason = _decided(equations, own | folded)
-        e = replace(e, solver={**e.solver, "method": method}, reason=reason)
+        chosen, reason = _decided(equations, own | folded)
+        e = replace(e, chosen=chosen, reason=reason)
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
-    key = (*asked, kernel, method, *sorted(folded.items()))
+    key = (*asked, kernel, method, e.chosen, *sorted(folded.items()))
     scenes = equations.programs.setdefault("ready", OrderedDict())
     return _kept(scenes, key, lambda: prepared(specialised(e, outputs, freeze), kernel), _MOST), own
 
@@ -69,7 +69,7 @@ def _decided(equations: Equations, values: Mapping[str, float | str]) -> tuple[s
 
     def choose() -> tuple[str, str]:
         e = decided(with_defaults(equations, {**values, "solver.method": "auto"}))
-        return str(e.solver["method"]), e.reason
+        return e.chosen, e.reason
 
     known = equations.programs.setdefault("decided", OrderedDict())
     return _kept(known, tuple(sorted(values.items())), choose, _DECISIONS)

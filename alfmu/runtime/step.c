@@ -16,6 +16,10 @@
 /* Of a step that cannot be judged, the next try. */
 #define SHORTENED 0.2
 
+/* Tries that cannot be judged near a singular position, before the step that was wanted at the first of them is covered:
+   from so many on no motion goes on there. */
+#define STUCK 20
+
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
 long advance(Instance *i, long steps, double dt)
 {
@@ -57,14 +61,82 @@ static int irregular(Instance *i)
     return found != 0.0;
 }
 
-/* A try of the method of the scene: by few multiplier iterations; by more where they were not enough, or the error is too
-   large, as what they leave is part of it; on the branch near a singular position. */
+/* The numbers of step control for short steps in place of those for steps of the method, or the other way round. */
+static void turn_to(double *pace, int kind)
+{
+    double *own = pace + PACE_DT, *other = pace + PACE_OTHER_DT;
+    if (kind == (pace[PACE_SHORT] != 0.0))
+        return;
+    for (int k = 0; k < 3; k++) {
+        const double kept = own[k];
+        own[k] = other[k];
+        other[k] = kept;
+    }
+    if (own[0] == 0.0) { /* No short step has been tried. */
+        own[0] = other[0];
+        own[1] = LEAST_BEFORE;
+    }
+    pace[PACE_SHORT] = kind;
+    pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+}
+
+/* Whether short steps reach the end with fewer evaluations than those of the method. */
+static int short_ones(const Instance *i, double left)
+{
+    const Scene *s = i->scene;
+    const double *pace = i->m + s->pace;
+    const int kind = pace[PACE_SHORT] != 0.0;
+    const double own = pace[PACE_DT], other = pace[PACE_OTHER_DT] > 0.0 ? pace[PACE_OTHER_DT] : own;
+    if (s->short_step < 0 || pace[PACE_FIXED] != 0.0)
+        return 0;
+    return s->short_cost * ceil(left / (kind ? own : other)) <= s->method_cost * ceil(left / (kind ? other : own));
+}
+
+/* A try of a short step, on the branch near a singular position; 0 where it cannot be judged, or there is not accepted: the
+   limits taken there are less exact for short steps. */
+static int try_short(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
+    double kept[PACE];
+    run(i, s->short_step);
+    tally[TALLY_SHORT_TRIES] += 1.0;
+    if (after[s->trouble] == 0.0)
+        return 1;
+    if (after[s->near] == 0.0)
+        pace[PACE_DT] *= SHORTENED;
+    if (after[s->near] == 0.0 || s->short_beside < 0)
+        return 0;
+    memcpy(kept, pace, sizeof kept);
+    run(i, s->short_beside);
+    tally[TALLY_SHORT_BESIDE] += 1.0;
+    tally[TALLY_SHORT_LIMITS] += after[s->near];
+    if (after[s->trouble] == 0.0 && pace[PACE_ACCEPTED] != 0.0)
+        return 1;
+    memcpy(pace, kept, sizeof kept);
+    return 0;
+}
+
+/* A try of a short step, of the method of the scene where that is not possible. By few multiplier iterations; by more
+   where they were not enough, or the error is too large, as what they leave is part of it; on the branch near a singular
+   position. */
 static void try_step(Instance *i)
 {
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
-    const double dt = pace[PACE_DT], before = pace[PACE_BEFORE], refused = pace[PACE_REFUSED];
-    int careful = s->method_careful >= 0 && (pace[PACE_CAREFUL] > 0.0 || pace[PACE_CAREFUL] <= -UNSEEN);
+    const double left = pace[PACE_END] - m[s->z + s->time];
+    double dt, before, refused;
+    int careful;
+    if (pace[PACE_OTHER_DT] < left)
+        pace[PACE_OTHER_DT] *= REGAINED;
+    turn_to(pace, short_ones(i, left));
+    if (pace[PACE_SHORT] != 0.0) {
+        if (try_short(i))
+            return;
+        turn_to(pace, 0);
+    }
+    dt = pace[PACE_DT], before = pace[PACE_BEFORE], refused = pace[PACE_REFUSED];
+    careful = s->method_careful >= 0 && (pace[PACE_CAREFUL] > 0.0 || pace[PACE_CAREFUL] <= -UNSEEN);
     if (careful)
         pace[PACE_CAREFUL] = fmax(pace[PACE_CAREFUL], 1.0) - 1.0;
     else {
@@ -101,14 +173,21 @@ int cover(Instance *i, double end, long tries)
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     double judged = 0.0; /* step of the first try that could not be judged, since one that could */
+    double until = -INFINITY;
+    int stuck = 0;
     pace[PACE_END] = end;
     for (; m[s->z + s->time] < end && tries != 0; tries--) {
         try_step(i);
         if (after[s->trouble] != 0.0 && judged == 0.0)
             judged = pace[PACE_DT];
         if (after[s->trouble] != 0.0) {
-            const double shorter = SHORTENED * fmin(pace[PACE_DT], end - m[s->z + s->time]);
-            if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP) {
+            const double wanted = fmin(pace[PACE_DT], end - m[s->z + s->time]), shorter = SHORTENED * wanted;
+            if (after[s->near] != 0.0 && m[s->z + s->time] > until) {
+                until = m[s->z + s->time] + wanted;
+                stuck = 0;
+            }
+            stuck += after[s->near] != 0.0;
+            if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP || stuck == STUCK) {
                 /* Near a singular position it is not the length of the step that is wrong. */
                 pace[PACE_DT] = after[s->near] != 0.0 ? judged : fmin(pace[PACE_DT], shorter);
                 return 0;
@@ -133,15 +212,14 @@ int cover(Instance *i, double end, long tries)
     return 1;
 }
 
-/* A communication step in one go; 0, and nothing has changed, where that is not possible. */
+/* A communication step by RK4 in one go; 0, and nothing has changed, where that is not possible. */
 int communicate(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    double *m = i->m, *z = m + s->z, *pace = m + s->pace, ratio;
-    double counted[TALLY + PACE];
+    double *m = i->m, *z = m + s->z, ratio;
+    double counted[TALLY];
     const size_t state = state_length(s) * sizeof *m, past = (size_t)s->past_size * sizeof *m;
     long steps;
-    int made;
     if (!(h > 0.0 && h < INFINITY && fabs(start - z[s->time]) <= 1e-6 * h + 1e-12 * fabs(start)))
         return 0;
     ratio = h / m[s->control + CONTROL_STEP_SIZE] * (1 - 1e-12);
@@ -150,21 +228,13 @@ int communicate(Instance *i, double start, double h)
     steps = ratio <= 1.0 ? 1 : (long)ceil(ratio);
     memcpy(m + s->begin, z, state);
     memcpy(counted, m + s->tally, TALLY * sizeof *m);
-    memcpy(counted + TALLY, pace, PACE * sizeof *m);
     memcpy(i->past_before, m + s->past, past);
     z[s->time] = start;
     if (s->reach >= 0)
         run(i, s->reach);
-    if (m[s->control + CONTROL_METHOD] != 0.0) {
-        pace[PACE_LAST] = 0.0;
-        pace[PACE_FIXED] = m[s->control + CONTROL_METHOD] == 2.0 ? h / (double)steps : 0.0;
-        made = cover(i, start + h, -1);
-    } else
-        made = advance(i, steps, h / (double)steps) == steps;
-    if (!made) {
+    if (advance(i, steps, h / (double)steps) != steps) {
         memcpy(z, m + s->begin, state);
         memcpy(m + s->tally, counted, TALLY * sizeof *m);
-        memcpy(pace, counted + TALLY, PACE * sizeof *m);
         memcpy(m + s->past, i->past_before, past);
         return 0;
     }

@@ -66,7 +66,7 @@ class About:
     def method(self) -> str:
         """The method of integration, and why where it was chosen."""
         chosen = decided(self.equations)
-        return chosen.reason or chosen.solver.get("method", "rk4")
+        return chosen.reason or chosen.chosen
 
     def as_data(self) -> dict[str, Any]:
         """All of it, as JSON has it."""

@@ -55,8 +55,8 @@ RATIOS = tuple(10.0**k for k in range(2, 15, 2))
 
 DIGITS = 60
 
-CLASSIC = Settings(step_size=DT, penalty=ALPHA, formulation="classic")
-DEFAULT = Settings(step_size=DT)
+CLASSIC = Settings(step_size=DT, penalty=ALPHA, formulation="classic", method="rk4")
+DEFAULT = Settings(step_size=DT, method="rk4")
 
 ROWS = range(1, 9)
 ACCELERATIONS = (
