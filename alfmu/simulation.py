@@ -168,7 +168,7 @@ def run(
         # A table between 0 and 1 switches half-way.
         return value >= 0.5 if name in switches and 0 <= value <= 1 else value
 
-    if isinstance(unit, Instance) and unit.run and not held_rows:
+    if isinstance(unit, Instance) and getattr(unit, "run", None) and not held_rows:
         values, ended = _in_one_call(unit, times, list(signals), at, names, progress)
     else:
         values, ended = _step_by_step(unit, times, list(signals), at, progress, held_rows)

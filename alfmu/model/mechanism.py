@@ -291,7 +291,7 @@ class _Parts(Generic[_Part]):
     def __get__(self, mechanism: Mechanism | None, owner: type) -> Self | tuple[_Part, ...]:
         return self if mechanism is None else tuple(self.of(mechanism))
 
-    def __set__(self, mechanism: Mechanism, value: object) -> Never:
+    def __set__(self, mechanism: Mechanism, value: Never) -> None:
         raise DeclarationError(
             f"{mechanism.name}: its {self._name.replace('_', ' ')} cannot be set; declare them one by one, by methods "
             "such as bar() and revolute()"

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from ..equations import Equations, Mobility, Variable
-from ..equations.interface import variables_of
+from ..equations.interface import default_settings, variables_of
 from ..equations.specialisation import specialised
 from ..fmi.recipe import Recipe
 from ..model.errors import AlfmuError
@@ -67,6 +67,12 @@ class About:
         """The method of integration, and why where it was chosen."""
         chosen = decided(self.equations)
         return chosen.reason or chosen.chosen
+
+    @property
+    def chosen(self) -> str:
+        """The method of integration, and what it stands for where it is `auto`."""
+        given, stands_for = default_settings(self.equations).method, decided(self.equations).chosen
+        return given if given == stands_for else f"{given} ({stands_for} here)"
 
     def as_data(self) -> dict[str, Any]:
         """All of it, as JSON has it."""
@@ -147,7 +153,7 @@ def in_short(a: About) -> list[str]:
         _fitted("at the start", [f"{v.name} = {_start(v)} {v.unit}" for v in starts]),
         _fitted("inputs", [f"{v.name} [{v.unit}]" for v in a.inputs]),
         _fitted(f"outputs ({len(a.outputs)})", _owned(a.outputs), "; "),
-        _fitted("run", [f"{e.stop_time:g} s in steps of {e.interval:g} s", f"method {a.method}"]),
+        _fitted("run", [f"{e.stop_time:g} s in steps of {e.interval:g} s", f"method {a.chosen}"]),
         "--all shows every name with unit and description, and the operations of a step; --json is for programs",
     ]
     title = f"{a.mechanism.name}: {a.mechanism.description}"
