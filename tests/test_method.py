@@ -504,7 +504,7 @@ def test_a_penalty_that_leaves_too_much_is_refused_by_both(kernel: str) -> None:
     )
     said += r"themselves after 10 passes, more than 1e-07; use solver\.penalty 0"
     with pytest.raises(alfmu.StepError, match=said):
-        i.get("A.force_x")
+        i.get("A.force.x")
     with pytest.raises(alfmu.StepError, match=said):
         i.step(0.02)
     assert i.save() == before
