@@ -93,12 +93,13 @@ def test_another_distribution_can_register_a_mechanism(here, distribution, capsy
     ],
 )
 def test_what_a_registered_mechanism_raises_is_said_with_its_line(here, distribution, capsys, module, says):
-    distribution("their_broken", module, "[alfmu.mechanisms]\nbroken = their_broken:broken\n")
+    name = "their_broken" if "def" in module else "their_lost"
+    distribution(name, module, f"[alfmu.mechanisms]\nbroken = {name}:broken\n")
     for command in (["info", "broken"], ["simulate", "broken"], ["export", "broken", "-o", "x.fmu"]):
         assert main(command) == 1
         err = capsys.readouterr().err
         assert err.count("\n") == 1
-        assert re.search(rf"broken: \S*their_broken.py, {says}ibuteError: ", err)
+        assert re.search(rf"broken: \S*{name}.py, {says}ibuteError: ", err)
 
 
 def test_options_parameters_and_inputs_reach_the_run(here):
