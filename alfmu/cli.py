@@ -293,7 +293,7 @@ def _equations(recipe: Recipe, mechanism: Mechanism) -> Equations:
 
     equations = with_defaults(derive(mechanism), recipe.parameters)
     own = recipe.parameters
-    for v in (v for v in equations.starts if v.unit == "rad" and v.name in own):
+    for v in (v for v in (*equations.starts, *equations.parameters) if v.unit == "rad" and v.name in own):
         perhaps_degrees(f"{equations.name}: {v.name}", v.start)
     for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
         perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
@@ -579,6 +579,7 @@ def _between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[
                     raise KeyboardInterrupt
                 yield step
 
+    checked.ended = lambda: bool(asked)  # type: ignore[attr-defined]
     with _signals(ask, signal.SIGINT, signal.SIGTERM):
         yield checked
 

@@ -357,6 +357,8 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{low}, {high}]")
         if unit == "m":
             perhaps_millimetres(f"{self.name}: the default of {name}", default)
+        elif unit == "rad":
+            perhaps_degrees(f"{self.name}: the default of {name}", default)
         text(f"{self.name}: the description of {name}", description)
         self.parameters.append(Parameter(name, symbol, default, unit, low, high, description))
         return self._stands_for(symbol, "parameters", f"the parameter {name}", unit)

@@ -1128,6 +1128,12 @@ static Outcome watched_step(Instance *i, double start, double dt)
     return outcome;
 }
 
+/* What is said where the caller of a run ends it within a communication step. */
+static Outcome interrupted(Instance *i)
+{
+    return say(i, FAILED, "%s, t = %.6g s: interrupted", i->scene->name, *instance_time(i));
+}
+
 /* Steps by the method of the scene up to the end of a communication step; those of one length take dt. */
 static Outcome covered(Instance *i, double end, double dt)
 {
@@ -1144,6 +1150,8 @@ static Outcome covered(Instance *i, double end, double dt)
             hold(i);
         if (cover(i, end, tries))
             continue;
+        if (i->ended)
+            return interrupted(i);
         if (method(i) == 1 && field(i, s->after)[s->near] != 0.0) {
             Outcome outcome;
             i->left = MOST_STEPS;
@@ -1189,13 +1197,15 @@ static Outcome slow_step(Instance *i, double start, double h)
         done = steps;
     }
     while (done < steps && outcome == DONE) {
-        if (i->flags.fast) {
+        if (ended(i))
+            outcome = interrupted(i);
+        else if (i->flags.fast) {
             z[s->time] = start + done * dt;
             if (i->flags.brakes)
                 hold(i);
             done += (double)advance(i, i->flags.whole ? (long)(steps - done) : 1L, dt);
         }
-        if (done < steps) {
+        if (done < steps && outcome == DONE && !i->ended) {
             outcome = watched_step(i, start + done * dt, dt);
             i->counts[PATIENT_STEPS] += outcome == DONE;
             done += 1.0;
