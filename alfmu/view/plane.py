@@ -117,7 +117,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Label:
-    """Text in the middle of some points, or `gap` pixels from there on the side that the directions `links` leave.
+    """Text in the middle of some points, or `gap` pixels from there in the middle of the widest gap that `links` leave.
 
     What is `free` gives way to other labels and to pins.
     """
@@ -353,8 +353,7 @@ class _Pen:
     def knot_label(self, knot: _Knot, shapes: Shapes) -> Label:
         """On the side that links, rails and ground leave free."""
         points = {link.name: link.points for link in shapes.links}
-        directions = [Anchor(GROUND, 0.5, 0.1)]  # to the left of a bar that stands on the ground
-        directions += [Anchor(GROUND, 0.0, -1.0) for at in knot.anchors if at.body == GROUND]
+        directions = [Anchor(GROUND, 0.0, -1.0) for at in knot.anchors if at.body == GROUND]
         for at in knot.anchors:
             others = [p for p in points.get(at.body, ()) if p != (at.x, at.y)]
             directions += [Anchor(at.body, *_direction((at.x, at.y), p)) for p in others]
@@ -498,18 +497,34 @@ def paint(surface: Surface, scene: Scene, poses: Mapping[str, Pose], trails: Map
         xs, ys = zip(*(pixels(place_of(poses, at)) for at in label.at), strict=True)
         x, y = sum(xs) / len(xs), sum(ys) / len(ys)
         if label.gap:
-            dx, dy = 0.0, 0.4
-            for link in label.links:
-                c, s = math.cos(poses[link.body][2]), math.sin(poses[link.body][2])
-                dx, dy = dx - c * link.x + s * link.y, dy - s * link.x - c * link.y
-            length = math.hypot(dx, dy) or 1.0
-            dx, dy = dx / length, dy / length
+            dx, dy = _free([_turned(float(poses[link.body][2]), link) for link in label.links])
             clear = label.gap + abs(dx) * width_of(label.text, label.size) / 2 + abs(dy) * label.size / 3
             x, y = x + dx * clear, y + dy * clear
         texts[label.free].append(Text(label.text, x, y, label.size, label.color))
     pins = [(*pixels(place_of(poses, at)), scene.pin) for at in scene.pins]
     for text in (*texts[False], *placed(texts[True], scene.size, pins)):
         surface.text(text)
+
+
+def _turned(angle: float, link: Anchor) -> Vector:
+    c, s = math.cos(angle), math.sin(angle)
+    return c * link.x - s * link.y, s * link.x + c * link.y
+
+
+def _free(taken: Sequence[Vector]) -> Vector:
+    """The direction in the middle of the widest gap between some directions; upwards where there are none.
+
+    Of gaps that are alike, the one on the left.
+    """
+    if not taken:
+        return 0.0, 1.0
+    # Counted from just below the direction to the right, so that the gap on the left comes first of the two of a bar.
+    angles = sorted((math.atan2(y, x) + 1e-6) % (2 * math.pi) for x, y in taken)
+    widest, middle = 0.0, 0.0
+    for start, end in zip(angles, [*angles[1:], angles[0] + 2 * math.pi], strict=True):
+        if end - start > widest + 1e-3:
+            widest, middle = end - start, (start + end) / 2
+    return math.cos(middle), math.sin(middle)
 
 
 def hides(shapes: Shapes, columns: Mapping[str, float]) -> bool:

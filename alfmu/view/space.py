@@ -598,6 +598,8 @@ def _axes(surface: Surface, camera: Camera, base: float) -> None:
     x0, y0 = 44 * base, 44 * base
     for k in np.argsort(camera.axes[2]):
         dx, dy, _ = camera.axes[:, k]
+        if math.hypot(dx, dy) < 0.45:  # it points at the eye
+            continue
         end = x0 + 28 * base * dx, y0 + 28 * base * dy
         surface.stroke([(x0, y0), end], Stroke((), 1.5 * base, FAINT))
         surface.text(Text("xyz"[k], x0 + 39 * base * dx, y0 + 39 * base * dy, 12 * base, FAINT))

@@ -57,6 +57,19 @@ function trail(dot, frames, i) {
   stroke(points, { width: 2.5 * scene.unit, color: scene.colors[dot] });
 }
 
+// The direction in the middle of the widest gap between some directions: the rule of plane.py (`_free`).
+function free(taken) {
+  if (!taken.length) return [0, 1];
+  const turn = 2 * Math.PI;
+  const angles = taken.map(([x, y]) => (Math.atan2(y, x) + 1e-6 + turn) % turn).sort((a, b) => a - b);
+  let widest = 0, middle = 0;
+  angles.forEach((start, i) => {
+    const end = i + 1 < angles.length ? angles[i + 1] : angles[0] + turn;
+    if (end - start > widest + 1e-3) [widest, middle] = [end - start, (start + end) / 2];
+  });
+  return [Math.cos(middle), Math.sin(middle)];
+}
+
 // Where a label would stand, and half its size.
 function label(frames, { text, at, links, gap, size }) {
   const places = at.map((a) => place(frames, a));
@@ -64,13 +77,7 @@ function label(frames, { text, at, links, gap, size }) {
   pen.font = `${size}px {{fonts}}`;
   const half = pen.measureText(text).width / 2;
   if (gap) {
-    let dx = 0, dy = 0.4;
-    for (const link of links) {
-      const [ex, ey] = turned(frames[link.body], link.x, link.y);
-      [dx, dy] = [dx - ex, dy - ey];
-    }
-    const length = Math.hypot(dx, dy) || 1;
-    [dx, dy] = [dx / length, dy / length];
+    const [dx, dy] = free(links.map((link) => turned(frames[link.body], link.x, link.y)));
     const clear = gap + Math.abs(dx) * half + Math.abs(dy) * size / 3;
     [x, y] = [x + dx * clear, y + dy * clear];
   }

@@ -238,6 +238,7 @@ function axes() {
   pen.strokeStyle = film.colors.faint;
   for (const [name, axis] of [["x", [1, 0, 0]], ["y", [0, 1, 0]], ["z", [0, 0, 1]]]) {
     const { x, y } = vector(axis).applyQuaternion(turn);
+    if (Math.hypot(x, y) < 0.45) continue; // it points at the eye
     pen.beginPath();
     pen.moveTo(44, 44);
     pen.lineTo(44 + 28 * x, 44 + 28 * y);
