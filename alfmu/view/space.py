@@ -195,8 +195,14 @@ def place_of(poses: Mapping[str, Pose], at: Spot) -> NDArray:
 def rotated(turn: NDArray, vector: NDArray) -> NDArray:
     """A vector (..., 3) of a frame in ground axes, by Euler parameters (..., 4)."""
     p = turn[..., 1:]
-    twice = 2 * np.cross(p, vector)
-    return vector + turn[..., :1] * twice + np.cross(p, twice)
+    twice = 2 * _cross(p, vector)
+    return vector + turn[..., :1] * twice + _cross(p, twice)
+
+
+def _cross(a: NDArray, b: NDArray) -> NDArray:
+    """NumPy's `cross` of vectors (..., 3), some ten times as fast for a few of them."""
+    (ax, ay, az), (bx, by, bz) = a.T, b.T
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]).T
 
 
 def _turned_to(direction: NDArray) -> NDArray:
@@ -523,7 +529,7 @@ def _lit(lens: _Lens, faces: Sequence[Faces], back: bool = False) -> Iterator[It
     light = np.array([-0.45, 0.75, 0.6]) @ lens.axes
     light /= np.linalg.norm(light)
     for quads, color, before in ((f.quads, f.color, f.before) for f in faces):
-        normals = np.cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
+        normals = _cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         middles = quads.mean(axis=1)
         towards = np.sum(normals * (lens.eye - middles), axis=1)

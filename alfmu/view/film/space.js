@@ -135,8 +135,8 @@ function floor() {
     .addScaledVector(vector(seen.eye).sub(target).normalize(), 1.2 * extent).addScaledVector(vector(east), -0.4 * extent);
   sun.target.position.copy(target);
   sun.castShadow = true;
-  sun.shadow.mapSize.set(2048, 2048);
-  sun.shadow.radius = 3;
+  sun.shadow.mapSize.set(1024, 1024);
+  sun.shadow.radius = 2;
   Object.assign(sun.shadow.camera, { left: -reach, right: reach, top: reach, bottom: -reach, far: 9 * extent });
   world.add(sun, sun.target);
 }
