@@ -39,7 +39,7 @@ from .surface import (
     width_of,
 )
 
-__all__ = ["View", "hides", "paint", "poses_of", "scene_of", "view_of"]
+__all__ = ["View", "hides", "hull_of", "paint", "poses_of", "scene_of", "view_of"]
 
 # View: where it all is over a motion ------------------------------------------------------------------------------
 
@@ -448,7 +448,7 @@ def _extent(points: Sequence[Vector]) -> float:
 def hull_of(points: Sequence[Vector]) -> list[Vector]:
     """Corners of the convex hull of some points; the two ends where they lie on one line."""
     ordered = sorted(set(points))
-    tolerance = 1e-9 * _extent(points) ** 2
+    tolerance = 1e-9 * max(max(x) - min(x) for x in zip(*points, strict=True)) ** 2
 
     def chain(sequence: Sequence[Vector]) -> list[Vector]:
         corners: list[Vector] = []

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..model.errors import InputError
 from ..model.spatial import right_handed
+from .plane import hull_of
 from .shapes import GROUND, Shapes, Solid, Space, Spot, Vector3
 from .surface import (
     COLORS,
@@ -591,11 +592,12 @@ def _floor(surface: Surface, lens: _Lens, stage: Stage, faces: Sequence[NDArray]
             places = [floor.cell * (x * east + y * north) + floor.height * up for x, y in ends]
             pixels, _ = lens.seen(np.array(places))
             surface.stroke(pixels.tolist(), Stroke((), base, GRID if i else ZERO))
-    for quads in faces:
-        below = quads - ((quads @ up) - floor.height)[..., None] * up
-        pixels, _ = lens.seen(below)
-        for points in pixels.tolist():
-            surface.stroke(points, Stroke((), 0.0, SHADOW, True))
+    for quads in faces:  # of pieces without hollows, so that the shadow of each has none
+        corners = quads.reshape(-1, 3)
+        pixels, _ = lens.seen(corners - ((corners @ up) - floor.height)[:, None] * up)
+        shadow = hull_of([tuple(p) for p in np.round(pixels, 2).tolist()])
+        if len(shadow) > 2:
+            surface.stroke(shadow, Stroke((), 0.0, SHADOW, True))
     surface.text(Text(f"grid: {floor.cell:g} m", surface.size[0] - 52 * base, 22 * base, 12 * base, FAINT))
 
 
