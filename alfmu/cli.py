@@ -50,6 +50,9 @@ _SIMULATE = """A run that ends early, by an error or by Ctrl-C, leaves its rows 
 is said last, and the exit code is 1 or 130. Beside the table, FILE.json says what was run and holds its drawing, from
 which `alfmu animate` makes a film. What alfmu did not write is replaced only where -o or --plot names it."""
 
+_DRAW = """What --at gives holds when the loops are closed; other start values are kept where that is possible, and are
+guesses otherwise. Names of coordinates: `alfmu info NAME`."""
+
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
 _EITHER_HELP = "a registered mechanism or recipe (see `alfmu list`), or a Python file that declares one"
@@ -144,6 +147,22 @@ def _parser() -> argparse.ArgumentParser:
         "--sizes", action="store_true", help="export it as well, to show what its FMUs carry, in kB by part"
     )
     _add_scene(sub)
+
+    sub = command("draw", _draw, "draw a mechanism where it starts, before anything is simulated (PNG or SVG)")
+    sub.epilog = _DRAW
+    sub.add_argument("mechanism", metavar="NAME|FILE", help=_EITHER_HELP)
+    sub.add_argument("-o", "--output", metavar="FILE", help=".png or .svg (default: NAME.png here)")
+    sub.add_argument(
+        "--at",
+        metavar="COORD=VALUE",
+        action="append",
+        type=_pair,
+        default=[],
+        help="draw it where a start value or a coordinate is this [rad or m]; may be given many times",
+    )
+    sub.add_argument("--size", metavar="WxH", type=_size, help="width and height in pixels (default: 640x480)")
+    _add_option(sub)
+    _add_set(sub)
 
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
@@ -273,7 +292,7 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
 def _changed(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
     """A recipe with what the command line says of its scene."""
     of_scene = ("outputs", "freeze", "lock", "release", "compliances")
-    own = {name: getattr(chosen, name) for name in of_scene}
+    own = {name: getattr(chosen, name, None) for name in of_scene}
     return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
 
 
@@ -334,6 +353,13 @@ def _pair(text: str) -> tuple[str, float | str]:
         return name, float(value)
     except ValueError:
         return name, value
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT in pixels, such as 800x600")
+    return int(found[1]), int(found[2])
 
 
 # Commands ------------------------------------------------------------------------------------------------------------
@@ -443,6 +469,18 @@ def _range(texts: Sequence[str]) -> str:
         same = len(set(pieces)) == 1
         whole += pieces[0] if same else f"{{{min(map(int, pieces))}..{max(map(int, pieces))}}}"
     return whole
+
+
+def _draw(chosen: argparse.Namespace) -> None:
+    from .view.picture import SIZE, check_drawing, drawing
+
+    path = Path(chosen.output or f"{_file_name(Path(chosen.mechanism).stem)}.png")
+    check_drawing(path)
+    recipe = _recipe(chosen, chosen.mechanism)
+    drawn = drawing(recipe.declared(), dict(chosen.at), recipe.parameters, chosen.size or SIZE)
+    said = _wrote(path)
+    drawn.save(path)
+    print(said)
 
 
 def _export(chosen: argparse.Namespace) -> None:
