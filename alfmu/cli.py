@@ -50,6 +50,11 @@ _SIMULATE = """A run that ends early, by an error or by Ctrl-C, leaves its rows 
 is said last, and the exit code is 1 or 130. Beside the table, FILE.json says what was run and holds its drawing, from
 which `alfmu animate` makes a film. What alfmu did not write is replaced only where -o or --plot names it."""
 
+_LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
+the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
+of a start value begins again, and so does dragging a body, which sets start values. --set gives what the page begins
+with."""
+
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
 _EITHER_HELP = "a registered mechanism or recipe (see `alfmu list`), or a Python file that declares one"
@@ -211,6 +216,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--speed", type=float, default=1.0, help="times real time (default: %(default)g)")
     _add_option(sub)
     _add_set(sub)
+
+    sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
+    sub.epilog = _LIVE
+    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
+    sub.add_argument("-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME.html here)")
+    sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)")
+    _add_scene(sub)
 
     sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
     _add_study(sub, "report.md, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
@@ -677,6 +689,24 @@ def _animate(chosen: argparse.Namespace) -> None:
     said = _wrote(path)
     animate(shown, result, path, **how)
     print(said)
+
+
+def _live(chosen: argparse.Namespace) -> None:
+    from .equations.specialisation import specialised
+    from .view.live import live, needed, written_by_alfmu
+
+    recipe = _recipe(chosen, chosen.mechanism).changed(interval=chosen.step)
+    mechanism = recipe.declared()
+    path = Path(chosen.output or f"{_file_name(mechanism.name)}.html")
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path} cannot hold a page; its name must end in .html")
+    if path.exists() and not chosen.output and not written_by_alfmu(path):
+        raise InputError(f"{path} is there and was not written by alfmu live; name another file with -o, or remove it")
+    outputs = None if recipe.outputs is None else [*recipe.outputs, *needed(mechanism)]
+    equations = specialised(_equations(recipe, mechanism), outputs, recipe.freeze)
+    said = _wrote(path)
+    live(mechanism, equations, path, parameters=recipe.parameters, source=Path(chosen.mechanism).name)
+    print(f"{said} ({path.stat().st_size / 1000:.0f} kB); open it in a browser")
 
 
 def _facts(path: Path) -> dict[str, Any]:
