@@ -1,6 +1,6 @@
 """A live page: a mechanism that runs in a browser, as one file that needs nothing else.
 
-The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so that its numbers are those of the FMU.
+The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU.
 Its files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime, `picture.js` draws, `page.js` has
 controls, clock and plots, `uPlot` is a library for plots. What they must know of the mechanism is put together here.
 """
@@ -105,7 +105,7 @@ def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: byt
     hint = ""
     if picture := about["picture"]:
         hint = "Drag a body to place it" if picture["kind"] == "plane" and about["tied"] else ""
-        hint = "Drag to turn, scroll to zoom" if picture["kind"] == "space" else hint
+        hint = "Drag to turn, scroll or pinch to zoom" if picture["kind"] == "space" else hint
     values = {
         "title": name,
         "description": escape(mechanism.description),
@@ -246,7 +246,9 @@ def _groups(e: Equations, shown: Sequence[Variable]) -> tuple[list[dict[str, Any
     own = range(len(groups))
 
     def first(*wanted: tuple[str, str]) -> int:
-        known = {(of, unit): next(i for i in own if groups[i]["names"][0] == m[0].name) for (of, unit), m in alike.items()}
+        known = {
+            (of, unit): next(i for i in own if groups[i]["names"][0] == m[0].name) for (of, unit), m in alike.items()
+        }
         return next((known[each] for each in wanted if each in known), 0)
 
     places = [("angle", "rad"), ("position", "m"), ("x", "m")]
@@ -341,9 +343,7 @@ class _Drawn:
         return form
 
 
-def _shapes(
-    m: Mechanism, e: Equations, parameters: Mapping[str, float | str], looked: Result
-) -> _Drawn | None:
+def _shapes(m: Mechanism, e: Equations, parameters: Mapping[str, float | str], looked: Result) -> _Drawn | None:
     """What the page draws; None where there is nothing, or where it follows more than parameters."""
     values = {p.name: float(parameters.get(p.name, p.default)) for p in m.parameters}
     drawn = _Drawn(m, values)
@@ -508,8 +508,8 @@ def _ties(e: Equations, tied: Sequence[int]) -> str:
     return javascript("ties", ["q", "p"], [q, p], [ties[e.tied.index(i)] for i in tied])
 
 
-_JAVASCRIPT = """const { sqrt, exp, log, expm1, log1p, sin, cos, tan, asin, acos, atan, sinh, cosh, tanh, asinh, acosh, atanh,
-  pow, atan2, hypot, floor, ceil, abs: fabs, min: fmin, max: fmax } = Math;
+_JAVASCRIPT = """const { sqrt, exp, log, expm1, log1p, sin, cos, tan, asin, acos, atan, sinh, cosh, tanh, asinh, acosh,
+    atanh, pow, atan2, hypot, floor, ceil, abs: fabs, min: fmin, max: fmax } = Math;
 """
 
 
@@ -520,9 +520,11 @@ def javascript(name: str, letters: Sequence[str], symbols: Sequence[ca.SX], expr
     """
     f = ca.Function(name, [*symbols], [ca.vertcat(*expressions)]) if expressions else None
     lines = list(_lines(f, letters)) if f else []
-    return f"function {name}({', '.join(letters)}) {{\n  {_JAVASCRIPT}  const w = [], r = [];\n" + "".join(
-        f"  {line};\n" for line in (*lines, "return r")
-    ) + "}\n"
+    return (
+        f"function {name}({', '.join(letters)}) {{\n  {_JAVASCRIPT}  const w = [], r = [];\n"
+        + "".join(f"  {line};\n" for line in (*lines, "return r"))
+        + "}\n"
+    )
 
 
 def _lines(f: ca.Function, letters: Sequence[str]) -> Iterator[str]:

@@ -3,7 +3,6 @@
 from setuptools import build_meta
 from setuptools.build_meta import *  # noqa: F403 - the hooks that need nothing else
 
-
 _COMPILER = ["ziglang>=0.13; sys_platform == 'linux' or sys_platform == 'darwin' or sys_platform == 'win32'"]
 """Elsewhere it is not offered: there the system's compiler builds, and nothing for browsers."""
 

@@ -6,7 +6,7 @@ const { variables, interval } = about;
 const place = new Map(about.shown.map((reference, column) => [variables[reference].name, column]));
 
 const AHEAD = 0.05; // s of the clock that rows are asked for before they are shown
-const BUDGET = 12; // ms of work between two answers of the worker
+const BUDGET = 20; // ms of work between two answers of the worker, and one communication step at least
 const SLOW = 1500; // ms after which a step is said to take long
 const KEPT = 6e6; // numbers of the run that are kept, for plots and the table
 const WINDOW = Math.min(10, about.stop_time); // s that plots show
@@ -133,6 +133,14 @@ async function advance(until) {
   const most = Math.max(2, Math.floor(KEPT / about.shown.length));
   if (run.rows.length > 1.2 * most) run.rows.splice(0, run.rows.length - most);
   if (answer.failed || answer.warnings.length) take(answer);
+  pursue();
+}
+
+// Ask for rows until they are ahead of the clock.
+function pursue() {
+  if (!run.playing || run.asking || run.starting || run.failed || !run.rows.length) return;
+  const until = run.now + AHEAD * run.speed;
+  if (latest() < until) advance(Math.max(until, latest() + interval));
 }
 
 const latest = () => (run.rows.length ? run.rows[run.rows.length - 1].time : 0);
@@ -159,9 +167,8 @@ function tick(stamp) {
   const passed = Math.min(stamp - before, 100) / 1000;
   before = stamp;
   if (run.playing && run.rows.length && !run.starting) {
-    const next = run.now + passed * run.speed;
-    run.now = Math.min(next, latest());
-    if (!run.asking && latest() < next + AHEAD * run.speed) advance(Math.max(next + AHEAD * run.speed, latest() + interval));
+    run.now = Math.min(run.now + passed * run.speed, latest());
+    pursue();
     run.marks.push([stamp, run.now]);
     while (run.marks.length > 2 && stamp - run.marks[0][0] > 1000) run.marks.shift();
     update();
@@ -316,6 +323,9 @@ class Panel {
           },
         }))],
     }, [[], ...group.names.map(() => [])], this.drawing);
+    const canvas = this.drawing.querySelector("canvas");
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", `Plot over time: ${group.title}`);
     this.size();
   }
 
@@ -497,6 +507,7 @@ function grab(event) {
   // Rates go to zero: the mechanism is held.
   const starts = ties([...run.drawn.exact.q], about.tie_parameters.map((p) => ("ref" in p ? values.get(p.ref) : p.value)));
   pulling = { point, playing, starts, to: [x, y], busy: false, moved: false };
+  picture.held = true;
   canvas.style.cursor = "grabbing";
 }
 
@@ -561,6 +572,7 @@ function letGo(event) {
   const mine = pulling;
   pulling = null;
   picture.pulled = null;
+  picture.held = false;
   canvas.style.cursor = "default";
   const go = () => {
     if (mine.moved) begin();

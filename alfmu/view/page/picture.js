@@ -196,6 +196,7 @@ class Plane extends Canvas {
     const room = [this.width - margin, this.height - margin];
     const scale = Math.min(...[0, 1].filter((k) => spans[k] > 1e-12).map((k) => room[k] / spans[k]));
     const center = [0, 1].map((k) => (this.low[k] + this.high[k]) / 2);
+    if (this.held && this.scale) return; // what is dragged stays under the pointer
     // Ease towards what fits, at once where it would be cut off by much.
     const ease = this.scale && Math.abs(Math.log(scale / this.scale)) < 0.7 && this.sized === this.width ? 0.2 : 1;
     this.sized = this.width;
@@ -460,26 +461,27 @@ class Space extends Canvas {
     const floor = this.upright(this.low)[2];
     const shadow = (p) => { const u = [...this.upright(p)]; u[2] = floor; return flat(this.fromUpright(u)); };
     const parts = [];
-    const add = (points, width, color, plain) => {
-      const seen = points.map((p) => this.project(p));
-      const near = seen.reduce((sum, p) => sum + p[2], 0) / seen.length, share = seen[0][3];
+    const shade = (points, width) => {
       this.pen.globalAlpha = 0.1;
-      if (!plain) this.line(points.map(shadow), width * share * this.unit, this.ink);
+      this.line(points.map(shadow), width, this.ink);
       this.pen.globalAlpha = 1;
-      parts.push([near, () => {
-        const drawn = seen.map((p) => p.slice(0, 2));
-        if (plain) this.line(drawn, width * share * this.unit, color);
-        else this.outlined(drawn, width * share * this.unit, color);
-      }]);
+    };
+    // A rod from one point to another, or a ball, lit from above.
+    const rod = (a, b, width, color) => {
+      const [p, r] = [a, b].map((x) => this.project(x)), size = width * (p[3] + r[3]) / 2 * this.unit;
+      shade([a, b], size);
+      parts.push([(p[2] + r[2]) / 2, () => this.tube(p, r, size, color)]);
+    };
+    const ball = (a, width, color) => {
+      const p = this.project(a), size = width * p[3] * this.unit;
+      shade([a], size);
+      parts.push([p[2] + 1e-3 * this.size, () => this.sphere(p, size, color)]);
     };
     for (const body of this.about.bodies) {
       const center = this.moved(row, body, [0, 0, 0]), color = this.colors[body.name];
       const points = body.points.map((p) => this.moved(row, body, p.map((i) => this.numbers[i])));
-      // In pieces, so that what is in front covers what is behind.
-      for (const p of points) {
-        for (let k = 0; k < 4; k++) add([k, k + 1].map((j) => center.map((c, i) => c + (p[i] - c) * j / 4)), 8, color);
-      }
-      add([center], points.length ? 17 : 22, color);
+      for (const p of points) if (Math.hypot(...p.map((x, i) => x - center[i])) > 1e-9) rod(center, p, 8, color);
+      ball(center, points.length ? 17 : 22, color);
     }
     for (const joint of this.about.joints) {
       const at = this.place(row, joint.body, joint.point);
@@ -487,8 +489,8 @@ class Space extends Canvas {
         const tip = joint.axis.map((a) => a * 0.06 * this.size), frame = this.frames[joint.body];
         const local = joint.point.map((i) => this.numbers[i]);
         const ends = [-1, 1].map((k) => local.map((x, i) => x + k * tip[i]));
-        add(ends.map((p) => (frame ? this.moved(row, frame, p) : p)), 9, "#c3ccd5");
-      } else add([at], 11, "#dfe5ea");
+        rod(...ends.map((p) => (frame ? this.moved(row, frame, p) : p)), 11, "#c3ccd5");
+      } else ball(at, 12, "#dfe5ea");
     }
     for (const { kind, first, second } of this.about.ties) {
       const [a, b] = [first, second].map((at) => this.place(row, at.body, at.point));
@@ -498,10 +500,11 @@ class Space extends Canvas {
       const at = this.moved(row, dot, [0, 0, 0]), color = this.colors[dot.name];
       const trail = [...this.trails[i], at];
       this.faded(trail.map(flat), color, 2.2 * this.unit);
-      add([at], 16, color);
+      ball(at, 20, color);
       const foot = [...this.upright(at)];
       foot[2] = floor;
-      add([at, this.fromUpright(foot)], 1, this.color("faint"), true);
+      const drop = [at, this.fromUpright(foot)];
+      parts.push([this.project(drop[1])[2], () => this.line(drop.map(flat), 1, this.color("zero"))]);
     });
     parts.sort((a, b) => a[0] - b[0]).forEach(([, paint]) => paint());
     this.axes(flat);
@@ -511,6 +514,28 @@ class Space extends Canvas {
         this.text(frame.name, x, y - 18 * this.unit, this.ink, "center", 13);
       }
     }
+  }
+
+  tube([ax, ay], [bx, by], width, color) {
+    const length = Math.hypot(bx - ax, by - ay) || 1;
+    let [nx, ny] = [-(by - ay) / length, (bx - ax) / length];
+    if (ny > 0) [nx, ny] = [-nx, -ny];
+    const at = (share) => [ax + nx * share * width, ay + ny * share * width];
+    const paint = this.pen.createLinearGradient(...at(0.5), ...at(-0.5));
+    paint.addColorStop(0, tint(color, 0.06));
+    paint.addColorStop(0.3, tint(color, 0.35));
+    paint.addColorStop(1, tint(color, -0.35));
+    this.line([[ax, ay], [bx, by]], width + 1.6, tint(color, -0.5));
+    this.line([[ax, ay], [bx, by]], width, paint);
+  }
+
+  sphere([x, y], width, color) {
+    const r = width / 2, paint = this.pen.createRadialGradient(x - 0.35 * r, y - 0.4 * r, 0.1 * r, x, y, r);
+    paint.addColorStop(0, tint(color, 0.55));
+    paint.addColorStop(0.5, color);
+    paint.addColorStop(1, tint(color, -0.4));
+    this.line([[x, y]], width + 1.6, tint(color, -0.5));
+    this.line([[x, y]], width, paint);
   }
 
   // A grid below all that moves.
@@ -542,6 +567,12 @@ class Space extends Canvas {
   }
 
   hit() { return null; }
+}
+
+// A colour #rrggbb lighter (up to 1) or darker (down to -1).
+function tint(color, by) {
+  const parts = [1, 3, 5].map((i) => parseInt(color.slice(i, i + 2), 16));
+  return `rgb(${parts.map((c) => Math.round(by > 0 ? c + (255 - c) * by : c * (1 + by))).join(", ")})`;
 }
 
 // 1, 2 or 5 times a power of ten, not below what is wanted.
