@@ -2,7 +2,8 @@
 
 The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU.
 Its files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime, `picture.js` draws, `page.js` has
-controls, clock and plots, `uPlot` is a library for plots. What they must know of the mechanism is put together here.
+controls, clock and plots; plots are made by uPlot, a library in `vendor`. What they must know of the mechanism is put
+together here.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ from ..runtime.build import WEB
 from ..runtime.prepare import prepared
 from ..runtime.shipped import library
 from ..simulation import Result, communication_points
-from .picture import GROUND, Guide, Shapes, geometry, view_of
+from .picture import Shapes, geometry, view_of
 
 __all__ = ["live", "needed", "written_by_alfmu"]
 
-_FILES = Path(__file__).with_name("page")
+_FILES, _VENDOR = (Path(__file__).with_name(name) for name in ("page", "vendor"))
 
 _MARK = '<meta name="generator" content="alfmu'
 """By which a page is known."""
@@ -112,21 +113,21 @@ def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: byt
         "version": escape(importlib.metadata.version("alfmu")),
         "interval": f"{about['interval']:g}",
         "hint": hint,
-        "styles": _file("uPlot.min.css") + _file("page.css"),
-        "licence": escape(_file("uPlot.LICENSE.txt")),
+        "styles": _file("uPlot.min.css", _VENDOR) + _file("page.css"),
+        "licence": escape(_file("uPlot.LICENSE", _VENDOR)),
         "about": json.dumps(about, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         "wasm": _packed(wasm),
         "scene": _packed(scene),
         "worker": _file("engine.js") + _file("worker.js"),
-        "plots": _file("uPlot.iife.min.js"),
+        "plots": _file("uPlot.min.js", _VENDOR),
         "functions": functions,
         "script": _file("picture.js") + _file("page.js"),
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], _file("page.html"))
 
 
-def _file(name: str) -> str:
-    return (_FILES / name).read_text(encoding="utf-8")
+def _file(name: str, folder: Path = _FILES) -> str:
+    return (folder / name).read_text(encoding="utf-8")
 
 
 def _packed(content: bytes) -> str:
@@ -371,7 +372,7 @@ def _in_the_plane(drawn: _Drawn, e: Equations, looked: Result) -> _Drawn | None:
         nearest = int(np.argmin(np.hypot(there[:, 0] - x, there[:, 1] - y)))
         return {"body": body, "x": drawn.number(points[body][nearest][0]), "y": drawn.number(points[body][nearest][1])}
 
-    def guide(g: Guide) -> dict[str, Any]:
+    def guide(g: Any) -> dict[str, Any]:
         joint = guides[g.name]
         block = None if g.block is None else drawn.number(joint.axis - joint.angle)
         return {
@@ -459,7 +460,7 @@ def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
     for joint in m.spatial_joints:
         first, second = place(joint.first), place(joint.second)
         turns = joint.kind in ("revolute", "cylindrical")
-        on = second if joint.second.body.name != GROUND else first
+        on = second if joint.second.body is not m.spatial_ground else first
         axis = joint.axes[on is second]
         unit = (np.array(axis) / np.linalg.norm(axis)).tolist()
         if joint.kind != "prismatic":

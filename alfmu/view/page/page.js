@@ -469,22 +469,29 @@ function tellCommand() {
     const value = values.get(reference);
     return v.kind === "output" || value === v.start || ["input", "switch"].includes(v.kind) ? [] : [` --set ${v.name}=${value}`];
   });
-  const driven = variables.some((v) => v.kind === "input" || v.kind === "switch");
-  find("command").textContent = about.command + text.join("") + (driven ? " --input FILE.csv" : "");
+  const own = variables.flatMap((v, reference) => (
+    ["input", "switch"].includes(v.kind) && values.get(reference) !== v.start ? [reference] : []));
+  own.forEach((reference) => driven.add(reference));
+  find("inputs").hidden = !driven.size;
+  find("command").textContent = about.command + text.join("") + (driven.size ? ` --input ${about.name}_inputs.csv` : "");
 }
 
-// Rows so far: time, outputs, inputs, in digits that give the same numbers again. Its inputs are a table for --input.
-function csv() {
+const driven = new Set(); // inputs that have been changed
+
+// Rows so far: time, outputs, inputs, in digits that give the same numbers again. `some` chooses columns.
+function csv(some = () => true) {
   const write = (x) => (Number.isNaN(x) ? "nan" : Number.isFinite(x) ? String(x) : x > 0 ? "inf" : "-inf");
   const quoted = (name) => (/[",\n]/.test(name) ? `"${name.replaceAll('"', '""')}"` : name);
-  const lines = run.rows.map(({ time, row }) => [time, ...row].map(write).join(","));
-  return ["time," + about.shown.map((reference) => quoted(variables[reference].name)).join(","), ...lines].join("\r\n") + "\r\n";
+  const chosen = about.shown.flatMap((reference, column) => (some(variables[reference]) ? [column] : []));
+  const names = chosen.map((column) => quoted(variables[about.shown[column]].name));
+  const lines = run.rows.map(({ time, row }) => [time, ...chosen.map((column) => row[column])].map(write).join(","));
+  return [["time", ...names].join(","), ...lines].join("\r\n") + "\r\n";
 }
 
-function save() {
+function save(text, name) {
   const link = document.createElement("a");
-  link.href = URL.createObjectURL(new Blob([csv()], { type: "text/csv" }));
-  link.download = `${about.name}.csv`;
+  link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+  link.download = name;
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
@@ -629,7 +636,8 @@ find("play").addEventListener("click", () => play(!run.playing));
 find("step").addEventListener("click", step);
 document.querySelectorAll(".reset").forEach((button) => button.addEventListener("click", again));
 find("names").addEventListener("click", toggleNames);
-find("save").addEventListener("click", save);
+find("save").addEventListener("click", () => save(csv(), `${about.name}.csv`));
+find("inputs").addEventListener("click", () => save(csv((v) => v.kind === "input" || v.kind === "switch"), `${about.name}_inputs.csv`));
 for (const speed of [0.05, 0.1, 0.25, 0.5, 1, 2, 5]) find("speed").add(new Option(`${speed} \u00d7`, speed, speed === 1, speed === 1));
 find("speed").addEventListener("change", () => { run.speed = Number(find("speed").value); run.marks = []; });
 find("theme").addEventListener("click", () => paint(document.documentElement.dataset.theme === "dark" ? "light" : "dark"));
@@ -653,11 +661,32 @@ begin();
 // It moves at once, unless the reader asked for less motion.
 if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
 
-// For the console, and whoever drives the page: the rows so far, and a run that goes on by itself.
-window.alfmu = { about, csv, play, step, begin: again, set: (name, value) => {
-  const reference = variables.findIndex((v) => v.name === name);
-  if (reference < 0 || variables[reference].kind === "output") throw new Error(`There is no input or parameter ${name}.`);
-  change(reference, Number(value));
-  if (!["input", "switch"].includes(variables[reference].kind)) begin();
-}, state: () => ({ time: latest(), now: run.now, playing: run.playing, failed: run.failed, warned: run.warned, ready: run.ready,
-  busy: Boolean(run.busy), rows: run.rows.length }) };
+// For the console, and whoever drives the page.
+window.alfmu = {
+  about,
+  csv,
+  play,
+  step,
+  begin: again,
+  set(name, value) {
+    const reference = variables.findIndex((v) => v.name === name);
+    if (reference < 0 || variables[reference].kind === "output") throw new Error(`There is no input or parameter ${name}.`);
+    change(reference, Number(value));
+    if (!["input", "switch"].includes(variables[reference].kind)) begin();
+  },
+  // Run to a time [s] as fast as it goes, and pause there.
+  async run(until) {
+    play(false);
+    while (!run.failed && latest() < until - interval / 2) {
+      if (run.asking || run.starting || !run.ready || !run.rows.length) await new Promise((go) => { setTimeout(go, 5); });
+      else await advance(until);
+    }
+    run.now = latest();
+    update();
+    return this.state();
+  },
+  state: () => ({
+    time: latest(), now: run.now, playing: run.playing, failed: run.failed, warned: run.warned, ready: run.ready,
+    busy: Boolean(run.busy || run.starting || wanted), rows: run.rows.length,
+  }),
+};

@@ -442,7 +442,7 @@ class Space extends Canvas {
     const upright = turned[this.about.up], back = { x: ([a, b, c]) => [c, a, b], y: ([a, b, c]) => [b, c, a], z: (v) => v };
     this.upright = upright;
     this.fromUpright = back[this.about.up];
-    const focal = 3.2, scale = 0.46 * Math.min(this.width, this.height * 1.15) * this.zoom / this.size;
+    const focal = 3.2, scale = 0.55 * Math.min(this.width, this.height * 1.15) * this.zoom / this.size;
     this.scale = scale;
     this.project = (p) => {
       const [x, y, z] = upright(p.map((v, k) => v - this.center[k]));
