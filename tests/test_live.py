@@ -527,7 +527,14 @@ def test_functions_in_javascript(browser):
     expressions = [
         *(f(a) for f in (ca.sin, ca.cos, ca.tan, ca.exp, ca.sqrt, ca.fabs, ca.floor, ca.ceil, ca.tanh, ca.log1p)),
         *(ca.asin(a / 9), ca.acos(a / 9), ca.atan(b), ca.atan2(b, c), ca.fmin(a, b), ca.fmax(a, b), a**b, c**2, 1 / b),
-        *(ca.if_else(a < b, a, c), ca.if_else(ca.logic_and(a > 0, b > 0), b, c), ca.sign(c), 2 * a - c, -b),
+        *(
+            ca.if_else(a < b, a, c),
+            ca.if_else(ca.logic_and(a > 0, b > 0), b, c),
+            ca.sign(c),
+            ca.SX(1, 1),
+            2 * a - c,
+            -b,
+        ),
     ]
     function = live.javascript("f", ["x"], [x], expressions)
     for values in ([0.7, -1.3, 2.1], [1.5, 2.5, -3.5]):

@@ -85,6 +85,7 @@ def needed(mechanism: Mechanism) -> list[str]:
     bodies = {body.name for body in mechanism.spatial_bodies}
     space = [f"{name}.{q}" for name in bodies for q in ("x", "y", "z", "e0", "e1", "e2", "e3")]
     own = {output.name for output in mechanism.outputs}
+    space += [name for joint in getattr(mechanism, "drawn_joints", ()) for name in joint.outputs]
     return sorted({*shapes.columns, *space, *(f"{dot}.z" for dot in shapes.dots if f"{dot}.z" in own), "monitor.*"})
 
 
@@ -337,7 +338,8 @@ class _Drawn:
     def data(self, columns: Mapping[str, int]) -> dict[str, Any]:
         """What the page draws, with the columns of the outputs that move it."""
         form = dict(self.form)
-        for kind in ("links", "dots", "bodies"):
+        form.setdefault("bars", [])
+        for kind in ("links", "dots", "bodies", "pins"):
             form[kind] = [
                 {**each, "columns": [columns[name] for name in each["columns"]]} for each in form.get(kind, ())
             ]
@@ -350,7 +352,11 @@ def _shapes(m: Mechanism, e: Equations, parameters: Mapping[str, float | str], l
     drawn = _Drawn(m, values)
     outputs = set(looked.names)
     try:
-        if m.spatial_bodies or any(f"{dot}.z" in outputs for dot in geometry(m, parameters).dots):
+        if (
+            m.spatial_bodies
+            or getattr(m, "drawn_joints", ())
+            or any(f"{dot}.z" in outputs for dot in geometry(m, parameters).dots)
+        ):
             found = _in_space(drawn, geometry(m, parameters), looked)
         else:
             found = _in_the_plane(drawn, e, looked)
@@ -473,10 +479,12 @@ def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
             kind = "-".join(name for name, strength in strengths.items() if not ca.SX(strength).is_zero())
             if kind:
                 ties.append({"kind": kind, "first": place(between[0]), "second": place(between[1])})
-    bodies = {body.name for body in m.spatial_bodies}
+    pins, bars = _pins(drawn)
+    named = {*points, *(each["name"] for each in (*pins, *bars))}
     names = set(looked.names)
-    dots = [dot for dot in shapes.dots if dot not in bodies and f"{dot}.z" in names]
-    places = np.stack([[looked[f"{name}.{q}"] for q in "xyz"] for name in (*bodies, *dots)])
+    dots = [dot for dot in shapes.dots if dot not in named and f"{dot}.z" in names]
+    moving = [*points, *dots, *(pin["name"] for pin in pins if pin["columns"])]
+    places = np.stack([[looked[f"{name}.{q}"] for q in "xyz"] for name in moving])
     gravity = [abs(x) for x in drawn.values([ca.SX(x) for x in m.gravity_vector], drawn.parameters)]
     drawn.form = {
         "kind": "space",
@@ -492,10 +500,24 @@ def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
         "joints": joints,
         "ties": ties,
         "dots": [{"name": dot, "columns": [f"{dot}.{q}" for q in "xyz"]} for dot in dots],
+        "pins": pins,
+        "bars": bars,
         "low": places.min(axis=(0, 2)).tolist(),
         "high": places.max(axis=(0, 2)).tolist(),
     }
     return drawn
+
+
+def _pins(drawn: _Drawn) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Joints and bars that a mechanism has for pictures alone, where its bodies are energies."""
+    joints = getattr(drawn.mechanism, "drawn_joints", ())
+    pins = []
+    for joint in joints:
+        fixed = [drawn.number(x) for x in (*joint.at, *(joint.axis or ()))] if not joint.outputs else []
+        pins.append({"name": joint.name, "columns": list(joint.outputs), "numbers": fixed})
+    place = {joint.name: i for i, joint in enumerate(joints)}
+    bars = getattr(drawn.mechanism, "drawn_bars", ())
+    return pins, [{"name": bar.name, "pins": [place[name] for name in bar.joints]} for bar in bars]
 
 
 # Functions in JavaScript ----------------------------------------------------------------------------------------------
@@ -519,7 +541,8 @@ def javascript(name: str, letters: Sequence[str], symbols: Sequence[ca.SX], expr
 
     Raises InputError where an expression has no JavaScript.
     """
-    f = ca.Function(name, [*symbols], [ca.vertcat(*expressions)]) if expressions else None
+    # Dense, so that each result has its place.
+    f = ca.Function(name, [*symbols], [ca.densify(ca.vertcat(*expressions))]) if expressions else None
     lines = list(_lines(f, letters)) if f else []
     return (
         f"function {name}({', '.join(letters)}) {{\n  {_JAVASCRIPT}  const w = [], r = [];\n"

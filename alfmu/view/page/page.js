@@ -7,7 +7,7 @@ const place = new Map(about.shown.map((reference, column) => [variables[referenc
 
 const AHEAD = 0.05; // s of the clock that rows are asked for before they are shown
 const BUDGET = 20; // ms of work between two answers of the worker, and one communication step at least
-const SLOW = 1500; // ms after which a step is said to take long
+const SLOW = 2500; // ms after which a step is said to take long
 const KEPT = 6e6; // numbers of the run that are kept, for plots and the table
 const WINDOW = Math.min(10, about.stop_time); // s that plots show
 

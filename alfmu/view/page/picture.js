@@ -12,7 +12,7 @@ class Canvas {
     this.pen = canvas.getContext("2d");
     this.names = false;
     this.trails = about.dots.map(() => []);
-    const named = [...(about.links || []), ...(about.bodies || []), ...about.dots];
+    const named = [...about.links, ...about.bodies, ...about.bars, ...about.dots];
     this.colors = Object.fromEntries(named.map(({ name }, i) => [name, COLORS[i % COLORS.length]]));
   }
 
@@ -423,14 +423,25 @@ class Space extends Canvas {
     ];
   }
 
+  widen(point) {
+    point.forEach((p, k) => {
+      if (!Number.isFinite(p)) return;
+      this.low[k] = Math.min(this.low[k], p);
+      this.high[k] = Math.max(this.high[k], p);
+    });
+  }
+
+  // Place [m] and axis of a joint that is drawn by itself.
+  pin(row, { columns, numbers }) {
+    const all = columns.length ? columns.map((i) => row[i]) : numbers.map((i) => this.numbers[i]);
+    return [all.slice(0, 3), all.length > 3 ? all.slice(3) : null];
+  }
+
   fit(row) {
+    for (const pin of this.about.pins) this.widen(this.pin(row, pin)[0]);
     for (const frame of [...this.about.bodies, ...this.about.dots]) {
       for (const point of [[0, 0, 0], ...(frame.points || []).map((p) => p.map((i) => this.numbers[i]))]) {
-        this.moved(row, frame, point).forEach((p, k) => {
-          if (!Number.isFinite(p)) return;
-          this.low[k] = Math.min(this.low[k], p);
-          this.high[k] = Math.max(this.high[k], p);
-        });
+        this.widen(this.moved(row, frame, point));
       }
     }
     this.center = this.low.map((l, k) => (l + this.high[k]) / 2);
@@ -491,6 +502,15 @@ class Space extends Canvas {
         const ends = [-1, 1].map((k) => local.map((x, i) => x + k * tip[i]));
         rod(...ends.map((p) => (frame ? this.moved(row, frame, p) : p)), 11, "#c3ccd5");
       } else ball(at, 12, "#dfe5ea");
+    }
+    const pins = this.about.pins.map((pin) => this.pin(row, pin));
+    for (const bar of this.about.bars) {
+      const ends = bar.pins.map((i) => pins[i][0]);
+      for (let i = 1; i < ends.length; i++) rod(ends[i - 1], ends[i], 9, this.colors[bar.name]);
+    }
+    for (const [at, axis] of pins) {
+      if (axis) rod(...[-1, 1].map((side) => at.map((x, i) => x + side * 0.06 * this.size * axis[i])), 12, "#c3ccd5");
+      else ball(at, 12, "#dfe5ea");
     }
     for (const { kind, first, second } of this.about.ties) {
       const [a, b] = [first, second].map((at) => this.place(row, at.body, at.point));
