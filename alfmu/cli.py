@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import re
+import shlex
 import signal
 import sys
 import threading
@@ -691,6 +692,22 @@ def _animate(chosen: argparse.Namespace) -> None:
     print(said)
 
 
+def _scene_options(chosen: argparse.Namespace) -> list[str]:
+    """What was said of a scene, as options of the command line."""
+    said = [
+        text
+        for name in ("option", "set")
+        for key, value in getattr(chosen, name)
+        for text in (f"--{name}", f"{key}={value}")
+    ]
+    for name in ("outputs", "freeze", "lock", "release"):
+        if (names := getattr(chosen, name)) is not None:
+            said += [f"--{name}", ",".join(names)]
+    if chosen.compliances is not None:
+        said += ["--compliances" if chosen.compliances else "--no-compliances"]
+    return said
+
+
 def _live(chosen: argparse.Namespace) -> None:
     from .equations.specialisation import specialised
     from .view.live import live, needed, written_by_alfmu
@@ -705,7 +722,8 @@ def _live(chosen: argparse.Namespace) -> None:
     outputs = None if recipe.outputs is None else [*recipe.outputs, *needed(mechanism)]
     equations = specialised(_equations(recipe, mechanism), outputs, recipe.freeze)
     said = _wrote(path)
-    live(mechanism, equations, path, parameters=recipe.parameters, source=Path(chosen.mechanism).name)
+    source = shlex.join([Path(chosen.mechanism).name, *_scene_options(chosen)])
+    live(mechanism, equations, path, parameters=recipe.parameters, source=source)
     print(f"{said} ({path.stat().st_size / 1000:.0f} kB); open it in a browser")
 
 

@@ -14,7 +14,6 @@ import importlib.metadata
 import json
 import math
 import re
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from html import escape
@@ -46,13 +45,12 @@ _FILES, _VENDOR = (Path(__file__).with_name(name) for name in ("page", "vendor")
 _MARK = '<meta name="generator" content="alfmu'
 """By which a page is known."""
 
-LOOK = 2.0
-"""Time [s] that a run before the page takes at most, for what the picture must fit."""
+LOOK = 2000, 20_000
+"""Communication steps, and steps of `solver.step_size`, of the run before the page at most: a second or two. What the
+picture must fit follows from it, the same for the same mechanism."""
 
 CURVES = 8
 """In one plot, at most."""
-
-Vector = Sequence[ca.SX]
 
 
 def live(
@@ -66,7 +64,7 @@ def live(
     """Write the page of a mechanism.
 
     `equations` are those of the mechanism with the defaults that the page begins with, `parameters` what of them is not
-    the mechanism's own, `source` what names the mechanism on a command line. Raises AlfmuError where the mechanism
+    the mechanism's own, `source` what stands for them behind `alfmu simulate`. Raises AlfmuError where the mechanism
     cannot start, or where there is no runtime for browsers.
     """
     e = prepared(equations, "vm")
@@ -104,7 +102,7 @@ def written_by_alfmu(path: Path) -> bool:
 def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: bytes, scene: bytes) -> str:
     """The text of a page; the same arguments give the same."""
     name = escape(mechanism.name.replace("_", " "))
-    hint = ""
+    hint = "Nothing of this mechanism can be drawn: plots show its motion."
     if picture := about["picture"]:
         hint = "Drag a body to place it" if picture["kind"] == "plane" and about["tied"] else ""
         hint = "Drag to turn, scroll or pinch to zoom" if picture["kind"] == "space" else hint
@@ -225,7 +223,7 @@ def range_of(v: Variable, kind: str, scale: tuple[float, float]) -> list[float] 
 
 
 def _nice(wanted: float) -> float:
-    """1, 2 or 5 times a power of ten, not below what is wanted."""
+    """1, 2, 3 or 5 times a power of ten, not below what is wanted."""
     power = 10.0 ** math.floor(math.log10(wanted))
     return float(f"{next(m * power for m in (1, 2, 3, 5, 10) if m * power >= wanted * (1 - 1e-9)):.3g}")
 
@@ -281,15 +279,14 @@ def _short(name: str, of: str) -> str:
 
 
 def _look(unit: Instance, e: Equations) -> tuple[Result, tuple[float, float]]:
-    """A run as far as there is time for it; its largest kinetic energy [J] and the way of what moves [m].
+    """The beginning of a run; its largest kinetic energy [J] and the way of what moves [m].
 
     Raises AlfmuError where the mechanism cannot start.
     """
-    begun = time.monotonic()
-    times = communication_points(e.name, e.stop_time, e.interval, len(unit.outputs))
+    most = min(LOOK[0] * e.interval, LOOK[1] * float(e.solver.get("step_size", e.step_size)), e.stop_time)
+    times = communication_points(e.name, max(most, e.interval), e.interval, len(unit.outputs))
     names = [v.name for v in unit.outputs]
-    table = np.zeros((len(times), 0))
-    values, why = unit.run(times, [], table, names, lambda done: time.monotonic() - begun < LOOK)
+    values, why = unit.run(times, [], np.zeros((len(times), 0)), names)
     if not len(values) and why is not None:
         raise why
     values = values[np.isfinite(values[:, [v.unit == "m" for v in unit.outputs]]).all(axis=1)]

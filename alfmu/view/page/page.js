@@ -173,7 +173,7 @@ function tick(stamp) {
     while (run.marks.length > 2 && stamp - run.marks[0][0] > 1000) run.marks.shift();
     update();
   }
-  if (run.busy && performance.now() - run.busy > SLOW && !run.failed) {
+  if (!run.slow && run.busy && performance.now() - run.busy > SLOW && !run.failed) {
     say("This communication step takes long. Wait, or reset to stop it.");
     run.slow = true;
   } else if (run.slow && !run.busy) {
@@ -235,7 +235,7 @@ function show(stamp) {
     run.plotted = stamp;
     panels.forEach((panel) => panel.show(at.index));
   }
-  if (run.playing) update();
+  if (run.playing || picture.settling) update();
 }
 
 function brief(value) {
@@ -363,7 +363,7 @@ function makePanels() {
 
 // Controls ----------------------------------------------------------------------------------------------------------------
 
-const POSITIONS = 1000; // of a slider
+const POSITIONS = 200; // of a slider, at most
 
 function change(reference, value, from) {
   values.set(reference, value);
@@ -412,17 +412,16 @@ function control(reference, act) {
     own.push(numeric);
     box.append(field);
     if (v.range) {
-      const [low, high] = v.range, slider = Object.assign(document.createElement("input"),
-        { type: "range", id, min: 0, max: POSITIONS, step: 1 });
-      const digits = 2 - Math.floor(Math.log10((high - low) / 2));
+      const [low, high] = v.range, apart = nice((high - low) / POSITIONS), last = Math.ceil((high - low) / apart - 1e-9);
+      const slider = Object.assign(document.createElement("input"), { type: "range", id, min: 0, max: last, step: 1 });
+      const digits = Math.max(0, Math.min(15, -Math.floor(Math.log10(apart) + 1e-9)));
       const sliding = { tell: (value) => {
-        slider.value = Math.round(POSITIONS * (value - low) / (high - low));
+        slider.value = Math.round(last * (value - low) / (high - low));
         slider.setAttribute("aria-valuetext", `${Number(Number(value).toPrecision(4))} ${unit}`.trim());
       } };
       slider.addEventListener("input", () => {
-        const raw = low + (high - low) * Number(slider.value) / POSITIONS;
-        const rounded = Number(raw.toFixed(Math.max(0, Math.min(15, digits))));
-        const value = Math.min(v.maximum ?? Infinity, Math.max(v.minimum ?? -Infinity, rounded));
+        const raw = low + (high - low) * Number(slider.value) / last;
+        const value = Math.min(v.maximum ?? Infinity, Math.max(v.minimum ?? -Infinity, Number(raw.toFixed(digits))));
         say(value, sliding);
         slider.setAttribute("aria-valuetext", `${value} ${unit}`.trim());
       });

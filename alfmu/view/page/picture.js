@@ -200,6 +200,7 @@ class Plane extends Canvas {
     // Ease towards what fits, at once where it would be cut off by much.
     const ease = this.scale && Math.abs(Math.log(scale / this.scale)) < 0.7 && this.sized === this.width ? 0.2 : 1;
     this.sized = this.width;
+    this.settling = ease < 1 && Math.abs(Math.log(scale / this.scale)) > 1e-3; // another picture shows more of it
     this.scale = this.scale ? this.scale * (scale / this.scale) ** ease : scale;
     const middle = [this.width / 2 - this.scale * center[0], this.height / 2 + 6 * base + this.scale * center[1]];
     this.middle = this.middle && ease < 1 ? this.middle.map((m, k) => m + ease * (middle[k] - m)) : middle;

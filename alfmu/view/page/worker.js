@@ -38,6 +38,7 @@ const answers = {
 
   // Start values of a mechanism at rest whose point is as near to `target` as it goes; `values` are all others.
   pull({ values, starts, target, point }) {
+    made = 0;
     const at = (s) => {
       const rates = about.tied.map(({ rate }) => [rate, 0]);
       const given = about.tied.map(({ value }, i) => [value, s[i]]);
