@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import re
+import shlex
 import signal
 import sys
 import threading
@@ -52,6 +53,11 @@ which `alfmu animate` makes a film. What alfmu did not write is replaced only wh
 
 _DRAW = """What --at gives holds when the loops are closed; other start values are kept where that is possible, and are
 guesses otherwise. Names of coordinates: `alfmu info NAME`."""
+
+_LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
+the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
+of a start value begins again, and so does dragging a body, which sets start values. --set gives what the page begins
+with."""
 
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
@@ -230,6 +236,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--speed", type=float, default=1.0, help="times real time (default: %(default)g)")
     _add_option(sub)
     _add_set(sub)
+
+    sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
+    sub.epilog = _LIVE
+    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
+    sub.add_argument("-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME.html here)")
+    sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)")
+    _add_scene(sub)
 
     sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
     _add_study(sub, "report.md, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
@@ -716,6 +729,41 @@ def _animate(chosen: argparse.Namespace) -> None:
     said = _wrote(path)
     animate(shown, result, path, **how)
     print(said)
+
+
+def _scene_options(chosen: argparse.Namespace) -> list[str]:
+    """What was said of a scene, as options of the command line."""
+    said = [
+        text
+        for name in ("option", "set")
+        for key, value in getattr(chosen, name)
+        for text in (f"--{name}", f"{key}={value}")
+    ]
+    for name in ("outputs", "freeze", "lock", "release"):
+        if (names := getattr(chosen, name)) is not None:
+            said += [f"--{name}", ",".join(names)]
+    if chosen.compliances is not None:
+        said += ["--compliances" if chosen.compliances else "--no-compliances"]
+    return said
+
+
+def _live(chosen: argparse.Namespace) -> None:
+    from .equations.specialisation import specialised
+    from .view.live import live, needed, written_by_alfmu
+
+    recipe = _recipe(chosen, chosen.mechanism).changed(interval=chosen.step)
+    mechanism = recipe.declared()
+    path = Path(chosen.output or f"{_file_name(mechanism.name)}.html")
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path} cannot hold a page; its name must end in .html")
+    if path.exists() and not chosen.output and not written_by_alfmu(path):
+        raise InputError(f"{path} is there and was not written by alfmu live; name another file with -o, or remove it")
+    outputs = None if recipe.outputs is None else [*recipe.outputs, *needed(mechanism)]
+    equations = specialised(_equations(recipe, mechanism), outputs, recipe.freeze)
+    said = _wrote(path)
+    source = shlex.join([Path(chosen.mechanism).name, *_scene_options(chosen)])
+    live(mechanism, equations, path, parameters=recipe.parameters, source=source)
+    print(f"{said} ({path.stat().st_size / 1000:.0f} kB); open it in a browser")
 
 
 def _facts(path: Path) -> dict[str, Any]:

@@ -20,7 +20,7 @@ ROOMS: dict[str, set[str]] = {
     "runtime": {"equations", "files", "kernel", "method", "model"},
     "oracle": {"equations", "kernel", "method", "model", "runtime"},
     "simulation": {"equations", "files", "kernel", "model", "oracle", "runtime"},
-    "view": {"equations", "files", "model", "runtime", "simulation"},
+    "view": {"equations", "files", "kernel", "model", "runtime", "simulation"},
     "fmi": {"equations", "files", "kernel", "model", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation"},
     "cli": {"equations", "files", "fmi", "kernel", "model", "runtime", "simulation", "studies", "view"},

@@ -2,7 +2,9 @@
 
 #include <math.h>
 #include <string.h>
+#if !defined(__wasm__)
 #include <time.h>
+#endif
 
 #include "alfmu.h"
 #include "fmi.h"
@@ -251,6 +253,8 @@ API void alfmu_counts(const Instance *i, double *counts)
     memcpy(counts + COUNTED, i->m + i->scene->tally, TALLY * sizeof *counts);
 }
 
+#if !defined(__wasm__) /* a page runs step by step, and has no clock of C */
+
 static int row_of_run(Instance *i, const Run *r, long row)
 {
     Outcome outcome = DONE;
@@ -308,3 +312,5 @@ API long alfmu_run(Instance *i, const Run *r, int *outcome)
     i->ended = 0;
     return row;
 }
+
+#endif
