@@ -146,7 +146,7 @@ def test_variables_are_those_of_the_python_fmu(built, exported, name):
         assert (here.name, here.valueReference, here.causality) == (there.name, there.valueReference, there.causality)
         assert (here.type, items[int(here.start) - 1].name) == ("Enumeration", there.start)
         assert all(item.description == CHOICES[here.name][item.name] for item in items)
-        carried = {"solver.formulation": [*FORMULATIONS], "solver.branch": [*BRANCHES], "solver.method": ["rk4"]}
+        carried = {"solver.formulation": [*FORMULATIONS], "solver.branch": [*BRANCHES], "solver.method": ["rk4", "auto"]}
         assert [item.name for item in items] == carried[here.name]
     follow = [{u.variable.name: [v.name for v in u.dependencies] for u in d.outputs} for d in described]
     assert follow[0] == follow[1]
