@@ -251,13 +251,14 @@ static double way(const Scene *s, const double *from, const double *to, int *mos
     return sqrt(square);
 }
 
-/* The coordinate that has most changed its sign from one place to another, by more than AWAY; -1 where none has. */
+/* The length that has most changed its sign from one place to another, by more than AWAY; -1 where none has. Angles of a
+   rough guess do so in assemblies that look alike. */
 static int crossed(const Scene *s, const double *from, const double *to)
 {
     int most = -1;
     double longest = AWAY;
     for (int c = 0; c < s->n; c++)
-        if (from[c] * to[c] < 0.0 && fabs(to[c] - from[c]) > longest) {
+        if (!strcmp(s->coordinates[c].unit, "m") && from[c] * to[c] < 0.0 && fabs(to[c] - from[c]) > longest) {
             longest = fabs(to[c] - from[c]);
             most = c;
         }
