@@ -64,5 +64,6 @@ def chromium() -> Iterator[Any]:
         options.add_argument(f"--{argument}")
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     browser = webdriver.Chrome(options=options, service=Service(driver))
+    browser.set_script_timeout(120)  # s: frames come late where the machine has much else to do
     yield browser
     browser.quit()
