@@ -31,6 +31,9 @@ LARGEST = 1_500_000
 ROUND_OFF = 1e-12
 """Of numbers between 0.1 and 100, where sine and cosine of two C libraries differ in the last digit."""
 
+FIXED = ("slider_crank", "--set", "solver.method=rk4")
+"""A page whose steps have a given length: where errors choose it, a last digit changes the steps themselves."""
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 MONITORS = ("monitor.position_error", "monitor.velocity_error", "monitor.step_error", "monitor.iterations")
@@ -62,7 +65,7 @@ def browser(tmp_path_factory) -> Iterator[webdriver.Chrome]:
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory) -> Callable[..., Path]:
-    """`written("slider_crank")`: the path of that page, written on first use."""
+    """`written(*FIXED)`: the path of that page, written on first use."""
     folder, pages = tmp_path_factory.mktemp("pages"), {}
 
     def get(name: str, *more: str) -> Path:
@@ -139,7 +142,7 @@ class Page:
 
 @pytest.fixture
 def opened(browser, written) -> Iterator[Callable[..., Page]]:
-    """`opened("slider_crank")`: its page. Afterwards the browser's console must be empty."""
+    """`opened(*FIXED)`: its page. Afterwards the browser's console must be empty."""
     pages = []
 
     def get(name: str, *more: str, **size: tuple[int, int]) -> Page:
@@ -149,6 +152,13 @@ def opened(browser, written) -> Iterator[Callable[..., Page]]:
     yield get
     for page in pages:
         assert page.complaints() == []
+
+
+def fixed_steps(**options: str) -> alfmu.Instance:
+    """What the page of FIXED runs."""
+    unit = alfmu.Instance(alfmu.load("slider_crank", **options))
+    unit.set("solver.method", "rk4")
+    return unit
 
 
 def compared(page: Page, unit, stop: float) -> dict[str, float]:
@@ -173,7 +183,7 @@ def compared(page: Page, unit, stop: float) -> dict[str, float]:
 
 def test_the_numbers_are_those_of_the_native_fmu(opened, tmp_path):
     """The same scene, communication steps and inputs, one of which a person changes on the way."""
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     page.pause()
     page.press("r")
     page.wait(lambda s: s["rows"] == 1)
@@ -187,7 +197,7 @@ def test_the_numbers_are_those_of_the_native_fmu(opened, tmp_path):
     assert len(torque) == 21
     assert set(torque[:6]) == {0.0}, "an input counts before it is set"
     assert torque[6] > 0.1, "an input counts from the next communication point on"
-    fmu = Fmu(alfmu.export("slider_crank", tmp_path, kind="native"))
+    fmu = Fmu(alfmu.export("slider_crank", tmp_path, kind="native", parameters={"solver.method": "rk4"}))
     try:
         off = compared(page, fmu, 0.4)
     finally:
@@ -199,7 +209,7 @@ def test_the_numbers_are_those_of_the_native_fmu(opened, tmp_path):
 
 def test_what_it_saves_makes_the_same_run_on_the_command_line(opened, tmp_path):
     """The buttons, and the command that the page gives."""
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     behavior = {"behavior": "allow", "downloadPath": str(tmp_path)}
     page.browser.execute_cdp_cmd("Browser.setDownloadBehavior", behavior)
     page.pause()
@@ -236,16 +246,34 @@ def test_without_sine_and_cosine_they_are_the_same_bits(opened):
     assert np.ptp(table[:, 1:], axis=0).max() > 0.5, "nothing moves"
 
 
+def test_with_error_control_they_differ_by_no_more_than_a_last_digit_makes(opened):
+    """Errors choose the steps by default: the page changes no more than the last digits of the start do."""
+    page = opened("slider_crank")
+    page.run_to(0.3)
+    off = compared(page, alfmu.Instance("slider_crank"), 0.3)
+    runs = []
+    for digits in range(-3, 4):
+        unit = alfmu.Instance("slider_crank")
+        start = float(unit.get("start.angle"))
+        unit.set("start.angle", start + digits * np.spacing(start))
+        runs.append(run(unit, stop_time=0.3, step=page.browser.execute_script("return alfmu.about.interval")))
+    values = np.array([result.values for result in runs])
+    size = np.maximum(np.abs(values[3]).max(axis=0), 1.0)
+    responses = dict(zip(runs[0].names, (np.abs(values - values[3]).max(axis=(0, 1)) / size), strict=True))
+    for name in off:
+        assert off[name] < max(ROUND_OFF, 5 * responses[name]), (name, off[name], responses[name])
+
+
 def test_parameters_start_values_and_options_of_the_command_line(opened):
     how = ("--set", "m2=2.5", "--set", "start.angle=0.4", "--option", "coordinates=joint", "--step", "0.01")
-    page = opened("slider_crank", *how)
+    page = opened(*FIXED, *how)
     page.run_to(0.3)
-    unit = alfmu.Instance(alfmu.load("slider_crank", coordinates="joint"))
+    unit = fixed_steps(coordinates="joint")
     unit.set("m2", 2.5)
     unit.set("start.angle", 0.4)
     assert page.browser.execute_script("return alfmu.about.interval") == 0.01
-    said = "alfmu simulate slider_crank --option coordinates=joint --set m2=2.5 --set start.angle=0.4 --step 0.01"
-    assert page.text("command") == said
+    said = "--option coordinates=joint --set solver.method=rk4 --set m2=2.5 --set start.angle=0.4 --step 0.01"
+    assert page.text("command") == f"alfmu simulate slider_crank {said}"
     assert max(compared(page, unit, 0.3).values()) < ROUND_OFF
 
 
@@ -253,7 +281,7 @@ def test_parameters_start_values_and_options_of_the_command_line(opened):
 
 
 def test_it_moves_by_itself_and_stops_by_the_keyboard(opened):
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     page.wait(lambda s: s["now"] > 0.1)
     page.press(" ")
     page.wait(lambda s: not s["playing"] and not s["busy"])
@@ -274,7 +302,7 @@ def test_it_moves_by_itself_and_stops_by_the_keyboard(opened):
 
 
 def test_sliders_by_arrow_keys_with_unit_and_bounds(opened):
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     page.pause()
     slider, box = page.field("l2")
     assert slider.get_attribute("aria-valuetext") == "1 m"
@@ -286,14 +314,14 @@ def test_sliders_by_arrow_keys_with_unit_and_bounds(opened):
     assert f"--set l2={length:g}" in page.text("command")
     page.wait(lambda s: s["rows"] == 1 and not s["busy"])
     page.run_to(0.2)
-    unit = alfmu.Instance("slider_crank")
+    unit = fixed_steps()
     unit.set("l2", length)
     assert max(compared(page, unit, 0.2).values()) < ROUND_OFF
     assert float(page.write("l2", "-1")) == length, "a value out of bounds was taken"
 
 
 def test_drawn_lengths_follow_their_parameters(opened):
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     page.pause()
     values = page.browser.execute_script("return alfmu.about.variables.map((v) => v.start)")
     names = page.browser.execute_script("return alfmu.about.variables.map((v) => v.name)")
@@ -307,7 +335,7 @@ def test_drawn_lengths_follow_their_parameters(opened):
 
 def test_dragging_the_crank_sets_the_start(opened):
     """The crank goes where it is dragged, and the motion goes on from there, at rest."""
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     page.pause()
     page.press("r")
     page.wait(lambda s: s["rows"] == 1 and not s["busy"])
@@ -331,18 +359,18 @@ def test_dragging_the_crank_sets_the_start(opened):
     assert rate == 0.0
     exact = float(re.search(r"start\.angle=(\S+)", page.text("command"))[1])
     page.run_to(0.3)
-    unit = alfmu.Instance("slider_crank")
+    unit = fixed_steps()
     unit.set("start.angle", exact)
     unit.set("start.angular_velocity", 0.0)
     assert max(compared(page, unit, 0.3).values()) < ROUND_OFF
 
 
 def test_what_cannot_start_is_said_in_the_words_of_the_runtime(opened):
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     page.pause()
     assert page.write("l2", "0.1") == "0.1"
     page.wait(lambda s: s["failed"])
-    unit = alfmu.Instance("slider_crank")
+    unit = fixed_steps()
     unit.set("l2", 0.1)
     with pytest.raises(alfmu.AlfmuError) as error:
         unit.initialize()
@@ -354,7 +382,7 @@ def test_what_cannot_start_is_said_in_the_words_of_the_runtime(opened):
 
 
 def test_a_long_step_keeps_the_page_alive_and_reset_ends_it(opened):
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     page.pause()
     page.browser.execute_script("alfmu.set('solver.step_size', 2.5e-8)")
     page.wait(lambda s: s["rows"] == 1 and not s["busy"])
@@ -366,12 +394,12 @@ def test_a_long_step_keeps_the_page_alive_and_reset_ends_it(opened):
     page.browser.execute_script("alfmu.play(false); alfmu.set('solver.step_size', 0.02)")
     page.wait(lambda s: s["rows"] == 1 and s["ready"] and not s["busy"])
     page.run_to(0.2)
-    assert max(compared(page, alfmu.Instance("slider_crank"), 0.2).values()) < ROUND_OFF
+    assert max(compared(page, fixed_steps(), 0.2).values()) < ROUND_OFF
 
 
 @pytest.mark.parametrize("width", [320, 390])
 def test_a_phone_has_room_for_it(opened, width):
-    page = opened("slider_crank", size=(width, 844))
+    page = opened(*FIXED, size=(width, 844))
     page.wait(lambda s: s["now"] > 0.1)
     script = "return [document.documentElement.scrollWidth, innerWidth]"
     assert page.browser.execute_script(script) == [width, width]
@@ -384,7 +412,7 @@ def test_a_phone_has_room_for_it(opened, width):
 
 
 def test_everything_that_can_be_used_has_a_name(opened):
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     nameless = """return [...document.querySelectorAll('button, input, select, canvas')].filter((e) => {
       const label = e.labels && e.labels.length ? e.labels[0].textContent : '';
       return !(label || e.getAttribute('aria-label') || e.textContent.trim());
@@ -395,7 +423,7 @@ def test_everything_that_can_be_used_has_a_name(opened):
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_light_and_dark(opened, theme):
     """Text stands out from what is behind it by the 4.5 that accessibility asks for."""
-    page = opened("slider_crank")
+    page = opened(*FIXED)
     page.browser.execute_script("paint(arguments[0])", theme)
     colors = """const style = getComputedStyle(document.documentElement);
       return arguments[0].map((name) => style.getPropertyValue(name).trim())"""
@@ -444,7 +472,7 @@ def test_bodies_in_space(opened):
 
 def test_one_file_without_network(written):
     """No address from elsewhere, and the browser is told to refuse any."""
-    text = written("slider_crank").read_text(encoding="utf-8")
+    text = written(*FIXED).read_text(encoding="utf-8")
     assert len(text) < LARGEST
     assert re.search(r"default-src 'none'", text)
     addresses = set(re.findall(r"https?://[^\s\"'<>)]+", text))

@@ -83,7 +83,7 @@ def needed(mechanism: Mechanism) -> list[str]:
     bodies = {body.name for body in mechanism.spatial_bodies}
     space = [f"{name}.{q}" for name in bodies for q in ("x", "y", "z", "e0", "e1", "e2", "e3")]
     own = {output.name for output in mechanism.outputs}
-    space += [name for joint in getattr(mechanism, "drawn_joints", ()) for name in joint.outputs]
+    space += [name for joint in mechanism.drawn_joints for name in joint.outputs]
     return sorted({*shapes.columns, *space, *(f"{dot}.z" for dot in shapes.dots if f"{dot}.z" in own), "monitor.*"})
 
 
@@ -349,11 +349,7 @@ def _shapes(m: Mechanism, e: Equations, parameters: Mapping[str, float | str], l
     drawn = _Drawn(m, values)
     outputs = set(looked.names)
     try:
-        if (
-            m.spatial_bodies
-            or getattr(m, "drawn_joints", ())
-            or any(f"{dot}.z" in outputs for dot in geometry(m, parameters).dots)
-        ):
+        if m.spatial_bodies or m.drawn_joints or any(f"{dot}.z" in outputs for dot in geometry(m, parameters).dots):
             found = _in_space(drawn, geometry(m, parameters), looked)
         else:
             found = _in_the_plane(drawn, e, looked)
@@ -507,13 +503,13 @@ def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
 
 def _pins(drawn: _Drawn) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Joints and bars that a mechanism has for pictures alone, where its bodies are energies."""
-    joints = getattr(drawn.mechanism, "drawn_joints", ())
+    joints = drawn.mechanism.drawn_joints
     pins = []
     for joint in joints:
         fixed = [drawn.number(x) for x in (*joint.at, *(joint.axis or ()))] if not joint.outputs else []
         pins.append({"name": joint.name, "columns": list(joint.outputs), "numbers": fixed})
     place = {joint.name: i for i, joint in enumerate(joints)}
-    bars = getattr(drawn.mechanism, "drawn_bars", ())
+    bars = drawn.mechanism.drawn_bars
     return pins, [{"name": bar.name, "pins": [place[name] for name in bar.joints]} for bar in bars]
 
 
