@@ -866,7 +866,9 @@ def _traces(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[l
         for letter, unit, word, vector in (("", "m", "place", place), ("v", "m/s", "velocity", ca.jtimes(place, q, v))):
             for axis, x in zip(trace.axes, ca.vertsplit(vector), strict=True):
                 values.append(x)
-                outputs.append(Variable(f"{trace.name}.{letter}{axis}", unit, description=f"{word} of {what} along {axis}"))
+                outputs.append(
+                    Variable(f"{trace.name}.{letter}{axis}", unit, description=f"{word} of {what} along {axis}")
+                )
     return values, outputs
 
 

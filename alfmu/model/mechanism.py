@@ -506,8 +506,8 @@ class Mechanism:
         self.outputs.append(Output(name, expression, unit, description))
 
     def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
-        """Watch a point of a body: outputs `<name>.x`, `.y` [m] and `.vx`, `.vy` [m/s] in ground axes (`.z`, `.vz` too in
-        space). Pictures show the point, and films the path behind it.
+        """Watch a point of a body: outputs `<name>.x`, `.y` [m] and `.vx`, `.vy` [m/s] in ground axes, in space also
+        `.z` and `.vz`. Pictures show the point, and films the path behind it.
         """
         self._claim(name, "m", "a trace")
         text(f"{self.name}: the description of {name}", description)

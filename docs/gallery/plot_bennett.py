@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import load, simulate
+from alfmu.view.picture import animate
 
 # %%
 # Links of 0.3 m with a twist of 0.7 rad, and links with a twist of 1.2 rad whose length the condition of Bennett gives.
@@ -24,6 +25,11 @@ for i in (1, 2, 3, 4):
     axes.plot(result.time, result[f"hinge{i}.angle"], label=f"hinge {i}")
 axes.set(xlabel="time [s]", ylabel="angle [rad]")
 axes.legend()
+
+# %%
+# The linkage in motion.
+
+animate(mechanism, result, "bennett.gif", fps=15, speed=1)
 
 # %%
 # **Check.** The tangents of half the angles of neighbouring hinges have a constant product, and opposite hinges turn

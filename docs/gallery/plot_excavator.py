@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 BOOM, STICK = 5.7, 2.9  # between hinges [m]
 HOUSE_EYE, BOOM_EYE = complex(0.60, -0.45), complex(2.50, 0.55)  # of the boom's cylinder, from the boom's foot [m]
@@ -60,7 +61,10 @@ def excavator() -> Mechanism:
         length, angle = abs(places[1] - places[0]), float(np.angle(places[1] - places[0])) - at[first][1]
         barrel = m.body(f"{name}_barrel", mass=0.6 * mass, inertia=0.05 * mass, center=(0.3 * length, 0))
         rod = m.body(f"{name}_rod", mass=0.4 * mass, inertia=0.04 * mass, center=(-0.3 * length, 0))
-        turn, stroke = m.coordinate(f"{name}_turn", "rad", start=angle), m.coordinate(f"{name}_length", "m", start=length)
+        turn, stroke = (
+            m.coordinate(f"{name}_turn", "rad", start=angle),
+            m.coordinate(f"{name}_length", "m", start=length),
+        )
         m.revolute(f"{name}_eye1", first.at(eye1.real, eye1.imag), barrel.at(0, 0), coordinate=turn)
         slide = m.prismatic(name, barrel.at(0, 0), rod.at(0, 0), coordinate=stroke)
         m.revolute(f"{name}_eye2", second.at(eye2.real, eye2.imag), rod.at(0, 0))
@@ -87,6 +91,11 @@ for name in ("boom", "stick", "bucket"):
     axes.plot(result.time, result[f"{name}_cylinder_force"] / 1e3, label=name)
 axes.set(xlabel="time [s]", ylabel="force of the cylinder [kN]")
 axes.legend()
+
+# %%
+# One cycle of the bucket.
+
+animate(mechanism, result, "excavator.gif", fps=15, speed=1)
 
 # %%
 # **Check.** The cylinder of the boom and its two eyes form a triangle with the foot, so that its length gives the

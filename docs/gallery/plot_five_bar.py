@@ -12,6 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from alfmu import load, simulate
+from alfmu.view.picture import animate
 
 # %%
 # The bars hang down, swing through the position in which all are in line, and up again.
@@ -25,6 +26,11 @@ for name in ("C", "F"):
     bottom.plot(result.time, result[f"{name}.force.x"], label=f"joint {name}")
 bottom.set(xlabel="time [s]", ylabel="force along x [N]")
 bottom.legend()
+
+# %%
+# The bars swing through the line and back.
+
+animate(mechanism, result, "five_bar.gif", fps=15, speed=1)
 
 # %%
 # **Check.** All bars weigh 1 kg and are 1 m long, so that the linkage moves as one body of one degree of freedom,

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from alfmu import load, simulate
+from alfmu.view.picture import animate
 
 TORQUE = 4.0  # [N.m]
 
@@ -25,6 +26,11 @@ top.plot(result.time, result["link1.angle"])
 top.set_ylabel("angle of link 1 [rad]")
 bottom.semilogy(result.time, result["monitor.distance"])
 bottom.set(xlabel="time [s]", ylabel="distance to a singular position")
+
+# %%
+# The torque drives the bars round.
+
+animate(mechanism, result, "four_bar.gif", fps=15, speed=1)
 
 # %%
 # **Check.** The linkage has one degree of freedom, (1/3 + 1/3 + 1) angle'' = TORQUE - 2 g cos(angle).

@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 a, b, c, d, e, f, g, h, i, j, k, l, crank = (
     x / 100 for x in (38.0, 41.5, 39.3, 40.1, 55.8, 39.4, 36.7, 65.7, 49.0, 50.0, 61.9, 7.8, 15.0)
@@ -80,10 +81,17 @@ axes.plot(result["foot.x"], result["foot.y"])
 axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", title="Path of the foot")
 
 # %%
+# The foot draws its path.
+
+animate(mechanism, result, "jansen_leg.gif", fps=15, speed=1)
+
+# %%
 # **Check.** The circles give the foot for the angle of the crank at any time.
 
 circles = np.array([places(angle)["foot"] for angle in result["crank.angle"]])
 deviation = float(np.abs(result["foot.x"] + 1j * result["foot.y"] - circles).max())
 low, high = result["foot.y"].min(), result["foot.y"].max()
-print(f"The foot is where the circles say to {deviation:.1e} m, over {result['crank.angle'][-1] / 2 / math.pi:.2f} turns.")
+print(
+    f"The foot is where the circles say to {deviation:.1e} m, over {result['crank.angle'][-1] / 2 / math.pi:.2f} turns."
+)
 print(f"It steps {np.ptp(result['foot.x']):.3f} m far and {high - low:.3f} m high.")

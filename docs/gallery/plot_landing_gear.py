@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 LEG, ATTACHED = 1.30, 0.60  # from the trunnion to the wheel, and to the brace [m]
 UPPER, LOWER = 0.50, 0.45  # halves of the brace [m]
@@ -62,6 +63,11 @@ top.plot(result.time, 90 + np.degrees(result["leg.angle"]))
 top.set_ylabel("leg from vertical [degrees]")
 bottom.plot(result.time, result["actuator"])
 bottom.set(xlabel="time [s]", ylabel="torque of the actuator [N m]")
+
+# %%
+# The brace folds, and the leg swings up.
+
+animate(mechanism, result, "landing_gear.gif", fps=15, speed=1)
 
 # %%
 # **Check.** Before lift-off the brace carries the side load alone: force times lever arm. At the end the leg is level.

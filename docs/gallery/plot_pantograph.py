@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 SCALE = 2.5
 LONG = 0.60  # bars from the hinge to the corner, and from there to the pen [m]
@@ -22,6 +23,13 @@ SHORT = LONG / SCALE
 # %%
 # A hand leads the tracer round a heart with a soft spring: where it should be is an expression in time, where it is one
 # in the angles of the bars. The pantograph lies on a table, so there is no gravity.
+
+
+def heart(time: ca.SX) -> ca.SX:
+    """Where the tracer should be [m]: a heart in eight seconds."""
+    t = 2 * ca.pi * time / 8.0
+    y = 13 * ca.cos(t) - 5 * ca.cos(2 * t) - 2 * ca.cos(3 * t) - ca.cos(4 * t)
+    return ca.vertcat(0.26 + 0.064 * ca.sin(t) ** 3, 0.16 + 0.004 * y)
 
 
 def pantograph() -> Mechanism:
@@ -39,13 +47,10 @@ def pantograph() -> Mechanism:
     m.revolute("P", inner.end, outer.end)
 
     angles = shoulder, shoulder + corner
-    rates = m.rate(shoulder), m.rate(shoulder) + m.rate(corner)
-    place = [SHORT * sum(map(turned, angles)) for turned in (ca.cos, ca.sin)]
-    speed = [SHORT * sum(s * turned(x) * w for x, w in zip(angles, rates)) for s, turned in ((-1, ca.sin), (1, ca.cos))]
-    t = 2 * ca.pi * m.time / 8.0
-    heart = 0.26 + 0.004 * 16 * ca.sin(t) ** 3, 0.16 + 0.004 * (13 * ca.cos(t) - 5 * ca.cos(2 * t) - 2 * ca.cos(3 * t) - ca.cos(4 * t))
-    hand = [2000.0 * (goal - x) + 40.0 * (ca.jacobian(goal, m.time) - v) for goal, x, v in zip(heart, place, speed)]
-    m.force(inner.end, *hand)
+    place = SHORT * ca.vertcat(sum(map(ca.cos, angles)), sum(map(ca.sin, angles)))
+    speed = ca.jtimes(place, ca.vertcat(shoulder, corner), ca.vertcat(m.rate(shoulder), m.rate(corner)))
+    hand = 2000.0 * (heart(m.time) - place) + 40.0 * (ca.jacobian(heart(m.time), m.time) - speed)
+    m.force(inner.end, *ca.vertsplit(hand))
     m.trace("tracer", inner.end)
     m.trace("pen", second.end)
     return m
@@ -62,6 +67,11 @@ for name in ("tracer", "pen"):
 axes.plot(0, 0, "ko", label="hinge")
 axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 axes.legend()
+
+# %%
+# Tracer and pen draw their hearts, at twice the speed.
+
+animate(mechanism, result, "pantograph.gif", fps=15, speed=2)
 
 # %%
 # **Check.** The pen is at exactly 2.5 times the place of the tracer, from the hinge.

@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 CRANK, ARM, SIDE = 0.15, 0.50, 0.25  # [m]
 
@@ -67,6 +68,11 @@ axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
 axes.legend()
 
 # %%
+# D keeps to its line while B goes round its circle.
+
+animate(mechanism, result, "peaucellier.gif", fps=15, speed=1)
+
+# %%
 # **Check.** Inversion at a circle of power ARM^2 - SIDE^2 turns the crank's circle, of diameter 2 CRANK, into the line
 # x = (ARM^2 - SIDE^2) / (2 CRANK).
 
@@ -74,4 +80,4 @@ line = (ARM**2 - SIDE**2) / (2 * CRANK)
 deviation = float(np.abs(result["D.x"] - line).max())
 energy = result["monitor.energy"]
 print(f"D moves {np.ptp(result['D.y']):.3f} m and leaves the line x = {line:.4f} m by at most {deviation:.1e} m.")
-print(f"Its energy of motion reaches {0.5 * 2.0 * (result['D.vy'] ** 2).max():.2f} J; in all {np.ptp(energy):.1e} J are lost.")
+print(f"It moves at up to {np.abs(result['D.vy']).max():.2f} m/s; the energy changes by {np.ptp(energy):.1e} J.")

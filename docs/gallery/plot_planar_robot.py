@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 BASE, PLATFORM, LINK = 0.45, 0.10, 0.25  # radii of the joints' circles, and both links of an arm [m]
 CORNERS = [2 * math.pi * k / 3 + math.pi / 2 for k in range(3)]
@@ -76,9 +77,15 @@ axes.set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal")
 axes.legend()
 
 # %%
+# Two rounds of the platform.
+
+animate(mechanism, result, "planar_robot.gif", fps=15, speed=1)
+
+# %%
 # **Check.** Inverse kinematics of where the platform is gives the angles of the motors, and the circle is kept.
 
-angles = np.array([[float(arm_angle(k, *at)) for k in range(3)] for at in zip(x, y, result["platform.angle"])])
+poses = np.column_stack([x, y, result["platform.angle"]])
+angles = np.array([[float(arm_angle(k, *pose)) for k in range(3)] for pose in poses])
 turned = np.column_stack([result[f"inner{i}.angle"] for i in (1, 2, 3)])
 deviation = float(np.abs((angles - turned + math.pi) % (2 * math.pi) - math.pi).max())
 late = result.time > 0.5

@@ -13,6 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 PIN, OFFSET = 0.120, 0.050  # radius of the pin, depth of the arm's pivot below the gear's axis [m]
 ARM, ROD = 0.100, 0.400  # of the arm beyond its pivot, and the rod from there to the ram [m]
@@ -60,6 +61,11 @@ top.plot(result.time, result["ram.position"])
 top.set_ylabel("place of the ram [m]")
 bottom.plot(result.time, result["ram.velocity"])
 bottom.set(xlabel="time [s]", ylabel="speed of the ram [m/s]")
+
+# %%
+# Three strokes at half the speed.
+
+animate(mechanism, result, "quick_return.gif", fps=15, speed=0.5)
 
 # %%
 # **Check.** The ram turns round where arm and rod are in line, with the pin at the height of the arm's pivot: half a

@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 ARM, STAGES = 1.6, 3
 ARM_MASS, PLATFORM_MASS, G = 30.0, 620.0, 9.81  # [kg], [kg] with the goods, [m/s2]
@@ -75,6 +76,11 @@ top.plot(result.time, height)
 top.set_ylabel("height [m]")
 bottom.plot(result.time, result["pull"] / 1e3)
 bottom.set(xlabel="time [s]", ylabel="pull of the spindle [kN]")
+
+# %%
+# The lift at twice its speed.
+
+animate(mechanism, result, "scissor_lift.gif", fps=15, speed=2)
 
 # %%
 # **Check.** Three stages stand 3 ARM sin(angle) high, and at rest the pull is that of virtual work.

@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import load, simulate
+from alfmu.view.picture import animate
 
 LENGTH = 0.5  # of both links [m]
 
@@ -25,6 +26,11 @@ top.plot(result.time, result["slider.x"])
 top.set_ylabel("place of the slider [m]")
 bottom.plot(result.time, result["C.force.y"])
 bottom.set(xlabel="time [s]", ylabel="force of the rod on the slider [N]")
+
+# %%
+# The slider passes below the bearing, to and fro.
+
+animate(mechanism, result, "slider_crank.gif", parameters=values, fps=15, speed=0.5)
 
 # %%
 # **Check.** On its branch the slider is at 2 LENGTH cos(angle), on both sides of the bearing, and no energy is lost.

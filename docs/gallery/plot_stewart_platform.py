@@ -15,6 +15,7 @@ import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
 from alfmu.model.spatial import about, rotation
+from alfmu.view.picture import animate
 
 HEIGHT, PERIOD = 1.80, 2.0  # of the platform at the start [m]; of its motion [s]
 BASE = [2.0 * np.array([math.cos(a), math.sin(a), 0.0]) for a in np.radians([-10, 10, 110, 130, 230, 250])]
@@ -37,8 +38,8 @@ def stewart_platform() -> Mechanism:
     m = Mechanism("stewart_platform", "A platform on six legs", experiment=Experiment(PERIOD, interval=0.02))
     platform = m.spatial_body("platform", mass=1000.0, inertia=(400.0, 400.0, 700.0), position=(0.0, 0.0, HEIGHT))
     place, attitude = wanted(m.time)
-    for i, (base, top) in enumerate(zip(BASE, TOP), 1):
-        x, y, z = (float(each) for each in top + [0, 0, HEIGHT] - base)
+    for i, (base, top) in enumerate(zip(BASE, TOP, strict=True), 1):
+        x, y, z = (float(each) for each in top - base + np.array([0, 0, HEIGHT]))
         tilt = m.coordinate(f"tilt{i}", "rad", start=math.atan2(math.hypot(x, y), z))
         turn = m.coordinate(f"turn{i}", "rad", start=math.atan2(y, x))
         length = m.coordinate(f"length{i}", "m", start=math.hypot(x, y, z))
@@ -51,7 +52,7 @@ def stewart_platform() -> Mechanism:
             m.kinetic_energy((mass * ca.sumsqr(speed) + inertia * ca.sumsqr(swing)) / 2)
             m.potential_energy(mass * 9.81 * center * along[2])
         gap = platform.at(*top).place - (base + length * along)
-        for axis, each in zip("xyz", ca.vertsplit(gap)):
+        for axis, each in zip("xyz", ca.vertsplit(gap), strict=True):
             m.constraint(f"joint{i}.{axis}", each)
         goal = ca.norm_2(place + rotation(attitude) @ top - base)
         force = 2e6 * (goal - length) + 8e4 * (ca.jacobian(goal, m.time) - m.rate(length))
@@ -74,18 +75,23 @@ axes.set(xlabel="time [s]", ylabel="force of the drive [kN]")
 axes.legend()
 
 # %%
+# The platform rises, tilts and comes back.
+
+animate(mechanism, result, "stewart_platform.gif", fps=15, speed=0.5)
+
+# %%
 # **Check.** Inverse kinematics of the simulated pose gives the simulated lengths.
 
 
 def legs(place: np.ndarray, attitude: np.ndarray) -> list[float]:
     """Lengths of the legs for a pose of the platform."""
     turn = ca.evalf(rotation(ca.SX(attitude))).full()
-    return [float(np.linalg.norm(place + turn @ top - base)) for base, top in zip(BASE, TOP)]
+    return [float(np.linalg.norm(place + turn @ top - base)) for base, top in zip(BASE, TOP, strict=True)]
 
 
 places = np.column_stack([result[f"platform.{axis}"] for axis in "xyz"])
 attitudes = np.column_stack([result[f"platform.e{i}"] for i in range(4)])
-expected = np.array([legs(*pose) for pose in zip(places, attitudes)])
+expected = np.array([legs(*pose) for pose in zip(places, attitudes, strict=True)])
 lengths = np.column_stack([result[f"leg{i}.length"] for i in range(1, 7)])
 deviation = float(np.abs(lengths - expected).max())
 off = float(np.abs(places[-1] - [0, 0, HEIGHT]).max())

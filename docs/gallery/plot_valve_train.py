@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 LIFT, RISE, BASE = 0.009, math.radians(110), 0.016  # [m], [rad], radius of the base circle [m]
 MASS, STIFFNESS, PRELOAD = 0.120, 35e3, 280.0  # valve, retainer and follower [kg]; spring [N/m], [N]
@@ -41,7 +42,9 @@ def valve_train() -> Mechanism:
     bearing = m.revolute("bearing", m.ground.at(0, 0), cam.at(0, 0), coordinate=turn)
     m.prismatic("stem", m.ground.at(0, BASE), valve.at(0, 0), axis=math.pi / 2, coordinate=height)
     m.constraint("contact", height - lift(turn))
-    m.spring_damper((m.ground.at(0, BASE + 0.040), valve.at(0, 0)), stiffness=STIFFNESS, rest=0.040 + PRELOAD / STIFFNESS)
+    m.spring_damper(
+        (m.ground.at(0, BASE + 0.040), valve.at(0, 0)), stiffness=STIFFNESS, rest=0.040 + PRELOAD / STIFFNESS
+    )
     m.trace("mark", cam.at(0, BASE))
     m.drive(bearing, 5.0 * (SPEED - m.rate(turn)))
     m.gravity(0, -9.81)
@@ -60,6 +63,11 @@ top.plot(degrees, 1e3 * (result["valve.y"] - BASE))
 top.set_ylabel("lift [mm]")
 bottom.plot(degrees, force)
 bottom.set(xlabel="angle of the cam [degrees]", ylabel="force on the follower [N]")
+
+# %%
+# The valve, a hundred times as slow as in the engine.
+
+animate(mechanism, result, "valve_train.gif", fps=15, speed=0.01)
 
 # %%
 # **Check.** A cycloid of this height and length has the greatest acceleration 2 pi LIFT SPEED^2 / RISE^2, and the force

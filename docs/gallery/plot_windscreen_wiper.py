@@ -12,6 +12,7 @@ import math
 import matplotlib.pyplot as plt
 
 from alfmu import Experiment, Mechanism, simulate
+from alfmu.view.picture import animate
 
 CRANK, ROD, LEVER = 0.040, 0.306, 0.055  # [m]
 PIVOT = (0.300, 0.060)  # of the first arm, from the motor [m]
@@ -64,6 +65,11 @@ top.set_ylabel("angle [degrees]")
 top.legend()
 bottom.plot(result.time, result["crank.angular_velocity"])
 bottom.set(xlabel="time [s]", ylabel="speed of the crank [rad/s]")
+
+# %%
+# Both blades in motion.
+
+animate(mechanism, result, "windscreen_wiper.gif", fps=15, speed=1)
 
 # %%
 # **Check.** Where crank and rod are in line, pivot, motor and pin form a triangle of known sides.
