@@ -18,7 +18,7 @@ from alfmu.view.picture import animate
 
 BOOM, STICK = 5.7, 2.9  # between hinges [m]
 HOUSE_EYE, BOOM_EYE = complex(0.60, -0.45), complex(2.50, 0.55)  # of the boom's cylinder, from the boom's foot [m]
-LIFT, REACH, CURL, SWING = 0.75, -1.9, -0.6, 1.3  # angles of boom, stick, bucket and rocker at the start [rad]
+LIFT, REACH, CURL, SWING = 0.75, -1.3, -0.6, 1.3  # angles of boom, stick, bucket and rocker at the start [rad]
 CYCLE = 6.0  # [s]
 
 
@@ -35,7 +35,7 @@ def excavator() -> Mechanism:
     m = Mechanism("excavator", "Boom, stick and bucket of an excavator", experiment=Experiment(CYCLE, interval=0.02))
     lift, reach, curl, swing, push = (
         m.coordinate(name, "rad", start=start)
-        for name, start in (("lift", LIFT), ("reach", REACH), ("curl", CURL), ("swing", SWING), ("push", -1.2))
+        for name, start in (("lift", LIFT), ("reach", REACH), ("curl", CURL), ("swing", SWING), ("push", -1.75))
     )
     boom = m.body("boom", mass=1600.0, inertia=4200.0, center=(2.6, 0.4))
     stick = m.body("stick", mass=750.0, inertia=700.0, center=(1.0, 0.15))
@@ -61,10 +61,8 @@ def excavator() -> Mechanism:
         length, angle = abs(places[1] - places[0]), float(np.angle(places[1] - places[0])) - at[first][1]
         barrel = m.body(f"{name}_barrel", mass=0.6 * mass, inertia=0.05 * mass, center=(0.3 * length, 0))
         rod = m.body(f"{name}_rod", mass=0.4 * mass, inertia=0.04 * mass, center=(-0.3 * length, 0))
-        turn, stroke = (
-            m.coordinate(f"{name}_turn", "rad", start=angle),
-            m.coordinate(f"{name}_length", "m", start=length),
-        )
+        turn = m.coordinate(f"{name}_turn", "rad", start=angle)
+        stroke = m.coordinate(f"{name}_length", "m", start=length, independent=True)
         m.revolute(f"{name}_eye1", first.at(eye1.real, eye1.imag), barrel.at(0, 0), coordinate=turn)
         slide = m.prismatic(name, barrel.at(0, 0), rod.at(0, 0), coordinate=stroke)
         m.revolute(f"{name}_eye2", second.at(eye2.real, eye2.imag), rod.at(0, 0))
@@ -75,14 +73,14 @@ def excavator() -> Mechanism:
         m.output(f"{name}_stroke", stroke, "m", f"length of the cylinder {name} between its eyes")
 
     cylinder("boom_cylinder", m.ground, HOUSE_EYE, boom, BOOM_EYE, 200.0, -0.35)
-    cylinder("stick_cylinder", boom, complex(3.0, 0.9), stick, complex(-0.75, 0.2), 180.0, 0.5)
+    cylinder("stick_cylinder", boom, complex(3.0, 0.9), stick, complex(-0.75, 0.2), 180.0, 0.6)
     cylinder("bucket_cylinder", stick, complex(0.3, 0.55), rocker, complex(0.65, 0.0), 120.0, 0.35)
     m.gravity(0, -9.81)
     return m
 
 
 # %%
-# The boom sinks and rises, the stick comes in, the bucket curls.
+# The boom sinks, the stick comes in, the bucket curls, and back. At the start the arm settles on its oil.
 
 mechanism = excavator()
 result = simulate(mechanism)

@@ -28,7 +28,7 @@ bottom.semilogy(result.time, result["monitor.distance"])
 bottom.set(xlabel="time [s]", ylabel="distance to a singular position")
 
 # %%
-# The torque drives the bars round.
+# The bars swing under the torque.
 
 animate(mechanism, result, "four_bar.gif", fps=15, speed=1)
 

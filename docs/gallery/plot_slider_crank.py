@@ -2,7 +2,7 @@
 Slider-crank of equal links
 ===========================
 
-With crank and rod of the same length both can stand upright, one on the other, with the slider below the bearing: there
+With crank and rod of the same length both can stand upright, one on the other, with the slider at the bearing: there
 the slider may go on, or stay while crank and rod turn together. alfmu keeps to the branch of the motion. The mechanism
 is the one of Blajer's paper (*Multibody System Dynamics* 8, 2002, Figure 5), registered as `slider_crank`.
 """
@@ -28,7 +28,7 @@ bottom.plot(result.time, result["C.force.y"])
 bottom.set(xlabel="time [s]", ylabel="force of the rod on the slider [N]")
 
 # %%
-# The slider passes below the bearing, to and fro.
+# The slider passes the bearing, to and fro.
 
 animate(mechanism, result, "slider_crank.gif", parameters=values, fps=15, speed=0.5)
 

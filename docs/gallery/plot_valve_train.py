@@ -52,17 +52,22 @@ def valve_train() -> Mechanism:
 
 
 # %%
-# The force on the flank is least just after the middle of the opening flank, where the cam slows the valve down.
+# In the second half of the way up, and in the first half of the way down, the spring alone slows the valve. The outline
+# of the cam is the envelope of the follower's face, seen from the cam.
 
 mechanism = valve_train()
 result = simulate(mechanism)
 force = -result["multiplier[1]"]
 degrees = np.degrees(result["cam.angle"])
-fig, (top, bottom) = plt.subplots(2, 1, sharex=True, layout="constrained")
-top.plot(degrees, 1e3 * (result["valve.y"] - BASE))
-top.set_ylabel("lift [mm]")
-bottom.plot(degrees, force)
-bottom.set(xlabel="angle of the cam [degrees]", ylabel="force on the follower [N]")
+slope = result["valve.vy"] / result["cam.angular_velocity"]
+outline = (result["valve.y"] - 1j * slope) * np.exp(1j * (math.pi / 2 - result["cam.angle"]))
+fig, axes = plt.subplot_mosaic([["lift", "cam"], ["force", "cam"]], layout="constrained", figsize=(9, 4.5))
+axes["lift"].plot(degrees, 1e3 * (result["valve.y"] - BASE))
+axes["lift"].set_ylabel("lift [mm]")
+axes["force"].plot(degrees, force)
+axes["force"].set(xlabel="angle of the cam [degrees]", ylabel="force on the follower [N]")
+axes["cam"].plot(1e3 * outline.real, 1e3 * outline.imag)
+axes["cam"].set(xlabel="x [mm]", ylabel="y [mm]", aspect="equal", title="Outline of the cam")
 
 # %%
 # The valve, a hundred times as slow as in the engine.
