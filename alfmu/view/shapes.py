@@ -234,7 +234,8 @@ def _in_plane(
 
     joints = tuple(Hinge(j.name, j.kind, anchor(j.first), anchor(j.second)) for j in m.joints)
     joints += tuple(_pins(m, joints, anchor, number))
-    guides = tuple(_guide(j, anchor, number) for j in m.joints if j.kind in ("prismatic", "point_on_line"))
+    guided = [j for j in m.joints if j.kind in ("prismatic", "point_on_line") and not _telescopes(j)]
+    guides = tuple(_guide(j, anchor, number) for j in guided)
     ties = [Tie(j.name, "rod", j.first, j.second) for j in joints if j.kind == "distance"]
     for spring in m.springs:
         between = spring.between
@@ -427,6 +428,11 @@ def _given(m: Mechanism, name: str, value: Any) -> float:
         return float(value)
     except (TypeError, ValueError):
         raise InputError(f"{m.name}: {name} is {value!r}; it must be a number") from None
+
+
+def _telescopes(joint: Joint) -> bool:
+    """Whether a joint slides one bar along another, as in a cylinder, so that the bars themselves show it."""
+    return joint.kind == "prismatic" and None not in (joint.first.body.length, joint.second.body.length)
 
 
 def _guide(joint: Joint, anchor: Callable[[Marker], Anchor], number: Callable[[Scalar], float]) -> Guide:

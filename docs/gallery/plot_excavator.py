@@ -13,7 +13,7 @@ import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
 
-from alfmu import Experiment, Mechanism, simulate
+from alfmu import Body, Experiment, Mechanism, simulate
 from alfmu.view.picture import animate
 
 BOOM, STICK = 5.7, 2.9  # between hinges [m]
@@ -55,26 +55,28 @@ def excavator() -> Mechanism:
     hinge = elbow + (STICK - 0.45) * turned(LIFT + REACH)
     at = {m.ground: (0j, 0.0), boom: (0j, LIFT), stick: (elbow, LIFT + REACH), rocker: (hinge, LIFT + REACH + SWING)}
 
-    def cylinder(name, first, eye1, second, eye2, mass, travel):
-        """A cylinder from an eye on one body to an eye on another, whose length changes by `travel` and back."""
+    def cylinder(
+        name: str, first: Body, eye1: complex, second: Body, eye2: complex, mass: float, travel: float
+    ) -> None:
+        """A cylinder from an eye on one body to an eye on another, whose length changes by `travel` [m] and back."""
         places = [at[body][0] + eye * turned(at[body][1]) for body, eye in ((first, eye1), (second, eye2))]
         length, angle = abs(places[1] - places[0]), float(np.angle(places[1] - places[0])) - at[first][1]
-        barrel = m.body(f"{name}_barrel", mass=0.6 * mass, inertia=0.05 * mass, center=(0.3 * length, 0))
-        rod = m.body(f"{name}_rod", mass=0.4 * mass, inertia=0.04 * mass, center=(-0.3 * length, 0))
+        barrel = m.bar(f"{name}_barrel", mass=0.6 * mass, length=0.62 * length)
+        rod = m.bar(f"{name}_rod", mass=0.4 * mass, length=0.62 * length)
         turn = m.coordinate(f"{name}_turn", "rad", start=angle)
         stroke = m.coordinate(f"{name}_length", "m", start=length, independent=True)
-        m.revolute(f"{name}_eye1", first.at(eye1.real, eye1.imag), barrel.at(0, 0), coordinate=turn)
-        slide = m.prismatic(name, barrel.at(0, 0), rod.at(0, 0), coordinate=stroke)
-        m.revolute(f"{name}_eye2", second.at(eye2.real, eye2.imag), rod.at(0, 0))
+        m.revolute(f"{name}_eye1", first.at(eye1.real, eye1.imag), barrel.start, coordinate=turn)
+        slide = m.prismatic(f"{name}_cylinder", barrel.start, rod.end, coordinate=stroke)
+        m.revolute(f"{name}_eye2", second.at(eye2.real, eye2.imag), rod.end)
         goal = length + travel * (1 - ca.cos(2 * ca.pi * m.time / CYCLE)) / 2
         force = 5e7 * (goal - stroke) + 3e6 * (ca.jacobian(goal, m.time) - m.rate(stroke))
         m.drive(slide, force)
-        m.output(f"{name}_force", force, "N", f"force with which the cylinder {name} pushes")
-        m.output(f"{name}_stroke", stroke, "m", f"length of the cylinder {name} between its eyes")
+        m.output(f"{name}_force", force, "N", f"force with which the cylinder of the {name} pushes")
+        m.output(f"{name}_stroke", stroke, "m", f"length of the cylinder of the {name} between its eyes")
 
-    cylinder("boom_cylinder", m.ground, HOUSE_EYE, boom, BOOM_EYE, 200.0, -0.35)
-    cylinder("stick_cylinder", boom, complex(3.0, 0.9), stick, complex(-0.75, 0.2), 180.0, 0.6)
-    cylinder("bucket_cylinder", stick, complex(0.3, 0.55), rocker, complex(0.65, 0.0), 120.0, 0.35)
+    cylinder("boom", m.ground, HOUSE_EYE, boom, BOOM_EYE, 200.0, -0.35)
+    cylinder("stick", boom, complex(3.0, 0.9), stick, complex(-0.75, 0.2), 180.0, 0.6)
+    cylinder("bucket", stick, complex(0.3, 0.55), rocker, complex(0.65, 0.0), 120.0, 0.35)
     m.gravity(0, -9.81)
     return m
 
@@ -86,7 +88,7 @@ mechanism = excavator()
 result = simulate(mechanism)
 fig, axes = plt.subplots(layout="constrained")
 for name in ("boom", "stick", "bucket"):
-    axes.plot(result.time, result[f"{name}_cylinder_force"] / 1e3, label=name)
+    axes.plot(result.time, result[f"{name}_force"] / 1e3, label=name)
 axes.set(xlabel="time [s]", ylabel="force of the cylinder [kN]")
 axes.legend()
 
@@ -99,7 +101,7 @@ animate(mechanism, result, "excavator.gif", fps=15, speed=1)
 # **Check.** The cylinder of the boom and its two eyes form a triangle with the foot, so that its length gives the
 # angle of the boom. And what the cylinders do in work is in the energy at any time.
 
-house, eye, length = abs(HOUSE_EYE), abs(BOOM_EYE), result["boom_cylinder_stroke"]
+house, eye, length = abs(HOUSE_EYE), abs(BOOM_EYE), result["boom_stroke"]
 between = np.arccos((house**2 + eye**2 - length**2) / (2 * house * eye))
 expected = between + np.angle(HOUSE_EYE) - np.angle(BOOM_EYE)
 deviation = float(np.abs(result["boom.angle"] - expected).max())
