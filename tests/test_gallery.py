@@ -1,5 +1,6 @@
 """The gallery: every file runs, shows what it promises, and its own check holds."""
 
+import ast
 import runpy
 from collections.abc import Callable
 from pathlib import Path
@@ -125,8 +126,21 @@ CHECKS: dict[str, Callable[[Names], None]] = {
 """What holds of each file of the gallery, by the numbers that it leaves."""
 
 
+REGISTERED = {"five_bar", "four_bar", "slider_crank", "bennett", "governor"}
+"""Files that use a mechanism by its name."""
+
+
 def test_every_file_has_its_check():
     assert sorted(path.stem for path in GALLERY.glob("*.py")) == sorted(f"plot_{name}" for name in CHECKS)
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_a_file_has_a_users_length_and_declares_one_mechanism(name: str):
+    tree = ast.parse((GALLERY / f"plot_{name}.py").read_text())
+    lines = {n.lineno for n in ast.walk(tree) if isinstance(n, ast.expr | ast.stmt)}
+    assert 10 < len(lines) <= 80
+    declares = [f for f in tree.body if isinstance(f, ast.FunctionDef) and ast.unparse(f.returns or f) == "Mechanism"]
+    assert len(declares) == (0 if name in REGISTERED else 1)
 
 
 @pytest.mark.parametrize("name", CHECKS)

@@ -2,8 +2,8 @@
 Bennett's linkage
 =================
 
-Four bars and four hinges in space whose axes are skew: counted, such a loop is a structure with two constraints too
-many, and yet it moves (G. T. Bennett, 1903). Three constraints are redundant at every position. It is registered with
+Four bars and four hinges in space whose axes are skew: by count, such a loop has minus two degrees of freedom, and
+yet it moves (G. T. Bennett, 1903). Three constraints are redundant at every position. It is registered with
 alfmu as `bennett`.
 """
 

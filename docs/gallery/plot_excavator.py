@@ -72,7 +72,6 @@ def excavator() -> Mechanism:
         force = 5e7 * (goal - stroke) + 3e6 * (ca.jacobian(goal, m.time) - m.rate(stroke))
         m.drive(slide, force)
         m.output(f"{name}_force", force, "N", f"force with which the cylinder of the {name} pushes")
-        m.output(f"{name}_stroke", stroke, "m", f"length of the cylinder of the {name} between its eyes")
 
     cylinder("boom", m.ground, HOUSE_EYE, boom, BOOM_EYE, 200.0, -0.35)
     cylinder("stick", boom, complex(3.0, 0.9), stick, complex(-0.75, 0.2), 180.0, 0.6)
@@ -101,7 +100,7 @@ animate(mechanism, result, "excavator.gif", fps=15, speed=1)
 # **Check.** The cylinder of the boom and its two eyes form a triangle with the foot, so that its length gives the
 # angle of the boom. And what the cylinders do in work is in the energy at any time.
 
-house, eye, length = abs(HOUSE_EYE), abs(BOOM_EYE), result["boom_stroke"]
+house, eye, length = abs(HOUSE_EYE), abs(BOOM_EYE), result["boom_rod.position"]
 between = np.arccos((house**2 + eye**2 - length**2) / (2 * house * eye))
 expected = between + np.angle(HOUSE_EYE) - np.angle(BOOM_EYE)
 deviation = float(np.abs(result["boom.angle"] - expected).max())

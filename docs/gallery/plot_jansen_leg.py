@@ -2,7 +2,7 @@
 Jansen's leg
 ============
 
-The leg of Theo Jansen's beach animals: one crank and eleven tubes, whose lengths he found by trial and selection, move
+The leg of Theo Jansen's beach animals: one crank and ten tubes, whose lengths he found by trial and selection, move
 a foot along a flat line and lift it back (T. Jansen, *The Great Pretender*, 2007). The numbers are his, taken as
 centimetres; a metre of tube weighs 0.4 kg, as plastic conduit does.
 """

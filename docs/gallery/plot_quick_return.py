@@ -2,7 +2,7 @@
 Whitworth's quick return
 ========================
 
-The drive of a slotting machine (J. Whitworth, 1841): a gear turns at a constant speed, its pin slides in the slot of an
+The drive of a slotting machine: a gear turns at a constant speed, its pin slides in the slot of an
 arm that turns about another point, and the arm moves the ram. The ram cuts slowly and returns fast. The ratio of both
 times depends on two lengths alone.
 """

@@ -3,7 +3,7 @@ Windscreen wiper
 ================
 
 A motor that turns one way moves two blades to and fro: a crank-rocker swings the first arm, a parallel link takes the
-second one along. The dimensions are those of a small car. The angle that the blades sweep follows from the two
+second one along. The dimensions suit a small car. The angle that the blades sweep follows from the two
 positions in which crank and rod are in line.
 """
 
