@@ -50,21 +50,21 @@ def jansen_leg() -> Mechanism:
     m = Mechanism("jansen_leg", "A leg of a beach animal", experiment=Experiment(stop_time=4.0, interval=0.01))
     speed = 2 * math.pi / 2.0
     angle = m.start("angle", 0.0, "rad", rate=speed)
-    hinge, axle = m.ground.at(0, 0), m.ground.at(a, l)
-    at = {
-        name: m.point(m.coordinate(f"{name}_x", "m", start=z.real), m.coordinate(f"{name}_y", "m", start=z.imag))
+    q = {
+        name: (m.coordinate(f"{name}_x", "m", start=z.real), m.coordinate(f"{name}_y", "m", start=z.imag))
         for name, z in places(0.0).items()
     }
-    pin, top, low, back, knee, foot = at.values()
+    pin, top, low, back, knee, foot = (m.point(x, y) for x, y in q.values())
+    hinge, axle = m.point(0, 0), m.ground.at(a, l)
     arm = m.bar("crank", mass=1.0, length=crank, between=(axle, pin))
     ends = {"b": (hinge, top), "c": (hinge, low), "d": (hinge, back), "e": (top, back), "f": (back, knee)}
     ends |= {"g": (low, knee), "h": (knee, foot), "i": (low, foot), "j": (pin, top), "k": (pin, low)}
     lengths = {"b": b, "c": c, "d": d, "e": e, "f": f, "g": g, "h": h, "i": i, "j": j, "k": k}
     tubes = {n: m.bar(n, mass=0.4 * lengths[n], length=lengths[n], between=ends[n]) for n in ends}
 
-    x, y = pin.x - a, pin.y - l
-    m.tie(angle, ca.atan2(y, x))
-    rate = (x * m.rate(pin.y) - y * m.rate(pin.x)) / crank**2
+    x, y = q["pin"]
+    m.tie(angle, ca.atan2(y - l, x - a))
+    rate = ((x - a) * m.rate(y) - (y - l) * m.rate(x)) / crank**2
     m.drive(m.revolute("motor", axle, arm.start), 20.0 * (speed - rate))
     m.trace("foot", tubes["i"].end)
     m.gravity(0, -9.81)

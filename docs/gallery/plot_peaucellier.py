@@ -7,6 +7,7 @@ a rhombus mirror a point at a circle; the crank moves that point on a circle thr
 runs along a line.
 """
 
+import cmath
 import math
 
 import casadi as ca
@@ -17,6 +18,7 @@ from alfmu import Experiment, Mechanism, simulate
 from alfmu.view.picture import animate
 
 CRANK, ARM, SIDE = 0.15, 0.50, 0.25  # [m]
+START = 0.6  # angle of the crank at the start [rad]
 
 # %%
 # The hinge O is the origin; the crank turns about a point at its own length from there. All bars are steel strips of
@@ -26,29 +28,26 @@ CRANK, ARM, SIDE = 0.15, 0.50, 0.25  # [m]
 
 def peaucellier() -> Mechanism:
     m = Mechanism("peaucellier", "Peaucellier's exact straight line", experiment=Experiment(5.0, interval=0.01))
-    start = m.start("angle", 0.6, "rad")
-    O, centre = m.ground.at(0, 0), m.ground.at(CRANK, 0)
+    start = m.start("angle", START, "rad")
+    O, centre = m.point(0, 0), m.ground.at(CRANK, 0)
 
-    # Guesses: B on the circle, the corners A and C beside the line from O to B, D opposite.
-    reach, direction = 2 * CRANK * ca.cos(start / 2), start / 2
-    half = math.sqrt(ARM**2 - SIDE**2)  # of the way from O to the middle of the rhombus, where B were O
-    middle = (reach + half**2 / reach) / 2
-    beside = ca.sqrt(ARM**2 - middle**2)
-
-    def point(name: str, along: ca.SX, across: ca.SX | float):
-        x = along * ca.cos(direction) - across * ca.sin(direction)
-        y = along * ca.sin(direction) + across * ca.cos(direction)
-        return m.point(m.coordinate(f"{name}_x", "m", start=x), m.coordinate(f"{name}_y", "m", start=y))
-
-    A, C = point("A", middle, beside), point("C", middle, -beside)
-    B, D = point("B", reach, 0.0), point("D", 2 * middle - reach, 0.0)
+    # Guesses: B on the circle, D on the same line through O, the corners A and C beside the middle of both.
+    reach = 2 * CRANK * math.cos(START / 2)
+    middle = (reach + (ARM**2 - SIDE**2) / reach) / 2
+    beside = math.sqrt(ARM**2 - middle**2)
+    guesses = {"A": complex(middle, beside), "B": reach, "C": complex(middle, -beside), "D": 2 * middle - reach}
+    q = {}
+    for name, guess in guesses.items():
+        z = guess * cmath.exp(0.5j * START)
+        q[name] = m.coordinate(f"{name}_x", "m", start=z.real), m.coordinate(f"{name}_y", "m", start=z.imag)
+    A, B, C, D = (m.point(x, y) for x, y in q.values())
     crank = m.bar("crank", mass=0.8 * CRANK, length=CRANK, between=(centre, B))
     bars = {"OA": (O, A, ARM), "OC": (O, C, ARM)}
     bars |= {"AB": (A, B, SIDE), "BC": (B, C, SIDE), "CD": (C, D, SIDE), "DA": (D, A, SIDE)}
     for name, (first, second, length) in bars.items():
         m.bar(name, mass=0.8 * length, length=length, between=(first, second))
-    weight = m.body("weight", mass=2.0, pose=(D.x, D.y, 0.0))
-    m.tie(start, ca.atan2(B.y, B.x - CRANK))
+    weight = m.body("weight", mass=2.0, pose=(*q["D"], 0.0))
+    m.tie(start, ca.atan2(q["B"][1], q["B"][0] - CRANK))
     m.trace("B", crank.end)
     m.trace("D", weight.at(0, 0))
     m.gravity(0, -9.81)

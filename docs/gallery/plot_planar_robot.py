@@ -24,13 +24,16 @@ PERIOD = 2.0  # [s]
 # functions of CasADi work on expressions in time, and on numbers.
 
 
-def wanted(t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+Number = float | ca.SX
+
+
+def wanted(t: Number) -> tuple[Number, Number, Number]:
     """Place [m] and angle [rad] that the platform should have."""
     turn = 2 * ca.pi * t / PERIOD
     return 0.06 * ca.cos(turn), 0.06 * ca.sin(turn), 0.2 * ca.sin(turn)
 
 
-def arm_angle(k: int, x: ca.SX, y: ca.SX, angle: ca.SX) -> ca.SX:
+def arm_angle(k: int, x: Number, y: Number, angle: Number) -> Number:
     """Angle of the first link of arm k for a place and angle of the platform."""
     dx = x + PLATFORM * ca.cos(CORNERS[k] + angle) - BASE * math.cos(CORNERS[k])
     dy = y + PLATFORM * ca.sin(CORNERS[k] + angle) - BASE * math.sin(CORNERS[k])
