@@ -25,7 +25,8 @@ CYLINDER, ROD = (60.0, 5.0, 0.6), (30.0, 2.5, 0.6)  # mass [kg], inertia [kg.m2]
 # %%
 # The legs are declared at the general level: each by two angles and its length, with the kinetic and the potential
 # energy of cylinder and rod. Three constraints put its end to the platform, a body in space with Euler parameters.
-# The drive of a leg is a spring of 2e6 N/m with a damper along it.
+# The drive of a leg is a spring of 2e6 N/m with a damper along it. What is declared by energies has no body to draw, so
+# pictures are told of the legs.
 
 
 def wanted(t: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -57,6 +58,9 @@ def stewart_platform() -> Mechanism:
         goal = ca.norm_2(place + rotation(attitude) @ top - base)
         force = 2e6 * (goal - length) + 8e4 * (ca.jacobian(goal, m.time) - m.rate(length))
         m.generalized_force(length, force)
+        m.drawn_joint(f"foot{i}", base, kind="spherical")
+        m.drawn_joint(f"head{i}", base + length * along, kind="spherical")
+        m.drawn_bar(f"leg{i}", f"foot{i}", f"head{i}")
         m.output(f"leg{i}.length", length, "m", f"length of leg {i}")
         m.output(f"leg{i}.force", force, "N", f"force with which the drive of leg {i} pushes")
     m.gravity(0, 0, -9.81)
@@ -67,7 +71,7 @@ def stewart_platform() -> Mechanism:
 # At the start the legs yield a little under the platform's ton.
 
 mechanism = stewart_platform()
-result = simulate(mechanism, outputs=["platform.?", "platform.e?", "leg*", "monitor.*"])
+result = simulate(mechanism, outputs=["platform.?", "platform.e?", "leg*", "head*", "monitor.*"])
 fig, axes = plt.subplots(layout="constrained")
 for i in range(1, 7):
     axes.plot(result.time, result[f"leg{i}.force"] / 1e3, label=f"leg {i}")
