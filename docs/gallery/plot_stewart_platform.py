@@ -37,7 +37,7 @@ def wanted(t: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 def stewart_platform() -> Mechanism:
     m = Mechanism("stewart_platform", "A platform on six legs", experiment=Experiment(PERIOD, interval=0.02))
-    platform = m.spatial_body("platform", mass=1000.0, inertia=(400.0, 400.0, 700.0), position=(0.0, 0.0, HEIGHT))
+    platform = m.spatial_body("platform", mass=1000.0, inertia=(360.0, 360.0, 700.0), position=(0.0, 0.0, HEIGHT))
     place, attitude = wanted(m.time)
     for i, (base, top) in enumerate(zip(BASE, TOP, strict=True), 1):
         x, y, z = (float(each) for each in top - base + np.array([0, 0, HEIGHT]))
