@@ -128,6 +128,20 @@ class Output:
 
 
 @dataclass(frozen=True)
+class Trace:
+    """A point of a body that is watched: outputs of its place and velocity, and a path in pictures."""
+
+    name: str
+    marker: Marker | SpatialMarker
+    description: str
+
+    @property
+    def axes(self) -> str:
+        """The axes along which the point has outputs."""
+        return "xy" if isinstance(self.marker, Marker) else "xyz"
+
+
+@dataclass(frozen=True)
 class Point:
     """A point in ground axes given by expressions in the coordinates (natural coordinates)."""
 
@@ -327,6 +341,7 @@ class Mechanism:
     coordinates: list[Coordinate] = field(default_factory=list, init=False)
     inputs: list[Input] = field(default_factory=list, init=False)
     outputs: list[Output] = field(default_factory=list, init=False)
+    traces: list[Trace] = field(default_factory=list, init=False)
     bodies: list[Body] = field(default_factory=list, init=False)
     joints: list[Joint] = field(default_factory=list, init=False)
     spatial_bodies: list[SpatialBody] = field(default_factory=list, init=False)
@@ -489,6 +504,15 @@ class Mechanism:
         text(f"{self.name}: the description of {name}", description)
         expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
         self.outputs.append(Output(name, expression, unit, description))
+
+    def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
+        """Watch a point of a body: outputs `<name>.x`, `.y` [m] and `.vx`, `.vy` [m/s] in ground axes, in space also
+        `.z` and `.vz`. Pictures show the point, and films the path behind it.
+        """
+        self._claim(name, "m", "a trace")
+        text(f"{self.name}: the description of {name}", description)
+        self._own((marker,), f"trace {name}")
+        self.traces.append(Trace(name, marker, description))
 
     # Bodies -----------------------------------------------------------------------------------------------------
 

@@ -214,6 +214,7 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) 
     """
     m, number = mechanism, _evaluator(mechanism, parameters or {})
     places = [o.name for o in m.outputs if o.unit == "m"]
+    places += [f"{trace.name}.{axis}" for trace in m.traces for axis in trace.axes]
     dots = tuple(name[:-2] for name in places if name.endswith(".x") and f"{name[:-2]}.y" in places)
     plane = Shapes(m.name, m.description, *_in_plane(m, number), dots)
     if m.spatial_bodies or m.drawn_joints or any(f"{dot}.z" in places for dot in dots):
@@ -233,7 +234,8 @@ def _in_plane(
 
     joints = tuple(Hinge(j.name, j.kind, anchor(j.first), anchor(j.second)) for j in m.joints)
     joints += tuple(_pins(m, joints, anchor, number))
-    guides = tuple(_guide(j, anchor, number) for j in m.joints if j.kind in ("prismatic", "point_on_line"))
+    guided = [j for j in m.joints if j.kind in ("prismatic", "point_on_line") and not _telescopes(j)]
+    guides = tuple(_guide(j, anchor, number) for j in guided)
     ties = [Tie(j.name, "rod", j.first, j.second) for j in joints if j.kind == "distance"]
     for spring in m.springs:
         between = spring.between
@@ -250,6 +252,9 @@ def _in_plane(
     for pair in (*joints, *ties):
         for at in (pair.first, pair.second):
             fixed.setdefault(at.body, []).append(at)
+    for trace in m.traces:
+        if isinstance(trace.marker, Marker):
+            fixed.setdefault(trace.marker.body.name, []).append(anchor(trace.marker))
     blocks = {g.rider.body for g in guides if g.block is not None}
     links = []
     for body in m.bodies:
@@ -423,6 +428,11 @@ def _given(m: Mechanism, name: str, value: Any) -> float:
         return float(value)
     except (TypeError, ValueError):
         raise InputError(f"{m.name}: {name} is {value!r}; it must be a number") from None
+
+
+def _telescopes(joint: Joint) -> bool:
+    """Whether a joint slides one bar along another, as in a cylinder, so that the bars themselves show it."""
+    return joint.kind == "prismatic" and None not in (joint.first.body.length, joint.second.body.length)
 
 
 def _guide(joint: Joint, anchor: Callable[[Marker], Anchor], number: Callable[[Scalar], float]) -> Guide:
