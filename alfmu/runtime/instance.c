@@ -1142,20 +1142,16 @@ static Outcome covered(Instance *i, double end, double dt)
     pace[PACE_LAST] = 0.0;
     pace[PACE_FIXED] = method(i) == 2 ? dt : 0.0;
     while (*time < end) {
-        const long tries = i->flags.brakes ? 1 : i->left;
         if (i->left <= 0)
             return too_much(i);
-        i->left -= tries;
         if (i->flags.brakes)
             hold(i);
-        if (cover(i, end, tries))
+        if (cover(i, end, i->flags.brakes ? 1 : i->left))
             continue;
         if (i->ended)
             return interrupted(i);
         if (method(i) == 1 && field(i, s->after)[s->near] != 0.0) {
-            Outcome outcome;
-            i->left = MOST_STEPS;
-            outcome = subdivided(i, *time, i->values[s->step_size]);
+            const Outcome outcome = subdivided(i, *time, i->values[s->step_size]);
             if (outcome != DONE)
                 return outcome;
         }

@@ -187,7 +187,7 @@ int cover(Instance *i, double end, long tries)
     double until = -INFINITY;
     int stuck = 0;
     pace[PACE_END] = end;
-    for (; m[s->z + s->time] < end && tries != 0; tries--) {
+    for (; m[s->z + s->time] < end && tries != 0 && i->left > 0; tries--, i->left--) {
         if (ended(i))
             return 0;
         try_step(i);
