@@ -1,4 +1,7 @@
-"""Builds the C library of the runtime with the package; everything else about it is in pyproject.toml."""
+"""Builds the C library of the runtime with the package; everything else about it is in pyproject.toml.
+
+The one for browsers (`alfmu live`) is built with it where there is zig, which the build asks for.
+"""
 
 import importlib.util
 import sys
@@ -28,6 +31,8 @@ class BuildRuntime(build_ext):
         builder, path = _builder(), Path(self.get_ext_fullpath(extension.name))
         path.parent.mkdir(parents=True, exist_ok=True)
         builder.build(builder.HERE, path)
+        if builder.zig():
+            builder.build(builder.WEB, path.with_name(builder.file_name(builder.WEB)))
 
 
 setup(

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import re
+import shlex
 import signal
 import sys
 import threading
@@ -43,6 +44,13 @@ STEP = ("--communication-step", "--step")
 
 SHELLS = ("bash", "zsh", "fish", "powershell")
 """Shells whose completion argcomplete knows."""
+_DRAW = """What --at gives holds when the loops are closed; other start values are kept where that is possible, and are
+guesses otherwise. Names of coordinates: `alfmu info NAME`."""
+
+_LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
+the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
+of a start value begins again, and so does dragging a body, which sets start values. --set gives what the page begins
+with."""
 
 _NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
 
@@ -165,6 +173,22 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
     )
     _add_scene(sub)
 
+    sub = command("draw", _draw, "draw a mechanism where it starts, before anything is simulated (PNG or SVG)")
+    sub.epilog = _DRAW
+    _add_name(sub, "mechanism", "NAME|FILE", _EITHER_HELP)
+    sub.add_argument("-o", "--output", metavar="FILE", help=".png or .svg (default: NAME.png here)")
+    sub.add_argument(
+        "--at",
+        metavar="COORD=VALUE",
+        action="append",
+        type=_pair,
+        default=[],
+        help="draw it where a start value or a coordinate is this [rad or m]; may be given many times",
+    )
+    sub.add_argument("--size", metavar="WxH", type=_size, help="width and height in pixels (default: 640x480)")
+    _add_option(sub)
+    _add_set(sub)
+
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
     _add_name(sub, "mechanism", "NAME", _EITHER_HELP)
@@ -235,6 +259,13 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
     sub.add_argument("--speed", type=float, default=1.0, help="times real time (default: %(default)g)")
     _add_option(sub)
     _add_set(sub)
+
+    sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
+    sub.epilog = _LIVE
+    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
+    sub.add_argument("-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME.html here)")
+    sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)")
+    _add_scene(sub)
 
     sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
     _add_study(sub, "report.md, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
@@ -320,7 +351,7 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
 def _changed(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
     """A recipe with what the command line says of its scene."""
     of_scene = ("outputs", "freeze", "lock", "release", "compliances")
-    own = {name: getattr(chosen, name) for name in of_scene}
+    own = {name: getattr(chosen, name, None) for name in of_scene}
     return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
 
 
@@ -339,7 +370,7 @@ def _equations(recipe: Recipe, mechanism: Mechanism) -> Equations:
 
     equations = with_defaults(derive(mechanism), recipe.parameters)
     own = recipe.parameters
-    for v in (v for v in equations.starts if v.unit == "rad" and v.name in own):
+    for v in (v for v in (*equations.starts, *equations.parameters) if v.unit == "rad" and v.name in own):
         perhaps_degrees(f"{equations.name}: {v.name}", v.start)
     for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
         perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
@@ -382,6 +413,13 @@ def _pair(text: str) -> tuple[str, float | str]:
         return name, value
 
 
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT in pixels, such as 800x600")
+    return int(found[1]), int(found[2])
+
+
 # Commands ------------------------------------------------------------------------------------------------------------
 
 
@@ -412,6 +450,18 @@ def _info(chosen: argparse.Namespace) -> None:
         from .fmi.sizes import sizes
 
         print("\n" + "\n".join(sizes(mechanism, recipe.parameters, recipe.outputs, recipe.freeze)))
+
+
+def _draw(chosen: argparse.Namespace) -> None:
+    from .view.picture import SIZE, check_drawing, drawing
+
+    path = Path(chosen.output or f"{_file_name(Path(chosen.mechanism).stem)}.png")
+    check_drawing(path)
+    recipe = _recipe(chosen, chosen.mechanism)
+    drawn = drawing(recipe.declared(), dict(chosen.at), recipe.parameters, chosen.size or SIZE)
+    said = _wrote(path)
+    drawn.save(path)
+    print(said)
 
 
 def _export(chosen: argparse.Namespace) -> None:
@@ -547,6 +597,7 @@ def _between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[
                     raise KeyboardInterrupt
                 yield step
 
+    checked.ended = lambda: bool(asked)  # type: ignore[attr-defined]
     with _signals(ask, signal.SIGINT, signal.SIGTERM):
         yield checked
 
@@ -623,6 +674,41 @@ def _animate(chosen: argparse.Namespace) -> None:
     said = _wrote(path)
     animate(shown, result, path, **how)
     print(said)
+
+
+def _scene_options(chosen: argparse.Namespace) -> list[str]:
+    """What was said of a scene, as options of the command line."""
+    said = [
+        text
+        for name in ("option", "set")
+        for key, value in getattr(chosen, name)
+        for text in (f"--{name}", f"{key}={value}")
+    ]
+    for name in ("outputs", "freeze", "lock", "release"):
+        if (names := getattr(chosen, name)) is not None:
+            said += [f"--{name}", ",".join(names)]
+    if chosen.compliances is not None:
+        said += ["--compliances" if chosen.compliances else "--no-compliances"]
+    return said
+
+
+def _live(chosen: argparse.Namespace) -> None:
+    from .equations.specialisation import specialised
+    from .view.live import live, needed, written_by_alfmu
+
+    recipe = _recipe(chosen, chosen.mechanism).changed(communication_step=chosen.step)
+    mechanism = recipe.declared()
+    path = Path(chosen.output or f"{_file_name(mechanism.name)}.html")
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path} cannot hold a page; its name must end in .html")
+    if path.exists() and not chosen.output and not written_by_alfmu(path):
+        raise InputError(f"{path} is there and was not written by alfmu live; name another file with -o, or remove it")
+    outputs = None if recipe.outputs is None else [*recipe.outputs, *needed(mechanism)]
+    equations = specialised(_equations(recipe, mechanism), outputs, recipe.freeze)
+    said = _wrote(path)
+    source = shlex.join([Path(chosen.mechanism).name, *_scene_options(chosen)])
+    live(mechanism, equations, path, parameters=recipe.parameters, source=source)
+    print(f"{said} ({path.stat().st_size / 1000:.0f} kB); open it in a browser")
 
 
 def _report(chosen: argparse.Namespace) -> None:

@@ -227,7 +227,7 @@ class Result:
     def _drawing(self) -> Any:
         """How the mechanism is drawn, as data; None where it is not known, or cannot be drawn."""
         from .view.drawing import as_data
-        from .view.picture import geometry
+        from .view.shapes import geometry
 
         try:
             declared = self._shown()

@@ -200,6 +200,8 @@ def _in_one_call(
         for _ in range(done - passed):
             next(shown, None)
         passed = done
+        if getattr(progress, "ended", bool)():  # within a long communication step
+            raise KeyboardInterrupt
         return True
 
     values, ended = unit.run(times, inputs, table, names, show)

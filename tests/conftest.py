@@ -1,7 +1,9 @@
-"""Fixtures shared by the tests: FMUs exported once a session."""
+"""Fixtures shared by the tests: FMUs exported once a session, a browser."""
 
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -36,3 +38,32 @@ def distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[s
         monkeypatch.syspath_prepend(tmp_path)
 
     return install
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    """A Chromium without a window, as a driver of Selenium; `get_log("browser")` has what pages say on the console.
+
+    It draws WebGL by software and asks for reduced motion, so that films wait to be started. Tests that ask for it are
+    skipped where there is no Chromium.
+    """
+    program, driver = shutil.which("chromium") or shutil.which("chromium-browser"), shutil.which("chromedriver")
+    if not program or not driver:
+        pytest.skip("there is no Chromium with its driver here")
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    quiet = ("quic", "background-networking", "component-update", "sync", "dev-shm-usage")
+    for argument in (
+        *("headless=new", "no-sandbox", "no-first-run", "window-size=640,620", "force-prefers-reduced-motion"),
+        *("use-angle=swiftshader", "enable-unsafe-swiftshader"),
+        *(f"disable-{what}" for what in quiet),
+    ):
+        options.add_argument(f"--{argument}")
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    browser = webdriver.Chrome(options=options, service=Service(driver))
+    browser.set_script_timeout(120)  # s: frames come late where the machine has much else to do
+    yield browser
+    browser.quit()

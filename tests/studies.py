@@ -1,10 +1,21 @@
-"""What tests of reports share: CSV files, the tables of a Markdown file, and whether these show those."""
+"""What tests of reports share: scripts as modules, CSV files, the tables of a Markdown file, and whether these show
+those."""
 
 import csv
 import re
+from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
+
+
+def script(name: str) -> Iterator[ModuleType]:
+    """A script as a module, beside what it imports; for a fixture."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(Path(__file__).parents[1] / "scripts"))
+        yield import_module(name)
 
 
 def rows(folder: Path, name: str) -> list[dict[str, str]]:

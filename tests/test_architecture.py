@@ -21,7 +21,7 @@ ROOMS: dict[str, set[str]] = {
     "oracle": {"equations", "kernel", "method", "model", "runtime"},
     "result": {"equations", "files", "model"},
     "simulation": {"equations", "kernel", "model", "oracle", "result", "runtime"},
-    "view": {"equations", "files", "model", "result", "runtime", "simulation"},
+    "view": {"equations", "files", "kernel", "model", "result", "runtime", "simulation"},
     "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation"},
     "cli": {"equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "view"},

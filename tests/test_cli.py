@@ -82,6 +82,26 @@ def test_another_distribution_can_register_a_mechanism(here, distribution, capsy
     assert main(["validate", "p.fmu"]) == 0
 
 
+@pytest.mark.parametrize(
+    ("module", "says"),
+    [
+        (
+            "from alfmu import Mechanism\n\n\ndef broken():\n    m = Mechanism('broken')\n    return m.nothing\n",
+            "line 6: Attr",
+        ),
+        ("import alfmu\n\nlost = alfmu.nothing\n", "line 3: Attr"),
+    ],
+)
+def test_what_a_registered_mechanism_raises_is_said_with_its_line(here, distribution, capsys, module, says):
+    name = "their_broken" if "def" in module else "their_lost"
+    distribution(name, module, f"[alfmu.mechanisms]\nbroken = {name}:broken\n")
+    for command in (["info", "broken"], ["simulate", "broken"], ["export", "broken", "-o", "x.fmu"]):
+        assert main(command) == 1
+        err = capsys.readouterr().err
+        assert err.count("\n") == 1
+        assert re.search(rf"broken: \S*{name}.py, {says}ibuteError: ", err)
+
+
 def test_options_parameters_and_inputs_reach_the_run(here):
     (here / "in.csv").write_text("time,A.torque\n0,1\n0.5,2\n1,2\n")
     arguments = ["simulate", "slider_crank", "--option", "coordinates=joint", "--set", "b=0.1", "--input", "in.csv"]

@@ -320,6 +320,7 @@ def test_a_mass_is_not_negative_later_either():
 HINTS = [
     ('m.coordinate("x", start=30.0, independent=True)', "start.x is 30 rad, 4.8 turns; if degrees .* give 0.523599"),
     ('m.start("x", -90.0)', "start.x is -90 rad"),
+    ('m.parameter("p", 90.0, "rad")', "the default of p is 90 rad, 14.3 turns; if degrees were meant, give 1.5708"),
     ('m.parameter("p", 500.0, "m")', "the default of p is 500 m; if millimetres were meant, give 0.5"),
     ('m.bar("b", mass=1.0, length=120.0)', "the length of b is 120 m"),
     ("m.force(rod.at(350.0, 0.0), 1.0)", r"a point of rod that force\(\) uses is 350 m"),
@@ -409,6 +410,28 @@ def test_a_loop_that_closes_in_another_configuration_is_warned_of():
         i.initialize()
     assert i.get("b.z") == pytest.approx(-1.0)
     assert i.moved == pytest.approx({"b": 2.0})
+
+
+def test_an_assembly_on_the_other_side_of_the_guess_is_warned_of_where_it_is_the_only_one():
+    """A body whose height is guessed at 1 m, and which only closes at -1 m; a short way is none."""
+    for guess, way in ((1.0, 2.0), (-0.2, 0.8), (0.1, 0.2)):
+        m = alfmu.Mechanism("under")
+        x = m.coordinate("x", "m", independent=True)
+        y = m.coordinate("y", "m", start=guess)
+        m.body("b", mass=1.0, pose=(x, y, 0.0))
+        m.constraint("depth", y + (1.0 if way > 0.2 else 0.1))
+        i = alfmu.Instance(m)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            i.initialize()
+        said = [str(each.message) for each in told]
+        assert i.moved == pytest.approx({"b": way})
+        if guess < 1.0:
+            assert said == []
+            continue
+        assert said[0].startswith(
+            "under: the loops closed 2 (m and rad) from the guess, where y is -1 m instead of 1, and"
+        )
 
 
 def test_an_assembly_at_its_guess_says_nothing():

@@ -1,20 +1,13 @@
 """Random parameters, starts and inputs: no run is wrong in silence, and with error control none is wrong."""
 
-from pathlib import Path
-
 import pytest
-
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+from studies import script
 
 
 @pytest.fixture(scope="module")
 def study():
     """The script as a module."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(SCRIPTS))
-        import draw_study
-
-        yield draw_study
+    yield from script("draw_study")
 
 
 @pytest.mark.parametrize("name", ["particle_on_circle", "slider_crank", "four_bar"])

@@ -23,7 +23,7 @@ import alfmu
 from alfmu import cli, files, oracle
 from alfmu.cli import main
 from alfmu.fmi.drive import Fmu, validate
-from alfmu.simulation import communication_points, run
+from alfmu.simulation import communication_points, prepared, run, with_defaults
 from alfmu.view.drawing import as_data, from_data
 from alfmu.view.picture import geometry
 
@@ -322,6 +322,28 @@ def test_an_interrupt_ends_a_run_of_the_library_where_it_is():
             "slider_crank", 100.0, 0.1, parameters={"solver.method": "rk4", "solver.step_size": 1e-4}, progress=progress
         )
     assert 4 < len(ended.value.result.time) < 1001
+
+
+@pytest.mark.parametrize("method", ["rk4", "explicit"])
+def test_an_interrupt_ends_a_communication_step_that_takes_long(method):
+    """One of 900 s, which many thousand internal steps make; the state is the one before it."""
+    given = {"solver.method": method, "solver.step_size": 1e-3, "solver.relative_tolerance": 1e-12}
+    i = alfmu.Instance(prepared(with_defaults(alfmu.derive(alfmu.load("five_bar")), given), "vm"))
+    asked = []
+
+    def progress(done: int) -> None:
+        asked.append(done)
+        raise KeyboardInterrupt
+
+    values, error = i.run(np.array([0.0, 900.0]), [], np.empty((2, 0)), ["link1.angle"], progress)
+    assert isinstance(error, KeyboardInterrupt)
+    assert asked == [0]
+    assert len(values) == 1
+    assert i.time == 0.0
+    angle = i.get("link1.angle")
+    assert angle == values[0, 0]
+    i.step(0.02)
+    assert 0 < abs(i.get("link1.angle") - angle) < 0.1
 
 
 # Rows -------------------------------------------------------------------------------------------------------------

@@ -14,6 +14,8 @@ from scenes import derived, made, sampled
 
 import alfmu
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.memory import SETTINGS
+from alfmu.method.singular import LEAST_DISTANCE
 from alfmu.model.settings import METHODS
 from alfmu.simulation import prepared, run, with_defaults
 
@@ -42,6 +44,21 @@ def test_the_tolerance_is_held_through_singular_positions(method, tolerance):
         i.step(times[k] - times[k - 1])
         assert abs(i.q[0] - exact[k]) <= 10 * tolerance
     assert i.counters.energy_error <= 100 * tolerance
+    assert i.counters.refused <= 5
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_the_distance_of_places_has_a_wide_margin(factor):
+    """Half and twice `LEAST_DISTANCE`: `stiff` at 1e-9 refuses as few steps through singular positions."""
+    i = chosen("four_bar", "stiff", solver__relative_tolerance=1e-9)
+    distance = i.memory["k"][SETTINGS.index("least_distance") :][:1]
+    assert distance == LEAST_DISTANCE
+    distance *= factor
+    i.set("A.torque", 4.0)
+    exact = FOUR_BAR.driven(0.0, 2.0, np.array([0.0, 3.0]), 4.0)[-1, 0]
+    i.step(3.0)
+    assert distance == factor * LEAST_DISTANCE
+    assert abs(i.q[0] - exact) <= 1e-8
     assert i.counters.refused <= 5
 
 

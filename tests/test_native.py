@@ -14,7 +14,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from scenes import derived, double_pendulum, sampled
+from scenes import by_rk4, derived, double_pendulum, sampled
 
 import alfmu
 from alfmu.cli import main
@@ -146,7 +146,8 @@ def test_variables_are_those_of_the_python_fmu(built, exported, name):
         assert (here.name, here.valueReference, here.causality) == (there.name, there.valueReference, there.causality)
         assert (here.type, items[int(here.start) - 1].name) == ("Enumeration", there.start)
         assert all(item.description == CHOICES[here.name][item.name] for item in items)
-        carried = {"solver.formulation": [*FORMULATIONS], "solver.branch": [*BRANCHES], "solver.method": ["rk4"]}
+        carried = {"solver.formulation": [*FORMULATIONS], "solver.branch": [*BRANCHES]}
+        carried["solver.method"] = ["rk4", "auto"]
         assert [item.name for item in items] == carried[here.name]
     follow = [{u.variable.name: [v.name for v in u.dependencies] for u in d.outputs} for d in described]
     assert follow[0] == follow[1]
@@ -198,9 +199,10 @@ def test_what_is_left_out_and_frozen(built):
 
 
 def test_a_step_is_refused_in_the_words_of_the_library_and_nothing_is_lost(built):
-    instance = alfmu.Instance(prepared(derived("four_bar")))
+    instance = alfmu.Instance(prepared(by_rk4("four_bar")))
     with Fmu(built("four_bar")) as fmu:
         for unit in (instance, fmu):
+            unit.set("solver.method", "rk4")
             unit.set("start.angle", 0.5)
             unit.initialize()
             unit.step(0.02, 0.0)
@@ -372,7 +374,7 @@ def locked_slider_crank() -> alfmu.Mechanism:
 
 
 def test_past_inputs_through_events_refused_steps_states_and_resets(built):
-    given = {"solver.input_order": 2}
+    given = {"solver.method": "rk4", "solver.input_order": 2}
     library = alfmu.Instance(prepared(with_defaults(alfmu.derive(locked_slider_crank()), given)))
     layout, path = library.layout, built(locked_slider_crank(), "past", parameters=given)
     with Fmu(path) as fmu, Fmu(path) as other:
@@ -404,7 +406,7 @@ def test_past_inputs_through_events_refused_steps_states_and_resets(built):
 
 def test_past_inputs_where_the_host_looks_and_returns_early(built, slave):
     """Points between internal steps are no communication points; where the host returned, the next one is."""
-    path = built("slider_crank", "fmi3_past", fmi=3, parameters={"solver.input_order": 2})
+    path = built("slider_crank", "fmi3_past", fmi=3, parameters={"solver.method": "rk4", "solver.input_order": 2})
     asked = []
 
     def look(environment, time, set_requested, get_allowed, finished, can_return, wanted, until):
@@ -444,6 +446,7 @@ def test_derivatives_by_the_host_come_before_past_inputs(built):
         ]
         motion = [i for i, v in enumerate(fmu.outputs) if v.name.endswith((".angle", ".angular_velocity", ".vx"))]
         for unit in (fmu, held):
+            unit.set("solver.method", "rk4")
             unit.initialize()
         for k in range(50):
             torque, force = np.sin(5 * k * h), np.cos(3 * k * h)

@@ -96,7 +96,7 @@ def test_choices_are_enumerations_of_what_the_fmu_has(made, fmi):
     assert found == {
         "solver.formulation": [*FORMULATIONS],
         "solver.branch": ["continue", "paper"],
-        "solver.method": ["rk4"],
+        "solver.method": ["rk4", "auto"],
     }
     with Fmu(path) as by_name, Fmu(path) as by_number, Fmu(path) as other:
         by_name.set("solver.branch", "paper")

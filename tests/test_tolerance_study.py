@@ -1,22 +1,15 @@
 """Tolerances are held on every mechanism, by the script that measures it over whole runs; and its files."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from studies import prose, rows, tables, untraced
-
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+from studies import prose, rows, script, tables, untraced
 
 
 @pytest.fixture(scope="module")
 def study():
     """The script as a module."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(SCRIPTS))
-        import tolerance_study
-
-        yield tolerance_study
+    yield from script("tolerance_study")
 
 
 @pytest.mark.parametrize(

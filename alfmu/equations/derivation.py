@@ -396,6 +396,9 @@ def derive(mechanism: Mechanism) -> Equations:
     for joint in m.spatial_joints:
         if joint.kind == "revolute":
             wrapped[f"{joint.name}.angle"] = _tied_start(m, joint.free)
+    traced_values, traced_outputs = _traces(m, plain, q, v)
+    values += traced_values
+    outputs += traced_outputs
     values += ca.vertsplit(lam)
     for i, row in enumerate(rows):
         force = "N" if row.unit == "m" else "N.m"  # times the row it is work
@@ -849,6 +852,23 @@ def _spatial_outputs(
                 "N.m",
                 f"moment along {{}} on {pair}, about the joint's point on {joint.second.body.name}",
             )
+    return values, outputs
+
+
+def _traces(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+    """Place and velocity of every point that is watched."""
+    values: list[ca.SX] = []
+    outputs: list[Variable] = []
+    for trace in m.traces:
+        marker = trace.marker
+        place = ca.vertcat(*kinematics.place(marker)) if isinstance(marker, Marker) else marker.place
+        what = trace.description or f"{trace.name}, a point of {marker.body.name},"
+        for letter, unit, word, vector in (("", "m", "place", place), ("v", "m/s", "velocity", ca.jtimes(place, q, v))):
+            for axis, x in zip(trace.axes, ca.vertsplit(vector), strict=True):
+                values.append(x)
+                outputs.append(
+                    Variable(f"{trace.name}.{letter}{axis}", unit, description=f"{word} of {what} along {axis}")
+                )
     return values, outputs
 
 

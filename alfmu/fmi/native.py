@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,12 +9,12 @@ from pathlib import Path
 from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings
-from ..files import write
 from ..kernel.alternatives import formulations
 from ..model.errors import ExportError
 from ..model.settings import Settings
 from ..runtime import build
-from ..runtime.build import HERE, PLATFORMS, file_name
+from ..runtime.build import PLATFORMS, file_name
+from ..runtime.shipped import library, there
 
 __all__ = ["PLATFORMS", "checked", "file_name", "libraries", "libraries_in", "platforms", "sources"]
 
@@ -40,7 +39,7 @@ def sources() -> dict[str, str]:
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:
     """Names of platforms: those that alfmu came with where none is asked for; `all` stands for every one."""
-    names = list(names) or [name for name in PLATFORMS if _there(name).is_file()]
+    names = list(names) or [name for name in PLATFORMS if there(name).is_file()]
     names = list(PLATFORMS) if names == ["all"] else names
     if unknown := [name for name in names if name not in PLATFORMS]:
         raise ExportError(
@@ -51,7 +50,7 @@ def platforms(scene: str, names: Iterable[str]) -> list[str]:
 
 def libraries(scene: str, names: Iterable[str]) -> dict[str, bytes]:
     """The library of each platform, with which alfmu came or which zig builds now."""
-    return {name: (_there(name) if _there(name).is_file() else _built(scene, name)).read_bytes() for name in names}
+    return {name: library(name, scene) for name in names}
 
 
 def libraries_in(path: Path, kind: str) -> list[str]:
@@ -62,26 +61,3 @@ def libraries_in(path: Path, kind: str) -> list[str]:
     if kind == "python":  # its binaries are pythonfmu's
         return [name for name in PLATFORMS if f"resources/{file_name(name)}" in files]
     return [name for name, platform in PLATFORMS.items() if folders & {name, platform.fmi3}]
-
-
-def _there(name: str) -> Path:
-    return Path(build.__file__).with_name(file_name(name))
-
-
-def _built(scene: str, name: str) -> Path:
-    """The library of another platform, kept in the user's cache under a hash of its sources and one of its own."""
-    from platformdirs import user_cache_path
-
-    identity = hashlib.sha256("\0".join([name, *build.FLAGS, *sources().values()]).encode()).hexdigest()[:32]
-    path = user_cache_path("alfmu", appauthor=False) / f"runtime_{identity}{PLATFORMS[name].suffix}"
-    proof = path.with_suffix(".sha256")
-    if path.is_file() and proof.is_file() and proof.read_text() == hashlib.sha256(path.read_bytes()).hexdigest():
-        return path
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        build.build(name, path)
-        write(proof, hashlib.sha256(path.read_bytes()).hexdigest().encode())
-    except (OSError, RuntimeError) as error:
-        where = "" if name == HERE else f" for {name}"
-        raise ExportError(f"{scene}: the runtime{where} cannot be built ({error}); leave the platform out") from error
-    return path

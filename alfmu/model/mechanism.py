@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Sequence
+import warnings
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
+from importlib import import_module
+from pathlib import Path
 from typing import Any, Generic, Never, Self, TypeVar, overload
 
 import casadi as ca
@@ -37,6 +40,12 @@ DIRECTIONS: dict[str, tuple[str, ...]] = {
     "distance": ("length",),
 }
 """The relative displacements that each kind of joint suppresses, in the order of its constraint rows."""
+
+DRAWN = ("", "revolute", "cylindrical", "prismatic", "spherical")
+"""Kinds of joints that pictures show of what is declared at the general level; the first is none."""
+
+QUICK = 100
+"""Coordinates up to which a notebook draws a mechanism that it shows: a second, or less."""
 
 CONSTANT = ("parameters",)
 PLACE = (*CONSTANT, "coordinates")
@@ -116,6 +125,20 @@ class Output(Brief):
     expression: ca.SX
     unit: str
     description: str
+
+
+@dataclass(frozen=True, repr=False)
+class Trace(Brief):
+    """A point of a body that is watched: outputs of its place and velocity, and a path in pictures."""
+
+    name: str
+    marker: Marker | SpatialMarker
+    description: str
+
+    @property
+    def axes(self) -> str:
+        """The axes along which the point has outputs."""
+        return "xy" if isinstance(self.marker, Marker) else "xyz"
 
 
 @dataclass(frozen=True, repr=False)
@@ -251,6 +274,26 @@ class Load(Brief):
     torque: Scalar
 
 
+@dataclass(frozen=True, repr=False)
+class DrawnJoint(Brief):
+    """A joint or point that pictures show of what is declared at the general level; it moves nothing."""
+
+    name: str
+    kind: str
+    at: tuple[Scalar, ...]
+    axis: tuple[Scalar, ...] | None
+    outputs: tuple[str, ...]
+    """Names of the outputs that tell its place, then its axis; none where it stands still."""
+
+
+@dataclass(frozen=True, repr=False)
+class DrawnBar(Brief):
+    """A bar that pictures show through drawn joints."""
+
+    name: str
+    joints: tuple[str, ...]
+
+
 @dataclass(frozen=True)
 class Experiment:
     """What a run of the mechanism looks like when nobody says otherwise."""
@@ -361,6 +404,12 @@ class Mechanism:
     """Potential energies at the general level."""
     generalized = _Parts[tuple[ca.SX, Scalar]]()
     """Coordinates and generalised forces along them."""
+    traces = _Parts[Trace]()
+    """Points of bodies that are watched."""
+    drawn_joints = _Parts[DrawnJoint]()
+    """Joints that pictures show of a mechanism whose bodies are energies alone."""
+    drawn_bars = _Parts[DrawnBar]()
+    """Bars between them."""
     gravity_vector: Vector = field(default=(0.0, 0.0, 0.0), init=False)
     documentation: str = field(default="", init=False)
     options: dict[str, Any] = field(default_factory=dict, init=False)
@@ -416,6 +465,8 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{low}, {high}]")
         if unit == "m":
             perhaps_millimetres(f"{self.name}: the default of {name}", default)
+        elif unit == "rad":
+            perhaps_degrees(f"{self.name}: the default of {name}", default)
         text(f"{self.name}: the description of {name}", description)
         Mechanism.parameters.of(self).append(Parameter(name, symbol, default, unit, low, high, description))
         return self._stands_for(symbol, "parameters", f"the parameter {name}", unit)
@@ -517,6 +568,15 @@ class Mechanism:
         text(f"{self.name}: the description of {name}", description)
         expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
         Mechanism.outputs.of(self).append(Output(name, expression, unit, description))
+
+    def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
+        """Watch a point of a body: outputs `<name>.x`, `.y` [m] and `.vx`, `.vy` [m/s] in ground axes, in space also
+        `.z` and `.vz`. Pictures show the point, and films the path behind it.
+        """
+        self._claim(name, "m", "a trace")
+        text(f"{self.name}: the description of {name}", description)
+        self._own((marker,), f"trace {name}")
+        Mechanism.traces.of(self).append(Trace(name, marker, description))
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
@@ -750,6 +810,92 @@ class Mechanism:
     def friction(self, joint: AnyJoint, coefficient: Scalar) -> None:
         """Viscous friction in a joint [N.m.s/rad or N.s/m]."""
         self.spring_damper(joint, damping=coefficient)
+
+    # Pictures ---------------------------------------------------------------------------------------------------
+
+    def drawn_joint(
+        self,
+        name: str,
+        at: Sequence[Scalar] | ca.SX,
+        *,
+        kind: str = "",
+        axis: Sequence[Scalar] | ca.SX | None = None,
+    ) -> None:
+        """What pictures show at a place (3,) [m] in ground axes: for mechanisms whose bodies are energies alone.
+
+        `kind` is "revolute", "cylindrical" or "prismatic", with the direction `axis` (3,); "spherical"; or "" for an
+        end of a bar.
+        Where they move, the outputs `<name>.x` ... and `<name>.axis.x` ... tell the place and the axis.
+        """
+        if kind not in DRAWN:
+            raise DeclarationError(f"{self.name}: {name} is drawn as {shown(kind)}; take one of {in_words(DRAWN[1:])}")
+        if (axis is None) != (kind in ("", "spherical")):
+            what = "needs an axis" if axis is None else "has no axis"
+            raise DeclarationError(f"{self.name}: {name}, drawn as {kind or 'an end'}, {what}")
+        if name in (joint.name for joint in self.drawn_joints):
+            raise DeclarationError(f"{self.name}: {name} is drawn twice; give each joint its own name")
+        place = self._vector(f"the place of {name}", at, ("m",) * 3, PLACE)
+        along = None if axis is None else self._vector(f"the axis of {name}", axis, ("1",) * 3, PLACE)
+        parts = {f"{name}.{k}": (x, "m", f"place of {name} along {k}") for k, x in zip("xyz", place, strict=True)}
+        for k, x in zip("xyz", along or (), strict=False):
+            parts[f"{name}.axis.{k}"] = x, "1", f"direction of the axis of {name} along {k}"
+        kinds = {self._symbols[key_of(s)].kind for x in (*place, *(along or ())) for s in symbols_in(x)}
+        if moves := "coordinates" in kinds:
+            for output, (expression, unit, description) in parts.items():
+                self.output(output, expression, unit, description)
+        Mechanism.drawn_joints.of(self).append(DrawnJoint(name, kind, place, along, tuple(parts) if moves else ()))
+
+    def drawn_bar(self, name: str, *joints: str) -> None:
+        """A bar in pictures, through two or more drawn joints by their names."""
+        known = [joint.name for joint in self.drawn_joints]
+        if len(joints) < 2:
+            raise DeclarationError(f"{self.name}: {name} is drawn through {len(joints)} joints; give two or more")
+        for joint in joints:
+            if joint not in known:
+                raise DeclarationError(f"{self.name}: {name} is drawn through {joint}; {there_is(joint, known)}")
+        Mechanism.drawn_bars.of(self).append(DrawnBar(name, joints))
+
+    def draw(
+        self,
+        path: str | Path | None = None,
+        *,
+        at: Mapping[str, float] | None = None,
+        parameters: Mapping[str, float] | None = None,
+        size: tuple[int, int] = (640, 480),
+    ) -> Any:
+        """The picture of the mechanism at its start, before anything is simulated; written to `path` (PNG or SVG) too.
+
+        `at` gives values [rad, m] of start quantities or coordinates that it is drawn at, `parameters` changes
+        defaults, `size` is in pixels. Returns a `Drawing`, which notebooks show. Raises AlfmuError where there is no
+        start.
+        """
+        drawn = self._picture().drawing(self, at, parameters, size)
+        if path is not None:
+            drawn.save(path)
+        return drawn
+
+    def _repr_svg_(self) -> str | None:
+        """What notebooks show; nothing, in silence, of a declaration that is not finished or cannot start."""
+        return self._shown("_repr_svg_")
+
+    def _repr_png_(self) -> bytes | None:
+        return self._shown("_repr_png_")
+
+    def _shown(self, how: str) -> Any:
+        """The drawing as a notebook asks for it, None where there is none or where it would take long."""
+        if len(self.coordinates) > QUICK:
+            return None
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                return getattr(self.draw(), how)()
+            except Exception:
+                return None
+
+    @staticmethod
+    def _picture() -> Any:
+        """The module that draws: of a room above, so that it is imported when first used."""
+        return import_module(f"{__name__.split('.')[0]}.view.picture")
 
     # General level ----------------------------------------------------------------------------------------------
 

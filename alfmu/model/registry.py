@@ -118,7 +118,7 @@ def _factory(mechanism: str | Path) -> Factory:
         return _from_file(Path(mechanism))
     for entry in entry_points(group=GROUP):
         if entry.name == str(mechanism):
-            return entry.load()
+            return _guarded(mechanism, entry.load)
     raise InputError(
         f"there is no mechanism {str(mechanism)!r}; use one of {', '.join(mechanisms())}, or the path of a Python file "
         "that declares one"
@@ -150,23 +150,32 @@ def executed(path: Path) -> dict[str, Any]:
 
 
 def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
-    """Run a user's code; what goes wrong in a file of theirs is said with its line."""
-    if not str(mechanism).endswith(".py"):
-        return run()
+    """Run a user's code; what goes wrong in a file of theirs, or of the package of a name, is said with its line."""
     try:
         with warnings.catch_warnings():
             # What NumPy makes of symbols changes from one version of CasADi to the next.
             warnings.filterwarnings("error", r"\s*casadi: a numpy function", FutureWarning)
             return run()
     except (Exception, SystemExit) as error:
-        if isinstance(error, AlfmuError | AlfmuWarning) and not isinstance(error, DeclarationError):
+        named = not str(mechanism).endswith(".py")
+        if isinstance(error, AlfmuError | AlfmuWarning) and (named or not isinstance(error, DeclarationError)):
             raise
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == str(mechanism)]
+        frames = traceback.extract_tb(error.__traceback__)
+        file = _place(frames, mechanism) if named else str(mechanism)
+        lines = [f.lineno for f in frames if f.filename == file]
         line = int(getattr(error, "lineno", None) or (lines[-1] if lines else None) or 0)
-        where = f"{mechanism}, line {line or '?'}"
+        where = f"{file}, line {line or '?'}" if file else "its package does not load"
         if isinstance(error, DeclarationError):
             raise DeclarationError(f"{where}: {error}") from error
-        raise InputError(f"{where}: {_explained(error, str(mechanism), line)}") from error
+        where = f"{mechanism}: {where}" if named else where
+        raise InputError(f"{where}: {_explained(error, file, line)}") from error
+
+
+def _place(frames: traceback.StackSummary, name: str | Path) -> str:
+    """The file of the package that registers a name, nearest to where its code failed; empty where none ran."""
+    packages = {entry.module.partition(".")[0] for entry in entry_points(group=GROUP) if entry.name == str(name)}
+    files = [f.filename for f in frames if packages & {Path(f.filename).stem, *Path(f.filename).parts}]
+    return files[-1] if files else ""
 
 
 def _explained(error: BaseException, file: str, line: int) -> str:

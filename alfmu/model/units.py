@@ -40,6 +40,7 @@ UNITS: dict[str, Unit] = {
         Unit("N.s", {"kg": 1, "m": 1, "s": -1}),
         Unit("N.m.s", {"kg": 1, "m": 2, "s": -1}),
         Unit("N/m", {"kg": 1, "s": -2}),
+        Unit("Pa", {"kg": 1, "m": -1, "s": -2}, {"bar": 1e-5}),
         Unit("m/N", {"kg": -1, "s": 2}),
         Unit("rad/(N.m)", {"kg": -1, "m": -2, "s": 2, "rad": 1}),
         Unit("N.s/m", {"kg": 1, "s": -1}),

@@ -181,7 +181,7 @@ typedef struct {
     int choice[CHOICES];
 } Flags;
 
-typedef struct {
+typedef struct Instance {
     const Scene *scene;
     Flags flags;
     double *numbers;
@@ -201,6 +201,10 @@ typedef struct {
     int within; /* whether the next step goes on in a communication step that began before */
     long left;  /* internal steps that this communication step may still take */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
+    int (*go_on)(struct Instance *i); /* asked now and then within a run in one call, where there is one; zero ends it */
+    void *run;                        /* what that is about */
+    long looks;                       /* how often it might have been asked */
+    int ended;                        /* whether it ended the run */
     size_t used, room; /* of scratch */
     char text[1024];   /* what happened last */
     int warns;         /* whether there is a warning that nobody has read yet */
@@ -273,6 +277,7 @@ void run(Instance *i, int program);
 
 long advance(Instance *i, long steps, double dt);
 int cover(Instance *i, double end, long tries);
+int ended(Instance *i);
 int communicate(Instance *i, double start, double h);
 int read_quickly(Instance *i);
 

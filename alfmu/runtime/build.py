@@ -1,7 +1,8 @@
-"""Builds the C library of the runtime: for this machine by its compiler, for others by zig.
+"""Builds the C library of the runtime: for this machine by its compiler, for others and for browsers by zig.
 
 Needs nothing but Python, so that an installation from source runs it before alfmu is there:
-`python alfmu/runtime/build.py [PLATFORM ...]` writes the libraries beside this file.
+`python alfmu/runtime/build.py [PLATFORM ...]` writes the libraries beside this file; without a platform those of this
+machine and, where there is zig, of browsers.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["HERE", "PLATFORMS", "Platform", "build", "compiler", "file_name", "sources"]
+__all__ = ["HERE", "PLATFORMS", "WEB", "Platform", "build", "compiler", "file_name", "sources"]
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,9 @@ PLATFORMS = {
 }
 """Platforms of the runtime."""
 
+WEB = "wasm32"
+"""The runtime of a page in a browser, as WebAssembly: no platform of FMUs."""
+
 _MACHINES = {
     ("linux", "x86_64"): "linux64",
     ("linux", "aarch64"): "aarch64-linux",
@@ -54,6 +58,12 @@ HERE = _MACHINES.get((sys.platform, platform.machine().lower()), "")
 FLAGS = ("-O2", "-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
 """`-ffp-contract=off`: a sum of products is rounded as it is written, so that compiled scenes give the same numbers."""
 
+_OF_HOSTS = ("component.c", "fmi2.c", "fmi3.c", "files.c", "resources.c")
+"""What a page has no use for: the functions of FMI, and files."""
+
+_WEB_FLAGS = ("-mexec-model=reactor", "-Wl,--export-dynamic", "-Wl,--export=malloc", "-Wl,--export=free")
+"""A library that the page calls, with memory that the page may ask for."""
+
 _FOLDER = Path(__file__).parent
 
 
@@ -63,8 +73,8 @@ def sources() -> list[Path]:
 
 
 def file_name(name: str) -> str:
-    """The library of a platform, beside this file."""
-    return f"alfmu-{name}{PLATFORMS[name].suffix}"
+    """The library of a platform or of browsers, beside this file."""
+    return f"alfmu-{name}{'.wasm' if name == WEB else PLATFORMS[name].suffix}"
 
 
 def compiler() -> list[str] | None:
@@ -86,17 +96,18 @@ def zig() -> list[str] | None:
 
 
 def build(name: str, path: Path) -> None:
-    """Compile the library of a platform; RuntimeError where there is no compiler, or where it fails."""
+    """Compile the library of a platform or of browsers; RuntimeError where there is no compiler, or where it fails."""
     command = compiler() if name == HERE else zig()
     if command is None:
         raise RuntimeError(f"no C compiler found for {name}; pip install ziglang")
     if "ziglang" in command:
-        command = [*command, "-target", PLATFORMS[name].target]
+        command = [*command, "-target", "wasm32-wasi" if name == WEB else PLATFORMS[name].target]
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         made = Path(folder) / file_name(name)
-        files = [str(each) for each in sources() if each.suffix == ".c"]
+        files = [str(each) for each in sources() if each.suffix == ".c" and (name != WEB or each.name not in _OF_HOSTS)]
         libraries = ["-lm", *["-ldl"] * name.endswith(("linux64", "-linux"))] if name != "win64" else []
-        arguments = [*command, *FLAGS, "-shared", "-s", *files, "-o", str(made), *libraries]
+        form = [x for x in FLAGS if x != "-fPIC"] + [*_WEB_FLAGS] if name == WEB else [*FLAGS, "-shared"]
+        arguments = [*command, *form, "-s", *files, "-o", str(made), *libraries]
         done = subprocess.run(arguments, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(f"the C compiler {command[0]} failed: {done.stderr.strip()[:2000]}")
@@ -106,6 +117,6 @@ def build(name: str, path: Path) -> None:
 
 
 if __name__ == "__main__":
-    for wanted in sys.argv[1:] or [HERE]:
+    for wanted in sys.argv[1:] or [HERE, *[WEB] * (zig() is not None)]:
         build(wanted, _FOLDER / file_name(wanted))
         print(_FOLDER / file_name(wanted))

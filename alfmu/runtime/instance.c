@@ -1128,6 +1128,12 @@ static Outcome watched_step(Instance *i, double start, double dt)
     return outcome;
 }
 
+/* What is said where the caller of a run ends it within a communication step. */
+static Outcome interrupted(Instance *i)
+{
+    return say(i, FAILED, "%s, t = %.6g s: interrupted", i->scene->name, *instance_time(i));
+}
+
 /* Steps by the method of the scene up to the end of a communication step; those of one length take dt. */
 static Outcome covered(Instance *i, double end, double dt)
 {
@@ -1136,18 +1142,16 @@ static Outcome covered(Instance *i, double end, double dt)
     pace[PACE_LAST] = 0.0;
     pace[PACE_FIXED] = method(i) == 2 ? dt : 0.0;
     while (*time < end) {
-        const long tries = i->flags.brakes ? 1 : i->left;
         if (i->left <= 0)
             return too_much(i);
-        i->left -= tries;
         if (i->flags.brakes)
             hold(i);
-        if (cover(i, end, tries))
+        if (cover(i, end, i->flags.brakes ? 1 : i->left))
             continue;
+        if (i->ended)
+            return interrupted(i);
         if (method(i) == 1 && field(i, s->after)[s->near] != 0.0) {
-            Outcome outcome;
-            i->left = MOST_STEPS;
-            outcome = subdivided(i, *time, i->values[s->step_size]);
+            const Outcome outcome = subdivided(i, *time, i->values[s->step_size]);
             if (outcome != DONE)
                 return outcome;
         }
@@ -1189,13 +1193,15 @@ static Outcome slow_step(Instance *i, double start, double h)
         done = steps;
     }
     while (done < steps && outcome == DONE) {
-        if (i->flags.fast) {
+        if (ended(i))
+            outcome = interrupted(i);
+        else if (i->flags.fast) {
             z[s->time] = start + done * dt;
             if (i->flags.brakes)
                 hold(i);
             done += (double)advance(i, i->flags.whole ? (long)(steps - done) : 1L, dt);
         }
-        if (done < steps) {
+        if (done < steps && outcome == DONE && !i->ended) {
             outcome = watched_step(i, start + done * dt, dt);
             i->counts[PATIENT_STEPS] += outcome == DONE;
             done += 1.0;

@@ -140,6 +140,11 @@ class Instance:
         return self._counted()["energy_start"]
 
     @property
+    def energy_scale(self) -> float:
+        """Largest kinetic energy, or work, at a communication point so far [J]."""
+        return self._counted()["energy_scale"]
+
+    @property
     def initialized(self) -> bool:
         return self._unit.initialized
 

@@ -2,7 +2,9 @@
 
 #include <math.h>
 #include <string.h>
+#if !defined(__wasm__)
 #include <time.h>
+#endif
 
 #include "alfmu.h"
 #include "fmi.h"
@@ -251,6 +253,8 @@ API void alfmu_counts(const Instance *i, double *counts)
     memcpy(counts + COUNTED, i->m + i->scene->tally, TALLY * sizeof *counts);
 }
 
+#if !defined(__wasm__) /* a page runs step by step, and has no clock of C */
+
 static int row_of_run(Instance *i, const Run *r, long row)
 {
     Outcome outcome = DONE;
@@ -263,29 +267,50 @@ static int row_of_run(Instance *i, const Run *r, long row)
                            : (int)outcome;
 }
 
+/* A run that goes on. */
+typedef struct {
+    const Run *run;
+    long done; /* communication steps that are made */
+    clock_t asked;
+} Going;
+
+/* Asks the caller of a run, some times a second, whether it goes on. */
+static int goes_on(Instance *i)
+{
+    Going *going = i->run;
+    int on = 1;
+    if (clock() - going->asked > CLOCKS_PER_SEC / 20) {
+        on = going->run->progress(going->done);
+        going->asked = clock();
+    }
+    return on;
+}
+
 /* Makes the run; returns how many rows of values there are. `outcome` says why there are no more: below zero where the run
-   was interrupted. */
+   was interrupted, within a communication step too. */
 API long alfmu_run(Instance *i, const Run *r, int *outcome)
 {
-    const clock_t pause = CLOCKS_PER_SEC / 20;
-    clock_t last = clock();
-    *outcome = row_of_run(i, r, 0);
-    if (*outcome != DONE)
-        return 0;
-    for (long row = 1; row < r->count; row++) {
-        const double start = r->times[row - 1];
-        *outcome = (int)instance_step(i, start, r->times[row] - start);
+    Going going = {r, 0, clock()};
+    long row = 0;
+    *outcome = DONE;
+    i->run = &going;
+    i->go_on = r->progress ? goes_on : NULL;
+    while (row < r->count && *outcome == DONE) {
+        if (row > 0) {
+            going.done = row - 1;
+            i->looks = -1; /* The first internal step asks. */
+            *outcome = (int)instance_step(i, r->times[row - 1], r->times[row] - r->times[row - 1]);
+        }
         if (*outcome == DONE)
             *outcome = row_of_run(i, r, row);
-        if (*outcome != DONE)
-            return row;
-        if (r->progress && clock() - last > pause) {
-            last = clock();
-            if (!r->progress(row)) {
-                *outcome = -1;
-                return row + 1;
-            }
-        }
+        row += *outcome == DONE;
     }
-    return r->count;
+    if (i->ended)
+        *outcome = -1;
+    i->run = NULL;
+    i->go_on = NULL;
+    i->ended = 0;
+    return row;
 }
+
+#endif

@@ -251,6 +251,33 @@ static double way(const Scene *s, const double *from, const double *to, int *mos
     return sqrt(square);
 }
 
+/* The length that has most changed its sign from one place to another, by more than AWAY; -1 where none has. Angles of a
+   rough guess do so in assemblies that look alike. */
+static int crossed(const Scene *s, const double *from, const double *to)
+{
+    int most = -1;
+    double longest = AWAY;
+    for (int c = 0; c < s->n; c++)
+        if (!strcmp(s->coordinates[c].unit, "m") && from[c] * to[c] < 0.0 && fabs(to[c] - from[c]) > longest) {
+            longest = fabs(to[c] - from[c]);
+            most = c;
+        }
+    return most;
+}
+
+/* DONE with a warning where the only assembly is on the other side of the guess. */
+static Outcome alone(Instance *i, const double *guess, const double *q, double moved)
+{
+    const Scene *s = i->scene;
+    const int c = crossed(s, guess, q);
+    if (c >= 0)
+        say(i, DONE,
+            "%s: the loops closed %.3g (m and rad) from the guess, where %s is %.6g %s instead of %.6g, and no assembly "
+            "was found that is nearer; check lengths and offsets, or give start values or guesses closer to this assembly",
+            s->name, moved, s->coordinates[c].name, q[c], s->coordinates[c].unit, guess[c]);
+    return DONE;
+}
+
 static Outcome positions(Instance *i, Loops *loops, const double *guess, double *q)
 {
     const Scene *s = i->scene;
@@ -274,7 +301,7 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
                 "%s: the loops closed far from the guess (%.3g in m and rad), and a nearer assembly is %.3g from it, where "
                 "%s is %.6g %s instead of %.6g; give start values or guesses closer to the assembly you want",
                 s->name, moved, away, s->coordinates[most].name, other[most], s->coordinates[most].unit, q[most]);
-        return DONE;
+        return away < NEARER * moved ? DONE : alone(i, guess, q, moved);
     }
     if (!found && moved == INFINITY) {
         closure_at(i, loops, q);
@@ -292,7 +319,7 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
             s->name, gap_label(i, loops, label, sizeof label), s->coordinates[most].name, other[most],
             s->coordinates[most].unit);
     }
-    return DONE;
+    return alone(i, guess, q, moved);
 }
 
 /* Velocities that keep the loops closed and have the start rates, nearest to the guess v. */

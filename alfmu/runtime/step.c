@@ -20,6 +20,17 @@
    from so many on no motion goes on there. */
 #define STUCK 20
 
+/* Internal steps from one question to the next, whether a run goes on. */
+#define LOOK 64
+
+/* Whether the caller of a run has ended it. */
+int ended(Instance *i)
+{
+    if (i->go_on && !i->ended && ++i->looks % LOOK == 0)
+        i->ended = !i->go_on(i);
+    return i->ended;
+}
+
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
 long advance(Instance *i, long steps, double dt)
 {
@@ -28,7 +39,7 @@ long advance(Instance *i, long steps, double dt)
     double *m = i->m, *after = m + s->after;
     long done;
     m[s->dt] = dt;
-    for (done = 0; done < steps; done++) {
+    for (done = 0; done < steps && !ended(i); done++) {
         int tier = m[s->control + CONTROL_TIER] != 0.0;
         for (;;) {
             run(i, tiers[tier]);
@@ -176,7 +187,9 @@ int cover(Instance *i, double end, long tries)
     double until = -INFINITY;
     int stuck = 0;
     pace[PACE_END] = end;
-    for (; m[s->z + s->time] < end && tries != 0; tries--) {
+    for (; m[s->z + s->time] < end && tries != 0 && i->left > 0; tries--, i->left--) {
+        if (ended(i))
+            return 0;
         try_step(i);
         if (after[s->trouble] != 0.0 && judged == 0.0)
             judged = pace[PACE_DT];

@@ -8,7 +8,7 @@ from functools import cache
 from types import UnionType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from .picture import GROUND, Shapes
+from .shapes import GROUND, Shapes, Space
 
 __all__ = ["as_data", "from_data"]
 
@@ -33,7 +33,32 @@ def from_data(data: object) -> Shapes:
     for at in (each for pair in pairs for each in pair):
         if at.body not in frames:
             raise ValueError(f"drawing has no body {at.body!r}")
+    if shapes.space:
+        _check_space(shapes.space)
     return shapes
+
+
+def _check_space(space: Space) -> None:
+    """ValueError where names or numbers of a drawing in space do not fit each other."""
+    frames = {frame.name: frame for frame in space.frames}
+    if len(frames) != len(space.frames) or GROUND in frames:
+        raise ValueError("drawing has two bodies or points of one name")
+    for frame in space.frames:
+        if len(frame.columns) not in {"body": (7,), "plane": (3,), "axis": (6,), "point": (2, 3)}[frame.kind]:
+            raise ValueError(f"drawing has {len(frame.columns)} columns for {frame.name!r}")
+    spots = [at for pair in (*space.pivots, *space.struts) for at in (pair.first, pair.second)]
+    named = [at.frame for at in (*spots, *(arrow.at for arrow in space.arrows))]
+    for name in (*named, *(solid.name for solid in space.solids), *space.dots):
+        if name not in frames and name != GROUND:
+            raise ValueError(f"drawing has no body {name!r}")
+    directions = [space.up, *(pivot.axis for pivot in space.pivots), *(arrow.along for arrow in space.arrows)]
+    if any(x is not None and math.hypot(*x) < 1e-9 for x in directions):
+        raise ValueError("drawing has a direction of no length")
+    for arrow in space.arrows:
+        if len(arrow.columns) != (3 if arrow.along is None else 1):
+            raise ValueError(f"drawing has {len(arrow.columns)} columns for {arrow.name!r}")
+    if any(solid.box and min(solid.box) < 0 for solid in space.solids):
+        raise ValueError("drawing has a box of no size")
 
 
 def _read(form: Any, value: object, place: str) -> Any:
@@ -49,7 +74,7 @@ def _read(form: Any, value: object, place: str) -> Any:
         forms = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
         if len(forms) == len(value):
             return tuple(_read(each, x, f"{place}[{i}]") for i, (each, x) in enumerate(zip(forms, value, strict=True)))
-    elif (kind is Literal and isinstance(value, str) and value in inner) or (form is str and isinstance(value, str)):
+    elif value in inner if kind is Literal and isinstance(value, str) else form in (str, bool) and type(value) is form:
         return value
     elif form is float and type(value) in (int, float) and math.isfinite(value) and abs(value) <= LARGEST:
         return float(value)

@@ -1,15 +1,18 @@
-"""Plots of a result with matplotlib: one panel for each kind of quantity, constraint errors on a logarithmic scale."""
+"""Plots of a result with matplotlib: a few panels of what moves, one above the other, what they leave out below."""
 
 from __future__ import annotations
 
+import re
+import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..files import atomic
 from ..model.errors import InputError
@@ -22,8 +25,20 @@ if TYPE_CHECKING:
 
 __all__ = ["figure", "plot"]
 
-LINES = 8
-"""Lines in a panel, at most; those with the largest range are shown."""
+PANELS = 4
+"""Panels of a figure for which nobody names columns, at most."""
+
+LINES = 6
+"""Lines of a panel for which nobody names columns, at most; those with the largest range are shown."""
+
+SAME = 2e-3
+"""Share of a panel's range within which two columns are one line in it: less than its width."""
+
+CLOSE, OFTEN = 0.015, 0.15
+"""A line that runs within the one share of the range of another, for the other share of the time, has markers."""
+
+ROUNDING = 1e-17
+"""Errors [m, rad; per s] below which an axis does not reach: what is left of them is chance."""
 
 METADATA = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 """Files that can be written, each without what would make its bytes differ from time to time."""
@@ -31,31 +46,57 @@ METADATA = {".png": {"Software": None}, ".svg": {"Date": None}, ".pdf": {"Creati
 COLORS = ("#3b75af", "#d98c1f", "#3f9268", "#c0523a", "#7a66b0", "#1f8f96", "#b0608c", "#6b7680")
 """One for each body and joint, in the order of the result."""
 
-TITLES = {
-    "rad": "Angles",
-    "m": "Positions",
-    "rad/s": "Angular velocities",
-    "m/s": "Velocities",
-    "rad/s2": "Angular accelerations",
-    "m/s2": "Accelerations",
-    "N": "Forces",
-    "N.m": "Torques and moments",
-    "J": "Energy",
-    "W": "Power",
+DASHES, MARKERS = ("-", "--", "-.", ":"), "os^Dv<>P"
+
+KINDS = {
+    "rad": "angle",
+    "m": "position",
+    "N": "force",
+    "N.m": "moment",
+    "J": "energy",
+    "rad/s": "angular velocity",
+    "m/s": "velocity",
+    "rad/s2": "angular acceleration",
+    "m/s2": "acceleration",
+    "W": "power",
 }
-"""Panels by unit, in their order; other units follow."""
+"""What an axis shows, by unit; in the order of panels."""
+
+FIRST = ("rad", "m", "N", "N.m", "J")
+"""Units of the panels of a figure for which nobody names columns, in the order in which they are chosen."""
 
 ERRORS = ("monitor.position_error", "monitor.velocity_error", "monitor.step_error")
 """What has a panel of its own, on a logarithmic scale."""
 
+_PART = re.compile(r"(?P<whole>.*\.(?:force|moment))\.[xyz]\Z")
+"""Components of reactions."""
+
 
 @dataclass(frozen=True)
-class _Panel:
-    """Some columns of a result that share an axis."""
+class _Line:
+    """A line: the columns that it stands for, with one and the same course."""
 
-    title: str
+    names: tuple[str, ...]
+    values: NDArray
+
+    @property
+    def owner(self) -> str:
+        """The body or joint that the first column belongs to."""
+        return self.names[0].strip("|").split(".")[0]
+
+    @property
+    def label(self) -> str:
+        return textwrap.fill(" = ".join(self.names), 34, break_long_words=False, break_on_hyphens=False)
+
+
+@dataclass
+class _Panel:
+    """Some lines that share an axis."""
+
     label: str
-    names: list[str]
+    lines: list[_Line]
+    logarithmic: bool = False
+    left_out: list[str] = field(default_factory=list)
 
 
 def plot(result: Result, path: str | Path, names: Sequence[str] | None = None) -> None:
@@ -81,40 +122,109 @@ def save(drawn: Figure, path: Path, dpi: float) -> None:
 
 
 def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
-    """The matplotlib figure of a result: a panel for each unit, over time [s].
+    """The matplotlib figure of a result over time [s]: panels one above the other, a caption that says what they omit.
 
-    `names` are names or patterns such as "link*.angle". Without them come positions, velocities, forces, energy and
-    constraint errors, as far as they change. Raises InputError where nothing is called like one of `names`, or where
-    matplotlib is missing.
+    `names` are names or patterns such as "link*.angle": all that they name is shown, a panel for each unit. Without
+    them come, as far as they change: angles, positions, sizes of reactions, and constraint errors. Columns of the same
+    course are one line. Raises InputError where nothing is called like one of `names`, or where matplotlib is missing.
     """
     try:
         from matplotlib.figure import Figure
     except ImportError:
         raise InputError("a plot needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
-    panels = _panels(result, _interesting(result) if names is None else _matching(result, names))
-    columns = 1 if len(panels) < 3 else 2
-    rows = -(-len(panels) // columns)
-    drawn = Figure(figsize=(7.2 * columns, 0.5 + 2.7 * rows), layout="constrained")
-    drawn.suptitle(result.mechanism.replace("_", " "), x=0.01, ha="left", fontsize=14, fontweight="bold")
-    for i, panel in enumerate(panels):
-        axes = drawn.add_subplot(rows, columns, i + 1)
+    if names is None:
+        panels, caption = _chosen(result)
+    else:
+        panels, caption = _panels(result, [_column(result, name) for name in _matching(result, names)]), ""
+    drawn = Figure(figsize=(7.2, 0.7 + 1.75 * len(panels)), layout="constrained")
+    drawn.suptitle(result.mechanism.replace("_", " "), x=0.01, ha="left", fontsize=11, fontweight="bold")
+    grid = drawn.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, panel in zip(grid, panels, strict=True):
         _draw(axes, result, panel)
-        if i >= len(panels) - columns:
-            axes.set_xlabel("time [s]")
+    grid[-1].set_xlabel("time [s]", fontsize=9)
+    drawn.align_ylabels()
+    if caption:
+        drawn.supxlabel(textwrap.fill(caption, 118), x=0.01, ha="left", fontsize=7, color="#66727f")
     return drawn
 
 
-def _interesting(result: Result) -> list[str]:
-    """What one wants to see first: no accelerations, multipliers and counts, nothing that never changes."""
-    names = [
-        name
-        for name in result.names
-        if not name.startswith("multiplier[")
-        and not result.units.get(name, "").endswith("/s2")
-        and name not in ("monitor.step_error", "monitor.iterations", "monitor.distance", "monitor.singular")
-        and (name == "monitor.energy" or _range(result, name) > 0)
-    ]
-    return names or result.names
+def _chosen(result: Result) -> tuple[list[_Panel], str]:
+    """What one wants to see first, and what else there is."""
+    moving = [name for name in result.names if _range(result[name], name) > 0]
+    wanted = [name for name in moving if _wanted(result, name)]
+    panels = _panels(result, _reduced(result, wanted))
+    errors = [panel for panel in panels if panel.logarithmic]
+    shown = [panel for panel in panels if not panel.logarithmic]
+    if not shown:  # nothing moves: what there is, as far as it is a motion at all
+        known = [name for name in result.names if result.units.get(name, "") in FIRST and _wanted(result, name)]
+        shown = _panels(result, _reduced(result, known or result.names))
+    shown = [*shown[: PANELS - len(errors)], *errors]
+    for panel in shown:
+        if len(panel.lines) > LINES:
+            largest = sorted(panel.lines, key=lambda line: -np.ptp(line.values))[:LINES]
+            panel.left_out = [name for line in panel.lines if line not in largest for name in line.names]
+            panel.lines = [line for line in panel.lines if line in largest]
+    return shown, _caption(result, shown)
+
+
+def _wanted(result: Result, name: str) -> bool:
+    """Whether a column belongs in a figure for which nobody names columns."""
+    if name.startswith("monitor."):
+        return name in ("monitor.position_error", "monitor.velocity_error", "monitor.energy", "monitor.work")
+    unit = result.units.get(name, "")
+    return not name.startswith("multiplier[") and (unit in FIRST or unit not in KINDS) and unit != "1"
+
+
+def _reduced(result: Result, names: Iterable[str]) -> list[_Line]:
+    """Columns as lines, reactions in space and in the plane by their size alone."""
+    lines: dict[str, _Line] = {}
+    for name in names:
+        if found := _PART.match(name):
+            whole = found["whole"]
+            parts = [result[f"{whole}.{k}"] for k in "xyz" if f"{whole}.{k}" in result.names]
+            lines[whole] = _Line((f"|{whole}|",), np.sqrt(np.sum(np.square(parts), axis=0)))
+        else:
+            lines[name] = _column(result, name)
+    return list(lines.values())
+
+
+def _column(result: Result, name: str) -> _Line:
+    return _Line((name,), result[name])
+
+
+def _caption(result: Result, panels: Sequence[_Panel]) -> str:
+    """What a figure leaves out, by kind and number."""
+    shown = {name for panel in panels for line in panel.lines for name in line.names}
+    partly = [name for panel in panels for name in panel.left_out]
+    counts: Counter[str] = Counter()
+    for name in result.names:
+        found = _PART.match(name)
+        if name in shown or name in partly:
+            continue
+        if found and f"|{found['whole']}|" in (*shown, *partly):
+            counts["component of a reaction"] += 1
+        elif _range(result[name], name) == 0:
+            counts["constant"] += 1
+        elif name.startswith("multiplier["):
+            counts["multiplier"] += 1
+        elif name.startswith("monitor."):
+            counts["monitor"] += 1
+        else:
+            counts[KINDS.get(result.units.get(name, ""), "other result")] += 1
+    said = []
+    if partly:
+        some = ", ".join(partly[:6]) + (f" and {len(partly) - 6} more" if len(partly) > 6 else "")
+        said.append(f"Smaller changes, not shown: {some}.")
+    if counts:
+        said.append("Also in the result: " + ", ".join(_counted(n, what) for what, n in counts.items()) + ".")
+    return " ".join([*said, "Columns to plot can be named (--plot-names)."]) if said else ""
+
+
+def _counted(n: int, what: str) -> str:
+    """A number of things."""
+    plural = {"component of a reaction": "components of reactions", "angular velocity": "angular velocities"}
+    plural |= {"velocity": "velocities", "energy": "energies"}
+    return f"{n} {what if n == 1 else plural.get(what, what + 's')}"
 
 
 def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
@@ -130,16 +240,36 @@ def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
     return list(found)
 
 
-def _panels(result: Result, names: Iterable[str]) -> list[_Panel]:
-    """Names grouped by unit, known units first, constraint errors last."""
-    groups: dict[str, list[str]] = {unit: [] for unit in TITLES}
+def _panels(result: Result, lines: Iterable[_Line]) -> list[_Panel]:
+    """Lines grouped by unit, known units first, constraint errors last; those of the same course are one."""
+    groups: dict[str, list[_Line]] = {unit: [] for unit in KINDS}
     errors = []
-    for name in names:
-        (errors if name in ERRORS else groups.setdefault(result.units.get(name, ""), [])).append(name)
-    panels = [
-        _Panel(TITLES.get(unit, "Other results"), _printed(unit), group) for unit, group in groups.items() if group
-    ]
-    return [*panels, _Panel("Constraint errors", "m, rad; per s", errors)] if errors else panels
+    for line in lines:
+        (name,) = line.names
+        part = name.strip("|")
+        unit = result.units.get(name) or result.units.get(f"{part}.x", "")
+        (errors if name in ERRORS else groups.setdefault(unit, [])).append(line)
+    panels = [_Panel(_titled(unit), _merged(group)) for unit, group in groups.items() if group]
+    return [*panels, _Panel("error [m, rad; per s]", errors, True)] if errors else panels
+
+
+def _merged(lines: Sequence[_Line]) -> list[_Line]:
+    """Lines, those that cannot be told apart as one."""
+    reach = max(float(np.max(x.values)) for x in lines) - min(float(np.min(x.values)) for x in lines)
+    found: list[_Line] = []
+    for line in lines:
+        for i, other in enumerate(found):
+            if np.max(np.abs(line.values - other.values)) <= SAME * reach:
+                found[i] = _Line(other.names + line.names, other.values)
+                break
+        else:
+            found.append(line)
+    return found
+
+
+def _titled(unit: str) -> str:
+    """The label of an axis."""
+    return f"{KINDS.get(unit, 'value')} [{_printed(unit)}]" if unit else "value"
 
 
 def _printed(unit: str) -> str:
@@ -149,57 +279,51 @@ def _printed(unit: str) -> str:
 
 def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     """Lines, labels and legend of one panel."""
-    chosen = sorted(panel.names, key=lambda name: -_range(result, name))[:LINES]
-    shown = [name for name in panel.names if name in chosen]
-    low, high = np.inf, -np.inf
-    for name, width, style in zip(shown, np.linspace(2.8, 1.2, len(shown)), _styles(result, shown), strict=True):
-        values = result[name]
-        axes.plot(result.time, values, label=name, linewidth=width, **style)  # a line under another one still shows
-        low, high = min(low, values.min()), max(high, values.max())
-    if panel.names[0] in ERRORS and high > 0:
+    values = np.array([line.values for line in panel.lines])
+    low, high = float(values.min()), float(values.max())
+    for i, (line, style) in enumerate(zip(panel.lines, _styles(result, panel.lines), strict=True)):
+        if not panel.logarithmic and _runs_close(values[i], values[:i], high - low):
+            style |= {"marker": MARKERS[i % len(MARKERS)], "markersize": 3.5, "markevery": (0.02 + 0.023 * i, 0.14)}
+        axes.plot(result.time, line.values, label=line.label, linewidth=1.5, **style)
+    if panel.logarithmic and high > 0:
         axes.set_yscale("log", nonpositive="mask")
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], ROUNDING))
     else:
         axes.ticklabel_format(useOffset=False)
         if high - low < 1e-6 * max(abs(high), abs(low)):  # rounding is no motion
             axes.set_ylim(low - 1e-6 * abs(low), high + 1e-6 * abs(high))
-    axes.set_title(panel.title, loc="left", fontsize=11)
-    axes.set_ylabel(f"[{panel.label}]" if panel.label else "")
+    axes.set_ylabel(panel.label, fontsize=9)
+    axes.tick_params(labelsize=8)
     axes.margins(x=0)
     axes.grid(color="#e3e8ee", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
-    complete = len(shown) == len(panel.names)
-    axes.legend(
-        loc="upper left",
-        bbox_to_anchor=(1.01, 1.03),
-        frameon=False,
-        fontsize=8.5,
-        title=None if complete else f"{len(shown)} of {len(panel.names)} lines",
-        title_fontsize=8.5,
-        alignment="left",
-    )
+    place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.04), "borderaxespad": 0.0}
+    axes.legend(**place, frameon=False, fontsize=7.5, handlelength=2.6, labelspacing=0.35)
 
 
-def _styles(result: Result, names: Sequence[str]) -> list[dict[str, str]]:
+def _runs_close(values: NDArray, others: NDArray, reach: float) -> bool:
+    """Whether a line runs along one before it for some time."""
+    return any(np.mean(np.abs(values - other) <= CLOSE * reach) > OFTEN for other in others)
+
+
+def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, object]]:
     """Colour by body or joint, the same in all panels, dashes by component; colour alone where there is one owner."""
-    if len({_owner(name) for name in names}) == 1:
-        return [{"color": COLORS[i % len(COLORS)]} for i in range(len(names))]
-    owners = list(dict.fromkeys(map(_owner, result.names)))
-    seen = Counter()
-    styles = []
-    for owner in map(_owner, names):
-        dashes = ("-", "--", ":", "-.")[seen[owner] % 4]
-        styles.append({"color": COLORS[owners.index(owner) % len(COLORS)], "linestyle": dashes})
-        seen[owner] += 1
+    if len({line.owner for line in lines}) == 1:
+        return [{"color": COLORS[i % len(COLORS)], "linestyle": DASHES[i % 4]} for i in range(len(lines))]
+    names = sorted(result.names, key=lambda name: name.startswith("multiplier["))  # bodies and joints first
+    owners = list(dict.fromkeys(name.split(".")[0] for name in names))
+    seen: Counter[str] = Counter()
+    styles: list[dict[str, object]] = []
+    for line in lines:
+        place = owners.index(line.owner)
+        # Of joints and bodies beyond the colours there are, the dashes differ.
+        dashes = DASHES[(seen[line.owner] + place // len(COLORS)) % 4]
+        styles.append({"color": COLORS[place % len(COLORS)], "linestyle": dashes})
+        seen[line.owner] += 1
     return styles
 
 
-def _owner(name: str) -> str:
-    """The body or joint that a column belongs to."""
-    return name.split(".")[0]
-
-
-def _range(result: Result, name: str) -> float:
+def _range(values: NDArray, name: str) -> float:
     """How much a column changes; 0 for what is constant but for rounding."""
-    values = result[name]
     change = float(np.ptp(values))
     return change if name in ERRORS or change > 1e-9 * (1 + float(np.abs(values).max())) else 0.0

@@ -35,7 +35,7 @@ def bennett() -> Mechanism:
     )
     guesses = start, opposite, -start, -opposite
     angles = [m.coordinate(f"th{i}", "rad", start=guess) for i, guess in enumerate(guesses, 1)]
-    rods, place, turn = chain(angles, lengths, twists)
+    rods, hinges, place, turn = chain(angles, lengths, twists)
     q, v = ca.vertcat(*angles), ca.vertcat(*map(m.rate, angles))
     for i, ((center, along), mass, length) in enumerate(zip(rods, masses, lengths, strict=False), 1):
         speed, swing = (ca.jtimes(x, q, v) for x in (center, along))
@@ -43,6 +43,11 @@ def bennett() -> Mechanism:
         m.potential_energy(mass * g * center[1])
         for axis, x in zip("xyz", ca.vertsplit(center), strict=True):
             m.output(f"link{i}.{axis}", x, "m", f"centre of mass of link {i} along {axis}")
+    hinges[3] = (-lengths[3], 0.0, 0.0), (0.0, ca.sin(beta), ca.cos(beta))  # on the ground, where the loop is closed
+    for i, (at, axis) in enumerate(hinges, 1):
+        m.drawn_joint(f"hinge{i}", at, kind="revolute", axis=axis)
+    for i in (1, 2, 3):
+        m.drawn_bar(f"link{i}", f"hinge{i}", f"hinge{i + 1}")
     for name, angle in zip(("hinge1", "hinge2", "hinge3", "hinge4"), angles, strict=True):
         m.output(f"{name}.angle", angle, "rad", f"angle of {name}")
         m.output(f"{name}.angular_velocity", m.rate(angle), "rad/s", f"rate of {name}")
@@ -55,10 +60,14 @@ def bennett() -> Mechanism:
     return m
 
 
-def chain(angles: list, lengths: tuple, twists: tuple) -> tuple[list[tuple[ca.SX, ca.SX]], ca.SX, ca.SX]:
-    """Centre and direction of each link of an open chain, place and attitude of its end (Denavit and Hartenberg)."""
-    rods, place, turn = [], ca.SX.zeros(3), ca.SX.eye(3)
+def chain(angles: list, lengths: tuple, twists: tuple) -> tuple[list, list, ca.SX, ca.SX]:
+    """Centre and direction of each link of an open chain, place and axis of each hinge, place and attitude of its end.
+
+    By Denavit and Hartenberg.
+    """
+    rods, hinges, place, turn = [], [], ca.SX.zeros(3), ca.SX.eye(3)
     for angle, length, twist in zip(angles, lengths, twists, strict=True):
+        hinges.append((place, turn[:, 2]))
         c, s = ca.cos(angle), ca.sin(angle)
         turn = turn @ ca.blockcat([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         along = turn[:, 0]
@@ -66,4 +75,4 @@ def chain(angles: list, lengths: tuple, twists: tuple) -> tuple[list[tuple[ca.SX
         place = place + length * along
         c, s = ca.cos(twist), ca.sin(twist)
         turn = turn @ ca.blockcat([[1, 0, 0], [0, c, -s], [0, s, c]])
-    return rods, place, turn
+    return rods, hinges, place, turn

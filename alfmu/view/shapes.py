@@ -1,0 +1,442 @@
+"""Shapes: what a picture of a mechanism shows, in metres, worked out from its declaration (`geometry`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any, Literal
+
+import casadi as ca
+
+from ..model.errors import DeclarationError, InputError
+from ..model.mechanism import Joint, Marker, Mechanism, Point, Scalar, Spring, key_of
+from ..model.spatial import SpatialBody, SpatialJoint, SpatialMarker
+from .surface import Vector
+
+__all__ = ["Shapes", "geometry"]
+
+GROUND = "ground"
+
+POSE = ("x", "y", "z", "e0", "e1", "e2", "e3")
+"""Outputs that tell where a body in space is: its centre of mass [m] and its Euler parameters."""
+
+Vector3 = tuple[float, float, float]
+
+
+# In the plane -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """A point fixed on a body, by its place [m] from the centre of mass (the ground's origin) in its axes."""
+
+    body: str
+    x: float
+    y: float
+
+
+ORIGIN = (Anchor(GROUND, 0.0, 0.0),)
+
+
+@dataclass(frozen=True)
+class Link:
+    """A body: the points that its joints, springs and ends have on it, at least one, from its centre of mass [m].
+
+    `kind` is "bar" (through its points), "mass" (fewer than two points of its own: an arm to its centre of mass) or
+    "block" (rides in a guide).
+    """
+
+    name: str
+    kind: Literal["bar", "mass", "block"]
+    points: tuple[Vector, ...]
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A joint: its kind as declared, and its point on either body."""
+
+    name: str
+    kind: str
+    first: Anchor
+    second: Anchor
+
+
+@dataclass(frozen=True)
+class Guide:
+    """A straight guide through `base`, in direction `axis` [rad] of the base's body; `rider` moves along it.
+
+    `block` is the direction of the guide in the rider's body [rad]; None where the rider is a pin, free to turn.
+    """
+
+    name: str
+    base: Anchor
+    axis: float
+    rider: Anchor
+    block: float | None
+
+
+@dataclass(frozen=True)
+class Tie:
+    """What acts between two points: a "rod" (a joint's), "spring", "damper", "spring-damper" or torsional "spiral"."""
+
+    name: str
+    kind: Literal["rod", "spring", "damper", "spring-damper", "spiral"]
+    first: Anchor
+    second: Anchor
+
+
+# In space ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Spot:
+    """A point fixed in a frame, by its place [m] from the frame's origin, a body's centre of mass, in its axes."""
+
+    frame: str
+    x: float
+    y: float
+    z: float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What moves, and how outputs tell its place: `columns` are x, y, z [m], then what its kind adds.
+
+    A "body" in space adds its Euler parameters; one in the "plane" has x, y and its angle [rad]; an "axis" adds a
+    direction, which is the z axis of the frame; a "point" adds nothing.
+    """
+
+    name: str
+    kind: Literal["body", "plane", "axis", "point"]
+    columns: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A body: the points of its joints, springs and ends, from its centre of mass [m].
+
+    `box` is half the edges [m] of the homogeneous box with its mass and inertia, None where there is none; `block`
+    whether a guide carries it, so that it is shown as that box.
+    """
+
+    name: str
+    points: tuple[Vector3, ...]
+    box: Vector3 | None
+    block: bool
+
+
+@dataclass(frozen=True)
+class Pivot:
+    """A joint in space: its kind, its point on either body, and its axis in the frame of the first."""
+
+    name: str
+    kind: str
+    first: Spot
+    second: Spot
+    axis: Vector3 | None
+
+
+@dataclass(frozen=True)
+class Strut:
+    """What stretches between two points: a "bar", "rod", "spring", "damper" or "spring-damper"."""
+
+    name: str
+    kind: Literal["bar", "rod", "spring", "damper", "spring-damper"]
+    first: Spot
+    second: Spot
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """A force or moment that a result has: three outputs in ground axes, or one along a direction of a frame."""
+
+    name: str
+    kind: Literal["force", "moment"]
+    role: Literal["applied", "reaction"]
+    at: Spot
+    columns: tuple[str, ...]
+    along: Vector3 | None
+
+
+@dataclass(frozen=True)
+class Space:
+    """All that a picture in space shows; `up` is the direction against gravity."""
+
+    frames: tuple[Frame, ...]
+    solids: tuple[Solid, ...]
+    pivots: tuple[Pivot, ...]
+    struts: tuple[Strut, ...]
+    arrows: tuple[Arrow, ...]
+    dots: tuple[str, ...]
+    up: Vector3
+
+
+# All of a mechanism -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """All that a picture of a mechanism shows, in the plane or, where `space` is not None, in space alone.
+
+    `dots` are points that user outputs `NAME.x`, `NAME.y` give.
+    """
+
+    name: str
+    description: str = field(compare=False)
+    links: tuple[Link, ...] = ()
+    joints: tuple[Hinge, ...] = ()
+    guides: tuple[Guide, ...] = ()
+    ties: tuple[Tie, ...] = ()
+    dots: tuple[str, ...] = ()
+    space: Space | None = None
+
+    @property
+    def columns(self) -> list[str]:
+        """Names of the outputs that a picture needs."""
+        if self.space:
+            return [column for frame in self.space.frames for column in frame.columns]
+        links = [f"{link.name}.{q}" for link in self.links for q in ("x", "y", "angle")]
+        return links + [f"{dot}.{q}" for dot in self.dots for q in ("x", "y")]
+
+    @property
+    def efforts(self) -> list[str]:
+        """Names of the outputs and inputs that a film shows as arrows, where a result has them."""
+        return [column for arrow in self.space.arrows for column in arrow.columns] if self.space else []
+
+
+def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) -> Shapes:
+    """The shapes of a mechanism for given values of its parameters, defaults otherwise.
+
+    `parameters` may be the mapping that a run took: start values and solver variables in it change no shape.
+    Raises DeclarationError where a shape depends on more than parameters.
+    """
+    m, number = mechanism, _evaluator(mechanism, parameters or {})
+    places = [o.name for o in m.outputs if o.unit == "m"]
+    places += [f"{trace.name}.{axis}" for trace in m.traces for axis in trace.axes]
+    dots = tuple(name[:-2] for name in places if name.endswith(".x") and f"{name[:-2]}.y" in places)
+    plane = Shapes(m.name, m.description, *_in_plane(m, number), dots)
+    if m.spatial_bodies or m.drawn_joints or any(f"{dot}.z" in places for dot in dots):
+        return Shapes(m.name, m.description, space=_in_space(m, number, plane, places))
+    return plane
+
+
+def _in_plane(
+    m: Mechanism, number: Callable[[Scalar], float]
+) -> tuple[tuple[Link, ...], tuple[Hinge, ...], tuple[Guide, ...], tuple[Tie, ...]]:
+    """What there is in the plane."""
+    centers = {body: [number(c) for c in body.center] for body in (m.ground, *m.bodies)}
+
+    def anchor(marker: Marker) -> Anchor:
+        x, y = centers[marker.body]
+        return Anchor(marker.body.name, round(number(marker.x) - x, 12), round(number(marker.y) - y, 12))
+
+    joints = tuple(Hinge(j.name, j.kind, anchor(j.first), anchor(j.second)) for j in m.joints)
+    joints += tuple(_pins(m, joints, anchor, number))
+    guided = [j for j in m.joints if j.kind in ("prismatic", "point_on_line") and not _telescopes(j)]
+    guides = tuple(_guide(j, anchor, number) for j in guided)
+    ties = [Tie(j.name, "rod", j.first, j.second) for j in joints if j.kind == "distance"]
+    for spring in m.springs:
+        between = spring.between
+        first, second = between if isinstance(between, tuple) else (between.first, between.second)
+        if not isinstance(first, Marker):
+            continue
+        kind = _spring(spring)
+        if isinstance(between, Joint) and between.kind == "revolute":
+            kind = "spiral" if "spring" in kind else ""
+        if kind:
+            ties.append(Tie("", kind, anchor(first), anchor(second)))
+
+    fixed: dict[str, list[Anchor]] = {}
+    for pair in (*joints, *ties):
+        for at in (pair.first, pair.second):
+            fixed.setdefault(at.body, []).append(at)
+    for trace in m.traces:
+        if isinstance(trace.marker, Marker):
+            fixed.setdefault(trace.marker.body.name, []).append(anchor(trace.marker))
+    blocks = {g.rider.body for g in guides if g.block is not None}
+    links = []
+    for body in m.bodies:
+        ends = [] if body.length is None else [anchor(body.start), anchor(body.end)]
+        points = list(dict.fromkeys((a.x, a.y) for a in (*ends, *fixed.get(body.name, ()))))
+        kind = "block" if body.name in blocks else "bar" if len(points) > 1 else "mass"
+        if kind == "mass" and (0.0, 0.0) not in points:
+            points.append((0.0, 0.0))
+        links.append(Link(body.name, kind, tuple(points)))
+    return tuple(links), joints, guides, tuple(ties)
+
+
+def _pins(
+    m: Mechanism, joints: Sequence[Hinge], anchor: Callable[[Marker], Anchor], number: Callable[[Scalar], float]
+) -> Iterator[Hinge]:
+    """Pins without a name where bars share a point that no joint names, as in natural coordinates."""
+    joined = Knots()
+    for joint in joints:
+        if joint.kind in ("revolute", "weld"):
+            joined.join(joint.first, joint.second)
+    ends: dict[tuple[int | float | None, ...], Anchor] = {}
+    for body in (body for body in m.bodies if body.between):
+        for end, marker in zip(body.between, (body.start, body.end), strict=True):
+            here = anchor(marker)
+            if isinstance(end, Marker):
+                there = anchor(end)
+            else:
+                key = tuple(key_of(x) if isinstance(x, ca.SX) else x for x in (end.x, end.y))
+                there = ends.setdefault(key, _fixed(end, number) or here)
+            if not joined.together(there, here):
+                joined.join(there, here)
+                yield Hinge("", "revolute", there, here)
+
+
+def _fixed(point: Point, number: Callable[[Scalar], float]) -> Anchor | None:
+    """A point on the ground, None where it moves."""
+    try:
+        return Anchor(GROUND, number(point.x), number(point.y))
+    except DeclarationError:
+        return None
+
+
+class Knots:
+    """Which points are one, as joints hold them together."""
+
+    def __init__(self) -> None:
+        self._groups: dict[Any, set[Any]] = {}
+
+    def join(self, one: Any, other: Any) -> None:
+        """Two points, and all that is held to either, are one."""
+        group = self._groups.get(one, {one}) | self._groups.get(other, {other})
+        self._groups.update(dict.fromkeys(group, group))
+
+    def together(self, one: Any, other: Any) -> bool:
+        """Whether two points are one."""
+        return one == other or other in self._groups.get(one, ())
+
+
+def _spring(spring: Spring) -> str:
+    """A spring, a damper or both; nothing where it has neither strength."""
+    kinds = {"spring": spring.stiffness, "damper": spring.damping}
+    return "-".join(kind for kind, strength in kinds.items() if not ca.SX(strength).is_zero())
+
+
+def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, places: Sequence[str]) -> Space:
+    """What there is in space; what is declared in the plane lies in the plane z = 0 of it."""
+    centers = {body: [number(c) for c in body.center] for body in (m.spatial_ground, *m.spatial_bodies)}
+
+    def spot(marker: SpatialMarker) -> Spot:
+        local = zip((marker.x, marker.y, marker.z), centers[marker.body], strict=True)
+        return Spot(marker.body.name, *(round(number(x) - c, 12) for x, c in local))
+
+    def flat(at: Anchor) -> Spot:
+        return Spot(at.body, at.x, at.y, 0.0)
+
+    frames = [Frame(b.name, "body", tuple(f"{b.name}.{q}" for q in POSE)) for b in m.spatial_bodies]
+    frames += [Frame(x.name, "plane", tuple(f"{x.name}.{q}" for q in ("x", "y", "angle"))) for x in plane.links]
+    pivots = [
+        Pivot(j.name, j.kind, spot(j.first), spot(j.second), j.axes[0] if "rotation1" in j.directions else None)
+        for j in m.spatial_joints
+    ]
+    pivots += [Pivot(j.name, j.kind, flat(j.first), flat(j.second), (0.0, 0.0, 1.0)) for j in plane.joints]
+    drawn: dict[str, Spot] = {}
+    for each in m.drawn_joints:
+        if each.outputs:
+            frames.append(Frame(each.name, "axis" if each.axis else "point", each.outputs))
+            drawn[each.name], axis = Spot(each.name, 0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+        else:
+            drawn[each.name] = Spot(GROUND, *map(number, each.at))
+            axis = tuple(map(number, each.axis or (0.0, 0.0, 1.0)))
+        if each.kind:
+            pivots.append(Pivot(each.name, each.kind, drawn[each.name], drawn[each.name], each.axis and axis))
+    struts = [
+        Strut(bar.name, "bar", drawn[first], drawn[second])
+        for bar in m.drawn_bars
+        for first, second in pairwise(bar.joints)
+    ]
+    struts += [
+        Strut(tie.name, tie.kind, flat(tie.first), flat(tie.second)) for tie in plane.ties if tie.kind != "spiral"
+    ]
+    for spring in m.springs:
+        between = spring.between
+        first, second = between if isinstance(between, tuple) else (between.first, between.second)
+        along = isinstance(between, tuple) or between.kind == "prismatic"
+        if isinstance(first, SpatialMarker) and along and (kind := _spring(spring)):
+            struts.append(Strut("", kind, spot(first), spot(second)))
+    shown = {*drawn, *(bar.name for bar in m.drawn_bars)}  # what has a symbol of its own
+    dots = tuple(dot for dot in plane.dots if dot not in shown)
+    frames += [Frame(x, "point", tuple(f"{x}.{q}" for q in "xyz" if f"{x}.{q}" in places)) for x in dots]
+
+    points: dict[str, list[Vector3]] = {frame.name: [] for frame in frames}
+    for pair in (*pivots, *struts):
+        for at in (pair.first, pair.second):
+            points.get(at.frame, []).append((at.x, at.y, at.z))
+    riders = {p.second.frame for p in pivots if p.kind == "prismatic"}
+    solids = [
+        Solid(b.name, tuple(dict.fromkeys(points[b.name])), _box(b, number), b.name in riders) for b in m.spatial_bodies
+    ]
+    solids += [
+        Solid(link.name, tuple((x, y, 0.0) for x, y in link.points), None, link.kind == "block") for link in plane.links
+    ]
+
+    arrows = [
+        Arrow(j.name, kind, "reaction", spot(j.second), tuple(f"{j.name}.{kind}.{q}" for q in "xyz"), None)
+        for j in m.spatial_joints
+        for kind in ("force", "moment")[: 1 if j.kind == "spherical" else 2]
+    ]
+    inputs = {key_of(x.symbol): x.name for x in m.inputs}
+    for drive in m.drives:
+        name = inputs.get(key_of(drive.effort))
+        if name and isinstance(drive.joint, SpatialJoint):
+            kind = "moment" if drive.joint.kind == "revolute" else "force"
+            arrows.append(Arrow(name, kind, "applied", spot(drive.joint.second), (name,), drive.joint.axes[1]))
+    pull = [number(g) for g in m.gravity_vector]
+    size = math.hypot(*pull)
+    up = tuple(-g / size + 0.0 for g in pull) if size else (0.0, 0.0, 1.0)
+    return Space(tuple(frames), tuple(solids), tuple(pivots), tuple(struts), tuple(arrows), dots, up)
+
+
+def _box(body: SpatialBody, number: Callable[[Scalar], float]) -> Vector3 | None:
+    """Half the edges of the homogeneous box with the mass and the moments of inertia of a body."""
+    mass, (x, y, z) = number(body.mass), map(number, body.inertia)
+    if mass <= 0:
+        return None
+    return tuple(math.sqrt(max(0.0, 1.5 * j / mass)) for j in (y + z - x, z + x - y, x + y - z))
+
+
+def _evaluator(m: Mechanism, parameters: Mapping[str, Any]) -> Callable[[Scalar], float]:
+    """What turns an expression in parameters into a number."""
+    symbols = ca.vertcat(*(p.symbol for p in m.parameters))
+    values = ca.DM([_given(m, p.name, parameters.get(p.name, p.default)) for p in m.parameters])
+    known: dict[int, tuple[ca.SX, float]] = {}  # with the expression, so that its key stays its own
+
+    def number(expression: Scalar) -> float:
+        if not isinstance(expression, ca.SX):
+            return float(expression)
+        key = key_of(expression)
+        if key not in known:
+            value = ca.substitute(expression, symbols, values) if m.parameters else expression
+            if not value.is_constant():
+                free = ca.symvar(value)[0]
+                raise DeclarationError(f"{m.name}: a shape uses {free}; it may use parameters only")
+            known[key] = expression, float(value)
+        return known[key][1]
+
+    return number
+
+
+def _given(m: Mechanism, name: str, value: Any) -> float:
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise InputError(f"{m.name}: {name} is {value!r}; it must be a number") from None
+
+
+def _telescopes(joint: Joint) -> bool:
+    """Whether a joint slides one bar along another, as in a cylinder, so that the bars themselves show it."""
+    return joint.kind == "prismatic" and None not in (joint.first.body.length, joint.second.body.length)
+
+
+def _guide(joint: Joint, anchor: Callable[[Marker], Anchor], number: Callable[[Scalar], float]) -> Guide:
+    base, axis, offset = anchor(joint.first), number(joint.axis), number(joint.offset)
+    base = replace(base, x=base.x - offset * math.sin(axis), y=base.y + offset * math.cos(axis))
+    block = axis - number(joint.angle) if joint.kind == "prismatic" else None
+    return Guide(joint.name, base, axis, anchor(joint.second), block)

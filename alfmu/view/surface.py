@@ -1,0 +1,211 @@
+"""What pictures are painted on: pixels of Pillow, or the text of an SVG file; colours, and labels that keep apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from html import escape
+from typing import Any, Protocol
+
+from PIL import Image, ImageDraw, ImageFont
+
+__all__ = ["Raster", "Size", "Stroke", "Surface", "Svg", "Text", "Vector", "placed"]
+
+Vector = tuple[float, float]
+
+Size = tuple[int, int]
+
+BACKGROUND, GRID, ZERO = "#fbfcfd", "#eceff3", "#d3dae2"
+INK, FAINT, STEEL, WHITE = "#2b3440", "#7d8995", "#dde3e9", "#ffffff"
+COLORS = ("#6b9bc7", "#e3b05f", "#76b18f", "#d0826f", "#9d8fc6", "#58a9ae", "#c98ca9", "#9aa4ae")
+"""Of bodies and of dots, in the order of declaration."""
+
+SAMPLES = 3
+"""Pixels painted for each pixel shown, along either axis."""
+
+PASSES = 60
+"""Passes in which labels push each other apart, at most."""
+
+FONTS = 'system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+"""Fonts of pages and of SVG files."""
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """A line with round ends in pixels, y upwards: a disc where it has one point, a closed area where it is filled.
+
+    An area of no width has no line around it.
+    """
+
+    points: tuple[Vector, ...]
+    width: float
+    color: str
+    filled: bool = False
+
+
+@dataclass(frozen=True)
+class Text:
+    """A text about a place [pixels, y upwards]; `anchor` is "m" where that is its middle, "l" where it begins there."""
+
+    text: str
+    x: float
+    y: float
+    size: float
+    color: str
+    anchor: str = "m"
+
+
+class Surface(Protocol):
+    """What a picture is painted on."""
+
+    size: Size
+
+    def stroke(self, points: Sequence[Vector], stroke: Stroke) -> None:
+        """A stroke through these points in place of its own."""
+
+    def text(self, text: Text) -> None:
+        """A text with a rim in the colour of the background."""
+
+
+class Raster:
+    """A surface of pixels, painted larger than it is shown."""
+
+    def __init__(self, size: Size):
+        self.size = size
+        self._image = Image.new("RGB", (SAMPLES * size[0], SAMPLES * size[1]), BACKGROUND)
+        self._pen = ImageDraw.Draw(self._image)
+
+    @property
+    def image(self) -> Image.Image:
+        """What is painted so far."""
+        return self._image.reduce(SAMPLES)
+
+    def stroke(self, points: Sequence[Vector], stroke: Stroke) -> None:
+        top = self.size[1]
+        points = [(SAMPLES * x, SAMPLES * (top - y)) for x, y in points]
+        if stroke.filled:
+            self._pen.polygon(points, stroke.color)
+            points = [*points, points[0]]
+            if not stroke.width:
+                return
+        width = max(1, round(SAMPLES * stroke.width))
+        if len(points) > 1:
+            self._pen.line(points, stroke.color, width)
+        r = width / 2
+        for x, y in points if r > 1 else ():
+            self._pen.ellipse((x - r, y - r, x + r, y + r), stroke.color)
+
+    def text(self, text: Text) -> None:
+        place = SAMPLES * text.x, SAMPLES * (self.size[1] - text.y)
+        halo, font = round(SAMPLES * text.size / 7), _font(SAMPLES * text.size)
+        about = {"stroke_width": halo, "stroke_fill": BACKGROUND}
+        self._pen.text(place, text.text, text.color, font, f"{text.anchor}m", **about)
+
+
+class Svg:
+    """A surface that becomes an SVG file."""
+
+    def __init__(self, size: Size, title: str):
+        self.size = size
+        width, height = size
+        self._parts = [
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
+            'role="img" stroke-linecap="round" stroke-linejoin="round">',
+            f"<title>{escape(title)}</title>",
+            f'<rect width="{width}" height="{height}" fill="{BACKGROUND}"/>',
+        ]
+
+    @property
+    def file(self) -> str:
+        """The text of the file, the same for the same picture."""
+        return "\n".join([*self._parts, "</svg>\n"])
+
+    def stroke(self, points: Sequence[Vector], stroke: Stroke) -> None:
+        places = [(_short(x), _short(self.size[1] - y)) for x, y in points]
+        if len(places) == 1:
+            ((x, y),) = places
+            self._parts.append(f'<circle cx="{x}" cy="{y}" r="{_short(stroke.width / 2)}" fill="{stroke.color}"/>')
+            return
+        shape, fill = ("polygon", stroke.color) if stroke.filled else ("polyline", "none")
+        width = stroke.width or 0.5  # without a line, the edges of two areas that touch would shine through
+        drawn = " ".join(f"{x},{y}" for x, y in places)
+        about = f'fill="{fill}" stroke="{stroke.color}" stroke-width="{_short(width)}"'
+        self._parts.append(f'<{shape} points="{drawn}" {about}/>')
+
+    def text(self, text: Text) -> None:
+        anchor = {"m": "middle", "l": "start"}[text.anchor]
+        place = f'x="{_short(text.x)}" y="{_short(self.size[1] - text.y)}"'
+        rim = f'stroke="{BACKGROUND}" stroke-width="{_short(2 * text.size / 7)}" paint-order="stroke"'
+        font = f'font-size="{_short(text.size)}" font-family=\'{FONTS}\' text-anchor="{anchor}" dy="0.35em"'
+        self._parts.append(f'<text {place} {font} fill="{text.color}" {rim}>{escape(text.text)}</text>')
+
+
+def placed(texts: Sequence[Text], size: Size, pins: Sequence[tuple[float, float, float]] = ()) -> list[Text]:
+    """Texts about their middles, moved so that none covers another, one of the `pins` (x, y, radius) or the rim.
+
+    Each pass moves every two that overlap apart along the axis that takes less, half the way each, so that labels of a
+    film glide. The scripts of pages have the same rules (`apart`).
+    """
+    boxes = [[t.x, t.y, width_of(t.text, t.size) / 2 + 2, 0.55 * t.size + 1] for t in texts]
+    for _ in range(PASSES):
+        moved = False
+        for i, (x, y, w, h) in enumerate(boxes):
+            for other in boxes[i + 1 :]:
+                over, under = w + other[2] - abs(x - other[0]), h + other[3] - abs(y - other[1])
+                if over > 0 and under > 0:
+                    k, way = (0, over) if over < under else (1, under)
+                    way = way / 2 + 0.01
+                    sign = 1 if (boxes[i][k] - other[k]) >= 0 else -1
+                    boxes[i][k] += sign * way
+                    other[k] -= sign * way
+                    x, y, moved = boxes[i][0], boxes[i][1], True
+            for px, py, r in pins:
+                over, under = w + r - abs(x - px), h + r - abs(y - py)
+                if over > 0 and under > 0:
+                    k, way = (0, over) if over < under else (1, under)
+                    boxes[i][k] += way + 0.01 if boxes[i][k] >= (px, py)[k] else -way - 0.01
+                    x, y, moved = boxes[i][0], boxes[i][1], True
+            for k, half in ((0, w), (1, h)):
+                boxes[i][k] = min(max(boxes[i][k], half), max(size[k] - half, half))
+        if not moved:
+            break
+    return [Text(t.text, x, y, t.size, t.color, t.anchor) for t, (x, y, _, _) in zip(texts, boxes, strict=True)]
+
+
+def base_of(size: Size) -> float:
+    """Size of a picture compared with 640 x 480."""
+    return min(size[0] / 640, size[1] / 480)
+
+
+def shade(color: str, share: float = 0.58) -> str:
+    """A colour #rrggbb with this share of its light, towards black."""
+    return "#" + "".join(f"{int(int(color[i : i + 2], 16) * share):02x}" for i in (1, 3, 5))
+
+
+def rounded(points: Iterable[Any]) -> tuple[Vector, ...]:
+    """Points to a hundredth of a pixel."""
+    return tuple((round(float(x), 2), round(float(y), 2)) for x, y in points)
+
+
+def cell_of(pixels: float, scale: float) -> float:
+    """Distance of grid lines [m], at least so many pixels: 1, 2 or 5 times a power of ten."""
+    wanted = pixels / scale
+    power = 10.0 ** math.floor(math.log10(wanted))
+    return next(m * power for m in (1, 2, 5, 10) if m * power >= wanted * (1 - 1e-9))
+
+
+@cache
+def _font(size: float) -> ImageFont.FreeTypeFont:
+    return ImageFont.load_default(size)
+
+
+def width_of(text: str, size: float) -> float:
+    """Width of a text [pixels], about that of other fonts."""
+    return _font(SAMPLES * size).getlength(text) / SAMPLES
+
+
+def _short(number: float) -> str:
+    """A number to a hundredth, without zeros that say nothing."""
+    return f"{round(number, 2) + 0.0:.2f}".rstrip("0").rstrip(".")

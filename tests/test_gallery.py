@@ -1,0 +1,165 @@
+"""The gallery: every file runs, shows what it promises, and its own check holds."""
+
+import ast
+import runpy
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import alfmu
+from alfmu.view import picture
+
+matplotlib = pytest.importorskip("matplotlib")
+
+GALLERY = Path(__file__).parents[1] / "docs" / "gallery"
+
+Names = dict[str, Any]
+
+
+def windscreen_wiper(n: Names) -> None:
+    assert abs(n["simulated"] - n["swept"]) < 1e-4
+    assert n["apart"] < 1e-9
+
+
+def jansen_leg(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    # The path is the same in the second turn as in the first.
+    angle, x = n["result"]["crank.angle"], n["result"]["foot.x"]
+    again = np.interp(angle[angle < angle[-1] - 2 * np.pi] + 2 * np.pi, angle, x)
+    assert len(again) > 100
+    assert np.abs(again - x[: len(again)]).max() < 1e-3 * np.ptp(x)
+
+
+def peaucellier(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert np.ptp(n["result"]["D.y"]) > 0.3
+    assert np.ptp(n["energy"]) < 1e-6 * n["energy"].max()
+
+
+def scissor_lift(n: Names) -> None:
+    assert n["height_error"] < 1e-9
+    assert n["held"] == pytest.approx(n["statics"], rel=1e-5)
+    assert n["height"][-1] - n["height"][0] > 2.5
+
+
+def excavator(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["lost"] < 1e-5 * np.ptp(n["energy"])
+
+
+def planar_robot(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["tracking"] < 1e-4
+
+
+def stewart_platform(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert 0 < n["off"] < 0.005
+    assert np.ptp(n["places"][:, 2]) > 0.1
+
+
+def toggle_press(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["result"]["press"].max() > 2e5
+
+
+def quick_return(n: Names) -> None:
+    assert n["ratio"] == pytest.approx(n["expected"], rel=1e-3)
+
+
+def valve_train(n: Names) -> None:
+    assert n["seen"] == pytest.approx(n["greatest"], rel=2e-3)
+    assert n["force"].min() > 0
+    assert n["balance"] < 1e-6
+
+
+def four_cylinders(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["change"] < 1e-4
+
+
+def pantograph(n: Names) -> None:
+    assert n["deviation"] < 1e-12
+
+
+def landing_gear(n: Names) -> None:
+    assert n["brace"] == pytest.approx(n["expected"], rel=5e-3)
+    assert abs(n["up"]) < 0.1
+
+
+def five_bar(n: Names) -> None:
+    assert n["deviation"] < 1e-5
+
+
+def four_bar(n: Names) -> None:
+    assert n["deviation"] < 1e-5
+
+
+def slider_crank(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["crossings"] >= 4
+    assert n["lost"] < 1e-5
+
+
+def bennett(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["opposite"] < 1e-9
+
+
+def governor(n: Names) -> None:
+    assert n["deviation"] < 1e-4
+    assert n["grown"] == pytest.approx(30.0, rel=1e-5)
+    assert np.ptp(n["result"]["slider.z"]) > 0.05
+
+
+CHECKS: dict[str, Callable[[Names], None]] = {
+    check.__name__: check
+    for check in (
+        *(windscreen_wiper, jansen_leg, peaucellier, scissor_lift, excavator, planar_robot, stewart_platform),
+        *(toggle_press, quick_return, valve_train, four_cylinders, pantograph, landing_gear),
+        *(five_bar, four_bar, slider_crank, bennett, governor),
+    )
+}
+"""What holds of each file of the gallery, by the numbers that it leaves."""
+
+
+REGISTERED = {"five_bar", "four_bar", "slider_crank", "bennett", "governor"}
+"""Files that use a mechanism by its name."""
+
+
+def test_every_file_has_its_check():
+    assert sorted(path.stem for path in GALLERY.glob("*.py")) == sorted(f"plot_{name}" for name in CHECKS)
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_a_file_has_a_users_length_and_declares_one_mechanism(name: str):
+    tree = ast.parse((GALLERY / f"plot_{name}.py").read_text())
+    lines = {n.lineno for n in ast.walk(tree) if isinstance(n, ast.expr | ast.stmt)}
+    assert 10 < len(lines) <= 80
+    declares = [f for f in tree.body if isinstance(f, ast.FunctionDef) and ast.unparse(f.returns or f) == "Mechanism"]
+    assert len(declares) == (0 if name in REGISTERED else 1)
+
+
+@pytest.mark.parametrize("name", CHECKS)
+def test_a_file_runs_and_its_check_holds(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(picture, "MAX_FRAMES", 4)
+    try:
+        names = runpy.run_path(str(GALLERY / f"plot_{name}.py"), run_name="__main__")
+        assert pyplot.get_fignums(), "the file draws no figure"
+    finally:
+        pyplot.close("all")
+    CHECKS[name](names)
+    assert capsys.readouterr().out.count("\n") >= 1, "the file says nothing of its check"
+    assert [path.name for path in tmp_path.iterdir()] == [f"{name}.gif"]
+    result = names["result"]
+    assert isinstance(result, alfmu.Result)
+    assert np.abs(result["monitor.position_error"]).max() < 1e-9
