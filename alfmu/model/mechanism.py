@@ -816,10 +816,10 @@ class Mechanism:
     def drawn_joint(
         self,
         name: str,
-        at: Sequence[Scalar] | ca.SX,
+        at: Sequence[Scalar] | np.ndarray | ca.SX,
         *,
         kind: str = "",
-        axis: Sequence[Scalar] | ca.SX | None = None,
+        axis: Sequence[Scalar] | np.ndarray | ca.SX | None = None,
     ) -> None:
         """What pictures show at a place (3,) [m] in ground axes: for mechanisms whose bodies are energies alone.
 
