@@ -1,0 +1,78 @@
+"""Sphinx: `python -m sphinx -W docs docs/_build` builds the pages, without network."""
+
+import sys
+from datetime import date
+from importlib.metadata import version as version_of
+from pathlib import Path
+from typing import Any
+
+from latex2mathml.converter import convert
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+project = "alfmu"
+version = release = version_of("alfmu")
+copyright = f"{date.today().year}, the authors of alfmu"
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_copybutton", "sphinx_design", "sphinxarg.ext", "snippets"]
+exclude_patterns = ["_build", "made/**/*.md", "gallery/**"]
+suppress_warnings = []
+nitpicky = False
+
+html_theme = "furo"
+html_title = f"alfmu {version}"
+html_static_path = ["_static"]
+html_css_files = ["alfmu.css"]
+html_copy_source = False
+
+myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 4
+
+copybutton_prompt_text = "$ "
+
+# The API, from docstrings: names in single quotes are code there.
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_class_signature = "separated"
+autodoc_preserve_defaults = True
+python_maximum_signature_line_length = 80
+
+# The gallery.
+GALLERY = sorted((HERE / "gallery").glob("*.py"))
+if GALLERY:
+    extensions.append("sphinx_gallery.gen_gallery")
+    sphinx_gallery_conf: dict[str, Any] = {
+        "examples_dirs": "gallery",
+        "gallery_dirs": "mechanisms/gallery",
+        "filename_pattern": r"\.py$",
+        "image_scrapers": ("films.scraper", "matplotlib"),
+        "download_all_examples": False,
+        "show_memory": False,
+        "min_reported_time": 1e9,
+        "show_signature": False,
+    }
+else:
+    suppress_warnings.append("toc.empty_glob")
+
+
+def _formula(self: Any, node: Any, inline: bool) -> None:
+    from docutils.nodes import SkipNode
+
+    display = "inline" if inline else "block"
+    self.body.append(f'<div class="formula">{convert(node.astext(), display=display)}</div>' if not inline else "")
+    self.body.append(convert(node.astext(), display=display) if inline else "")
+    raise SkipNode
+
+
+def setup(app: Any) -> None:
+    """Formulas as MathML, which browsers show by themselves: nothing is fetched."""
+    app.add_html_math_renderer(
+        "mathml",
+        inline_renderers=(lambda self, node: _formula(self, node, True), None),
+        block_renderers=(lambda self, node: _formula(self, node, False), None),
+    )
+
+
+html_math_renderer = "mathml"
