@@ -16,7 +16,7 @@ version = release = version_of("alfmu")
 copyright = f"{date.today().year}, the authors of alfmu"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_copybutton", "sphinx_design", "sphinxarg.ext", "snippets"]
-exclude_patterns = ["_build", "made/**/*.md", "gallery/**"]
+exclude_patterns = ["_build", "made/**", "gallery/**"]
 suppress_warnings = []
 nitpicky = False
 
@@ -66,8 +66,14 @@ def _formula(self: Any, node: Any, inline: bool) -> None:
     raise SkipNode
 
 
+def _escaped(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Docstrings write |Phi| for a size, which is something else in reStructuredText."""
+    lines[:] = [line.replace("|", "\\|") for line in lines]
+
+
 def setup(app: Any) -> None:
     """Formulas as MathML, which browsers show by themselves: nothing is fetched."""
+    app.connect("autodoc-process-docstring", _escaped)
     app.add_html_math_renderer(
         "mathml",
         inline_renderers=(lambda self, node: _formula(self, node, True), None),

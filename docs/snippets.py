@@ -2,13 +2,15 @@
 
 A page is read from top to bottom, in a folder of its own:
 
-    ```python     a first line `# wiper.py` saves the block under this name; any other block runs, and what it prints has
-                  to be what an `output` block right after it shows
-    ```console    lines that begin with `$ ` run in a shell; what they print has to be what stands below them, if anything
+    ```python     a first line `# wiper.py` saves the block under this name; any other block runs, and what it prints
+                  has to be what an `output` block right after it shows
+    ```console    lines that begin with `$ ` run in a shell; what they print has to be what stands below them, if
+                  anything does
     ```output     see above; `...` stands for anything, and any blank equals any other
 
-A block in another language does not run. Pictures that a page leaves in its folder can be shown by it: the folder of
-`howto/fmpy.md` is `made/howto/fmpy`.
+A block in another language does not run. `-D snippets_pages=REGEX` runs some of the pages alone, those whose names
+match as a whole. Pictures that a page leaves in its folder can be shown by it: that of `howto/fmpy.md` is
+`made/howto/fmpy`.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ MADE = "made"
 
 LONGEST = 180
 """Time [s] after which a page is given up: ten times what the longest takes alone."""
+
+EVERY = ".*"
 
 _FENCE = re.compile(r"^```(python|console)$", re.MULTILINE)
 
@@ -109,14 +113,22 @@ def in_folder(page: Path, folder: Path) -> str:
 def _read(app: Any, document: str, source: list[str]) -> None:
     from sphinx.util import logging
 
-    if runs(source[0]):
+    if re.fullmatch(app.config.snippets_pages, document) and runs(source[0]):
         page, folder = Path(app.env.doc2path(document)), Path(app.srcdir) / MADE / document
         if wrong := in_folder(page, folder):
             logging.getLogger(__name__).warning(wrong, location=document)
 
 
+def _lenient(app: Any, config: Any) -> None:
+    """Pages that do not run lack their pictures."""
+    if config.snippets_pages != EVERY:
+        config.suppress_warnings = [*config.suppress_warnings, "image.not_readable"]
+
+
 def setup(app: Any) -> dict[str, Any]:
     """Run each page when Sphinx reads it, so that its pictures are there."""
+    app.add_config_value("snippets_pages", EVERY, "env", str)
+    app.connect("config-inited", _lenient)
     app.connect("source-read", _read)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
