@@ -1,7 +1,7 @@
 """Make the film of README.md and of the first page, `docs/five_bar.gif`: the five-bar of Blajer (2002) over one period.
 
-The run is that of the paper's Figure 7, from the singular position with 2 rad/s under gravity, until the linkage is back
-where it began, so that the film has no seam.
+The run is that of the paper's Figure 7, from the singular position with 2 rad/s under gravity, until the linkage is
+back where it began, so that the film has no seam.
 """
 
 from __future__ import annotations
