@@ -30,8 +30,8 @@ from typing import Any
 MADE = "made"
 """Folder of what pages leave, in that of the documentation."""
 
-LONGEST = 180
-"""Time [s] after which a page is given up: ten times what the longest takes alone."""
+LONGEST = 600
+"""Time [s] after which a page is given up: twenty times what the longest takes on a quiet machine."""
 
 EVERY = ".*"
 
