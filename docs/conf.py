@@ -17,7 +17,6 @@ copyright = f"{date.today().year}, the authors of alfmu"
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_copybutton", "sphinx_design", "sphinxarg.ext", "snippets"]
 exclude_patterns = ["_build", "made/**", "gallery/**"]
-suppress_warnings = []
 nitpicky = False
 
 html_theme = "furo"
@@ -53,8 +52,6 @@ if GALLERY:
         "min_reported_time": 1e9,
         "show_signature": False,
     }
-else:
-    suppress_warnings.append("toc.empty_glob")
 
 
 def _formula(self: Any, node: Any, inline: bool) -> None:
@@ -71,9 +68,17 @@ def _escaped(app: Any, what: str, name: str, obj: Any, options: Any, lines: list
     lines[:] = [line.replace("|", "\\|") for line in lines]
 
 
+def _without_gallery(app: Any, document: str, source: list[str]) -> None:
+    """A source archive may come without its examples."""
+    if document == "mechanisms/index" and not GALLERY:
+        before, _, rest = source[0].partition("## Gallery")
+        source[0] = before + rest[rest.index("## ") :]
+
+
 def setup(app: Any) -> None:
     """Formulas as MathML, which browsers show by themselves: nothing is fetched."""
     app.connect("autodoc-process-docstring", _escaped)
+    app.connect("source-read", _without_gallery)
     app.add_html_math_renderer(
         "mathml",
         inline_renderers=(lambda self, node: _formula(self, node, True), None),

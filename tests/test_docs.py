@@ -134,7 +134,7 @@ def test_links_become_absolute_where_the_source_is_known():
         "[the page](https://git.org/a/b/blob/v1.0/docs/b.md) and [site](https://x.org), [here](#c)\n"
     )
     plain = links.for_an_index(text, None, "1.0")
-    assert plain.startswith("the page (`docs/b.md`) and [site](https://x.org), [here](#c)\n")
+    assert plain.startswith("the page, `docs/b.md` and [site](https://x.org), [here](#c)\n")
 
 
 def test_every_registered_mechanism_has_a_page():

@@ -28,7 +28,7 @@ def for_an_index(text: str, source: str | None, version: str) -> str:
 
     def named(found: re.Match[str]) -> str:
         _, label, path = found.groups()
-        return f"`{path}`" if label == path else f"{label} (`{path}`)"
+        return f"`{path}`" if path.startswith(label.rstrip("/")) else f"{label}, `{path}`"
 
     plain = _LINK.sub(named, _LINE.sub("", text))
     return plain.rstrip() + "\n\nPaths on this page are those of files in the source archive.\n"
