@@ -47,6 +47,7 @@ if GALLERY:
         "gallery_dirs": "mechanisms/gallery",
         "filename_pattern": r"\.py$",
         "image_scrapers": ("films.scraper", "matplotlib"),
+        "capture_repr": (),
         "download_all_examples": False,
         "show_memory": False,
         "min_reported_time": 1e9,
