@@ -48,6 +48,7 @@ if GALLERY:
         "filename_pattern": r"\.py$",
         "image_scrapers": ("films.scraper", "matplotlib"),
         "capture_repr": (),
+        "write_computation_times": False,
         "download_all_examples": False,
         "show_memory": False,
         "min_reported_time": 1e9,
