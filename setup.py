@@ -5,20 +5,34 @@ The one for browsers (`alfmu live`) is built with it where there is zig, which t
 
 import importlib.util
 import sys
+import tomllib
 from pathlib import Path
 
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
 
-RUNTIME = Path(__file__).parent / "alfmu" / "runtime"
+ROOT = Path(__file__).parent
+RUNTIME = ROOT / "alfmu" / "runtime"
+
+
+def _module(name: str, path: Path):
+    """A module of a file that needs nothing of alfmu."""
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def _builder():
-    """alfmu/runtime/build.py, which needs nothing of alfmu."""
-    spec = importlib.util.spec_from_file_location("alfmu_runtime_build", RUNTIME / "build.py")
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return _module("alfmu_runtime_build", RUNTIME / "build.py")
+
+
+def _description() -> str:
+    """README.md, with links that work on a package index."""
+    about = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    links = _module("alfmu_links", ROOT / "scripts" / "packaging" / "links.py")
+    return links.for_an_index(text, about.get("urls", {}).get("Source"), about["version"])
 
 
 class BuildRuntime(build_ext):
@@ -36,6 +50,8 @@ class BuildRuntime(build_ext):
 
 
 setup(
+    long_description=_description(),
+    long_description_content_type="text/markdown",
     ext_modules=[Extension("alfmu.runtime.library_of_this_machine", [])],
     cmdclass={"build_ext": BuildRuntime},
 )

@@ -170,7 +170,7 @@ def compared(page: Page, unit, stop: float) -> dict[str, float]:
     interval = page.browser.execute_script("return alfmu.about.interval")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", alfmu.AlfmuWarning)
-        result = run(unit, stop_time=float(table[-1, 0]), step=interval, inputs=inputs)
+        result = run(unit, stop_time=float(table[-1, 0]), communication_step=interval, inputs=inputs)
     assert ["time", *result.names] == names
     assert np.array_equal(result.time, table[:, 0]), "the page has other communication points"
     size = np.maximum(np.abs(result.values).max(axis=0), 1.0)
@@ -256,7 +256,9 @@ def test_with_error_control_they_differ_by_no_more_than_a_last_digit_makes(opene
         unit = alfmu.Instance("slider_crank")
         start = float(unit.get("start.angle"))
         unit.set("start.angle", start + digits * np.spacing(start))
-        runs.append(run(unit, stop_time=0.3, step=page.browser.execute_script("return alfmu.about.interval")))
+        runs.append(
+            run(unit, stop_time=0.3, communication_step=page.browser.execute_script("return alfmu.about.interval"))
+        )
     values = np.array([result.values for result in runs])
     size = np.maximum(np.abs(values[3]).max(axis=0), 1.0)
     responses = dict(zip(runs[0].names, (np.abs(values - values[3]).max(axis=(0, 1)) / size), strict=True))

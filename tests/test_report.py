@@ -366,29 +366,28 @@ def test_the_chapters_of_the_paper(study, tmp_path):
     assert mechanism in mechanisms()
 
 
-def test_a_picture_and_a_table_of_a_report_go_into_the_readme(written, tmp_path):
+def test_a_picture_and_a_table_of_a_report_go_into_a_page(written, tmp_path):
     """Between the markers, and nothing else changes; numbers are those of the report."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(SCRIPTS))
-        import readme
-    page, drawn = tmp_path / "README.md", tmp_path / "x.png"
-    page.write_text(f"before\n\n{readme.BEGIN}\nold\n{readme.END}\n\nafter\n")
-    arguments = [str(written.parent), "--readme", str(page), "--picture", str(drawn)]
+        import cost_page
+    page, drawn = tmp_path / "cost.md", tmp_path / "x.png"
+    page.write_text(f"before\n\n{cost_page.BEGIN}\nold\n{cost_page.END}\n\nafter\n")
+    arguments = [str(written.parent), "--page", str(page), "--picture", str(drawn)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(readme, "ROOT", tmp_path)
-        patch.setattr(readme, "PICTURE", drawn)
-        patch.setattr(readme, "MECHANISM", "particle_on_circle")
-        assert readme.main(arguments) == 0
+        patch.setattr(cost_page, "MECHANISM", "particle_on_circle")
+        assert cost_page.main(arguments) == 0
     text = page.read_text()
-    assert text.startswith("before\n\n" + readme.BEGIN)
-    assert text.endswith(readme.END + "\n\nafter\n")
+    assert text.startswith("before\n\n" + cost_page.BEGIN)
+    assert text.endswith(cost_page.END + "\n\nafter\n")
     assert "old" not in text
-    row = next(r for r in rows(written.parent, "comparisons") if r["level or step"] == f"{readme.LEVEL:.17g}")
+    assert "(x.png)" in text
+    row = next(r for r in rows(written.parent, "comparisons") if r["level or step"] == f"{cost_page.LEVEL:.17g}")
     shown = next(line for line in text.splitlines() if line.startswith("| particle_on_circle")).strip("| ").split(" | ")
     assert float(shown[2]) == pytest.approx(1e3 * float(row["its value"]), rel=0.05)
     assert drawn.stat().st_size > 10_000
     page.write_text("no markers")
-    assert readme.main(arguments) == 1
+    assert cost_page.main(arguments) == 1
     assert page.read_text() == "no markers"
 
 

@@ -35,6 +35,7 @@ def motion(e: alfmu.Equations, kernel: str, start: dict) -> np.ndarray:
     """Coordinates and reactions over a time."""
     names = [o.name for o in e.outputs if ".force" in o.name]
     i = made(e, kernel)
+    i.set("solver.method", "rk4")
     for name, value in start.items():
         i.set(name, value)
     i.initialize()

@@ -88,26 +88,26 @@ class Equations:
     `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs), p (parameters), s (start values)
     and t (s); the name of each is the paper's letter or the quantity:
 
-    ==============================  =============================================  ==================================
-    M(q, p)                         mass matrix (n, n)                             kinetic energy v'Mv/2
-    d(q, v, p)                      velocity terms (n,)                            (4)
-    f(q, v, u, p, t)                applied forces (n,)                            (4)
-    Phi(q, p)                       constraints (l,)                               (1)
-    C(q, p)                         constraint matrix (l, n)                       (2)
-    xi(q, v, p)                     constraint-induced accelerations (l,)          (3)
-    displacements(q, p)             what locks keep, m or rad
-    gaps(q, p)                      how far each constraint is open (l,), m or rad zero where Phi is
-    gaps_matrix(q, p)               its derivative (l, n)
-    kinetic_energy(q, v, p)         J
-    potential_energy(q, p)          J
-    input_power(q, v, u, p, t)      power of the inputs, W
-    other_power(q, v, p, t)         power of dampers and loads, W
-    readings(q, v, a, lam, u, p, t) everything a user can read, in the order of `outputs`
-    guess(p, s)                     start of the position assembly (n,)
-    guess_rate(p, s, sdot)          its time derivative (n,)
-    ties(q, p, s)                   independent quantities minus their start values
-    ties_matrix(q, p, s)            its derivative with respect to q
-    ==============================  =============================================  ==================================
+    ===============================  ======================================================  ======================
+    M(q, p)                          mass matrix (n, n)                                      kinetic energy v'Mv/2
+    d(q, v, p)                       velocity terms (n,)                                     (4)
+    f(q, v, u, p, t)                 applied forces (n,)                                     (4)
+    Phi(q, p)                        constraints (l,)                                        (1)
+    C(q, p)                          constraint matrix (l, n)                                (2)
+    xi(q, v, p)                      constraint-induced accelerations (l,)                   (3)
+    displacements(q, p)              what locks keep, m or rad
+    gaps(q, p)                       how far each constraint is open (l,), m or rad          zero where Phi is
+    gaps_matrix(q, p)                its derivative (l, n)
+    kinetic_energy(q, v, p)          J
+    potential_energy(q, p)           J
+    input_power(q, v, u, p, t)       power of the inputs, W
+    other_power(q, v, p, t)          power of dampers and loads, W
+    readings(q, v, a, lam, u, p, t)  everything a user can read, in the order of `outputs`
+    guess(p, s)                      start of the position assembly (n,)
+    guess_rate(p, s, sdot)           its time derivative (n,)
+    ties(q, p, s)                    independent quantities minus their start values
+    ties_matrix(q, p, s)             its derivative with respect to q
+    ===============================  ======================================================  ======================
 
     Those that are evaluated with numbers are combined by `alfmu.equations.evaluation`, and traced into a kernel by
     `alfmu.kernel.trace`.

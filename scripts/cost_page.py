@@ -1,13 +1,16 @@
-"""Put a picture and a table of a report into README.md: run `alfmu report all -o DIR`, then this with the same DIR.
+"""Put a picture and a table of a report into docs/theory/cost.md.
 
-The picture is `scripts/readme.png`; the table stands between two markers in README.md. Numbers are those of the CSV
-files of that report.
+Run `alfmu report all -o DIR`, then this with the same DIR.
+
+The picture is `cost.png` beside that page; the table stands between two markers. Numbers are those of the CSV files of
+that report.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +21,8 @@ from alfmu.studies.cases import POSITION
 from alfmu.studies.report import TIME
 from alfmu.studies.tables import markdown, paragraph
 
-ROOT = Path(__file__).parents[1]
-PICTURE = ROOT / "scripts" / "readme.png"
+PAGE = Path(__file__).parents[1] / "docs" / "theory" / "cost.md"
+PICTURE = PAGE.with_suffix(".png")
 BEGIN, END = "<!-- report: begin -->", "<!-- report: end -->"
 
 MECHANISM = "five_bar"
@@ -93,14 +96,14 @@ def _ratio(row: dict[str, str] | None) -> str | float | None:
     return float(row["ratio"]) if row["ratio"] else "not reached"
 
 
-def section(folder: Path) -> str:
+def section(folder: Path, link: str) -> str:
     """What stands between the markers."""
     where = {r["what"]: r["value"] for r in rows(folder, "environment")}
     horizon, load = float(where["longest simulated time [s]"]), where["load average at the start"]
     return "\n\n".join(
         [
             BEGIN,
-            f"![error against run time of the {MECHANISM}]({PICTURE.relative_to(ROOT).as_posix()})",
+            f"![error against run time of the {MECHANISM}]({link})",
             paragraph(
                 f"Error against run time of `{MECHANISM}`, {horizon:g} s of motion: {where['command']} on "
                 f"{where['processor']}, load average {load}. Below, the run time to an error of {LEVEL:g} m and rad, "
@@ -113,25 +116,26 @@ def section(folder: Path) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write README.md and the picture."""
-    line = argparse.ArgumentParser(description="Put a picture and a table of a report into README.md.")
+    """Write the page and the picture."""
+    line = argparse.ArgumentParser(description="Put a picture and a table of a report into a page.")
     line.add_argument("report", type=Path, metavar="DIR", help="folder that `alfmu report all -o DIR` wrote")
-    line.add_argument("--readme", type=Path, default=ROOT / "README.md", help="file to write into (default: README.md)")
-    line.add_argument("--picture", type=Path, default=PICTURE, help="picture to write (default: scripts/readme.png)")
+    line.add_argument("--page", type=Path, default=PAGE, help="file to write into (default: docs/theory/cost.md)")
+    line.add_argument("--picture", type=Path, default=PICTURE, help="picture to write (default: docs/theory/cost.png)")
     chosen = line.parse_args(arguments)
     try:
-        before, _, rest = chosen.readme.read_text(encoding="utf-8").partition(BEGIN)
+        before, _, rest = chosen.page.read_text(encoding="utf-8").partition(BEGIN)
         _, marked, after = rest.partition(END)
         if not marked:
-            print(f"{chosen.readme} has no lines {BEGIN} and {END}; add them where the report belongs", file=sys.stderr)
+            print(f"{chosen.page} has no lines {BEGIN} and {END}; add them where the report belongs", file=sys.stderr)
             return 1
-        text = before + section(chosen.report) + after
+        link = os.path.relpath(chosen.picture, chosen.page.parent).replace(os.sep, "/")
+        text = before + section(chosen.report, link) + after
         picture(rows(chosen.report, "errors")).savefig(chosen.picture, dpi=100, metadata={"Software": None})
-        chosen.readme.write_text(text, encoding="utf-8")
+        chosen.page.write_text(text, encoding="utf-8")
     except OSError as error:
         print(f"{error.filename}: {error.strerror}; give the folder of `alfmu report all -o DIR`", file=sys.stderr)
         return 1
-    print(chosen.readme)
+    print(chosen.page)
     return 0
 
 

@@ -1,0 +1,22 @@
+"""Shows the pictures and films that an example of the gallery writes, in the order of its blocks."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+from sphinx_gallery.scrapers import figure_rst
+
+KINDS = (".gif", ".png", ".svg")
+
+
+def scraper(block: Any, block_vars: dict[str, Any], gallery_conf: dict[str, Any]) -> str:
+    """Move what a block has written beside its script into the gallery, and show it."""
+    folder, shown = Path(block_vars["src_file"]).parent, []
+    written = (path for path in folder.iterdir() if path.suffix in KINDS)
+    for path in sorted(written, key=lambda each: each.stat().st_mtime_ns):
+        target = Path(next(block_vars["image_path_iterator"])).with_suffix(path.suffix)
+        shutil.move(path, target)
+        shown.append(str(target))
+    return figure_rst(shown, gallery_conf["src_dir"])

@@ -1,0 +1,273 @@
+"""The pages of the documentation: what they show is so, and they load in a browser without network."""
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tarfile
+from email import message_from_bytes
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("sybil")
+pytest.importorskip("sphinx")
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+ONE = "windscreen_wiper"
+"""The example of the gallery that is run here; the build of all pages runs them all."""
+
+HOLE = "…"
+"""What stands for names and numbers in a message."""
+
+LOADED = ("index", "tutorial", "mechanisms/index", "theory/method", "reference/api", "reference/messages")
+"""Pages that a browser opens here, beside those of the gallery."""
+
+
+def imported(name: str, folder: Path):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(folder))
+        return __import__(name)
+
+
+snippets = imported("snippets", DOCS)
+links = imported("links", ROOT / "scripts" / "packaging")
+
+OWN = [p for p in sorted(DOCS.rglob("*.md")) if not {"made", "_build", "gallery"} & set(p.relative_to(DOCS).parts)]
+PAGES = [ROOT / "README.md", *OWN]
+RUN = [page for page in PAGES if snippets.runs(page.read_text(encoding="utf-8"))]
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+# Snippets ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", [page for page in RUN if page.name != "tutorial.md"], ids=name_of)
+def test_a_page_shows_what_is_so(page, tmp_path):
+    """Every block runs, and prints what the page says; the tutorial runs where the site is built."""
+    assert snippets.in_folder(page, tmp_path / "made") == ""
+
+
+def test_a_page_that_shows_something_else_is_told(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("# A\n\n```python\nprint(1 + 1)\n```\n\n```output\n3\n```\n")
+    assert "line 7: AssertionError: the page says" in snippets.in_folder(page, tmp_path / "made")
+    page.write_text("```console\n$ echo one two\none ...\n$ python -c 'raise SystemExit(3)'\n```\n")
+    assert "ends with exit code 3" in snippets.in_folder(page, tmp_path / "made")
+    page.write_text("```python\n# x.py\na = 2\n```\n\n```python\nfrom x import a\nprint(a)\n```\n\n```output\n2\n```\n")
+    assert snippets.in_folder(page, tmp_path / "made") == ""
+
+
+# Links and names -----------------------------------------------------------------------------------------------------
+
+
+def test_the_readme_is_one_page():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 110
+
+
+def test_the_film_of_the_readme_is_small_and_moves(tmp_path):
+    from PIL import Image
+
+    film = DOCS / "five_bar.gif"
+    assert film.stat().st_size < 300_000
+    with Image.open(film) as frames:
+        assert frames.n_frames > 30
+    readme_film = imported("readme_film", ROOT / "scripts")
+    assert readme_film.main(["-o", str(tmp_path / "again.gif"), "--fps", "2"]) == 0
+    with Image.open(film) as frames, Image.open(tmp_path / "again.gif") as again:
+        assert again.size == frames.size
+        assert 3 < again.n_frames < frames.n_frames
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory) -> tuple[str, set[str]]:
+    """The description for a package index, and the files, of the source archive."""
+    folder = tmp_path_factory.mktemp("archive")
+    left = shutil.ignore_patterns(
+        ".git", ".venv", "_build", "made", "results", "build", "dist", "*.egg-info", "__pycache__"
+    )
+    shutil.copytree(ROOT, folder / "alfmu", ignore=left)
+    code = "from setuptools import build_meta as b; b.build_sdist('..')"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder / "alfmu", capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    with tarfile.open(next(folder.glob("*.tar.gz"))) as packed:
+        names = {name.partition("/")[2] for name in packed.getnames()}
+        top = packed.getnames()[0].split("/")[0]
+        about = message_from_bytes(packed.extractfile(f"{top}/PKG-INFO").read())
+    return about.get_payload(decode=True).decode(), names
+
+
+def relative(text: str) -> list[str]:
+    """Where the links and pictures of a page in Markdown lead to beside it."""
+    return [path for path in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"[a-z]+:|#", path)]
+
+
+def test_links_of_the_readme_lead_to_files_of_the_source_archive(archive):
+    _, names = archive
+    paths = relative((ROOT / "README.md").read_text(encoding="utf-8"))
+    assert len(paths) > 15
+    for path in paths:
+        assert (ROOT / path).exists(), path
+        assert any(name == path.rstrip("/") or name.startswith(f"{path.rstrip('/')}/") for name in names), path
+
+
+def test_a_package_index_shows_no_link_that_leads_nowhere(archive):
+    text, names = archive
+    assert "docs/tutorial.md" in text
+    assert relative(text) == []
+    for path in re.findall(r"`((?:docs|scripts|fmus|mechanisms)/[\w./-]*)`", text):
+        assert any(name == path.rstrip("/") or name.startswith(path) for name in names), path
+
+
+def test_links_become_absolute_where_the_source_is_known():
+    text = "![film](docs/a.gif)\n\n[the page](docs/b.md) and [site](https://x.org), [here](#c)\n"
+    assert links.for_an_index(text, "https://git.org/a/b/", "1.0") == (
+        "![film](https://git.org/a/b/raw/v1.0/docs/a.gif)\n\n"
+        "[the page](https://git.org/a/b/blob/v1.0/docs/b.md) and [site](https://x.org), [here](#c)\n"
+    )
+    plain = links.for_an_index(text, None, "1.0")
+    assert plain.startswith("the page, `docs/b.md` and [site](https://x.org), [here](#c)\n")
+
+
+def test_every_registered_mechanism_has_a_page():
+    import alfmu
+
+    assert {page.stem for page in (DOCS / "mechanisms").glob("*.md")} == {*alfmu.mechanisms(), "index"}
+
+
+def test_every_public_name_is_in_the_reference():
+    import alfmu
+
+    page = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"^\.\. auto\w+:: (?:\w+\.)*(\w+)(?:\(\))?$", page, re.M))
+    assert set(alfmu.__all__) - named == set()
+
+
+# Messages ------------------------------------------------------------------------------------------------------------
+
+
+def templates() -> list[list[str]]:
+    """What the package says: texts of its Python and C files, cut where names and numbers are put in."""
+    found = []
+    for path in (ROOT / "alfmu").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.JoinedStr):
+                found.append("".join(x.value if isinstance(x, ast.Constant) else HOLE for x in node.values))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                found.append(node.value)
+    for path in (ROOT / "alfmu" / "runtime").glob("*.c"):
+        text = re.sub(r'"\s*"', "", path.read_text(encoding="utf-8"))
+        found += [re.sub(r"%[-+ .\d]*[a-z]", HOLE, each) for each in re.findall(r'"((?:[^"\\\n]|\\.)*)"', text)]
+    return [each.split(HOLE) for each in found]
+
+
+def said(message: str, pieces: list[str]) -> bool:
+    """Whether a text with holes can hold a message with holes."""
+    own = [re.escape(piece) for piece in message.split(HOLE)]
+    return bool(re.search(".*".join(own), HOLE.join(pieces), re.DOTALL))
+
+
+QUOTED = re.findall(
+    r"^`(.+)`\n: ",
+    (DOCS / "reference" / "messages.md").read_text(encoding="utf-8").partition("## Messages of other programs")[0],
+    re.M,
+)
+
+
+def test_messages_are_quoted():
+    assert len(QUOTED) > 30
+
+
+@pytest.fixture(scope="module")
+def texts() -> list[list[str]]:
+    return templates()
+
+
+@pytest.mark.parametrize("message", QUOTED)
+def test_a_quoted_message_is_one_of_the_package(message, texts):
+    assert sum(said(message, pieces) for pieces in texts) >= 1
+
+
+# The site ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    """The pages, with the pictures of the tutorial and of one example of the gallery; a warning fails."""
+    folder = tmp_path_factory.mktemp("site")
+    left = shutil.ignore_patterns("_build", "made", "__pycache__", "*.gif.tmp")
+    for each in ("docs", "mechanisms"):
+        shutil.copytree(ROOT / each, folder / each, ignore=left)
+    shutil.rmtree(folder / "docs" / "mechanisms" / "gallery", ignore_errors=True)
+    for each in ("CHANGELOG.md", "CONTRIBUTING.md"):
+        shutil.copy(ROOT / each, folder)
+    few = ["-D", "snippets_pages=tutorial", "-D", f"sphinx_gallery_conf.filename_pattern={ONE}"]
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        *few,
+        str(folder / "docs"),
+        str(folder / "site"),
+    ]
+    # Whatever asks for the network finds none.
+    without = {**os.environ, **dict.fromkeys(("http_proxy", "https_proxy"), "http://127.0.0.1:9")}
+    done = subprocess.run(command, env=without, capture_output=True, text=True, timeout=600, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder / "site"
+
+
+def test_pages_load_in_a_browser(site, chromium):
+    """Pictures are there, nothing is fetched, nothing complains, and a phone shows no page wider than itself."""
+    examples = [page for page in ("index", f"plot_{ONE}") if (site / "mechanisms/gallery" / f"{page}.html").exists()]
+    broken = """
+        const done = arguments[0], pictures = [...document.images];
+        const lost = each => { each.loading = "eager"; return each.decode().then(() => null, () => each.src); };
+        Promise.all(pictures.map(lost)).then(all => done([pictures.length, all.filter(x => x)]));
+    """
+    shown = 0
+    for page in (*LOADED, *(f"mechanisms/gallery/{each}" for each in examples)):
+        file = site / f"{page}.html"
+        text = file.read_text(encoding="utf-8")
+        assert re.findall(r"<(?:script|link|img|iframe)[^>]*(?:src|href)=\"https?:", text) == [], page
+        for width in (1280, 400):
+            chromium.set_window_size(width, 900)
+            chromium.get(file.as_uri())
+            count, lost = chromium.execute_async_script(broken)
+            assert lost == [], page
+            shown += count
+            over = chromium.execute_script("return document.documentElement.scrollWidth - window.innerWidth")
+            assert over <= 0, f"{page} is {over} pixels too wide"
+        assert [entry["message"] for entry in chromium.get_log("browser")] == [], page
+    assert shown > 10
+
+
+def test_texts_of_the_site_are_made_from_the_package(site):
+    """Options of every command, arguments of the public functions, and formulas that browsers show by themselves."""
+    commands = (site / "reference" / "cli.html").read_text(encoding="utf-8")
+    assert all(f"--{name}" in commands for name in ("held-rows", "compliances", "freeze", "platform"))
+    api = (site / "reference" / "api.html").read_text(encoding="utf-8")
+    assert all(f'id="alfmu.{name}"' in api for name in ("Mechanism.revolute", "simulate", "export", "Recipe"))
+    formulas = re.findall(r"\$\$?[^$]+\$\$?", (DOCS / "theory" / "method.md").read_text(encoding="utf-8"))
+    assert len(formulas) > 15
+    assert (site / "theory" / "method.html").read_text(encoding="utf-8").count("<math") == len(formulas)
+
+
+def test_pictures_of_pages_are_those_that_they_leave():
+    """A page shows pictures of its own folder alone, and no other page's."""
+    for page in OWN:
+        folder = (DOCS / snippets.MADE / page.relative_to(DOCS)).with_suffix("")
+        for path in relative(page.read_text(encoding="utf-8")):
+            if f"{snippets.MADE}/" in path:
+                assert (page.parent / path).resolve().parent == folder, f"{page}: {path}"
