@@ -232,7 +232,7 @@ def test_a_long_run_shows_its_progress_on_a_terminal(tmp_path):
     master, terminal = pty.openpty()
     termios.tcsetwinsize(terminal, (24, 100))
     command = [sys.executable, "-m", "alfmu.cli", "simulate", "slider_crank", "--stop-time", "20"]
-    command += ["--step", "0.02", "--set", "solver.step_size=1e-5"]
+    command += ["--step", "0.02", "--set", "solver.method=rk4", "--set", "solver.step_size=1e-5"]
     with subprocess.Popen(command, cwd=tmp_path, stderr=terminal, stdout=subprocess.DEVNULL) as run:
         os.close(terminal)
         shown = ""
