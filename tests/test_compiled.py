@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from collections import OrderedDict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +26,7 @@ from alfmu.fmi.slave import COMPILED
 from alfmu.kernel import emit, stream
 from alfmu.kernel.tables import machine_code, packed
 from alfmu.runtime import compiled as build
+from alfmu.runtime import reuse, shipped
 from alfmu.runtime.build import HERE, zig
 from alfmu.runtime.compiled import SUFFIX
 from alfmu.runtime.library import Scene
@@ -70,7 +72,8 @@ class Functions:
 
 @pytest.fixture
 def own_cache(tmp_path, monkeypatch) -> Path:
-    """A cache folder that nobody else uses."""
+    """A cache folder that nobody else uses; nothing is known of scenes that runs before shared."""
+    monkeypatch.setattr(reuse, "_KEPT", OrderedDict())
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return tmp_path / "cache" / "alfmu"
 
@@ -225,10 +228,10 @@ def test_a_damaged_library_is_never_in_an_fmu(own_cache, tmp_path, monkeypatch, 
     """Export builds it again, and says that all went well only then; that of the runtime is as if of another platform,
     with which alfmu did not come."""
     form = ["--kernel", "compiled"] if kind == "python" else ["--platform", HERE]
-    built, there = [], native._there(HERE)
+    built, there = [], shipped.there(HERE)
     if kind == "native":
-        monkeypatch.setattr(native, "_there", lambda name: tmp_path / "nowhere")
-        monkeypatch.setattr(native.build, "build", lambda name, path: built.append(shutil.copyfile(there, path)))
+        monkeypatch.setattr(shipped, "there", lambda name: tmp_path / "nowhere")
+        monkeypatch.setattr(shipped.build, "build", lambda name, path: built.append(shutil.copyfile(there, path)))
     found = []
     for name in ("one", "two"):
         path = tmp_path / f"{name}.fmu"
