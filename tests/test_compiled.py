@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scenes import derived
+from scenes import by_rk4, derived
 
 import alfmu
 from alfmu.cli import main
@@ -421,7 +421,7 @@ def test_from_the_command_line(tmp_path, capsys, monkeypatch):
 
 def test_a_state_that_is_not_finite_reaches_nobody():
     """NaN through the compiled step: refused with a reason, the state before it kept."""
-    e = prepared(derived("five_bar"), "compiled")
+    e = prepared(by_rk4("five_bar"), "compiled")
     i = alfmu.Instance(e)
     assert i._scene.code
     i.set("start.angle", 0.4)
