@@ -55,13 +55,13 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
 
 def decided(equations: Equations) -> Equations:
     """The same equations with what their method of integration needs, and `auto` decided."""
-    chosen, reason = integrator(equations), equations.reason
-    if chosen == "auto":
-        chosen, reason = _chosen(equations)
     formulation, known = default_settings(equations).formulation, formulations(equations)
     if formulation not in known:
         limit = f"solver.formulation {formulation} takes up to {DENSE} coordinates"
         raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
+    chosen, reason = integrator(equations), equations.reason
+    if chosen == "auto":
+        chosen, reason = _chosen(equations)
     if chosen in RULES and equations.n > DENSE:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
     e = with_tangents(equations) if chosen in RULES else equations
