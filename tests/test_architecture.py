@@ -12,6 +12,7 @@ from alfmu.fmi.export import RUN_SIDE
 PACKAGE = Path(alfmu.__file__).parent
 
 ROOMS: dict[str, set[str]] = {
+    "catalogue": set(),
     "model": set(),
     "files": {"model"},
     "equations": {"model"},

@@ -358,7 +358,7 @@ def expected() -> list[str]:
 
 def test_a_compiled_fmu_needs_no_package(five_bar, expected):
     """The same numbers as with alfmu, in a process where no package can be imported; and compiled functions ran."""
-    numbers, loaded = in_fmpy(five_bar, "numpy casadi scipy alfmu alfmu_mechanisms")
+    numbers, loaded = in_fmpy(five_bar, "numpy casadi scipy alfmu")
     assert numbers == expected
     assert LIBRARY in loaded
 
@@ -384,7 +384,7 @@ def test_on_another_platform_the_scene_is_interpreted(five_bar, expected, tmp_pa
         "another processor": {LIBRARY: content[:18] + b"\xff\xfe" + content[20:]},  # of ELF
     }[how]
     elsewhere = changed(five_bar, tmp_path / "elsewhere.fmu", foreign)
-    numbers, loaded = in_fmpy(elsewhere, "numpy casadi scipy alfmu alfmu_mechanisms")
+    numbers, loaded = in_fmpy(elsewhere, "numpy casadi scipy alfmu")
     assert numbers == expected
     assert not [name for name in loaded if name.startswith(COMPILED)]
 

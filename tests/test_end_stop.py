@@ -5,7 +5,7 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from alfmu_mechanisms.end_stop import contact
+from alfmu.catalogue.mechanisms.end_stop import contact
 from oracles import ode
 from oracles.end_stop import EndStop
 from oracles.free_body import Balance

@@ -318,7 +318,7 @@ def test_the_recipes_of_the_repository():
     """Every file in fmus is registered, and every mechanism has a plain recipe of its name, for pythonfmu too."""
     files = sorted(path for path in (ROOT / "fmus").glob("*.py") if path.stem != "__init__")
     entries = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"]["alfmu.fmus"]
-    assert entries == {path.stem: f"alfmu_fmus.{path.stem}" for path in files}
+    assert entries == {path.stem: f"alfmu.catalogue.fmus.{path.stem}" for path in files}
     found = {path.stem: load(path) for path in files}
     assert set(alfmu.mechanisms()) <= set(found)
     for path in files:

@@ -24,6 +24,9 @@ __all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options", "reg
 GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
 
+_OWN = "alfmu.catalogue."
+"""Where alfmu's own mechanisms are, in a folder `mechanisms`."""
+
 Factory = Callable[..., Mechanism]
 
 _ANY = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
@@ -173,7 +176,8 @@ def _guarded(mechanism: str | Path, run: Callable[[], Any]) -> Any:
 
 def _place(frames: traceback.StackSummary, name: str | Path) -> str:
     """The file of the package that registers a name, nearest to where its code failed; empty where none ran."""
-    packages = {entry.module.partition(".")[0] for entry in entry_points(group=GROUP) if entry.name == str(name)}
+    modules = [entry.module for entry in entry_points(group=GROUP) if entry.name == str(name)]
+    packages = {module.removeprefix(_OWN).partition(".")[0] for module in modules}
     files = [f.filename for f in frames if packages & {Path(f.filename).stem, *Path(f.filename).parts}]
     return files[-1] if files else ""
 

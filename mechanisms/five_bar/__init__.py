@@ -19,9 +19,10 @@ aligned and the position is singular as well.
 """
 
 import casadi as ca
-from alfmu_mechanisms.four_bar import Coordinates, across, parallelogram
 
 from alfmu import Experiment, Mechanism
+
+from ..four_bar import Coordinates, across, parallelogram
 
 SKETCH = __doc__
 
