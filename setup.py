@@ -1,18 +1,23 @@
 """Builds the C library of the runtime with the package; everything else about it is in pyproject.toml.
 
-The one for browsers (`alfmu live`) is built with it where there is zig, which the build asks for.
+The one for browsers (`alfmu live`) is built with it where there is zig, which the build asks for. A wheel for release
+has the libraries of all platforms, so that its user exports native FMUs for any of them without a compiler.
 """
 
 import importlib.util
+import os
 import sys
 import tomllib
 from pathlib import Path
 
 from setuptools import Extension, setup
+from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
 ROOT = Path(__file__).parent
 RUNTIME = ROOT / "alfmu" / "runtime"
+RELEASE = os.environ.get("ALFMU_WHEEL", "")
+"""The platform of a wheel for release, from `scripts/packaging/backend.py`; empty where it is for this machine."""
 
 
 def _module(name: str, path: Path):
@@ -44,14 +49,28 @@ class BuildRuntime(build_ext):
     def build_extension(self, extension: Extension) -> None:
         builder, path = _builder(), Path(self.get_ext_fullpath(extension.name))
         path.parent.mkdir(parents=True, exist_ok=True)
+        if RELEASE:
+            for name in (*builder.PLATFORMS, builder.WEB):
+                builder.build(name, path.with_name(builder.file_name(name)), release=True)
+            return
         builder.build(builder.HERE, path)
         if builder.zig():
             builder.build(builder.WEB, path.with_name(builder.file_name(builder.WEB)))
+
+
+class Wheel(bdist_wheel):
+    """A wheel for every Python 3: the library is no module, and knows none of Python."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        platforms = _builder().PLATFORMS
+        if RELEASE and RELEASE not in platforms:
+            raise SystemExit(f"there is no platform {RELEASE!r}; use one of {', '.join(platforms)}")
+        return "py3", "none", platforms[RELEASE].wheel if RELEASE else super().get_tag()[2]
 
 
 setup(
     long_description=_description(),
     long_description_content_type="text/markdown",
     ext_modules=[Extension("alfmu.runtime.library_of_this_machine", [])],
-    cmdclass={"build_ext": BuildRuntime},
+    cmdclass={"build_ext": BuildRuntime, "bdist_wheel": Wheel},
 )

@@ -105,6 +105,13 @@ def archive(tmp_path_factory) -> tuple[str, set[str]]:
     return about.get_payload(decode=True).decode(), names
 
 
+def test_the_source_archive_has_what_builds_and_no_library_of_this_machine(archive):
+    _, names = archive
+    assert {"pyproject.toml", "setup.py", "scripts/packaging/backend.py", "scripts/packaging/links.py"} <= names
+    assert {path.relative_to(ROOT).as_posix() for path in (ROOT / "alfmu" / "runtime").glob("*.[ch]")} <= names
+    assert not [name for name in names if name.startswith("alfmu/runtime/alfmu-")]
+
+
 def relative(text: str) -> list[str]:
     """Where the links and pictures of a page in Markdown lead to beside it."""
     return [path for path in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"[a-z]+:|#", path)]

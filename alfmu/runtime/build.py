@@ -30,14 +30,16 @@ class Platform:
     suffix: str
     fmi3: str
     """Its folder in an FMU of FMI 3; that of FMI 2 is its name here."""
+    wheel: str
+    """Its tag in the name of a wheel: the systems on which the target runs."""
 
 
 PLATFORMS = {
-    "linux64": Platform("x86_64-linux-gnu.2.17", ".so", "x86_64-linux"),
-    "win64": Platform("x86_64-windows-gnu", ".dll", "x86_64-windows"),
-    "darwin64": Platform("x86_64-macos.11.0", ".dylib", "x86_64-darwin"),
-    "aarch64-darwin": Platform("aarch64-macos.11.0", ".dylib", "aarch64-darwin"),
-    "aarch64-linux": Platform("aarch64-linux-gnu.2.17", ".so", "aarch64-linux"),
+    "linux64": Platform("x86_64-linux-gnu.2.17", ".so", "x86_64-linux", "manylinux_2_17_x86_64"),
+    "win64": Platform("x86_64-windows-gnu", ".dll", "x86_64-windows", "win_amd64"),
+    "darwin64": Platform("x86_64-macos.11.0", ".dylib", "x86_64-darwin", "macosx_11_0_x86_64"),
+    "aarch64-darwin": Platform("aarch64-macos.11.0", ".dylib", "aarch64-darwin", "macosx_11_0_arm64"),
+    "aarch64-linux": Platform("aarch64-linux-gnu.2.17", ".so", "aarch64-linux", "manylinux_2_17_aarch64"),
 }
 """Platforms of the runtime."""
 
@@ -95,9 +97,12 @@ def zig() -> list[str] | None:
     return [sys.executable, "-m", "ziglang", "cc"] if importlib.util.find_spec("ziglang") else None
 
 
-def build(name: str, path: Path) -> None:
-    """Compile the library of a platform or of browsers; RuntimeError where there is no compiler, or where it fails."""
-    command = compiler() if name == HERE else zig()
+def build(name: str, path: Path, release: bool = False) -> None:
+    """Compile the library of a platform or of browsers; RuntimeError where there is no compiler, or where it fails.
+
+    That of a release is by zig also for this machine, so that it runs on older systems than this one.
+    """
+    command = compiler() if name == HERE and not release else zig()
     if command is None:
         raise RuntimeError(f"no C compiler found for {name}; pip install ziglang")
     if "ziglang" in command:
