@@ -83,3 +83,19 @@ def test_the_check_of_a_wheel_compares_files_with_their_record(wheels):
     record = f"a.py,sha256={digest},4\nb.py,sha256={digest},4\nlost.py,sha256={digest},4\ni/RECORD,,\n".encode()
     files = {"a.py": data, "b.py": b"two\n", "i/RECORD": record, "new.py": data}
     assert wheels._unlike_their_record(files, "i") == [f"{x} is not as recorded" for x in ("b.py", "lost.py", "new.py")]
+
+
+def test_without_fmpy_an_fmu_is_exported_and_running_it_says_what_to_install(tmp_path):
+    code = """
+import sys
+sys.modules["fmpy"] = None
+from alfmu.cli import main
+assert main(["export", "particle_on_circle"]) == 0
+sys.exit(main(["simulate", "particle_on_circle.fmu"]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert done.returncode == 1
+    assert (tmp_path / "particle_on_circle.fmu").is_file()
+    assert done.stderr.startswith("alfmu: running or checking an FMU takes fmpy")
+    assert "pip install 'alfmu[fmu]'" in done.stderr
+    assert done.stderr.count("\n") == 1

@@ -13,10 +13,6 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from fmpy import extract, instantiate_fmu, read_model_description
-from fmpy.fmi1 import FMICallException
-from fmpy.model_description import ModelDescription, ModelVariable
-from fmpy.validation import validate_fmu
 from numpy.typing import NDArray
 
 from ..equations import Variable
@@ -29,6 +25,16 @@ from ..result import Result
 from ..simulation import run
 from .experiment import Experiment, unlike
 from .slave import OPTIONS
+
+try:
+    from fmpy import extract, instantiate_fmu, read_model_description
+    from fmpy.fmi1 import FMICallException
+    from fmpy.model_description import ModelDescription, ModelVariable
+    from fmpy.validation import validate_fmu
+except ModuleNotFoundError as error:
+    raise InputError(
+        f"running or checking an FMU takes fmpy ({error}); install it with: pip install 'alfmu[fmu]'"
+    ) from None
 
 __all__ = ["Fmu", "validate"]
 
