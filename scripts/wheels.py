@@ -48,7 +48,7 @@ _RUN = """
 import alfmu
 assert alfmu.__file__.startswith({folder!r}), alfmu.__file__
 r = alfmu.simulate("five_bar", 0.1, 0.02)
-assert len(r) == 6, r
+assert len(r.time) == 6, r
 """
 
 
