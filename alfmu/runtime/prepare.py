@@ -135,7 +135,9 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
         for field in ("parameters", "starts", "start_rates", "compliances", "inputs")
     }
     changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]
-    return replace(equations, **changed, solver={**equations.solver, **own})
+    e, before = replace(equations, **changed, solver={**equations.solver, **own}), default_settings(equations)
+    same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)
+    return e if same else untraced(replace(e, chosen="", reason=""))
 
 
 def retraced(equations: Equations, settings: Settings) -> Equations:
