@@ -37,6 +37,7 @@ MAPS = stability.Effort(
 )
 SMALL = Effort(
     total=120.0,
+    each=120.0,
     horizon=0.32,
     steps=1000,
     factors=(2.0, 1.0, 0.5),
@@ -272,7 +273,7 @@ def test_what_would_take_too_long_is_skipped_with_its_estimate():
         found.seconds = [0.002 / value]
         return found
 
-    setting = Setting("alfmu", "residual", "rk4", "oracle", "step [s]", (0.02, 0.01, 0.005), 0.02, once)
+    setting = Setting("alfmu", "residual", "rk4", "oracle", "step [s]", (0.02, 0.01, 0.005), 0.02, once, "Python")
     for value in setting.values:
         study._run(setting, value, deadline=np.inf)
     assert [r["value"] for r in study.files["errors"]] == [0.02, 0.01]
