@@ -20,6 +20,15 @@ Figure = dict[str, Any]
 GAP = 0.1
 """Part of the width and of the height of a figure between its panels."""
 
+MOST = 1e4
+"""Errors above it lie outside a panel, until one zooms out: of a run that is lost, they say nothing more."""
+
+DECADES = 2
+"""Least of a scale of errors."""
+
+ABOVE = 40
+"""Between the panels and the buttons above them [px]."""
+
 FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1c2733"}
 GRID, FAINT = "#e3e8ee", "#6b7680"
 
@@ -39,12 +48,12 @@ def against_time(
     """
     own = [r for r in rows if r["code"] == "alfmu"]
     kinds, groups = (list(dict.fromkeys(str(r[name]) for r in own)) for name in (told, group))
-    figure = _panels(quantities, 2, time)
+    figure = _panels(quantities, 2, f"run time, {time}")
     data = figure["data"]
     of: list[str | None] = []
     """The group of each trace."""
     lines: dict[tuple, list[Row]] = {}
-    for row in rows:
+    for row in sorted(rows, key=lambda r: r["code"] != "alfmu"):
         lines.setdefault((integrator(row), *(row[x] for x in ("code", "formulation", "way"))), []).append(row)
     for key, line in lines.items():
         mine = line[0]["code"] == "alfmu"
@@ -62,6 +71,7 @@ def against_time(
     for i, quantity in enumerate(quantities):
         if floor := floors.get(quantity):
             _floor(figure["layout"], i, floor)
+    _scaled(figure)
     if len(groups) > 1:
         shown = {each: [x is None or x == each for x in of] for each in groups}
         for trace, visible in zip(data, shown[groups[0]], strict=True):
@@ -70,19 +80,21 @@ def against_time(
             {"label": each, "method": "restyle", "args": [{"visible": visible}]} for each, visible in shown.items()
         ]
         buttons.append({"label": "all", "method": "restyle", "args": [{"visible": [True] * len(of)}]})
-        place = {"direction": "right", "type": "buttons", "x": 0, "xanchor": "left", "y": 1.15, "yanchor": "bottom"}
+        layout = figure["layout"]
+        inner = layout["height"] - layout["margin"]["t"] - layout["margin"]["b"]
+        place = {"direction": "right", "type": "buttons", "x": 0, "xanchor": "left", "yanchor": "bottom"}
+        place["y"] = 1 + ABOVE / inner
         figure["layout"]["updatemenus"] = [{**place, "buttons": buttons, "pad": {"b": 4}, "showactive": True}]
     return figure
 
 
-def convergence(panels: Mapping[str, tuple[str, Sequence[Row], Mapping[str, float]]], quantity: str) -> Figure:
-    """A quantity over what sets it: by the name of the axis, what runs are told by, their rows, and measured orders.
+def convergence(panels: Mapping[str, Sequence[Row]], orders: Mapping[str, float], equal: str, quantity: str) -> Figure:
+    """A quantity over what sets it: rows by the name of the axis, and orders by integrator, where they were measured.
 
-    Orders are by integrator; an integrator without one says nothing of it. Over a tolerance, a line shows where the
-    quantity is the tolerance.
+    In the panel of the axis `equal`, a dashed line shows where the quantity is what sets it.
     """
-    figure = _panels(list(panels), len(panels), None)
-    for i, (axis, (_, rows, orders)) in enumerate(panels.items()):
+    figure = _panels([f"{quantity} over {axis.split(' ')[0]}" for axis in panels], len(panels), None)
+    for i, (axis, rows) in enumerate(panels.items()):
         figure["layout"][f"xaxis{_number(i)}"]["title"] = {"text": axis}
         for name in dict.fromkeys(map(integrator, rows)):
             known = [r for r in rows if integrator(r) == name and _drawn(r.get(quantity))]
@@ -91,7 +103,28 @@ def convergence(panels: Mapping[str, tuple[str, Sequence[Row], Mapping[str, floa
                 x, y = [r["value"] for r in known], [max(r[quantity], LEAST) for r in known]
                 line = LINE_OF_OTHERS
                 figure["data"].append(_trace(i, x, y, text, name, line, [_about(r) for r in known], True))
+        if axis == equal:
+            _equal(figure, i)
+    _scaled(figure)
     return figure
+
+
+def _equal(figure: Figure, i: int) -> None:
+    """A faint line where the error of panel i is what sets it."""
+    x = sorted({value for trace in figure["data"] if trace["xaxis"] == f"x{_number(i)}" for value in trace["x"]})
+    if x:
+        line = {"color": FAINT, "dash": "dash", "width": 1}
+        place = {"xref": f"x{_number(i)}", "yref": f"y{_number(i)}", "x0": x[0], "x1": x[-1], "y0": x[0], "y1": x[-1]}
+        figure["layout"]["shapes"].append({"type": "line", **place, "line": line})
+
+
+def _scaled(figure: Figure) -> None:
+    """Whole decades for the errors of each panel, without what is above MOST."""
+    for i in range(sum(key.startswith("yaxis") for key in figure["layout"])):
+        values = [y for trace in figure["data"] if trace["yaxis"] == f"y{_number(i)}" for y in trace["y"] if y <= MOST]
+        if values:
+            low, high = math.floor(math.log10(min(values)) - 0.1), math.ceil(math.log10(max(values)) + 0.1)
+            figure["layout"][f"yaxis{_number(i)}"]["range"] = [min(low, high - DECADES), high]
 
 
 LINE_OF_OTHERS = Line("-", "solid")
@@ -147,7 +180,7 @@ def _panels(titles: Sequence[str], across: int, x_title: str | None) -> Figure:
         "margin": {"l": 60, "r": 20, "t": 90, "b": 55},
         "plot_bgcolor": "white",
         "hovermode": "closest",
-        "legend": {"font": {"size": 12}, "groupclick": "togglegroup", "x": 1.02, "y": 1},
+        "legend": {"font": {"size": 12}, "groupclick": "togglegroup", "itemwidth": 50, "x": 1.02, "y": 1},
         "annotations": [],
         "shapes": [],
     }

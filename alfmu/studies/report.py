@@ -733,7 +733,7 @@ runs in Python is compared with alfmu's oracle, which runs in Python as well.
 BY_TIME = """
 Errors against run time, {what}; lower and further left is better. Colour and marker are those of the integrator in all
 plots of this page, lines tell {lines} apart, and open markers are other codes. Click an entry of the legend to hide a
-line, double-click to see it alone.
+line, double-click to see it alone; errors far above a motion that is lost lie outside until one zooms out.
 """
 
 
@@ -796,10 +796,13 @@ def _chapter_of_page(page: Page, study: Study) -> None:
         if r["code"] == "alfmu" and r["formulation"] == OWN and r["order"] is not None
     }
     fast = [r for r in _fastest_way(study) if r["code"] == "alfmu" and r["formulation"] == OWN]
-    panels = {c: (c, [r for r in fast if r["control"] == c], orders) for c in (STEP, TOLERANCE)}
+    panels = {c: [r for r in fast if r["control"] == c] for c in (STEP, TOLERANCE)}
     if fast:
-        about = f"{POSITION} of {name} over what sets it; an order stands beside an integrator whose errors show one."
-        page.plot(convergence(panels, POSITION), about)
+        about = (
+            f"Position errors of {name} over what sets them. An order stands beside integrators whose errors show "
+            "one. On the dashed line, the error is the tolerance."
+        )
+        page.plot(convergence(panels, orders, TOLERANCE, POSITION), about)
     for file in SHOWN:
         for table in _table(study, file):
             page.fold(SHOWN[file][0], table)
