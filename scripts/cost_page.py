@@ -1,6 +1,6 @@
 """Put a picture and a table of a report into docs/theory/cost.md.
 
-Run `alfmu report all -o DIR`, then this with the same DIR.
+`python scripts/cost_page.py DIR --run` measures all mechanisms into DIR first; without `--run`, DIR has such a report.
 
 The picture is `cost.png` beside that page; the table stands between two markers. Numbers are those of the CSV files of
 that report.
@@ -17,6 +17,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from alfmu.cli import main as alfmu
 from alfmu.studies.cases import POSITION
 from alfmu.studies.looks import LOOKS, integrator
 from alfmu.studies.report import TIME
@@ -126,7 +127,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     line.add_argument("report", type=Path, metavar="DIR", help="folder that `alfmu report all -o DIR` wrote")
     line.add_argument("--page", type=Path, default=PAGE, help="file to write into (default: docs/theory/cost.md)")
     line.add_argument("--picture", type=Path, default=PICTURE, help="picture to write (default: docs/theory/cost.png)")
+    line.add_argument("--run", action="store_true", help="run `alfmu report all` into DIR first: a quarter of an hour")
     chosen = line.parse_args(arguments)
+    if chosen.run and (code := alfmu(["report", "all", "-o", str(chosen.report)])):
+        return code
     try:
         before, _, rest = chosen.page.read_text(encoding="utf-8").partition(BEGIN)
         _, marked, after = rest.partition(END)
