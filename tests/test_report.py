@@ -225,9 +225,9 @@ Promise.all([...parts].map(make)).then(
   () => setTimeout(() => done([...document.querySelectorAll(".plot")].map((plot) => ({
     lines: plot.querySelectorAll(".scatterlayer .trace").length,
     legend: [...plot.querySelectorAll(".legendtext")].map((text) => text.textContent),
-    traces: plot._fullData.map((d) => [d.name, d.visible, d.line.color, d.marker.symbol, d.line.dash, d.xaxis]),
-    titles: plot._fullLayout.annotations.map((a) => a.text),
-    buttons: plot._fullLayout.updatemenus.flatMap((menu) => menu.buttons.map((b) => b.label)),
+    traces: plot.data.map((d) => [d.name, d.visible ?? true, d.marker.color, d.marker.symbol]),
+    titles: plot.layout.annotations.map((a) => a.text),
+    buttons: (plot.layout.updatemenus ?? []).flatMap((menu) => menu.buttons.map((b) => b.label)),
   }))), 300),
   (error) => done(String(error)),
 );
@@ -277,7 +277,7 @@ def test_buttons_choose_which_ways_are_shown(written, chromium):
     before = chromium.execute_script(own)
     click = """
     const [way, done] = arguments, plot = document.querySelector(".plot");
-    const place = plot._fullLayout.updatemenus[0].buttons.find((b) => b.label === way);
+    const place = plot.layout.updatemenus[0].buttons.find((b) => b.label === way);
     Plotly.restyle(plot, place.args[0]).then(() => done(true));
     """
     chromium.execute_async_script(click, "oracle")

@@ -134,8 +134,8 @@ class Effort:
     stability: maps.Effort
     """Its `total` does not count here."""
     wide: bool = True
-    """Whether every integrator runs in every way; otherwise all run by the interpreter, which takes no compiler, and the
-    first and the default one in all ways."""
+    """Whether every integrator runs in every way; otherwise the first and the default one do, and the others run by the
+    interpreter, which takes no compiler."""
 
 
 USUAL = Effort(
