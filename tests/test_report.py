@@ -294,7 +294,7 @@ def test_maps_have_every_class_in_their_legend_and_say_what_a_cell_is(written):
     legend = re.findall(r'<dt><i style="background:(#\w+)"></i>([^<]+)</dt>', text)
     assert [(name, colour) for colour, name in legend] == list(stability.CLASSES.items())
     cells = re.findall(r'<td style="--c:(#\w+)"[^>]* title="([^";]+)', text)
-    assert len(cells) + text.count('class="pale"') == len(rows(written.parent, "cells"))
+    assert len(cells) == len({(r["map"], r["row"], r["column"]) for r in rows(written.parent, "cells")})
     assert all(stability.CLASSES[name] == colour for colour, name in cells)
 
 
@@ -368,9 +368,8 @@ def test_lost_comparisons_are_listed(written):
     lost = [r for r in compared if r["result"].startswith("lost")]
     shown = next(lines for _, name, _, lines in tables(written) if name == "comparisons")
     assert sum(line[-1].startswith("lost") for line in shown) == len(lost)
-    assert [r["level or step"] for r in compared if r["what"].startswith("run time to")] == [
-        f"{x:.17g}" for x in LEVELS
-    ]
+    levels = [r["level or step"] for r in compared if r["what"].startswith("run time to")]
+    assert levels == [f"{x:.17g}" for x in LEVELS for _ in range(2)]  # Beside all of alfmu, and beside what is Python.
     slower = [r for r in compared if r["result"] == "lost: slower"]
     assert all(float(r["its value"]) > 2 * float(r["other's value"]) for r in slower)
 
