@@ -293,7 +293,7 @@ def test_maps_have_every_class_in_their_legend_and_say_what_a_cell_is(written):
     text = written.with_name("report.html").read_text()
     legend = re.findall(r'<dt><i style="background:(#\w+)"></i>([^<]+)</dt>', text)
     assert [(name, colour) for colour, name in legend] == list(stability.CLASSES.items())
-    cells = re.findall(r'<td style="--c:(#\w+)"[^>]* title="([^";]+)', text)
+    cells = re.findall(r'<td[^>]* style="--c:(#\w+)"[^>]* title="([^";]+)', text)
     assert len(cells) == len({(r["map"], r["row"], r["column"]) for r in rows(written.parent, "cells")})
     assert all(stability.CLASSES[name] == colour for colour, name in cells)
 
