@@ -23,6 +23,7 @@ from alfmu.simulation import prepared
 from alfmu.studies import cases, paper, stability
 from alfmu.studies import reference as exact
 from alfmu.studies.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
+from alfmu.studies.looks import LOOKS
 from alfmu.studies.report import LEVELS, TIME, Effort, Setting, Study, _skipped, report
 from alfmu.studies.rivals import RIVALS
 
@@ -305,6 +306,12 @@ def test_what_ran_in_python_is_compared_with_what_ran_in_python(written):
     assert other
     assert all(r["alfmu"].endswith("oracle") for r in same)
     assert all(r["ran in"] == "compiled code; the other in Python" for r in other)
+
+
+def test_every_integrator_has_a_look_of_its_own():
+    """Those of alfmu and of other codes, whether they are installed or not."""
+    assert LOOKS.keys() == {*METHODS, *(f"{rival.name}, {rival.method}" for rival in RIVALS)}
+    assert len({look.colour for look in LOOKS.values()}) == len(LOOKS)
 
 
 def test_a_time_is_the_fastest_of_enough():
