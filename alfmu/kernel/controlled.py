@@ -94,7 +94,7 @@ KINKS = frozenset(
 
 
 def _smooth(function: ca.Function) -> bool:
-    """Whether a function has no kink: the last two rates of a short step lie at its end, so that they see none in it."""
+    """Whether a function has no kink: two rates at the end of a short step see none within it."""
     return not any(function.instruction_id(k) in KINKS for k in range(function.n_instructions()))
 
 
