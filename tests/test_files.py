@@ -227,14 +227,16 @@ def test_a_run_that_fails_leaves_its_rows_its_picture_and_its_film(unit, here, c
     (here / "in.csv").write_text(TORQUE)
     name = {"FMU in Python": str(exported("slider_crank")), "native FMU": str(native)}.get(unit, "slider_crank")
     how = {"oracle": ["--kernel", "oracle"], "held rows": ["--held-rows"]}.get(unit, [])
+    by_rk4 = {"solver.method": "rk4"}
     arguments = ["simulate", name, *how, "--input", "in.csv", "--stop-time", "1", "--step", "0.02"]
+    arguments += ["--set", "solver.method=rk4"]
     assert main([*arguments, "-o", "r.csv", "--plot", "r.png", "--plot-names", "rod.angle"]) == 1
     said = capsys.readouterr()
     assert "wrote r.csv (27 rows up to 0.52 s, " in said.out
     assert said.err.startswith("alfmu: ")
     assert "half a turn" in said.err
     assert said.err.count("\n") == 1
-    result, whole = alfmu.Result.from_csv("r.csv"), alfmu.simulate("slider_crank", 0.5, 0.02)
+    result, whole = alfmu.Result.from_csv("r.csv"), alfmu.simulate("slider_crank", 0.5, 0.02, parameters=by_rk4)
     assert result.time[-1] == pytest.approx(0.52)
     assert np.abs(result["rod.angle"][:26] - whole["rod.angle"]).max() < 1e-9
     assert (here / "r.png").read_bytes().startswith(b"\x89PNG")
@@ -246,6 +248,7 @@ def test_a_run_that_fails_leaves_its_rows_its_picture_and_its_film(unit, here, c
 def test_the_reason_is_said_last(here):
     (here / "in.csv").write_text(TORQUE)
     command = [sys.executable, "-m", "alfmu.cli", "simulate", "slider_crank", "--input", "in.csv", "--stop-time", "1"]
+    command += ["--set", "solver.method=rk4"]
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     assert done.returncode == 1
     lines = done.stdout.splitlines()
@@ -255,7 +258,8 @@ def test_the_reason_is_said_last(here):
 
 def test_the_reason_is_said_even_where_the_rows_cannot_be_written(here, capsys):
     (here / "in.csv").write_text(TORQUE)
-    assert main(["simulate", "slider_crank", "--input", "in.csv", "--stop-time", "1", "-o", "/dev/null/r.csv"]) == 1
+    command = ["simulate", "slider_crank", "--input", "in.csv", "--stop-time", "1", "--set", "solver.method=rk4"]
+    assert main([*command, "-o", "/dev/null/r.csv"]) == 1
     first, last = capsys.readouterr().err.splitlines()
     assert first.startswith("alfmu: cannot write /dev/null/r.csv (")
     assert "half a turn" in last
