@@ -362,13 +362,14 @@ def test_held_rows_are_those_of_an_importer(unit, native):
         dtype=[("time", float), ("A.torque", float), ("slider.force", float)],
     )
     inputs = {"A.torque": (times.tolist(), values.tolist())}
-    expected = fmpy.simulate_fmu(str(native), stop_time=1.0, output_interval=0.05, input=signals)
+    by_rk4, first = {"solver.method": "rk4"}, {"solver.method": 1}
+    expected = fmpy.simulate_fmu(str(native), stop_time=1.0, output_interval=0.05, input=signals, start_values=first)
     if unit == "FMU":
         with Fmu(native) as fmu:
-            held = run(fmu, 1.0, 0.05, inputs, held_rows=True)
+            held = run(fmu, 1.0, 0.05, inputs, parameters=by_rk4, held_rows=True)
     else:
-        held = alfmu.simulate("slider_crank", 1.0, 0.05, inputs=inputs, kernel=unit, held_rows=True)
-    new = alfmu.simulate("slider_crank", 1.0, 0.05, inputs=inputs)
+        held = alfmu.simulate("slider_crank", 1.0, 0.05, inputs=inputs, parameters=by_rk4, kernel=unit, held_rows=True)
+    new = alfmu.simulate("slider_crank", 1.0, 0.05, inputs=inputs, parameters=by_rk4)
     for name in ("crank.angle", "crank.angular_acceleration", "A.force.x"):
         assert held[name] == pytest.approx(expected[name], rel=1e-8, abs=1e-8)
     assert new["crank.angle"] == pytest.approx(expected["crank.angle"], abs=1e-8)
