@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from .model.mechanism import Mechanism
     from .result import Result
 
-__all__ = ["main"]
+__all__ = ["main", "parser"]
 
 _REPORT = """Beside alfmu's methods, formulations and kernels: SciPy on every mechanism; Pinocchio, Exudyn and MuJoCo on
 five_bar and slider_crank (pip install 'alfmu[bench]'). Also in it: tolerances held or not, the study of Blajer (2002)
@@ -140,6 +140,11 @@ def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
             print(f"alfmu: warning: {message}", file=sys.stderr)
 
     return show
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the command line, from which its page in the documentation is made."""
+    return _parser()[0]
 
 
 def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
