@@ -802,8 +802,8 @@ void instance_balance(Instance *i)
             "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
             z[s->time], c[RUN_ERROR],
             method(i) == 1 ? "use a smaller solver.relative_tolerance"
-                           : "steps of solver.step_size are too long: take shorter ones, or solver.method auto with "
-                             "solver.formulation residual, which controls its error");
+                           : "steps of solver.step_size are too long: take shorter ones, or solver.method explicit or "
+                             "stiff, which control their error");
 }
 
 /* What the last communication step changed of the balance, where somebody reads it. */
