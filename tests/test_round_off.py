@@ -126,6 +126,6 @@ def test_the_error_of_a_step_is_known_where_it_is_the_only_monitor():
         )
         for names in (["crank.angle", "monitor.step_error"], None)
     )
-    assert alone.names[:2] == ["crank.angle", "monitor.step_error"]
+    assert alone.names[:2] == ("crank.angle", "monitor.step_error")
     assert alone["monitor.step_error"][1:].min() > 0
     assert alone["monitor.step_error"] == pytest.approx(complete["monitor.step_error"], rel=1e-6)
