@@ -226,12 +226,16 @@ def reported() -> dict[str, np.ndarray]:
     i, free = started(e, given), started(e, given, projection=False)
     p, alpha = i.values[: len(e.parameters)], 1e6 * np.eye(8)
     found: dict[str, list] = {"after three": [], "changes": [], "to 1e-15": [], "Phi": [], "Phi-dot": []}
-    found |= {"round-off of v": [], "sine": []}
 
     def solver(q: np.ndarray) -> tuple[np.ndarray, Callable]:
         C = np.array(e.C(q, p))
         H = method.augmented_mass(np.array(e.M(q, p)), C, alpha)
-        return C, lambda b: np.linalg.solve(H, b)
+        def solve(b: np.ndarray) -> np.ndarray:
+            """Refined once: what a factorisation leaves beside a singular position depends on who made it."""
+            x = np.linalg.solve(H, b)
+            return x + np.linalg.solve(H, b - H @ x)
+
+        return C, solve
 
     for k in range(0, 1000, 2):
         q, v = i.q, i.v
@@ -267,8 +271,6 @@ def reported() -> dict[str, np.ndarray]:
             left.append(np.abs(C @ v).max())
             v += method.project(C, alpha, solve, C @ v)
         found["Phi-dot"].append(left)
-        found["round-off of v"].append(EPS * (abs(C) @ abs(v)).max())
-        found["sine"].append(np.sin(free.get("link1.angle")))
         i.step(0.04)
     return {name: np.array(x) for name, x in found.items()}
 
@@ -291,18 +293,13 @@ def test_iterations_that_the_paper_reports(reported: dict) -> None:
 
 
 def test_corrections_that_the_paper_reports(reported: dict) -> None:
-    """At most two corrections for |Phi| and |Phi-dot| <= 1e-15 after a step of 0.02 s: seen, but for round-off of v.
-
-    The second one gains less beside a singular position, as H holds masses there as much as constraints.
-    """
+    """At most two corrections for |Phi| and |Phi-dot| <= 1e-15 after a step of 0.02 s: seen, but for round-off of v."""
     Phi, rate = reported["Phi"], reported["Phi-dot"]
     assert Phi[:, 0].max() > 1e-8  # what RK4 leaves
     assert Phi[:, 1].max() <= 1e-13  # after one
     assert Phi[:, 2].max() <= 1e-15  # after two
     assert (rate[:, 2] <= 1e-15).mean() >= 0.99
-    beside = np.abs(reported["sine"]) < 0.01
-    assert (rate[:, 2] <= np.maximum(1e-15, 2 * reported["round-off of v"]))[~beside].all()
-    assert (rate[:, 2] < 0.2 * rate[:, 1])[beside].all()
+    assert rate[:, 2].max() <= 1e-14
 
 
 # Projections ----------------------------------------------------------------------------------------------------------
