@@ -19,6 +19,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from . import passes
 from .arrangement import KINDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, LeastNorm, Loop, Solve
 from .passes import BEHIND, EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
@@ -77,7 +78,7 @@ def code(f: ca.Function, constants: Constants, scene: str) -> Code:
     inputs, outputs = (
         [part(i) for i in range(count)] for part, count in ((f.nnz_in, f.n_in()), (f.nnz_out, f.n_out()))
     )
-    key = hashlib.sha256(repr((inputs, outputs)).encode())
+    key = hashlib.sha256(repr((inputs, outputs, passes.LONG, passes.WORTH)).encode())
     for each in (instructions.code, instructions.operands, instructions.place, instructions.constant):
         key.update(np.ascontiguousarray(each))
     with _LOCK:
