@@ -40,22 +40,26 @@ def _description() -> str:
     return links.for_an_index(text, about.get("urls", {}).get("Source"), about["version"])
 
 
+_LIBRARIES = {"library_of_this_machine": "HERE", "library_of_browsers": "WEB"}
+"""What stands for modules of Python, so that setuptools puts them where the package is, and their platforms."""
+
+
 class BuildRuntime(build_ext):
-    """The library in place of a module for Python."""
+    """The libraries in place of modules for Python."""
 
     def get_ext_filename(self, name: str) -> str:
-        return str(Path(*name.split(".")[:-1], _builder().file_name(_builder().HERE)))
+        *package, own = name.split(".")
+        return str(Path(*package, _builder().file_name(self.platform(own))))
 
     def build_extension(self, extension: Extension) -> None:
-        builder, path = _builder(), Path(self.get_ext_fullpath(extension.name))
+        path = Path(self.get_ext_fullpath(extension.name))
         path.parent.mkdir(parents=True, exist_ok=True)
-        if RELEASE:
-            for name in (*builder.PLATFORMS, builder.WEB):
-                builder.build(name, path.with_name(builder.file_name(name)), release=True)
-            return
-        builder.build(builder.HERE, path)
-        if builder.zig():
-            builder.build(builder.WEB, path.with_name(builder.file_name(builder.WEB)))
+        builder, name = _builder(), self.platform(extension.name.split(".")[-1])
+        for each in builder.PLATFORMS if RELEASE and name == builder.HERE else [name]:
+            builder.build(each, path.with_name(builder.file_name(each)), release=bool(RELEASE))
+
+    def platform(self, name: str) -> str:
+        return getattr(_builder(), _LIBRARIES[name])
 
 
 class Wheel(bdist_wheel):
@@ -71,6 +75,8 @@ class Wheel(bdist_wheel):
 setup(
     long_description=_description(),
     long_description_content_type="text/markdown",
-    ext_modules=[Extension("alfmu.runtime.library_of_this_machine", [])],
+    ext_modules=[
+        Extension(f"alfmu.runtime.{x}", []) for x, name in _LIBRARIES.items() if name == "HERE" or _builder().zig()
+    ],
     cmdclass={"build_ext": BuildRuntime, "bdist_wheel": Wheel},
 )

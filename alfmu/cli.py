@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from .model.mechanism import Mechanism
     from .result import Result
 
-__all__ = ["main"]
+__all__ = ["main", "parser"]
 
 _REPORT = """Beside alfmu's methods, formulations and kernels: SciPy on every mechanism; Pinocchio, Exudyn and MuJoCo on
 five_bar and slider_crank (pip install 'alfmu[bench]'). Also in it: tolerances held or not, the study of Blajer (2002)
 on particle_on_circle, five_bar and four_bar, what a scene leaves out, small maps of stability (`alfmu stability` has
-the full ones). What there was no time for, or what is not installed, is listed."""
+the full ones). What there was no time for, or what is not installed, is listed. report.html is one file that needs no
+network; --quick takes less than a minute for a mechanism. Needs pip install 'alfmu[report]'."""
 
 _EXPORT = """A recipe is a Python file that says what an FMU is made of: `recipe = alfmu.Recipe("five_bar",
 outputs=["*.angle"])`. What the options say takes precedence over it, those of --option and --set one by one."""
@@ -139,6 +140,11 @@ def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
             print(f"alfmu: warning: {message}", file=sys.stderr)
 
     return show
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the command line, from which its page in the documentation is made."""
+    return _parser()[0]
 
 
 def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
@@ -268,7 +274,7 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
     _add_scene(sub)
 
     sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
-    _add_study(sub, "report.md, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
+    _add_study(sub, "report.html, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
     sub.epilog = _REPORT
     sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")
     _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within an hour for all")

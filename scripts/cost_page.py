@@ -1,6 +1,6 @@
 """Put a picture and a table of a report into docs/theory/cost.md.
 
-Run `alfmu report all -o DIR`, then this with the same DIR.
+`python scripts/cost_page.py DIR --run` measures all mechanisms into DIR first; without `--run`, DIR has such a report.
 
 The picture is `cost.png` beside that page; the table stands between two markers. Numbers are those of the CSV files of
 that report.
@@ -17,7 +17,9 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from alfmu.cli import main as alfmu
 from alfmu.studies.cases import POSITION
+from alfmu.studies.looks import LOOKS, integrator
 from alfmu.studies.report import TIME
 from alfmu.studies.tables import markdown, paragraph
 
@@ -32,16 +34,18 @@ LEVEL = 1e-6
 """Position error [m, rad] at which run times are compared in the table."""
 
 LINES = {
-    "rk4, compiled": ("alfmu", "rk4", "compiled", "#c0523a", "o-"),
-    "order8, compiled": ("alfmu", "order8", "compiled", "#c0523a", "s--"),
-    "rk4, vm": ("alfmu", "rk4", "vm", "#d98c1f", "o-"),
-    "rk4, through an FMU": ("alfmu", "rk4", "FMU (compiled)", "#7a66b0", "o-"),
-    "Pinocchio, RK4 in Python": ("Pinocchio", "RK4, Baumgarte", "Python", "#3b75af", "^-"),
-    "Exudyn, generalized alpha": ("Exudyn", "generalized alpha", "Python", "#3f9268", "v-"),
-    "MuJoCo, RK4": ("MuJoCo", "RK4", "Python", "#1f8f96", "D-"),
-    "SciPy's DOP853 on (9)": ("SciPy on (9)", "DOP853", "Python", "#6b7680", "P-"),
+    "auto, compiled": ("alfmu", "auto", "compiled", "-"),
+    "rk4, compiled": ("alfmu", "rk4", "compiled", "-"),
+    "order8, compiled": ("alfmu", "order8", "compiled", "-"),
+    "auto, vm": ("alfmu", "auto", "vm", "--"),
+    "auto, through an FMU": ("alfmu", "auto", "FMU (compiled)", ":"),
+    "rk4, in Python": ("alfmu", "rk4", "oracle", "-."),
+    "Pinocchio, RK4 in Python": ("Pinocchio", "RK4, Baumgarte", None, "-"),
+    "Exudyn, generalized alpha": ("Exudyn", "generalized alpha", None, "-"),
+    "MuJoCo, RK4": ("MuJoCo", "RK4", None, "-"),
+    "SciPy's DOP853 on (9), in Python": ("SciPy on (9)", "DOP853", None, "-"),
 }
-"""Code, method, way, colour and style of each line of the picture."""
+"""Code, method, way and line of each line of the picture; colour and marker are those of the report."""
 
 Rows = list[dict[str, str]]
 
@@ -56,18 +60,18 @@ def picture(errors: Rows) -> Figure:
     """Error against run time of one mechanism."""
     figure = Figure(figsize=(8.0, 4.2), layout="constrained")
     axes = figure.subplots()
-    for label, (code, method, way, colour, style) in LINES.items():
-        own = [
-            r
-            for r in errors
-            if r["mechanism"] == MECHANISM and (r["code"], r["method"], r["way"]) == (code, method, way)
-        ]
+    for label, (code, method, way, style) in LINES.items():
+        own = [r for r in errors if (r["mechanism"], r["code"], r["method"]) == (MECHANISM, code, method)]
+        own = [r for r in own if way in (None, r["way"])]
         own = [r for r in own if r["formulation"] in ("residual", "dae") and r[TIME] and r[POSITION]]
         own = [r for r in own if code != "alfmu" or r["formulation"] == "residual"]
         if own:
             x, y = ([float(r[name]) for r in own] for name in (TIME, POSITION))
-            axes.loglog(x, y, style, color=colour, label=label, markersize=5, linewidth=1.3)
-    axes.set(xlabel="run time, median [s]", ylabel="largest error of places and angles [m, rad]")
+            look = LOOKS[integrator(own[0])]
+            shown = {"color": look.colour, "marker": look.marker, "linestyle": style, "label": label}
+            shown["markerfacecolor"] = look.colour if look.filled else "white"
+            axes.loglog(x, y, markersize=5, linewidth=1.3, **shown)
+    axes.set(xlabel="run time, fastest of enough repeats [s]", ylabel="largest error of places and angles [m, rad]")
     axes.grid(color="#e3e8ee")
     axes.spines[["top", "right"]].set_visible(False)
     figure.legend(loc="outside right upper", fontsize=8, frameon=False)
@@ -80,8 +84,9 @@ def table(comparisons: Rows) -> str:
     codes = list(dict.fromkeys(r["other"].split(",")[0] for r in told))
     lines = []
     for name in dict.fromkeys(r["mechanism"] for r in told):
-        own = {r["other"].split(",")[0]: r for r in told if r["mechanism"] == name}
-        first = next(iter(own.values()))
+        each = [r for r in told if r["mechanism"] == name]
+        # Of two comparisons with one code, the last one is with alfmu in its language.
+        own, first = {r["other"].split(",")[0]: r for r in each}, each[0]
         if not first["its value"]:
             continue
         cells = [_ratio(own.get(code)) for code in codes]
@@ -107,7 +112,8 @@ def section(folder: Path, link: str) -> str:
             paragraph(
                 f"Error against run time of `{MECHANISM}`, {horizon:g} s of motion: {where['command']} on "
                 f"{where['processor']}, load average {load}. Below, the run time to an error of {LEVEL:g} m and rad, "
-                "and how many times as long others take:"
+                "and how many times as long others take; SciPy runs in Python, and is compared with alfmu's oracle, "
+                "which does too:"
             ),
             table(rows(folder, "comparisons")),
             END,
@@ -121,7 +127,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     line.add_argument("report", type=Path, metavar="DIR", help="folder that `alfmu report all -o DIR` wrote")
     line.add_argument("--page", type=Path, default=PAGE, help="file to write into (default: docs/theory/cost.md)")
     line.add_argument("--picture", type=Path, default=PICTURE, help="picture to write (default: docs/theory/cost.png)")
+    line.add_argument("--run", action="store_true", help="run `alfmu report all` into DIR first: a quarter of an hour")
     chosen = line.parse_args(arguments)
+    if chosen.run and (code := alfmu(["report", "all", "-o", str(chosen.report)])):
+        return code
     try:
         before, _, rest = chosen.page.read_text(encoding="utf-8").partition(BEGIN)
         _, marked, after = rest.partition(END)

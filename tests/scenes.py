@@ -121,6 +121,7 @@ def derived(name: str, **options: str) -> alfmu.Equations:
 
 
 @cache
+@cache
 def by_rk4(name: str, **options: str) -> alfmu.Equations:
     """The same, to be integrated by RK4 with steps of one length, as the oracle does."""
     return with_defaults(derived(name, **options), {"solver.method": "rk4"})

@@ -24,7 +24,7 @@ ROOMS: dict[str, set[str]] = {
     "simulation": {"equations", "kernel", "model", "oracle", "result", "runtime"},
     "view": {"equations", "files", "kernel", "model", "result", "runtime", "simulation"},
     "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
-    "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation"},
+    "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
     "cli": {"equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "view"},
     "__main__": {"cli"},
 }

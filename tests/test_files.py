@@ -227,14 +227,16 @@ def test_a_run_that_fails_leaves_its_rows_its_picture_and_its_film(unit, here, c
     (here / "in.csv").write_text(TORQUE)
     name = {"FMU in Python": str(exported("slider_crank")), "native FMU": str(native)}.get(unit, "slider_crank")
     how = {"oracle": ["--kernel", "oracle"], "held rows": ["--held-rows"]}.get(unit, [])
+    by_rk4 = {"solver.method": "rk4"}
     arguments = ["simulate", name, *how, "--input", "in.csv", "--stop-time", "1", "--step", "0.02"]
+    arguments += ["--set", "solver.method=rk4"]
     assert main([*arguments, "-o", "r.csv", "--plot", "r.png", "--plot-names", "rod.angle"]) == 1
     said = capsys.readouterr()
     assert "wrote r.csv (27 rows up to 0.52 s, " in said.out
     assert said.err.startswith("alfmu: ")
     assert "half a turn" in said.err
     assert said.err.count("\n") == 1
-    result, whole = alfmu.Result.from_csv("r.csv"), alfmu.simulate("slider_crank", 0.5, 0.02)
+    result, whole = alfmu.Result.from_csv("r.csv"), alfmu.simulate("slider_crank", 0.5, 0.02, parameters=by_rk4)
     assert result.time[-1] == pytest.approx(0.52)
     assert np.abs(result["rod.angle"][:26] - whole["rod.angle"]).max() < 1e-9
     assert (here / "r.png").read_bytes().startswith(b"\x89PNG")
@@ -246,6 +248,7 @@ def test_a_run_that_fails_leaves_its_rows_its_picture_and_its_film(unit, here, c
 def test_the_reason_is_said_last(here):
     (here / "in.csv").write_text(TORQUE)
     command = [sys.executable, "-m", "alfmu.cli", "simulate", "slider_crank", "--input", "in.csv", "--stop-time", "1"]
+    command += ["--set", "solver.method=rk4"]
     done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
     assert done.returncode == 1
     lines = done.stdout.splitlines()
@@ -255,7 +258,8 @@ def test_the_reason_is_said_last(here):
 
 def test_the_reason_is_said_even_where_the_rows_cannot_be_written(here, capsys):
     (here / "in.csv").write_text(TORQUE)
-    assert main(["simulate", "slider_crank", "--input", "in.csv", "--stop-time", "1", "-o", "/dev/null/r.csv"]) == 1
+    command = ["simulate", "slider_crank", "--input", "in.csv", "--stop-time", "1", "--set", "solver.method=rk4"]
+    assert main([*command, "-o", "/dev/null/r.csv"]) == 1
     first, last = capsys.readouterr().err.splitlines()
     assert first.startswith("alfmu: cannot write /dev/null/r.csv (")
     assert "half a turn" in last
@@ -270,7 +274,7 @@ def test_a_run_that_does_not_begin_leaves_nothing(here, capsys):
 def test_the_library_has_the_rows_of_a_run_that_ends_early():
     torque = ([0.0, 0.5, 0.52], [0.0, 0.0, 1e7])
     with pytest.raises(alfmu.StepError) as failed:
-        alfmu.simulate("slider_crank", 1.0, 0.02, inputs={"A.torque": torque})
+        alfmu.simulate("slider_crank", 1.0, 0.02, inputs={"A.torque": torque}, parameters={"solver.method": "rk4"})
     result = failed.value.result
     assert len(result.time) == len(result["rod.angle"]) == 27
     with pytest.raises(alfmu.AssemblyError) as failed:
@@ -358,13 +362,14 @@ def test_held_rows_are_those_of_an_importer(unit, native):
         dtype=[("time", float), ("A.torque", float), ("slider.force", float)],
     )
     inputs = {"A.torque": (times.tolist(), values.tolist())}
-    expected = fmpy.simulate_fmu(str(native), stop_time=1.0, output_interval=0.05, input=signals)
+    by_rk4, first = {"solver.method": "rk4"}, {"solver.method": 1}
+    expected = fmpy.simulate_fmu(str(native), stop_time=1.0, output_interval=0.05, input=signals, start_values=first)
     if unit == "FMU":
         with Fmu(native) as fmu:
-            held = run(fmu, 1.0, 0.05, inputs, held_rows=True)
+            held = run(fmu, 1.0, 0.05, inputs, parameters=by_rk4, held_rows=True)
     else:
-        held = alfmu.simulate("slider_crank", 1.0, 0.05, inputs=inputs, kernel=unit, held_rows=True)
-    new = alfmu.simulate("slider_crank", 1.0, 0.05, inputs=inputs)
+        held = alfmu.simulate("slider_crank", 1.0, 0.05, inputs=inputs, parameters=by_rk4, kernel=unit, held_rows=True)
+    new = alfmu.simulate("slider_crank", 1.0, 0.05, inputs=inputs, parameters=by_rk4)
     for name in ("crank.angle", "crank.angular_acceleration", "A.force.x"):
         assert held[name] == pytest.approx(expected[name], rel=1e-8, abs=1e-8)
     assert new["crank.angle"] == pytest.approx(expected["crank.angle"], abs=1e-8)

@@ -12,6 +12,7 @@ from alfmu.method import implicit
 from alfmu.method.stepping import (
     EXPLICIT5,
     EXPLICIT8,
+    EXPLICIT8_BESIDE,
     RADAU9,
     Control,
     collocation,
@@ -23,7 +24,7 @@ from alfmu.method.stepping import (
     tolerance,
 )
 
-EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8}
+EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8, "8(7) beside": EXPLICIT8_BESIDE}
 RADAUS = {"Radau 9": RADAU9}
 
 each_explicit = pytest.mark.parametrize("name", EXPLICITS)

@@ -73,6 +73,20 @@ def test_a_double_pendulum_is_one_pendulum_while_its_elbow_is_locked(kernel):
     assert errors[0] / errors[1] > 12  # order 4, over both events
 
 
+@pytest.mark.parametrize("communication_step", [0.002, 0.1])
+def test_a_locked_elbow_by_default(communication_step):
+    """By steps of either kind of the method `auto`: short ones do not know of constraints that are off."""
+    y, _, _ = stopped(swung(np.array([0.3, 0.8, 1.0, -3.0]), 0.0, LOCKED))
+    exact = swung(swung(y, LOCKED, FREE, locked=True), FREE, END)
+    i = alfmu.Instance(alfmu.derive(double_pendulum()))
+    i.initialize()
+    for t in np.arange(0, END - 1e-9, communication_step):
+        i.set("elbow.locked", LOCKED - 1e-9 < t < FREE - 1e-9)
+        i.step(communication_step)
+    got = [i.get(f"{bar}.{what}") for what in ("angle", "angular_velocity") for bar in ("upper", "lower")]
+    assert np.abs(np.array(got) - exact).max() <= 1e-5
+
+
 @pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
 def test_every_coordinate_set_stops_alike(coordinates):
     """A slider-crank locked at B stands still: the lock takes all kinetic energy, and holds the weight from then on."""

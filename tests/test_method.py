@@ -220,23 +220,25 @@ def test_a_constraint_may_be_off_from_the_start() -> None:
 
 @pytest.fixture(scope="module")
 def reported() -> dict[str, np.ndarray]:
-    """Classic iterations and raw corrections at every second step of the paper's 20 s run, alpha = 1e6."""
+    """Classic iterations and raw corrections at every second step of the paper's 20 s run, alpha = 1e6.
+
+    Each step begins on the exact motion: what round-off puts across it beside a singular position, two corrections may
+    leave, and it differs with who made a factorisation.
+    """
     e, five_bar = derived("five_bar"), Parallelogram()
-    given = {"solver.penalty": 1e6, "solver.formulation": "classic"}
-    i, free = started(e, given), started(e, given, projection=False)
-    p, alpha = i.values[: len(e.parameters)], 1e6 * np.eye(8)
+    free = started(e, {"solver.penalty": 1e6, "solver.formulation": "classic"}, projection=False)
+    p, alpha, begin = free.values[: len(e.parameters)], 1e6 * np.eye(8), free.save()
+    motion = five_bar.swing(free.get("link1.angle"), free.get("link1.angular_velocity"), 0.02 * np.arange(0, 1000, 2))
     found: dict[str, list] = {"after three": [], "changes": [], "to 1e-15": [], "Phi": [], "Phi-dot": []}
-    found |= {"round-off of v": [], "sine": []}
 
     def solver(q: np.ndarray) -> tuple[np.ndarray, Callable]:
         C = np.array(e.C(q, p))
         H = method.augmented_mass(np.array(e.M(q, p)), C, alpha)
         return C, lambda b: np.linalg.solve(H, b)
 
-    for k in range(0, 1000, 2):
-        q, v = i.q, i.v
-        th, w = i.get("link1.angle"), i.get("link1.angular_velocity")
-        if abs(np.sin(th)) > 0.1 and k % 10 == 0:
+    for k, (th, w) in enumerate(motion):
+        q, v = (np.array(x.tolist(), float).ravel() for x in five_bar.state(th, w)[:2])
+        if abs(np.sin(th)) > 0.1 and k % 5 == 0:
             C, solve = solver(q)
             F = np.array(e.f(q, v, np.zeros(2), p, 0.0) - e.d(q, v, p)).reshape(-1)
             xi, M = np.array(e.xi(q, v, p)).reshape(-1), np.array(e.M(q, p))
@@ -251,7 +253,8 @@ def reported() -> dict[str, np.ndarray]:
             found["after three"].append(relative(seen[2][0], exact))
             found["changes"].append([da / np.abs(exact).max() for _, da in seen])
             found["to 1e-15"].append(next((n for n, (_, da) in enumerate(seen, 1) if da <= 1e-15), np.inf))
-        free.restore(i.save())
+        free.restore(begin)
+        free.q[:], free.v[:] = q, v
         free.step(0.02)
         q, v = free.q.copy(), free.v.copy()
         left = []
@@ -267,9 +270,6 @@ def reported() -> dict[str, np.ndarray]:
             left.append(np.abs(C @ v).max())
             v += method.project(C, alpha, solve, C @ v)
         found["Phi-dot"].append(left)
-        found["round-off of v"].append(EPS * (abs(C) @ abs(v)).max())
-        found["sine"].append(np.sin(free.get("link1.angle")))
-        i.step(0.04)
     return {name: np.array(x) for name, x in found.items()}
 
 
@@ -291,18 +291,13 @@ def test_iterations_that_the_paper_reports(reported: dict) -> None:
 
 
 def test_corrections_that_the_paper_reports(reported: dict) -> None:
-    """At most two corrections for |Phi| and |Phi-dot| <= 1e-15 after a step of 0.02 s: seen, but for round-off of v.
-
-    The second one gains less beside a singular position, as H holds masses there as much as constraints.
-    """
+    """At most two corrections for |Phi| and |Phi-dot| <= 1e-15 after a step of 0.02 s: seen, but for round-off of v."""
     Phi, rate = reported["Phi"], reported["Phi-dot"]
     assert Phi[:, 0].max() > 1e-8  # what RK4 leaves
     assert Phi[:, 1].max() <= 1e-13  # after one
     assert Phi[:, 2].max() <= 1e-15  # after two
     assert (rate[:, 2] <= 1e-15).mean() >= 0.99
-    beside = np.abs(reported["sine"]) < 0.01
-    assert (rate[:, 2] <= np.maximum(1e-15, 2 * reported["round-off of v"]))[~beside].all()
-    assert (rate[:, 2] < 0.2 * rate[:, 1])[beside].all()
+    assert rate[:, 2].max() <= 1e-14
 
 
 # Projections ----------------------------------------------------------------------------------------------------------

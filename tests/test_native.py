@@ -773,14 +773,14 @@ def test_fmi_3_saves_derives_and_refuses(slave):
     unit.freeFMUState(state)
 
 
-def test_fmi_3_returns_early_where_the_host_asks_and_where_a_motion_ends(slave):
-    seen = []
+def test_fmi_3_returns_early_where_the_host_asks_and_where_a_motion_ends(built, slave):
+    seen, path = [], built("five_bar", "fmi3_rk4", fmi=3, parameters={"solver.method": "rk4"})
 
     def look(environment, time, set_requested, get_allowed, finished, can_return, wanted, until):
         seen.append(time)
         wanted[0] = time > 0.05
 
-    unit, plain = slave(earlyReturnAllowed=True, intermediateUpdate=look), slave()
+    unit, plain = slave(path, earlyReturnAllowed=True, intermediateUpdate=look), slave(path)
     for each in (unit, plain):
         each.enterInitializationMode()
         each.exitInitializationMode()

@@ -1,5 +1,6 @@
 """Error against run time at its smallest effort; and the reference, against exact solutions."""
 
+import re
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
@@ -22,7 +23,8 @@ from alfmu.simulation import prepared
 from alfmu.studies import cases, paper, stability
 from alfmu.studies import reference as exact
 from alfmu.studies.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
-from alfmu.studies.report import LEVELS, Effort, Setting, Study, report
+from alfmu.studies.looks import LOOKS
+from alfmu.studies.report import LEVELS, TIME, Effort, Setting, Study, _skipped, report
 from alfmu.studies.rivals import RIVALS
 
 MAPS = stability.Effort(
@@ -37,6 +39,7 @@ MAPS = stability.Effort(
 )
 SMALL = Effort(
     total=120.0,
+    each=120.0,
     horizon=0.32,
     steps=1000,
     factors=(2.0, 1.0, 0.5),
@@ -191,7 +194,9 @@ def written(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         for module in ("report", "stability"):
             patch.setattr(f"alfmu.studies.{module}.methods", lambda: FEW)
-        return report(["particle_on_circle"], tmp_path_factory.mktemp("report"), effort=SMALL)
+        page = report(["particle_on_circle"], tmp_path_factory.mktemp("report"), effort=SMALL)
+    assert page.name == "report.html"
+    return page.with_name("report.md")
 
 
 def test_every_number_of_the_report_stands_in_a_csv_file(written):
@@ -213,6 +218,138 @@ def test_every_formulation_and_way_is_there_or_listed_as_skipped(written):
     assert any(way.startswith("FMU") for way in ways)
     assert own == {(f, way) for f in FORMULATIONS for way in ways}
     assert {r["method"] for r in made if r["code"] == "SciPy on (9)"} == {"DOP853", "Radau", "BDF"}
+
+
+PARTS = """
+const done = arguments[arguments.length - 1];
+Promise.all([...parts].map(make)).then(
+  () => setTimeout(() => done([...document.querySelectorAll(".plot")].map((plot) => ({
+    lines: plot.querySelectorAll(".scatterlayer .trace").length,
+    legend: [...plot.querySelectorAll(".legendtext")].map((text) => text.textContent),
+    traces: plot.data.map((d) => [d.name, d.visible ?? true, d.marker.color, d.marker.symbol]),
+    titles: plot.layout.annotations.map((a) => a.text),
+    buttons: (plot.layout.updatemenus ?? []).flatMap((menu) => menu.buttons.map((b) => b.label)),
+  }))), 300),
+  (error) => done(String(error)),
+);
+"""
+"""Makes every part of the page, and says what its plots show."""
+
+
+def test_the_page_draws_its_plots_in_a_browser(written, chromium):
+    """With legends, one colour and marker an integrator, quantities apart, a film, and nothing said on the console."""
+    page = written.with_name("report.html")
+    assert page.stat().st_size < 4e6
+    text = page.read_text()
+    assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', text)  # It needs no network and no other file.
+    chromium.get_log("browser")
+    chromium.get(page.as_uri())
+    plots = chromium.execute_async_script(PARTS)
+    assert len(plots) == 3, plots
+    looks: dict[str, set[tuple[str, str]]] = {}
+    for plot in plots:
+        assert plot["lines"] > 0
+        shown_ones = {name for name, visible, *_ in plot["traces"] if visible is True}
+        assert set(plot["legend"]) == shown_ones
+        for name, _, colour, symbol, *_ in plot["traces"]:
+            looks.setdefault(re.split(", (?!D|R|B)|: | [(](?!9)", name)[0], set()).add((colour, symbol))
+    assert {"rk4", "explicit", "SciPy on (9), DOP853"} <= looks.keys()
+    assert all(len(each) == 1 for each in looks.values()), looks
+    assert len(set.union(*looks.values())) == len(looks)
+    ways, formulations, convergence = plots
+    for plot in (ways, formulations):
+        assert {f"<b>{x}</b>" for x in (POSITION, REACTION, ENERGY, PHI)} <= set(plot["titles"])
+    assert set(ways["buttons"]) == {"all", *(r["way"] for r in rows(page.parent, "errors") if r["code"] == "alfmu")}
+    assert any("Python" in name for name, *_ in ways["traces"])
+    assert "rk4: order 4.0" in convergence["legend"]
+    assert "explicit" in convergence["legend"]
+    film = chromium.find_element("css selector", "iframe.film")
+    chromium.switch_to.frame(film)
+    wait = "const done = arguments[0]; setTimeout(() => done(document.querySelectorAll('canvas, svg').length), 500)"
+    assert chromium.execute_async_script(wait)
+    chromium.switch_to.default_content()
+    assert [entry for entry in chromium.get_log("browser") if entry["level"] == "SEVERE"] == []
+
+
+def test_buttons_choose_which_ways_are_shown(written, chromium):
+    chromium.get(written.with_name("report.html").as_uri())
+    chromium.execute_async_script(PARTS)
+    own = "return [...document.querySelectorAll('.plot')[0].querySelectorAll('.legendtext')].map((x) => x.textContent)"
+    before = chromium.execute_script(own)
+    click = """
+    const [way, done] = arguments, plot = document.querySelector(".plot");
+    const place = plot.layout.updatemenus[0].buttons.find((b) => b.label === way);
+    Plotly.restyle(plot, place.args[0]).then(() => done(true));
+    """
+    chromium.execute_async_script(click, "oracle")
+    after = chromium.execute_script(own)
+    assert "rk4, oracle" in after
+    assert "rk4, oracle" not in before
+    others = [name for name in before if name.startswith("SciPy")]
+    assert others
+    assert set(others) <= set(after)
+
+
+def test_maps_have_every_class_in_their_legend_and_say_what_a_cell_is(written):
+    text = written.with_name("report.html").read_text()
+    legend = re.findall(r'<dt><i style="background:(#\w+)"></i>([^<]+)</dt>', text)
+    assert [(name, colour) for colour, name in legend] == list(stability.CLASSES.items())
+    cells = re.findall(r'<td[^>]* style="--c:(#\w+)"[^>]* title="([^";]+)', text)
+    assert len(cells) == len({(r["map"], r["row"], r["column"]) for r in rows(written.parent, "cells")})
+    assert all(stability.CLASSES[name] == colour for colour, name in cells)
+
+
+def test_what_ran_in_python_is_compared_with_what_ran_in_python(written):
+    compared = [r for r in rows(written.parent, "comparisons") if r["other"].startswith("SciPy") and r["ran in"]]
+    same, other = ([r for r in compared if (r["ran in"] == "Python") == each] for each in (True, False))
+    assert same
+    assert other
+    assert all(r["alfmu"].endswith("oracle") for r in same)
+    assert all(r["ran in"] == "compiled code; the other in Python" for r in other)
+
+
+def test_every_integrator_has_a_look_of_its_own():
+    """Those of alfmu and of other codes, whether they are installed or not."""
+    assert LOOKS.keys() == {*METHODS, *(f"{rival.name}, {rival.method}" for rival in RIVALS)}
+    assert len({look.colour for look in LOOKS.values()}) == len(LOOKS)
+
+
+def test_a_time_is_the_fastest_of_enough():
+    case = Case({}, TIMES, 10.0, most=20)
+    assert not case.enough([0.01, 0.01])
+    assert not case.enough([0.01, 0.03, 0.02])
+    assert case.enough([0.03, 0.01, 0.0101, 0.05, 0.0102])
+    assert case.enough([0.01 * 1.1**i for i in range(20)])
+    assert case.enough([2.0])
+
+
+def test_an_order_is_told_only_where_errors_show_one():
+    study = Study("particle_on_circle", SMALL)
+    study.floors = {POSITION: 1e-13}
+
+    def order(control: str, values: list[float], errors: list[float]) -> tuple[float | None, str]:
+        return study._order(
+            [{"control": control, "value": x, POSITION: e, TIME: 1.0} for x, e in zip(values, errors, strict=True)]
+        )
+
+    steps = [0.04, 0.02, 0.01]
+    assert order("step [s]", steps, [h**4 for h in steps])[0] == pytest.approx(4)
+    assert order("step [s]", steps, [1e-12, 1e-13, 1e-12]) == (
+        None,
+        "too few errors are between the motion lost and the error of the reference",
+    )
+    assert order("step [s]", steps, [1e-4, 1e-9, 1e-9])[1] == "the errors are not on a straight line"
+    assert order("tolerance", steps, [h**4 for h in steps])[1] == "a tolerance chooses the steps"
+
+
+def test_what_did_not_run_is_summed_up_by_reasons():
+    study = Study("particle_on_circle", SMALL)
+    setting = Setting("alfmu", "residual", "rk4", "oracle", "step [s]", (0.02, 0.01), 0.02, None, "Python")
+    for value in setting.values:
+        study._run(setting, value, deadline=0.0)
+    (row,) = _skipped([study])
+    assert (row["runs"], row["what"]) == (2, "alfmu, residual, rk4, oracle")
+    assert row["reason"] == "the time for this mechanism was used up"
 
 
 def test_orders_errors_and_pictures(written):
@@ -238,9 +375,8 @@ def test_lost_comparisons_are_listed(written):
     lost = [r for r in compared if r["result"].startswith("lost")]
     shown = next(lines for _, name, _, lines in tables(written) if name == "comparisons")
     assert sum(line[-1].startswith("lost") for line in shown) == len(lost)
-    assert [r["level or step"] for r in compared if r["what"].startswith("run time to")] == [
-        f"{x:.17g}" for x in LEVELS
-    ]
+    levels = [r["level or step"] for r in compared if r["what"].startswith("run time to")]
+    assert levels == [f"{x:.17g}" for x in LEVELS for _ in range(2)]  # Beside all of alfmu, and beside what is Python.
     slower = [r for r in compared if r["result"] == "lost: slower"]
     assert all(float(r["its value"]) > 2 * float(r["other's value"]) for r in slower)
 
@@ -272,7 +408,7 @@ def test_what_would_take_too_long_is_skipped_with_its_estimate():
         found.seconds = [0.002 / value]
         return found
 
-    setting = Setting("alfmu", "residual", "rk4", "oracle", "step [s]", (0.02, 0.01, 0.005), 0.02, once)
+    setting = Setting("alfmu", "residual", "rk4", "oracle", "step [s]", (0.02, 0.01, 0.005), 0.02, once, "Python")
     for value in setting.values:
         study._run(setting, value, deadline=np.inf)
     assert [r["value"] for r in study.files["errors"]] == [0.02, 0.01]
@@ -296,6 +432,10 @@ def test_mistakes_are_said_before_anything_runs(command, tmp_path, capsys, monke
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main([command, "particle_on_circle", "-o", str(tmp_path / "out")]) == 1
     assert "pip install 'alfmu[plot]'" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    if command == "report":
+        assert main([command, "particle_on_circle", "-o", str(tmp_path / "out")]) == 1
+        assert "pip install 'alfmu[report]'" in capsys.readouterr().err
 
 
 # Other codes -------------------------------------------------------------------------------------------------------

@@ -111,7 +111,7 @@ def packed(small, monkeypatch) -> Callable[..., tuple[bytes, int]]:
     def scene(*functions: ca.Function) -> tuple[bytes, int]:
         own = with_functions(small, {f.name(): f for f in functions})
         monkeypatch.setattr(tables, "alone", lambda equations: own)
-        return tables.packed(prepared(derived("particle_on_circle"), "vm")), len(small.functions)
+        return tables.packed(replace(prepared(derived("particle_on_circle"), "vm"))), len(small.functions)
 
     return scene
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import by_the_oracle, derived, readings, started
+from scenes import by_rk4, by_the_oracle, derived, readings, started
 
 import alfmu
 
@@ -393,7 +393,7 @@ CASES = [
 @pytest.mark.parametrize(("name", "options", "given"), CASES, ids=lambda x: str(x) if isinstance(x, str) else None)
 def test_a_restored_state_continues_to_the_last_bit(name: str, options: dict, given: dict) -> None:
     """In the instance itself after it went on, and in another one that had another life before."""
-    e = derived(name, **options)
+    e = by_rk4(name, **options)
     i = started(e, given)
     trace(i, 12)
     state, read = i.save(), i.read().tobytes()
@@ -421,7 +421,7 @@ def test_a_constraint_switched_off_stays_off_when_restored() -> None:
 
 def test_angles_in_natural_coordinates_are_restored_with_their_turns() -> None:
     """After two turns from a start beyond pi; points alone would not tell."""
-    e = derived("slider_crank", coordinates="natural")
+    e = by_rk4("slider_crank", coordinates="natural")
     i = started(e, {"start.angle": 9.0, "start.angular_velocity": 14.0})
     assert i.get("crank.angle") == pytest.approx(9.0, abs=1e-13)
     i.step(1.5)
@@ -454,11 +454,12 @@ def test_two_instances_do_not_disturb_each_other() -> None:
 
 def test_a_settings_state_is_restored_before_the_start() -> None:
     """Values and formulation of an instance that has not begun."""
-    i = alfmu.Instance(derived("five_bar"))
+    e = by_rk4("five_bar")
+    i = alfmu.Instance(e)
     i.set("l", 0.7)
     i.set("solver.formulation", "classic")
     state = i.save()
-    other = started(derived("five_bar"))
+    other = started(e)
     other.restore(state)
     assert other.get("l") == 0.7
     assert other.get("solver.formulation") == "classic"
@@ -558,9 +559,9 @@ def test_simulate_reaches_its_end() -> None:
     [
         ({"stop_time": 0.0}, "stop time is 0.0 s"),
         ({"stop_time": nan}, "stop time is nan s"),
-        ({"step": 0.0}, "step is 0.0 s"),
-        ({"step": -1.0}, "step is -1.0 s"),
-        ({"step": inf}, "step is inf s"),
+        ({"communication_step": 0.0}, "step is 0.0 s"),
+        ({"communication_step": -1.0}, "step is -1.0 s"),
+        ({"communication_step": inf}, "step is inf s"),
         ({"outputs": ["particle.z"]}, "no output 'particle.z'"),
         ({"inputs": {"force.z": 1.0}}, "no input or parameter 'force.z'"),
         ({"inputs": {"force.x": lambda t: nan}}, "force.x is nan"),

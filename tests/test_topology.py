@@ -52,10 +52,12 @@ def test_a_bad_penalty_is_refused(bad):
     assert np.array_equal(i.penalty, before)
 
 
-def test_the_redundant_link_of_the_five_bar_can_come_off_and_the_motion_stays():
+@pytest.mark.parametrize(("method", "bound"), [("rk4", 1e-11), ("auto", 1e-5)])
+def test_the_redundant_link_of_the_five_bar_can_come_off_and_the_motion_stays(method, bound):
     """Rows E and F off: link 4 falls freely, links 1 to 3 are the four-bar from then on."""
     five, four = (alfmu.Instance(alfmu.derive(alfmu.load(name))) for name in ("five_bar", "four_bar"))
     for i in (five, four):
+        i.set("solver.method", method)
         i.set("start.angle", 0.7)
         i.initialize()
     q0, v0 = five.q[5:7].copy(), five.v[5:7].copy()
@@ -64,7 +66,7 @@ def test_the_redundant_link_of_the_five_bar_can_come_off_and_the_motion_stays():
         five.step(0.02)
         four.step(0.02)
     names = ["link1.angle", "link3.angular_velocity", "A.force.x", "D.force.y", "B.force.x", "multiplier[4]"]
-    assert [five.get(n) for n in names] == pytest.approx([four.get(n) for n in names], abs=1e-11)
+    assert [five.get(n) for n in names] == pytest.approx([four.get(n) for n in names], abs=bound)
     assert five.q[5:7] == pytest.approx(q0 + 0.4 * v0 + [0.0, -9.81 * 0.4**2 / 2], abs=1e-13)
     assert [five.get(f"{j}.force.{x}") for j in "EF" for x in "xy"] == [0.0] * 4
 

@@ -32,6 +32,7 @@ from ..method.stepping import (
     judged,
     landing,
     newton,
+    rule_beside,
 )
 from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewritten
 from .memory import PACE
@@ -75,15 +76,29 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
         programs = {"method": kind(tracer, plan, rule).program()}
     if tracer.e.l:
         # Implicit methods have no limits at singular positions: an explicit one passes them.
-        beside = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
-        step = _Explicit(tracer, beside, "method" if explicit_one else "beside", "beside")
-        programs["beside"] = step.program(explicit_one or explicit_rule("explicit", tolerance))
-    if default_settings(tracer.e).method == "auto":
+        on_branch = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
+        wanted = explicit_one or explicit_rule("explicit", tolerance)
+        same = rule_beside(wanted) is explicit_one
+        step = _Explicit(tracer, on_branch, "method" if same else "beside", "beside")
+        programs["beside"] = step.program(rule_beside(wanted))
+    if default_settings(tracer.e).method == "auto" and _smooth(tracer.e.functions["dynamics"]):
         programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT4)
         if tracer.e.l:
             on_branch = Plan(CAREFUL, 3, weighted=True, branch=True)
             programs["short_beside"] = _Explicit(tracer, on_branch, "short", "short_beside").program(EXPLICIT4)
     return programs
+
+
+KINKS = frozenset(
+    getattr(ca, f"OP_{name}")
+    for name in ("FMAX", "FMIN", "FABS", "SIGN", "IF_ELSE_ZERO", "LT", "LE", "EQ", "NE", "FLOOR", "CEIL", "FMOD")
+)
+"""Operations at which a rate may bend or jump."""
+
+
+def _smooth(function: ca.Function) -> bool:
+    """Whether a function has no kink: two rates at the end of a short step see none within it."""
+    return not any(function.instruction_id(k) in KINKS for k in range(function.n_instructions()))
 
 
 def _softened(tracer: Tracer, program: Program) -> Program:

@@ -52,9 +52,27 @@ class Constants:
 
     def __init__(self) -> None:
         self._places: dict[bytes, int] = {}
+        self._asked: dict[bytes, int] = {}
 
     def place(self, value: float) -> int:
-        return self._places.setdefault(struct.pack("<d", value), len(self._places))
+        number = struct.pack("<d", value)
+        place = self._asked[number] = self._places.setdefault(number, len(self._places))
+        return place
+
+    def asked(self) -> dict[bytes, int]:
+        """Numbers and places of all that is asked for from now on, in order."""
+        self._asked = {}
+        return self._asked
+
+    def takes(self, asked: dict[bytes, int]) -> bool:
+        """Whether all of these numbers have the places that they had, or get them now."""
+        count = len(self._places)
+        new = [number for number in asked if number not in self._places]
+        after = self._places | {number: count + i for i, number in enumerate(new)}
+        if any(after[number] != place for number, place in asked.items()):
+            return False
+        self._places = after
+        return True
 
     def __len__(self) -> int:
         return len(self._places)

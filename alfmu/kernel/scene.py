@@ -8,14 +8,18 @@ run (`runtime/interpret.c`). What repeats in a long function is a loop over plac
 
 from __future__ import annotations
 
+import hashlib
 import re
 import struct
+from collections import OrderedDict
 from collections.abc import Iterable
+from threading import Lock
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from . import passes
 from .arrangement import KINDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, LeastNorm, Loop, Solve
 from .passes import BEHIND, EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
@@ -57,14 +61,37 @@ def _macro(name: str) -> str:
     return re.sub("(?<=[a-z])(?=[A-Z])", "_", name).upper()
 
 
+_KEPT = 2**23
+"""Words of functions that are kept at most: 64 MB."""
+
+_WRITTEN: OrderedDict[bytes, tuple[dict[bytes, int], Code]] = OrderedDict()
+_LOCK = Lock()
+
+
 def code(f: ca.Function, constants: Constants, scene: str) -> Code:
-    """The operations of a function that calls no other."""
+    """The operations of a function that calls no other.
+
+    Scenes of one mechanism have most functions in common, each of which is written once.
+    """
     instructions = Instructions.of(f)
     instructions.check(scene, f.name())
     inputs, outputs = (
         [part(i) for i in range(count)] for part, count in ((f.nnz_in, f.n_in()), (f.nnz_out, f.n_out()))
     )
-    return written(instructions, constants, inputs, outputs)
+    key = hashlib.sha256(repr((inputs, outputs, passes.LONG, passes.WORTH)).encode())
+    for each in (instructions.code, instructions.operands, instructions.place, instructions.constant):
+        key.update(np.ascontiguousarray(each))
+    with _LOCK:
+        found = _WRITTEN.pop(key.digest(), None)
+    if found is None or not constants.takes(found[0]):
+        asked = constants.asked()
+        found = asked, written(instructions, constants, inputs, outputs)
+    with _LOCK:
+        _WRITTEN[key.digest()] = found
+        kept = sum(len(made.words) for _, made in _WRITTEN.values())
+        while kept > _KEPT:
+            kept -= len(_WRITTEN.popitem(last=False)[1][1].words)
+    return found[1]
 
 
 class Writer:

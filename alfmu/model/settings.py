@@ -63,7 +63,7 @@ class Settings:
     formulation: str = "residual"
     """One of FORMULATIONS."""
     method: str = "auto"
-    """One of METHODS; formulations but `residual` are integrated by `rk4` where it is `auto`."""
+    """One of METHODS; formulations but `residual`, and `branch` = paper, are integrated by `rk4` where it is `auto`."""
     relative_tolerance: float = 1e-6
     """Of a run, for methods that control their error."""
     absolute_tolerance: float = 0.0

@@ -520,12 +520,18 @@ static void weigh(Instance *i)
     }
 }
 
+/* Whether a motion goes on along its branch near a singular position. */
+static int continues(const Instance *i)
+{
+    return all_serve(i) && i->flags.choice[i->scene->branch] == i->scene->continues;
+}
+
 /* What makes the steps: 0 RK4, 1 the method of the scene with error control, 2 the same in steps of one length. What `auto`
-   stands for takes one formulation alone. */
+   stands for takes one formulation alone, and passes singular positions along the branch. */
 static int method(const Instance *i)
 {
     const Scene *s = i->scene;
-    const int rk4 = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && !all_serve(i));
+    const int rk4 = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && s->l && !continues(i));
     return rk4 ? 0 : s->method;
 }
 
@@ -542,7 +548,7 @@ static void settle_kernel(Instance *i)
     k[SETTINGS_REGULAR] = exp(*i->regular);
     k[SETTINGS_NOTHING] = NOISE_FLOOR * pivot_of_mass;
     k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
-    k[SETTINGS_CONTINUES] = s->l && all_serve(i) && i->flags.choice[s->branch] == s->continues;
+    k[SETTINGS_CONTINUES] = s->l && continues(i);
     k[SETTINGS_RELATIVE] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
     k[SETTINGS_ABSOLUTE] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
     k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;
@@ -802,8 +808,8 @@ void instance_balance(Instance *i)
             "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
             z[s->time], c[RUN_ERROR],
             method(i) == 1 ? "use a smaller solver.relative_tolerance"
-                           : "steps of solver.step_size are too long: take shorter ones, or solver.method auto with "
-                             "solver.formulation residual, which controls its error");
+                           : "steps of solver.step_size are too long: take shorter ones, or solver.method explicit or "
+                             "stiff, which control their error");
 }
 
 /* What the last communication step changed of the balance, where somebody reads it. */

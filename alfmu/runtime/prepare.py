@@ -37,19 +37,30 @@ LASTS = 30.0
 
 
 def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
-    """The equations with what the chosen kernel runs; InputError where there is no such kernel.
+    """The equations with what the chosen kernel runs, traced once; InputError where there is no such kernel.
 
     The oracle starts and keeps its values as `vm` does, so that it takes the same.
     """
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
+    known = equations.programs.setdefault("prepared", {})
+    if "interpreted" not in known:
+        known["interpreted"] = _interpreted(equations)
+    e = known["interpreted"]
+    if kernel != "compiled" and not (kernel == "auto" and compiler()):
+        return e
+    library = equations.library or compiled_scene(e, packed(e))
+    if "compiled" not in known or known["compiled"].library != library:
+        known["compiled"] = replace(e, library=library)
+    return known["compiled"]
+
+
+def _interpreted(equations: Equations) -> Equations:
     equations, probe = decided(equations), None
     if not equations.kernel or equations.shared is None:
         probe = Probe.of(untraced(equations))
         equations = _surveyed(equations, probe)
     e = equations if equations.kernel else _traced(equations, probe)
-    if kernel == "compiled" or (kernel == "auto" and compiler()):
-        return e if e.library else replace(e, library=compiled_scene(e, packed(e)))
     return replace(e, library=None) if e.library else e
 
 
@@ -135,7 +146,9 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
         for field in ("parameters", "starts", "start_rates", "compliances", "inputs")
     }
     changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]
-    return replace(equations, **changed, solver={**equations.solver, **own})
+    e, before = replace(equations, **changed, solver={**equations.solver, **own}), default_settings(equations)
+    same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)
+    return e if same else untraced(replace(e, chosen="", reason=""))
 
 
 def retraced(equations: Equations, settings: Settings) -> Equations:

@@ -91,14 +91,15 @@ static void turn_to(double *pace, int kind)
     pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
 }
 
-/* Whether short steps reach the end with fewer evaluations than those of the method. */
+/* Whether short steps reach the end with fewer evaluations than those of the method; they are made for penalties that are
+   scaled with the masses, of constraints that are all in force. */
 static int short_ones(const Instance *i, double left)
 {
     const Scene *s = i->scene;
     const double *pace = i->m + s->pace;
     const int kind = pace[PACE_SHORT] != 0.0;
     const double own = pace[PACE_DT], other = pace[PACE_OTHER_DT] > 0.0 ? pace[PACE_OTHER_DT] : own;
-    if (s->short_step < 0 || pace[PACE_FIXED] != 0.0)
+    if (s->short_step < 0 || pace[PACE_FIXED] != 0.0 || i->m[s->control + CONTROL_TIER] != 0.0)
         return 0;
     return s->short_cost * ceil(left / (kind ? own : other)) <= s->method_cost * ceil(left / (kind ? other : own));
 }

@@ -68,6 +68,9 @@ SMALL = 10
 REPEATED = 0.1
 """Part of the limit of time that goes into repeating a run."""
 
+AGREEING, AGREED = 3, 1.03
+"""The fastest of the repeats is believed where so many of them are within this factor of it: others only add to it."""
+
 ARITHMETIC = (AlfmuError, ArithmeticError, ValueError, np.linalg.LinAlgError)
 """What ends a run and is a result of it."""
 
@@ -110,11 +113,14 @@ class Case:
     limit: float
     """Wall time after which a run is stopped [s]."""
     most: int = 1
-    """Times that it is run, as far as a part of the limit allows."""
+    """Times that it is run, as far as a part of the limit allows; fewer where the fastest agree."""
 
     def enough(self, seconds: Sequence[float]) -> bool:
         """Whether runs of this length measure the time well enough."""
-        return len(seconds) >= self.most or sum(seconds) > REPEATED * self.limit
+        if len(seconds) >= self.most or sum(seconds) > REPEATED * self.limit:
+            return True
+        spread = _spread(seconds)
+        return spread is not None and spread <= AGREED
 
 
 @dataclass
@@ -149,12 +155,18 @@ class Run:
         return {
             "median [s]": statistics.median(self.seconds) if self.complete else None,
             "least [s]": min(self.seconds) if self.complete else None,
+            "spread of the fastest": _spread(self.seconds) if self.complete else None,
             "repeats": len(self.seconds),
             "simulated [s]": float(self.times[-1]) if len(self.times) else 0.0,
             "steps": c.steps if c else None,
             "evaluations": c.evaluations if c else None,
             "note": self.failure or ("stopped: it took too long" if self.cut else ""),
         }
+
+
+def _spread(seconds: Sequence[float]) -> float | None:
+    """How many times as long as the fastest run the last of the AGREEING fastest took; None of fewer."""
+    return sorted(seconds)[AGREEING - 1] / min(seconds) if len(seconds) >= AGREEING else None
 
 
 def restarting(unit: Unit) -> Callable[[], None]:

@@ -17,16 +17,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["Map", "maps", "require", "save", "scatter", "slope"]
-
-LINES = ("#3b75af", "#d98c1f", "#3f9268", "#c0523a", "#7a66b0", "#1f8f96", "#b0608c", "#6b7680", "#8a6d3b", "#222222")
-MARKERS = "os^Dv<>Ph*"
+__all__ = ["Line", "Look", "Map", "maps", "require", "save", "scatter", "slope"]
 
 PALE = 0.5
 """How much paler cells with a note are."""
 
 LEAST = 1e-17
 """Errors of zero are drawn here."""
+
+
+@dataclass(frozen=True)
+class Look:
+    """Colour and marker of an integrator, the marker by its names in matplotlib and in plotly."""
+
+    colour: str
+    marker: str
+    symbol: str
+    filled: bool
+    """Integrators of alfmu have filled markers, those of other codes open ones."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A kind of line by its names in matplotlib and in plotly."""
+
+    style: str
+    dash: str
 
 
 def require() -> type[Figure]:
@@ -57,24 +73,25 @@ def scatter(
     quantities: Sequence[str],
     time: str,
     label: Callable[[Row], str],
-    colour: Callable[[Row], str],
+    look: Callable[[Row], tuple[Look, Line]],
     floors: Mapping[str, float | None],
 ) -> Figure:
-    """Quantities against run time, a panel for each and a line for each label, coloured by `colour`.
+    """Quantities against run time, a panel for each and a line for each label, which looks as `look` says.
 
     `floors` are errors of what the quantities were judged by, drawn as dashed lines.
     """
     drawn = require()(figsize=(13.5, 8.2), layout="constrained")
     drawn.suptitle(title, x=0.01, ha="left", fontsize=14, fontweight="bold")
     labels = list(dict.fromkeys(map(label, rows)))
-    colours = {name: LINES[i % len(LINES)] for i, name in enumerate(dict.fromkeys(map(colour, rows)))}
     for axes, quantity in zip(drawn.subplots(2, 2, sharex=True).flat, quantities, strict=True):
-        for i, name in enumerate(labels):
+        for name in labels:
             line = [r for r in rows if label(r) == name and r.get(quantity) is not None and r.get(time) is not None]
             line = [r for r in line if np.isfinite(r[quantity])]
             if line:
                 x, y = [r[time] for r in line], [max(r[quantity], LEAST) for r in line]
-                style = {"color": colours[colour(line[0])], "marker": MARKERS[i % len(MARKERS)]}
+                its, kind = look(line[0])
+                style = {"color": its.colour, "marker": its.marker, "linestyle": kind.style}
+                style["markerfacecolor"] = its.colour if its.filled else "white"
                 axes.loglog(x, y, linewidth=1.2, markersize=4.5, label=name, **style)
         if floors.get(quantity):
             axes.axhline(floors[quantity], color="0.4", linestyle="--", linewidth=0.9)
@@ -88,7 +105,7 @@ def scatter(
         axes.set_title(quantity, loc="left", fontsize=11)
         _tidy(axes)
     for axes in drawn.axes[2:]:
-        axes.set_xlabel("run time, median [s]")
+        axes.set_xlabel(f"run time, {time}")
     lines = {name: line for axes in drawn.axes for line, name in zip(*axes.get_legend_handles_labels(), strict=True)}
     kept = [name for name in labels if name in lines]
     drawn.legend([lines[name] for name in kept], kept, loc="outside right upper", fontsize=8, frameon=False)

@@ -1,7 +1,8 @@
 """Error against run time: every formulation, method and way to run a mechanism, judged by a reference.
 
 Beside them other codes, the study of Blajer (2002) where it is about the mechanism, and maps of stability. `report`
-writes `report.md`, CSV files with every number in it, and pictures of each mechanism into one folder.
+writes `report.html`, one page that needs nothing else; `report.md`, CSV files with every number in them, and pictures
+of each mechanism beside it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from ..equations import Equations
 from ..equations.specialisation import specialised
-from ..files import scratch
+from ..files import scratch, write
 from ..fmi.drive import Fmu
 from ..fmi.export import export
 from ..model.errors import AlfmuError, InputError
@@ -28,7 +29,8 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
 from ..runtime import Instance
 from ..runtime.build import compiler
-from ..simulation import Unit, communication_points, instance, prepared
+from ..simulation import Unit, communication_points, instance, prepared, simulate
+from ..view.picture import animate
 from . import cases, paper
 from . import reference as exact
 from . import stability as maps
@@ -56,14 +58,18 @@ from .cases import (
 )
 from .charts import save, scatter, slope
 from .cost import cost, left_out
-from .rivals import RIVALS, Rival
-from .tables import Row, paragraph, shown, write_csv
+from .looks import LOOKS, integrator, line_of
+from .page import Page, library
+from .plots import against_time, convergence
+from .rivals import COMPILED, PYTHON, RIVALS, Rival
+from .tables import Row, markdown, paragraph, shown, write_csv
 
 __all__ = ["Effort", "report"]
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "fmpy", "pythonfmu", "matplotlib", "pin", "exudyn", "mujoco")
 
-TIME = "median [s]"
+TIME = "least [s]"
+"""Of enough repeats (`cases.Case.enough`): what else a machine does only adds to a time."""
 
 LEVELS = (1e-3, 1e-6, 1e-9)
 """Position errors [m, rad] at which run times are compared."""
@@ -75,6 +81,12 @@ ABOVE = 10.0
 """Errors count towards an order as far as they are so many times that of the reference."""
 
 LATE = "the time for this mechanism was used up"
+
+FITTING, STRAIGHT = 3, 1.5
+"""An order is the slope of a straight line through so many errors at least, each within this factor of the line."""
+
+FILMED, FRAME = 10.0, 0.02
+"""Longest time of a film, and between its poses [s]."""
 
 CLEARLY = 2.0
 """Errors and times that differ by less than this factor are called equal."""
@@ -91,6 +103,9 @@ HELD = 10.0
 MAPPED = 0.15
 """Part of the time of a mechanism that is kept for its maps of stability."""
 
+PAPER = 0.2
+"""The same for the chapters of the paper's study, where some are about the mechanism."""
+
 OWN = Settings.formulation
 
 
@@ -100,6 +115,8 @@ class Effort:
 
     total: float
     """Wall time for all mechanisms together [s]."""
+    each: float
+    """The same of one mechanism, at most [s]."""
     horizon: float
     """Longest simulated time [s]; a mechanism's own stop time where that is shorter."""
     steps: int
@@ -116,31 +133,37 @@ class Effort:
     paper: paper.Effort
     stability: maps.Effort
     """Its `total` does not count here."""
+    wide: bool = True
+    """Whether every integrator runs in every way; otherwise the first and the default one do, and the others run by the
+    interpreter, which takes no compiler."""
 
 
 USUAL = Effort(
     780.0,
+    240.0,
     3.0,
     20000,
     (4, 2, 1, 1 / 2, 1 / 4, 1 / 8),
     (1e-3, 1e-6, 1e-9, 1e-11),
     2.0,
-    9,
+    25,
     exact.Effort(parts=100, seconds=10.0),
     paper.SHORT,
     maps.QUICK,
 )
 QUICK = Effort(
     210.0,
+    35.0,
     1.0,
     2000,
     (2, 1, 1 / 2),
     (1e-3, 1e-6),
     0.5,
-    5,
+    9,
     exact.Effort(parts=50, seconds=6.0),
     paper.QUICK,
     replace(maps.QUICK, horizon=0.5, limit=0.01),
+    wide=False,
 )
 
 
@@ -157,10 +180,12 @@ class Setting:
     default: float
     """The value whose errors stand in the report."""
     run: Callable[[float, Case], Run]
+    language: str
+    """What it runs in."""
 
     def row(self, value: float) -> Row:
         """What tells a run of it from others."""
-        names = ("code", "formulation", "method", "way", "control")
+        names = ("code", "formulation", "method", "way", "language", "control")
         return {name: getattr(self, name) for name in names} | {"value": value}
 
     def growth(self, before: float, value: float) -> float:
@@ -179,6 +204,8 @@ class Study(cases.Study):
         self.files: dict[str, list[Row]] = {name: [] for name in FILES}
         self.chapters: list[paper.Chapter] = []
         """Of the paper."""
+        self.film = ""
+        """A page with the motion; none where there is nothing to draw."""
         self.maps = maps.Study(self.mechanism, effort.stability)
         self._before: dict[Setting, tuple[float, float]] = {}
         self._traced: dict[str, Equations] = {}
@@ -187,18 +214,21 @@ class Study(cases.Study):
         """Run all cases, as far as time allows until `deadline`."""
         logging.getLogger("alfmu").addHandler(logging.NullHandler())  # what an FMU says of a failure is in its row
         self.equations = prepared(self.derived, "oracle")
-        mapped = deadline - MAPPED * (deadline - time.perf_counter())
-        self._paper(mapped)
+        left = deadline - time.perf_counter()
+        mapped = deadline - MAPPED * left
+        judged = mapped - PAPER * left * any(name == self.mechanism.name for name, _ in paper.STUDIES.values())
+        self._film()
         self.times = self._points()
         self._judge(float(self.times[-1]))
         self._scenes()
         with ExitStack() as self._stack, scratch() as folder:
             self._ways, self._units = self._makers(folder), {}
             for setting, value in progress([case for group in self._settings() for case in _passes(group)]):
-                self._run(setting, value, mapped)
+                self._run(setting, value, judged)
         self._summarise()
         self._tolerances()
         self._compare()
+        self._paper(mapped)
         self.maps.measure(deadline, progress)
 
     def _points(self) -> NDArray:
@@ -219,6 +249,19 @@ class Study(cases.Study):
                 self.chapters.append(chapter(self.effort.paper))
             except InputError as error:
                 self._keep("skipped", {"code": "the paper's study", "method": name, "reason": str(error)})
+
+    def _film(self) -> None:
+        """The motion of the mechanism as it comes."""
+        try:
+            with scratch() as folder:
+                animate(self.mechanism, simulate(self.mechanism, self._filmed(), FRAME), folder / "film.html")
+                self.film = (folder / "film.html").read_text(encoding="utf-8")
+        except AlfmuError as error:
+            self._keep("skipped", {"code": "the film", "reason": str(error)})
+
+    def _filmed(self) -> float:
+        """Time that a film shows [s], a whole number of frames."""
+        return FRAME * max(1, round(min(self.equations.stop_time, FILMED) / FRAME))
 
     def _keep(self, file: str, row: Row) -> None:
         self.files[file].append({"mechanism": self.name} | row)
@@ -293,16 +336,19 @@ class Study(cases.Study):
     def _settings(self) -> list[list[Setting]]:
         """All settings in groups, those first whose rows are needed most."""
         (first, *more), others = methods(), [name for name in FORMULATIONS if name != OWN]
-        fastest, slower = list(self._ways)[:1], list(self._ways)[1:]
-        # What `auto` chooses is there under its own name; the oracle integrates by the first method alone.
-        told, again = [m for m in more if m != "auto"], [way for way in self._ways if way != "oracle"]
+        more.sort(key=lambda method: method != Settings.method)
+        every = "vm" if not self.effort.wide and "vm" in self._ways else next(iter(self._ways), None)
+        fastest, slower = [way for way in self._ways if way == every], [way for way in self._ways if way != every]
+        told = [method for method in more if self.effort.wide or method == Settings.method]
+        # The oracle integrates by the first method alone.
+        again = [way for way in self._ways if way != "oracle"]
         pairs = [
-            [(OWN, m, way) for m in (first, *told) for way in fastest],
+            [(OWN, m, way) for m in (first, *more) for way in fastest],
             [(OWN, first, way) for way in slower],
             [(f, first, "oracle") for f in others],
             [(OWN, m, way) for way in reversed(slower) if way in again for m in told],
             [(f, m, way) for f in others for m in more for way in fastest],
-            [*((OWN, "auto", way) for way in again), *((f, first, way) for f in others for way in again)],
+            [(f, first, way) for f in others for way in again],
         ]
         found = [[self._setting(*each) for each in group] for group in pairs]
         found[0] += filter(None, map(self._rival, RIVALS))
@@ -321,7 +367,8 @@ class Study(cases.Study):
             return run(opened.unit, opened.restart, case)
 
         default = e.step_size if stepped else _middle(values)
-        return Setting("alfmu", formulation, method, way, control(method), tuple(values), default, once)
+        language = PYTHON if way == "oracle" else COMPILED
+        return Setting("alfmu", formulation, method, way, control(method), tuple(values), default, once, language)
 
     def _rival(self, rival: Rival) -> Setting | None:
         """Another code, None where it does not know the mechanism; as many values as alfmu gets."""
@@ -337,7 +384,8 @@ class Study(cases.Study):
                 raise InputError(rival.missing)
             return rival.run(self.equations, value, case)
 
-        return Setting(rival.name, "dae", rival.method, "Python", rival.control, values, _middle(values), once)
+        way, middle = "its own", _middle(values)
+        return Setting(rival.name, "dae", rival.method, way, rival.control, values, middle, once, rival.language)
 
     def _run(self, setting: Setting, value: float, deadline: float) -> None:
         """A run of a setting; what would take too long is listed with its estimate."""
@@ -365,15 +413,32 @@ class Study(cases.Study):
             lines.setdefault(_line(row), []).append(row)
         for rows in lines.values():
             fit = [r for r in rows if r[TIME] is not None and self._tells(r[POSITION])]
-            stepped = [r for r in fit if r["control"] == STEP]
-            order = slope([r["value"] for r in stepped], [r[POSITION] for r in stepped]) if stepped else None
+            order, doubt = self._order(rows)
             told = [r[TIME] for r in fit]
             spread = bool(fit) and max(told) > CLEARLY * min(told)
             falls = slope(told, [r[POSITION] for r in fit]) if spread else None
             for row in rows:
                 if row["default"]:
                     shown_row = {k: x for k, x in row.items() if k not in ("mechanism", "default")}
-                    self._keep("settings", shown_row | {"order": order, "slope over run time": falls})
+                    self._keep(
+                        "settings", shown_row | {"order": order, "no order as": doubt, "slope over run time": falls}
+                    )
+
+    def _order(self, rows: Sequence[Row]) -> tuple[float | None, str]:
+        """The order that errors of one setting over its steps show, or why they show none."""
+        if rows[0]["control"] != STEP:
+            return None, "a tolerance chooses the steps"
+        fit = [r for r in rows if r[TIME] is not None and self._tells(r[POSITION])]
+        if len(fit) < FITTING:
+            return None, "too few errors are between the motion lost and the error of the reference"
+        x, y = [r["value"] for r in fit], [r[POSITION] for r in fit]
+        order = slope(x, y)
+        if order is None:
+            return None, "all runs have one step"
+        left = np.log(y) - order * np.log(x)
+        if np.ptp(left) > 2 * np.log(STRAIGHT):
+            return None, "the errors are not on a straight line"
+        return order, ""
 
     def _tolerances(self) -> None:
         """Errors over the tolerances that were asked for."""
@@ -399,7 +464,11 @@ class Study(cases.Study):
             mine = _fastest(own, level)
             for code in dict.fromkeys(r["code"] for r in rows if r["code"] != "alfmu"):
                 what = {"what": "run time to a position error of", "level or step": level, "other": code}
-                self._versus(what, TIME, mine, _fastest([r for r in rows if r["code"] == code], level))
+                theirs = [r for r in rows if r["code"] == code]
+                self._versus(what, TIME, mine, _fastest(theirs, level))
+                if all(r["language"] == PYTHON for r in theirs):
+                    python = _fastest([r for r in own if r["language"] == PYTHON], level)
+                    self._versus(what, TIME, python, _fastest(theirs, level))
         for theirs in rows:
             if theirs["code"] == "alfmu" and theirs["formulation"] != OWN and theirs["default"]:
                 for mine in own:
@@ -412,6 +481,9 @@ class Study(cases.Study):
         a, b = (None if row is None else row[quantity] for row in (mine, theirs))
         row = about | {"alfmu": _named(mine), "its value": a, "other": _named(theirs) or about.get("other")}
         row["other's value"] = b
+        if quantity == TIME and mine and theirs:
+            same = mine["language"] == theirs["language"]
+            row["ran in"] = str(mine["language"]) if same else f"{mine['language']}; the other in {theirs['language']}"
         self._keep("comparisons", row | {"ratio": b / a if a and b else None, "result": _verdict(quantity, a, b)})
 
 
@@ -440,17 +512,16 @@ def _middle(values: Sequence[float]) -> float:
     return values[(len(values) - 1) // 2]
 
 
+LINE = ("code", "formulation", "method", "way")
+"""Columns that tell settings apart."""
+
+
 def _line(row: Row) -> tuple:
-    return tuple(row[name] for name in ("code", "formulation", "method", "way"))
+    return tuple(row[name] for name in LINE)
 
 
 def _named(row: Row | None) -> str | None:
     return None if row is None else ", ".join(dict.fromkeys(map(str, _line(row))))
-
-
-def _kind(row: Row) -> str:
-    """The formulation of alfmu, or another code and its method."""
-    return row["formulation"] if row["code"] == "alfmu" else f"{row['code']}, {row['method']}"
 
 
 def _same(a: Row, b: Row, names: Sequence[str]) -> bool:
@@ -487,8 +558,8 @@ SHOWN = {
     "settings": (
         "At the default step, or a middle tolerance",
         (
-            *("code", "formulation", "method", "way", "control", "value", *QUANTITIES, TIME, "repeats"),
-            *("order", "slope over run time", "note"),
+            *("code", "formulation", "method", "way", "language", "control", "value", *QUANTITIES, TIME, "repeats"),
+            *("order", "no order as", "slope over run time", "note"),
         ),
     ),
     "tolerances": (
@@ -497,11 +568,7 @@ SHOWN = {
     ),
     "comparisons": (
         "Run times at equal error, and lost comparisons",
-        ("what", "level or step", "alfmu", "its value", "other", "other's value", "ratio", "result"),
-    ),
-    "skipped": (
-        "Skipped",
-        ("code", "formulation", "method", "way", "control", "value", "estimate [s]", "reason"),
+        ("what", "level or step", "alfmu", "its value", "other", "other's value", "ratio", "ran in", "result"),
     ),
     "scenes": (
         "Operations of scenes, and what is saved by what they leave out",
@@ -516,15 +583,18 @@ with the constraints closed to round-off, integrated with tolerances near round-
 the change to other ways to compute it: the other reduction, a larger tolerance. {POSITION} and {REACTION} are the
 largest differences of outputs with these units at the points of the run; reactions are compared where they are unique
 and the position is not nearly singular. {PHI}, {PHI_DOT} and {ENERGY} are what the run itself leaves at these points.
-Run time is that of all steps and of reading all outputs at each point, without set-up; the median of the repeats.
+Run time is that of all steps and of reading all outputs at each point, without set-up: the fastest of so many repeats
+that the fastest ones agree, or of all that the limits allow. An order is that of errors over steps, where there are
+enough of them between the error of the reference and a motion that is lost, and they are on a straight line.
 """
 
 LIMITS = """
-SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the oracle,
-and is not told of singular positions. Formulations other than the default take the default integrator alone, and are
-timed by the oracle first, which has no other. All runs share one machine and one process, in the order of `errors.csv`;
-small ratios of times are not to be trusted. Where the reference ends before the run, positions and reactions are judged
-up to there.
+SciPy integrates the DAE (9) as it stands, in Python, with the same compiled evaluation of the equations as the
+oracle, and is not told of singular positions. Beside alfmu's compiled code that is no fair comparison of methods, so
+its times stand beside those of the oracle too, which is Python as well. Formulations other than the default take the
+default integrator alone, and are timed by the oracle first, which has no other. All runs share one machine and one
+process, in the order of `errors.csv`; small ratios of times are not to be trusted. Where the reference ends before
+the run, positions and reactions are judged up to there.
 Pinocchio, Exudyn and MuJoCo run mechanisms that were built for them by hand (`five_bar`, `slider_crank`), tuned to them
 with exact motions at hand; the angle of the first link and the reactions are what is judged. Pinocchio is stepped in
 Python. Longer runs, in rounds of random order, are those of `scripts/peers.py`; the study of the paper in full is that
@@ -539,11 +609,14 @@ def report(
     progress: Callable[[str], Progress] = lambda what: iter,
     effort: Effort | None = None,
 ) -> Path:
-    """Measure mechanisms and write the report into a folder; returns its path.
+    """Measure mechanisms and write the report into a folder; returns the path of its page.
 
-    Raises AlfmuError where a name is unknown, a mechanism cannot start or matplotlib is missing, before any run.
+    Raises AlfmuError where a name is unknown, a mechanism cannot start, or matplotlib or plotly is missing, before any
+    run.
     """
+    library()
     effort = effort or (QUICK if quick else USUAL)
+    effort = replace(effort, total=min(effort.total, effort.each * len(names)))
     bounds = {
         "longest simulated time [s]": effort.horizon,
         "wall time of a run, at most [s]": effort.limit,
@@ -556,19 +629,46 @@ def report(
     for file in FILES:
         write_csv(begun.folder / f"{file}.csv", begun.rows(lambda study, file=file: study.files[file]))
     maps.write(begun.folder, [study.maps for study in begun.studies])
-    return begun.write("report.md", _markdown(begun))
+    summary = _skipped(begun.studies)
+    write_csv(begun.folder / "skipped_summary.csv", summary, SKIPPED)
+    if any(study.chapters for study in begun.studies):
+        about = paper.settings(effort.paper)
+        write_csv(begun.folder / f"{about.name}.csv", about.rows)
+    begun.write("report.md", _markdown(begun, summary))
+    page = begun.folder / "report.html"
+    write(page, _page(begun, summary).encode())
+    return page
 
 
-def _markdown(begun: Begun[Study]) -> str:
+SKIPPED = ("mechanism", "reason", "runs", "what")
+
+NAMED = 6
+"""Runs that a line of the summary of what was skipped names; of more it says how many."""
+
+
+def _skipped(studies: Sequence[Study]) -> list[Row]:
+    """What did not run, a line for each reason of each mechanism."""
+    found = []
+    for study in studies:
+        why: dict[str, list[Row]] = {}
+        for row in study.files["skipped"]:
+            why.setdefault(str(row["reason"]), []).append(row)
+        for reason, each in why.items():
+            names = list(dict.fromkeys(", ".join(str(r[x]) for x in LINE if r.get(x)) for r in each))
+            what = "; ".join(names[:NAMED]) + f"; {len(names) - NAMED} others" * (len(names) > NAMED)
+            found.append({"mechanism": study.name, "reason": reason, "runs": len(each), "what": what})
+    return found
+
+
+def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
     where = shown("Where this was measured", "environment", ("what", "value"), begun.environment)
     parts = ["# Error against run time", where, paragraph(METHOD)]
     for study in begun.studies:
         parts += _chapter(study)
     if any(study.chapters for study in begun.studies):
-        about = paper.settings(begun.studies[0].effort.paper)
-        write_csv(begun.folder / f"{about.name}.csv", about.rows)
-        parts += ["## The paper's study", about.markdown(), paper.LIMITS]
-    parts += ["## Maps of stability", *maps.explained()]
+        parts += ["## The paper's study", paper.settings(begun.studies[0].effort.paper).markdown(), paper.LIMITS]
+    parts += ["## Maps of stability", *maps.explained(), "## What did not run"]
+    parts.append(shown("Skipped", "skipped_summary", SKIPPED, summary) if summary else "All runs were made.")
     return "\n\n".join([*parts, "## Where the comparison stops being fair", paragraph(LIMITS)]) + "\n"
 
 
@@ -576,14 +676,8 @@ def _chapter(study: Study) -> Iterator[str]:
     """One mechanism."""
     yield f"## {study.name}"
     yield study.mechanism.description + "."
-    for file, (title, columns) in SHOWN.items():
-        rows = study.files[file]
-        if file == "comparisons":
-            rows = [r for r in rows if r["what"].startswith("run time to") or r["result"].startswith("lost")]
-        if file == "reference" and "note" in rows[0]:
-            columns = ("horizon [s]", "note")
-        if rows:
-            yield shown(title, file, columns, rows)
+    for file in SHOWN:
+        yield from _table(study, file)
         if file == "reference":
             yield f"![{OWN}: errors against run time]({study.name}.png)"
             yield f"![formulations: errors against run time]({study.name}_formulations.png)"
@@ -594,28 +688,168 @@ def _chapter(study: Study) -> Iterator[str]:
     yield from maps.chapter(study.maps)
 
 
+def _table(study: Study, file: str) -> list[str]:
+    """A table of a mechanism in Markdown, none where it has no rows."""
+    rows, (title, columns) = study.files[file], SHOWN[file]
+    if file == "comparisons":
+        rows = [r for r in rows if r["what"].startswith("run time to") or r["result"].startswith("lost")]
+    if file == "reference" and "note" in rows[0]:
+        columns = ("horizon [s]", "note")
+    return [shown(title, file, columns, rows)] if rows else []
+
+
+SHOWN_ERRORS = (POSITION, REACTION, ENERGY, PHI)
+"""Quantities that pictures show, each in a panel of its own."""
+
+
+def _own(study: Study) -> list[Row]:
+    """Runs of the default formulation in every way, and of other codes."""
+    return [r for r in study.files["errors"] if r["formulation"] == OWN or r["code"] != "alfmu"]
+
+
+def _one_way(study: Study) -> list[Row]:
+    """Runs of every formulation in the way that runs all integrators, and of other codes."""
+    rows = study.files["errors"]
+    first = next((r["way"] for r in rows if r["code"] == "alfmu"), "")
+    return [r for r in rows if r["way"] == first or r["code"] != "alfmu"]
+
+
 def _pictures(study: Study, folder: Path) -> None:
-    """The default formulation in every way, and every formulation in the fastest way; those of the paper, and maps."""
+    """The default formulation in every way, and every formulation in one way; those of the paper, and maps."""
     for chapter in study.chapters:
         chapter.write(folder)
     maps.draw(study.maps, folder)
-    rows = study.files["errors"]
-    fitted = {_line(r): r for r in study.files["settings"]}
-    first = next((r["way"] for r in rows), "")
-
-    def label(row: Row, *names: str) -> str:
-        fit = fitted.get(_line(row), {})
-        values = [("order", fit.get("order")), ("slope", fit.get("slope over run time"))]
-        told = ", ".join(f"{name} {x:.1f}" for name, x in values if x is not None)
-        return ", ".join(str(row[name]) for name in names) + (f" ({told})" if told else "")
-
-    own = [r for r in rows if r["formulation"] == OWN or r["code"] != "alfmu"]
-    here = [r for r in rows if r["way"] == first or r["code"] != "alfmu"]
-    quantities = (POSITION, REACTION, PHI, ENERGY)
-    for name, chosen, colour, told in (
-        (study.name, own, lambda r: r["way"] if r["code"] == "alfmu" else r["method"], ("code", "method", "way")),
-        (f"{study.name}_formulations", here, _kind, ("code", "formulation", "method")),
+    for name, title, chosen, told in (
+        (study.name, f"{study.name}: {OWN}", _own(study), "way"),
+        (f"{study.name}_formulations", f"{study.name}: formulations", _one_way(study), "formulation"),
     ):
-        title = f"{study.name}: {OWN}" if chosen is own else f"{study.name}: formulations, {first}"
-        figure = scatter(title, chosen, quantities, TIME, lambda r, names=told: label(r, *names), colour, study.floors)
+        kinds = list(dict.fromkeys(r[told] for r in chosen))
+
+        def label(row: Row, told: str = told) -> str:
+            return integrator(row) + f", {row[told]}" * (row["code"] == "alfmu")
+
+        def look(row: Row, told: str = told, kinds: list = kinds) -> tuple:
+            return LOOKS[integrator(row)], line_of(row[told], kinds)
+
+        figure = scatter(title, chosen, SHOWN_ERRORS, TIME, label, look, study.floors)
         save(figure, folder / f"{name}.png", 110)
+
+
+# Page --------------------------------------------------------------------------------------------------------------
+
+RIVALRY = """
+How many times as long each other code takes as the fastest way of alfmu to get below a position error. A code that
+runs in Python is compared with alfmu's oracle, which runs in Python as well.
+"""
+
+BY_TIME = """
+Errors against run time, {what}; lower and further left is better. Colour and marker are those of the integrator in all
+plots of this page, lines tell {lines} apart, and open markers are other codes. Click an entry of the legend to hide a
+line, double-click to see it alone; errors far above a motion that is lost lie outside until one zooms out.
+"""
+
+
+def _page(begun: Begun[Study], summary: Sequence[Row]) -> str:
+    page = Page("Error against run time")
+    page.text(paragraph(METHOD))
+    page.head(2, "All mechanisms")
+    rows = _rivalry(begun.studies)
+    if rows:
+        page.text(paragraph(RIVALRY))
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        page.text(markdown(columns, [[row.get(x) for x in columns] for row in rows]))
+    page.text(f"**Where the comparison stops being fair.** {paragraph(LIMITS)}", note=True)
+    page.fold("Where this was measured", shown("Machine", "environment", ("what", "value"), begun.environment))
+    for study in begun.studies:
+        _chapter_of_page(page, study)
+    page.head(2, "What did not run")
+    page.text(markdown(SKIPPED, [[r[x] for x in SKIPPED] for r in summary]) if summary else "All runs were made.")
+    return page.html()
+
+
+def _rivalry(studies: Sequence[Study]) -> list[Row]:
+    """Run times of other codes over that of alfmu in the same language as far as there is one, at a middle level."""
+    level, rows = LEVELS[1], []
+    for study in studies:
+        found = [r for r in study.files["comparisons"] if "run time to" in r["what"] and r["level or step"] == level]
+        mine = next((r for r in found if r["its value"]), None)
+        row: Row = {"mechanism": study.name, f"fastest to {level:g} m, rad": mine and mine["alfmu"]}
+        row["its run time [ms]"] = mine and 1e3 * float(mine["its value"])
+        for each in found:
+            code = str(each["other"]).split(",")[0]
+            beside = "oracle" if "oracle" in str(each["alfmu"]) else "fastest"
+            row[f"{code} / {beside}"] = each["ratio"] or ("not reached" if each["other's value"] is None else None)
+        rows.append(row)
+    return rows
+
+
+def _chapter_of_page(page: Page, study: Study) -> None:
+    name = study.name
+    page.head(2, name)
+    page.text(study.mechanism.description + ".")
+    if study.film:
+        page.film(study.film, f"The motion of {name}.")
+    page.head(3, f"Errors of {name}")
+    for row in study.files["reference"]:
+        if "note" in row:
+            page.text(
+                f"There is no reference, so that constraints and energy alone are judged: {row['note']}.", note=True
+            )
+    shown_rows = [r for r in study.files["errors"] if r["code"] == "alfmu"]
+    if shown_rows:
+        plotted = against_time(_own(study), SHOWN_ERRORS, TIME, "way", "way", study.floors)
+        page.plot(plotted, " ".join(BY_TIME.format(what=f"formulation {OWN}", lines="ways to run").split()))
+        plotted = against_time(_one_way(study), SHOWN_ERRORS, TIME, "formulation", "method", study.floors)
+        way = next(r["way"] for r in shown_rows)
+        about = BY_TIME.format(what=f"all formulations in the way {way}", lines="formulations")
+        page.plot(plotted, " ".join(about.split()))
+    orders = {
+        str(r["method"]): r["order"]
+        for r in study.files["settings"]
+        if r["code"] == "alfmu" and r["formulation"] == OWN and r["order"] is not None
+    }
+    fast = [r for r in _one_way(study) if r["code"] == "alfmu" and r["formulation"] == OWN]
+    panels = {c: [r for r in fast if r["control"] == c] for c in (STEP, TOLERANCE)}
+    if fast:
+        about = (
+            f"Position errors of {name} over what sets them. An order stands beside integrators whose errors show "
+            "one. On the dashed line, the error is the tolerance."
+        )
+        page.plot(convergence(panels, orders, TOLERANCE, POSITION), about)
+    for file in SHOWN:
+        for table in _table(study, file):
+            page.fold(SHOWN[file][0], table)
+    page.head(3, f"Where {name} runs")
+    meaning = {str(r["class"]): _criterion(r) for r in maps.CRITERIA}
+    page.legend(maps.CLASSES, {x: meaning.get(x) or meaning[x.split(":")[0]] for x in maps.CLASSES})
+    page.maps(maps.maps_of(study.maps), maps.CLASSES, _said(study.maps.rows))
+    page.fold("How maps are made", "\n\n".join([*maps.explained(), *maps.chapter(study.maps)][1:2]))
+    for chapter in study.chapters:
+        page.head(3, f"The paper: {chapter.title}")
+        page.text(paragraph(chapter.text))
+        page.beside()
+        page.pictures(list(chapter.pictures.values()), chapter.title)
+        page.next()
+        for table in chapter.tables:
+            page.text(table.markdown())
+        page.together()
+    if study.chapters:
+        page.text(paper.LIMITS, note=True)
+
+
+def _criterion(row: Row) -> str:
+    """What puts a cell of a map into a class."""
+    bounds = [f"{word} {row[word]:g}" for word in ("at most", "above") if word in row]
+    return " ".join([str(row["measure"]), *bounds])
+
+
+def _said(rows: Sequence[Row]) -> dict[tuple[str, str, str], str]:
+    """What a cell of a map says of itself beside its class."""
+    found = {}
+    for r in rows:
+        error = r.get(POSITION)
+        parts = [f"position error {error:.2g} m, rad"] if error is not None else []
+        if r.get("cut short"):
+            parts.append(f"cut short at {r['reached [%]']:.2g} % of its time")
+        found[str(r["map"]), str(r["row"]), str(r["column"])] = "; ".join([*parts, *filter(None, [r.get("message")])])
+    return found

@@ -22,7 +22,11 @@ from . import peers
 from .cases import ARITHMETIC, STEP, TOLERANCE, Case, Run
 from .peers import Peer, Start
 
-__all__ = ["RIVALS", "SCIPY", "Rival"]
+__all__ = ["COMPILED", "PYTHON", "RIVALS", "SCIPY", "Rival"]
+
+PYTHON, COMPILED = "Python", "compiled code"
+LANGUAGES = {"Pinocchio": "compiled code, stepped in Python"}
+"""Of codes that are not compiled code throughout."""
 
 MONITORS = ("monitor.position_error", "monitor.velocity_error", "monitor.energy")
 
@@ -38,6 +42,8 @@ class Rival:
     values: Callable[[str], Sequence[float]]
     """Steps [s] or tolerances for a mechanism by its name, the largest first; none where it is not known."""
     build: Callable[[Equations, float, Case], Callable[[], Run]]
+    language: str
+    """What its steps and its evaluations run in."""
     missing: str = ""
     """Why it cannot be run here."""
 
@@ -123,13 +129,14 @@ def _peer(peer: Peer, equations: Equations, value: float, case: Case) -> Callabl
 def _model(peer: Peer) -> Rival:
     control = STEP if peer.control == "step" else TOLERANCE
     missing = "" if peer.installed else "not installed; pip install 'alfmu[bench]' has it"
-    return Rival(peer.name, peer.setting, control, lambda name: peer.steps.get(name, ()), partial(_peer, peer), missing)
+    values, build = (lambda name: peer.steps.get(name, ())), partial(_peer, peer)
+    return Rival(peer.name, peer.setting, control, values, build, LANGUAGES.get(peer.name, COMPILED), missing)
 
 
 TOLERANCES = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 
 SCIPY = tuple(
-    Rival("SciPy on (9)", method, TOLERANCE, lambda name: TOLERANCES, partial(_scipy, method))
+    Rival("SciPy on (9)", method, TOLERANCE, lambda name: TOLERANCES, partial(_scipy, method), PYTHON)
     for method in ("DOP853", "Radau", "BDF")
 )
 """SciPy's integrators."""

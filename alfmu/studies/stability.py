@@ -41,7 +41,7 @@ from .cases import (
 from .charts import Map, maps, save
 from .tables import Row, markdown, paragraph, shown, write_csv
 
-__all__ = ["CLASSES", "Effort", "stability"]
+__all__ = ["CLASSES", "CRITERIA", "Effort", "maps_of", "stability"]
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
 
@@ -371,13 +371,13 @@ def stability(
     parts = ["# Stability", shown("Where this was measured", "environment", ("what", "value"), begun.environment)]
     parts += explained()
     for study in begun.studies:
-        parts += [f"## {study.name}", f"{study.mechanism.description}.", *chapter(study), *map(_table, _maps(study))]
+        parts += [f"## {study.name}", f"{study.mechanism.description}.", *chapter(study), *map(_table, maps_of(study))]
     return begun.write("stability.md", "\n\n".join(parts) + "\n")
 
 
 def draw(study: Study, folder: Path) -> None:
     """The picture of the maps of a mechanism."""
-    figure = maps(f"{study.name}: where it runs and how it fails", _maps(study), CLASSES)
+    figure = maps(f"{study.name}: where it runs and how it fails", maps_of(study), CLASSES)
     save(figure, folder / _picture(study), 100)
 
 
@@ -413,7 +413,8 @@ def _of(study: Study) -> dict[str, list[Row]]:
     return found
 
 
-def _maps(study: Study) -> list[Map]:
+def maps_of(study: Study) -> list[Map]:
+    """The maps of a mechanism, from its cells."""
     drawn = []
     for title, cells in _of(study).items():
         columns, rows = (list(dict.fromkeys(c[x] for c in cells)) for x in ("column", "row"))

@@ -240,12 +240,13 @@ def _drawing_at(
     starts = {f"start.{name}": value for name, value in given.items() if name in own}
     held = {name: value for name, value in given.items() if name not in own}
     placed = copy(m)
-    placed.ties, placed.starts = list(m.ties), list(m.starts)
+    placed._parts = {name: list(parts) for name, parts in m._parts.items()}
+    ties, starts_of = Mechanism.ties.of(placed), Mechanism.starts.of(placed)
     for name, value in held.items():
         unit = next(c.unit for c in m.coordinates if c.name == name)
         symbol = ca.SX.sym(f"at.{name}")
-        placed.starts.append(Start(f"at.{name}", symbol, float(value), unit, f"at.{name}_rate", 0.0, ""))
-        placed.ties.append((symbol, symbols[name]))
+        starts_of.append(Start(f"at.{name}", symbol, float(value), unit, f"at.{name}_rate", 0.0, ""))
+        ties.append((symbol, symbols[name]))
     everything = with_defaults(derive(placed), {**parameters, **starts})
     columns = {}
     try:
@@ -253,8 +254,8 @@ def _drawing_at(
     except AssemblyError:
         # Too many values for the freedoms there are: those that nobody asked for here become guesses.
         asked = [start.symbol for start in placed.starts if start.name in given or start.name.startswith("at.")]
-        placed.ties = [(symbol, x) for symbol, x in placed.ties if any(symbol is a for a in asked)]
-        if len(placed.ties) == len(m.ties) + len(held):
+        ties[:] = [(symbol, x) for symbol, x in ties if any(symbol is a for a in asked)]
+        if len(ties) == len(m.ties) + len(held):
             raise
         columns = _start(shapes, with_defaults(derive(placed), {**parameters, **starts}))
     caption = ", ".join(f"{name} = {value:g}" for name, value in at.items())

@@ -30,6 +30,7 @@ from alfmu.method.stepping import (
     continued,
     explicit,
     explicit_rule,
+    rule_beside,
     tolerance,
 )
 from alfmu.model.errors import StepError
@@ -243,7 +244,8 @@ class Adaptive:
 
         y = np.concatenate([self.q, self.v, [self.work]])
         first = None if beside else self._first
-        after, errors, last = explicit(self.rule, rate, self.t, y, dt, first, lambda y: self._settled(y, self.t + dt))
+        rule = rule_beside(self.rule) if beside else self.rule
+        after, errors, last = explicit(rule, rate, self.t, y, dt, first, lambda y: self._settled(y, self.t + dt))
         size = max(self._size(y, after, error, branch.LONG_NOISE * beside) for error in errors)
         return *self._parts(after), float(after[-1]), None if beside else last, None, size
 

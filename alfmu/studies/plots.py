@@ -1,0 +1,218 @@
+"""Interactive figures of studies as data for plotly: errors against run time, steps and tolerances.
+
+A figure is a dictionary of JSON with `data` and `layout`; nothing here needs plotly.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from .charts import LEAST, Line
+from .looks import LOOKS, integrator, line_of
+from .tables import Row
+
+__all__ = ["Figure", "against_time", "convergence"]
+
+Figure = dict[str, Any]
+
+GAP = 0.1
+"""Part of the width and of the height of a figure between its panels."""
+
+MOST = 1e4
+"""Errors above it lie outside a panel, until one zooms out: of a run that is lost, they say nothing more."""
+
+DECADES = 2
+"""Least of a scale of errors."""
+
+ABOVE = 40
+"""Between the panels and the buttons above them [px]."""
+
+FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1c2733"}
+GRID, FAINT = "#e3e8ee", "#6b7680"
+
+
+def against_time(
+    rows: Sequence[Row],
+    quantities: Sequence[str],
+    time: str,
+    told: str,
+    group: str,
+    floors: Mapping[str, float | None],
+) -> Figure:
+    """Quantities against run time, a panel for each; values of the column `told` have a kind of line each.
+
+    Buttons choose among values of the column `group`; other codes are always there. `floors` are errors of what the
+    quantities were judged by.
+    """
+    own = [r for r in rows if r["code"] == "alfmu"]
+    kinds, groups = (list(dict.fromkeys(str(r[name]) for r in own)) for name in (told, group))
+    figure = _panels(quantities, 2, f"run time, {time}")
+    data = figure["data"]
+    of: list[str | None] = []
+    """The group of each trace."""
+    lines: dict[tuple, list[Row]] = {}
+    for row in sorted(rows, key=lambda r: r["code"] != "alfmu"):
+        lines.setdefault((integrator(row), *(row[x] for x in ("code", "formulation", "way"))), []).append(row)
+    for key, line in lines.items():
+        mine = line[0]["code"] == "alfmu"
+        name = f"{key[0]}, {line[0][told]}" if mine else f"{key[0]} ({line[0]['language']})"
+        kind = line_of(str(line[0][told]), kinds) if mine else LINE_OF_OTHERS
+        first = True
+        for i, quantity in enumerate(quantities):
+            known = [r for r in line if _drawn(r.get(quantity)) and _drawn(r.get(time))]
+            if known:
+                x, y = [r[time] for r in known], [max(r[quantity], LEAST) for r in known]
+                about = [_about(r) for r in known]
+                data.append(_trace(i, x, y, name, key[0], kind, about, first) | {"legendgroup": name})
+                of.append(str(line[0][group]) if mine else None)
+                first = False
+    for i, quantity in enumerate(quantities):
+        if floor := floors.get(quantity):
+            _floor(figure["layout"], i, floor)
+    _scaled(figure)
+    if len(groups) > 1:
+        shown = {each: [x is None or x == each for x in of] for each in groups}
+        for trace, visible in zip(data, shown[groups[0]], strict=True):
+            trace["visible"] = visible
+        buttons = [
+            {"label": each, "method": "restyle", "args": [{"visible": visible}]} for each, visible in shown.items()
+        ]
+        buttons.append({"label": "all", "method": "restyle", "args": [{"visible": [True] * len(of)}]})
+        layout = figure["layout"]
+        inner = layout["height"] - layout["margin"]["t"] - layout["margin"]["b"]
+        place = {"direction": "right", "type": "buttons", "x": 0, "xanchor": "left", "yanchor": "bottom"}
+        place["y"] = 1 + ABOVE / inner
+        figure["layout"]["updatemenus"] = [{**place, "buttons": buttons, "pad": {"b": 4}, "showactive": True}]
+    return figure
+
+
+def convergence(panels: Mapping[str, Sequence[Row]], orders: Mapping[str, float], equal: str, quantity: str) -> Figure:
+    """A quantity over what sets it: rows by the name of the axis, and orders by integrator, where they were measured.
+
+    In the panel of the axis `equal`, a dashed line shows where the quantity is what sets it.
+    """
+    figure = _panels([f"{quantity} over {axis.split(' ')[0]}" for axis in panels], len(panels), None)
+    for i, (axis, rows) in enumerate(panels.items()):
+        figure["layout"][f"xaxis{_number(i)}"]["title"] = {"text": axis}
+        for name in dict.fromkeys(map(integrator, rows)):
+            known = [r for r in rows if integrator(r) == name and _drawn(r.get(quantity))]
+            if known:
+                text = f"{name}: order {orders[name]:.1f}" if name in orders else name
+                x, y = [r["value"] for r in known], [max(r[quantity], LEAST) for r in known]
+                line = LINE_OF_OTHERS
+                figure["data"].append(_trace(i, x, y, text, name, line, [_about(r) for r in known], True))
+        if axis == equal:
+            _equal(figure, i)
+    _scaled(figure)
+    return figure
+
+
+def _equal(figure: Figure, i: int) -> None:
+    """A faint line where the error of panel i is what sets it."""
+    x = sorted({value for trace in figure["data"] if trace["xaxis"] == f"x{_number(i)}" for value in trace["x"]})
+    if x:
+        line = {"color": FAINT, "dash": "dash", "width": 1}
+        place = {"xref": f"x{_number(i)}", "yref": f"y{_number(i)}", "x0": x[0], "x1": x[-1], "y0": x[0], "y1": x[-1]}
+        figure["layout"]["shapes"].append({"type": "line", **place, "line": line})
+
+
+def _scaled(figure: Figure) -> None:
+    """Whole decades for the errors of each panel, without what is above MOST."""
+    for i in range(sum(key.startswith("yaxis") for key in figure["layout"])):
+        values = [y for trace in figure["data"] if trace["yaxis"] == f"y{_number(i)}" for y in trace["y"] if y <= MOST]
+        if values:
+            low, high = math.floor(math.log10(min(values)) - 0.1), math.ceil(math.log10(max(values)) + 0.1)
+            figure["layout"][f"yaxis{_number(i)}"]["range"] = [min(low, high - DECADES), high]
+
+
+LINE_OF_OTHERS = Line("-", "solid")
+
+
+def _drawn(value: Any) -> bool:
+    return value is not None and math.isfinite(value)
+
+
+def _about(row: Row) -> str:
+    value = f"{row['control'].split(' ')[0]} {row['value']:.3g}"
+    steps = f", {row['steps']} steps" if row.get("steps") else ""
+    return f"{row['code']}, {row['formulation']}, {row['way']} ({row['language']})<br>{value}{steps}"
+
+
+def _number(i: int) -> str:
+    return str(i + 1) if i else ""
+
+
+def _trace(
+    i: int, x: list[Any], y: list[Any], name: str, who: str, kind: Line, about: list[str], legend: bool
+) -> dict[str, Any]:
+    """A line of an integrator in panel i."""
+    look = LOOKS[who]
+    return {
+        "type": "scatter",
+        "mode": "lines+markers",
+        "x": x,
+        "y": y,
+        "xaxis": f"x{_number(i)}",
+        "yaxis": f"y{_number(i)}",
+        "name": name,
+        "showlegend": legend,
+        "text": about,
+        "hovertemplate": "<b>%{fullData.name}</b><br>error %{y:.3g}<br>%{x:.3g}<br>%{text}<extra></extra>",
+        "line": {"color": look.colour, "dash": kind.dash, "width": 1.6},
+        "marker": {
+            "color": look.colour,
+            "symbol": look.symbol + "-open" * (not look.filled),
+            "size": 8,
+            "line": {"color": look.colour, "width": 1.5},
+        },
+    }
+
+
+def _panels(titles: Sequence[str], across: int, x_title: str | None) -> Figure:
+    """A figure with empty panels, so many in a row, on log scales."""
+    down = math.ceil(len(titles) / across)
+    width, height = (1 - GAP * (across - 1)) / across, (1 - GAP * (down - 1)) / down
+    layout: dict[str, Any] = {
+        "font": FONT,
+        "height": 90 + 330 * down,
+        "margin": {"l": 60, "r": 20, "t": 90, "b": 55},
+        "plot_bgcolor": "white",
+        "hovermode": "closest",
+        "legend": {"font": {"size": 12}, "groupclick": "togglegroup", "itemwidth": 50, "x": 1.02, "y": 1},
+        "annotations": [],
+        "shapes": [],
+    }
+    axis = {
+        "type": "log",
+        "gridcolor": GRID,
+        "exponentformat": "power",
+        "dtick": 1,
+        "zeroline": False,
+        "ticks": "outside",
+    }
+    for i, title in enumerate(titles):
+        column, row = i % across, i // across
+        left, top = column * (width + GAP), 1 - row * (height + GAP)
+        n = _number(i)
+        layout[f"xaxis{n}"] = {**axis, "domain": [left, min(1.0, left + width)], "anchor": f"y{n}"}
+        layout[f"yaxis{n}"] = {**axis, "domain": [max(0.0, top - height), top], "anchor": f"x{n}", "dtick": None}
+        if x_title and row == down - 1:
+            layout[f"xaxis{n}"]["title"] = {"text": x_title}
+        if x_title and i:
+            layout[f"xaxis{n}"]["matches"] = "x"
+        place = {"xref": "paper", "yref": "paper", "x": left, "y": top, "xanchor": "left", "yanchor": "bottom"}
+        layout["annotations"].append({**place, "text": f"<b>{title}</b>", "showarrow": False})
+    return {"data": [], "layout": layout}
+
+
+def _floor(layout: dict[str, Any], i: int, value: float) -> None:
+    """A dashed line at the error of the reference."""
+    n = _number(i)
+    at = {"xref": f"x{n} domain", "yref": f"y{n}"}
+    line = {"color": FAINT, "dash": "dash", "width": 1}
+    layout["shapes"].append({"type": "line", **at, "x0": 0, "x1": 1, "y0": value, "y1": value, "line": line})
+    text = {"text": "error of the reference", "font": {"size": 11, "color": FAINT}, "showarrow": False}
+    place = {"x": 1, "y": math.log10(value), "xanchor": "right", "yanchor": "bottom"}
+    layout["annotations"].append({**at, **place, **text})
