@@ -77,10 +77,9 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     if tracer.e.l:
         # Implicit methods have no limits at singular positions: an explicit one passes them.
         on_branch = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
-        wanted = explicit_one or explicit_rule("explicit", tolerance)
-        same = rule_beside(wanted) is explicit_one
-        step = _Explicit(tracer, on_branch, "method" if same else "beside", "beside")
-        programs["beside"] = step.program(rule_beside(wanted))
+        wanted = rule_beside(explicit_one) if explicit_one else explicit_rule("explicit", tolerance)
+        mark = "method" if wanted is explicit_one else "beside"
+        programs["beside"] = _Explicit(tracer, on_branch, mark, "beside").program(wanted)
     if default_settings(tracer.e).method == "auto" and _smooth(tracer.e.functions["dynamics"]):
         programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT4)
         if tracer.e.l:
