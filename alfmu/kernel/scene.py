@@ -12,7 +12,7 @@ import hashlib
 import re
 import struct
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from threading import Lock
 
 import casadi as ca
@@ -61,11 +61,33 @@ def _macro(name: str) -> str:
     return re.sub("(?<=[a-z])(?=[A-Z])", "_", name).upper()
 
 
-_KEPT = 2**23
-"""Words of functions that are kept at most: 64 MB."""
+class _Written:
+    """Functions as words, the latest that were asked for."""
 
-_WRITTEN: OrderedDict[bytes, tuple[dict[bytes, int], Code]] = OrderedDict()
-_LOCK = Lock()
+    MOST = 2**23
+    """Words that are kept at most: 64 MB."""
+
+    def __init__(self) -> None:
+        self._known: OrderedDict[bytes, tuple[dict[bytes, int], Code]] = OrderedDict()
+        self._words = 0
+        self._lock = Lock()
+
+    def get(self, key: bytes, constants: Constants, write: Callable[[], Code]) -> Code:
+        """What is known by a key where its constants have the same places here, or is written now."""
+        with self._lock:
+            found = self._known.pop(key, None)
+            self._words -= len(found[1].words) if found else 0
+        if found is None or not constants.takes(found[0]):
+            found = constants.asked(), write()
+        with self._lock:
+            self._known[key] = found
+            self._words += len(found[1].words)
+            while self._words > self.MOST:
+                self._words -= len(self._known.popitem(last=False)[1][1].words)
+        return found[1]
+
+
+_WRITTEN = _Written()
 
 
 def code(f: ca.Function, constants: Constants, scene: str) -> Code:
@@ -81,17 +103,7 @@ def code(f: ca.Function, constants: Constants, scene: str) -> Code:
     key = hashlib.sha256(repr((inputs, outputs, passes.LONG, passes.WORTH)).encode())
     for each in (instructions.code, instructions.operands, instructions.place, instructions.constant):
         key.update(np.ascontiguousarray(each))
-    with _LOCK:
-        found = _WRITTEN.pop(key.digest(), None)
-    if found is None or not constants.takes(found[0]):
-        asked = constants.asked()
-        found = asked, written(instructions, constants, inputs, outputs)
-    with _LOCK:
-        _WRITTEN[key.digest()] = found
-        kept = sum(len(made.words) for _, made in _WRITTEN.values())
-        while kept > _KEPT:
-            kept -= len(_WRITTEN.popitem(last=False)[1][1].words)
-    return found[1]
+    return _WRITTEN.get(key.digest(), constants, lambda: written(instructions, constants, inputs, outputs))
 
 
 class Writer:
