@@ -289,7 +289,7 @@ def test_only_a_scene_with_the_method_has_it_in_its_kernel():
     assert {"method", "beside"} <= stiff.kernel.keys() & explicit.kernel.keys()
     assert "stiffness" in stiff.functions
     assert not {"stiffness", "reach"} & {*plain.functions, *explicit.functions}
-    assert len(packed(plain)) < len(packed(explicit)) < len(packed(stiff))
+    assert len(packed(plain)) < min(len(packed(explicit)), len(packed(stiff)))
 
 
 def test_a_scene_may_run_by_another_method_than_its_own():
