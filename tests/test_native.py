@@ -531,7 +531,7 @@ def test_a_bad_start_is_refused_in_the_words_of_the_library(built):
 @by_a_compiler
 def test_a_host_that_does_all_wrong(built, tmp_path):
     """Under AddressSanitizer and UndefinedBehaviorSanitizer; leaks of 1e4 instances and scenes would be told."""
-    path = built(double_pendulum_with_a_torque())
+    path = built(double_pendulum_with_a_torque(), parameters={"solver.method": "rk4"})
     description = fmpy.read_model_description(str(path))
     references = {v.name: v.valueReference for v in description.modelVariables}
     with zipfile.ZipFile(path) as archive:

@@ -30,6 +30,13 @@ def test_only_the_outputs_that_match_are_there_with_the_same_values(kernel):
         assert np.abs(some[name] - every[name]).max() <= 1e-12 * np.abs(every[name]).max(), name
 
 
+def test_what_is_traced_for_all_outputs_is_traced_again_for_some():
+    e = prepared(derived("four_bar"))
+    some = alfmu.simulate(e, 0.1, 0.02, outputs=["link1.angle"])
+    assert some.names == ("link1.angle", *(v.name for v in e.inputs))
+    assert np.array_equal(some["link1.angle"], alfmu.simulate(e, 0.1, 0.02)["link1.angle"])
+
+
 def test_what_nobody_watches_is_not_a_number_in_the_counters():
     some = alfmu.simulate("five_bar", 0.1, 0.02, outputs=["link1.angle", "monitor.energy"])
     assert math.isnan(some.counters.position_error)

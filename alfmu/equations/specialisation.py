@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from typing import Any
 
 import casadi as ca
 
@@ -19,6 +20,9 @@ __all__ = ["specialised"]
 
 ALL = "all"
 """Stands for every parameter of the mechanism."""
+
+_UNTRACED: dict[str, Any] = {"kernel": {}, "library": None}
+"""What a scene of all outputs and parameters was traced to is no part of it."""
 
 
 def specialised(
@@ -56,6 +60,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
             wrapped={name: start for name, start in e.wrapped.items() if _matches(name, patterns)},
             monitors=[*e.monitors, *monitors],
             functions={**_equations(e), "readings": readings},
+            **_UNTRACED,
         )
     )
 
@@ -76,7 +81,7 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
         value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))
         value = ca.densify(value) if value.is_column() else ca.sparsify(value)
         functions[name] = shared(name, [x[letter] for letter in letters], [value])
-    return evaluable(replace(e, parameters=left, functions=functions))
+    return evaluable(replace(e, parameters=left, functions=functions, **_UNTRACED))
 
 
 def _equations(e: Equations) -> dict[str, ca.Function]:

@@ -1167,9 +1167,10 @@ static Outcome covered(Instance *i, double end, double dt)
                 "smaller inputs%s",
                 s->name, *time, or_penalty(i));
         return say(i, FAILED,
-            "%s, t = %.6g s: a step by solver.method %s failed; near singular positions of implicit methods, and where "
-            "constraints stay open, use explicit or rk4%s",
-            s->name, *time, method_name(i), or_penalty(i));
+            "%s, t = %.6g s: a step by solver.method %s failed; near singular positions, and where constraints stay open, "
+            "use %s%s",
+            s->name, *time, method_name(i), s->automatic || !strcmp(method_name(i), "explicit") ? "rk4" : "explicit or rk4",
+            or_penalty(i));
     }
     return DONE;
 }
