@@ -21,7 +21,7 @@ __all__ = ["specialised"]
 ALL = "all"
 """Stands for every parameter of the mechanism."""
 
-_UNTRACED: dict[str, Any] = {"kernel": {}, "library": None}
+_UNTRACED: dict[str, Any] = {"signatures": {}, "kernel": {}, "library": None}
 """What a scene of all outputs and parameters was traced to is no part of it."""
 
 
