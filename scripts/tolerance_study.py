@@ -73,7 +73,7 @@ CHAPTERS = {
         "reference is its own error: the largest difference to other ways to compute it. A run that takes too long is "
         "judged up to where it came. A tolerance that is not held is told where a warning says that round-off is above "
         "it. The trend is the number of evaluations over that at the looser tolerance above, over what the order of "
-        f"the method makes of it; it is wanted to be {SLOWER:g} at most.",
+        f"the method makes of it; it is wanted to be `{SLOWER:g}` at most.",
         {
             "Held, or not": (
                 *("mechanism", "method", "tolerance", "simulated [s]", POSITION, "error over tolerance"),
