@@ -44,7 +44,9 @@ def test_the_report_of_two_mechanisms(study, tmp_path, monkeypatch):
         assert untraced(report, name, columns, lines) == []
     assert not any(c.isdigit() for c in prose(report))
     assert [(r["mechanism"], float(r["tolerance"]), r["verdict"]) for r in rows(tmp_path, "tolerances")] == [
-        (name, tolerance, "held") for name in ("four_bar", "particle_on_circle") for tolerance in (1e-6, 1e-9)
+        (name, tolerance, "held")
+        for name in ("four_bar mixed", "four_bar joint", "particle_on_circle")
+        for tolerance in (1e-6, 1e-9)
     ]
     assert {(r["chosen"], r["ratio"], r["verdict"]) for r in rows(tmp_path, "auto")} == {("explicit", "1", "met")}
     assert (tmp_path / "tolerances.png").stat().st_size > 10_000
