@@ -79,12 +79,14 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
         on_branch = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
         wanted = rule_beside(explicit_one) if explicit_one else explicit_rule("explicit", tolerance)
         mark = "method" if wanted is explicit_one else "beside"
-        programs["beside"] = _Explicit(tracer, on_branch, mark, "beside").program(wanted)
+        step = _Explicit(tracer, on_branch, mark, "beside")
+        programs["beside"] = step.program(wanted, "" if explicit_one else "beside")
     if default_settings(tracer.e).method == "auto" and _smooth(tracer.e.functions["dynamics"]):
-        programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT4)
+        programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT4, "short")
         if tracer.e.l:
             on_branch = Plan(CAREFUL, 3, weighted=True, branch=True)
-            programs["short_beside"] = _Explicit(tracer, on_branch, "short", "short_beside").program(EXPLICIT4)
+            step = _Explicit(tracer, on_branch, "short", "short_beside")
+            programs["short_beside"] = step.program(EXPLICIT4, "short")
     return programs
 
 
@@ -187,7 +189,8 @@ class _Step:
 class _Explicit(_Step):
     """A step of an explicit method with projection."""
 
-    def program(self, rule: Explicit) -> Program:
+    def program(self, rule: Explicit, allowed: str = "") -> Program:
+        """A step; `allowed` is the setting that has its tolerance over that of the method, if it is another."""
         n, layout, calls, scene = self.e.n, self.layout, self.calls, self.scene
         z, dt = map(scene.symbol, ("z", "step"))
         self.begin()
@@ -214,8 +217,8 @@ class _Explicit(_Step):
             known += " round_off"
             self._rounded(str(len(rates)))
             least = ca.fmax(scene.least_error(rule, dt, v, scene.symbol("round_off")), LONG_NOISE * self.plan.branch)
-        allowed = scene.settings.short if rule is EXPLICIT4 else 1
-        calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error / allowed, least))
+        error = error / getattr(scene.settings, allowed) if allowed else error
+        calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error, least))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return Program(calls.steps, self.plan, rule.name, len(rates))
 

@@ -15,12 +15,12 @@ TIERS = ("quick", "careful", "branch")
 
 SETTINGS = (
     *("alpha", "tolerance", "freedom", "masses", "regular", "nothing", "least_distance", "continues"),
-    *("relative", "absolute", "short"),
+    *("relative", "absolute", "short", "beside"),
 )
 """What `k` begins with. Degrees of freedom, logarithm of the product of the pivots that masses make, product of all
 pivots below which a position may be singular, margin that is nothing, least distance of places beside a singular
-position, whether to continue on the branch there (`method.singular`); tolerances of a step with error control, and that
-of a short step over them."""
+position, whether to continue on the branch there (`method.singular`); tolerances of a step with error control, and over
+them that of a short step, and that of an explicit step on the branch in place of an implicit one."""
 
 CONTROL = ("step_size", "tier", "method")
 """Largest internal step [s]; first tier (0 quick, 1 careful); what makes the steps (0 the tiers, 1 the method of the

@@ -26,7 +26,7 @@ from ..equations.interface import (
     variables_of,
 )
 from ..method import formulations, implicit, singular, stepping
-from ..method.stepping import EXPLICIT4, Collocation, Explicit, explicit_rule, share
+from ..method.stepping import EXPLICIT4, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from . import memory, thresholds
 from .alternatives import OWN
@@ -52,7 +52,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 5
+VERSION = 6
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -165,6 +165,8 @@ REALS: dict[str, Number] = {
     "exponent": lambda t: t.share[1],
     "short_share": lambda t: share(EXPLICIT4)[0],
     "short_exponent": lambda t: share(EXPLICIT4)[1],
+    "beside_share": lambda t: share(EXPLICIT8)[0],
+    "beside_exponent": lambda t: share(EXPLICIT8)[1],
 }
 
 NODE_COST = 6

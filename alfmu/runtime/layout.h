@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 5
+#define SCENE_VERSION 6
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -31,7 +31,7 @@
 #define NOISE 8.0
 #define UNBALANCED 0.001
 #define ROUND_OFF 1.7763568394002505e-15
-#define SETTINGS 11
+#define SETTINGS 12
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1
 #define SETTINGS_FREEDOM 2
@@ -43,6 +43,7 @@
 #define SETTINGS_RELATIVE 8
 #define SETTINGS_ABSOLUTE 9
 #define SETTINGS_SHORT 10
+#define SETTINGS_BESIDE 11
 #define CONTROL 3
 #define CONTROL_STEP_SIZE 0
 #define CONTROL_TIER 1
@@ -278,7 +279,9 @@
     X(share) \
     X(exponent) \
     X(short_share) \
-    X(short_exponent)
+    X(short_exponent) \
+    X(beside_share) \
+    X(beside_exponent)
 
 #define SCENE_PROGRAMS(X) \
     X(quick) \
