@@ -93,6 +93,16 @@ def test_a_tolerance_that_cannot_be_had_is_said_once(caplog):
     assert abs(time(unit.get("crank.angle")) - 5.0) * speed(unit.get("crank.angle")) <= 1e-9
 
 
+@pytest.mark.parametrize("method", ["auto", "rk4"])
+def test_forces_that_balance_each_other_leave_nothing_unconverged(method, caplog):
+    """Pulled by 1e6 N at its dead centre, a slider-crank stays there; its accelerations are round-off alone."""
+    values = {"start.angle": 0.0, "start.angular_velocity": 0.0, "g": 0.0, "solver.method": method}
+    r = alfmu.simulate("slider_crank", 1.0, 0.02, parameters=values, inputs={"slider.force": 1e6})
+    assert r.counters.unconverged == 0
+    assert not [each for each in caplog.records if "convergence" in each.getMessage()]
+    assert np.abs(r["crank.angle"]).max() <= 1e-12
+
+
 def test_fixed_steps_that_are_too_long_are_warned_about(caplog):
     r = alfmu.simulate("slider_crank", 4.0, inputs={"A.torque": 5.0}, parameters={"solver.method": "rk4"})
     balance = r["monitor.energy"] - r["monitor.energy"][0] - r["monitor.work"]

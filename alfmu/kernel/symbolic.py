@@ -116,7 +116,7 @@ class Watch(NamedTuple):
     """What an evaluation says of itself."""
 
     change: SX
-    """Last change of a, squared."""
+    """Last change of a, squared, but for what is round-off of the forces."""
     size: SX
     """a itself, squared."""
     pivot: SX
@@ -212,7 +212,10 @@ class Scene:
     def iterated_again(self, M: SX, C: SX, F: SX, xi: SX, D: SX, L: SX, a: SX, lam: SX, watch: SX) -> tuple[SX, SX, SX]:
         """a, lam and watch after one more iteration."""
         a, lam, change = self.iterated((M, C, F, xi), (D, L), a, lam, 1)
-        return a, lam, Watch.of(watch)._replace(change=ca.sumsqr(change), size=ca.sumsqr(a)).vector()
+        # Forces that balance each other leave their round-off, beside which accelerations may be nothing.
+        left = self.settings.tolerance**2 * ca.sumsqr(F) / (ca.sumsqr(ca.diag(M)) + _TINY)
+        change = ca.fmax(ca.sumsqr(change) - left, 0)
+        return a, lam, Watch.of(watch)._replace(change=change, size=ca.sumsqr(a)).vector()
 
     def iterated(self, terms: Sequence[SX], factors: tuple[SX, SX], a: SX, lam: SX, most: int) -> tuple[SX, SX, SX]:
         """a and lam after so many iterations, and the last change of a."""
