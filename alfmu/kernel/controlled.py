@@ -19,7 +19,7 @@ from ..equations.evaluation import DENSE
 from ..equations.interface import default_settings, integrator
 from ..method import formulations as method
 from ..method import implicit
-from ..method.singular import LONG_NOISE, LONG_PLACES, LONG_SPACING
+from ..method.singular import LONG_PLACES, LONG_SPACING
 from ..method.stepping import (
     EXPLICIT4,
     SHORTEST,
@@ -34,6 +34,7 @@ from ..method.stepping import (
     newton,
     rule_beside,
 )
+from ..model.settings import FIXED
 from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewritten
 from .memory import PACE
 from .trace import CAREFUL, Calls, Tracer, spaced
@@ -77,7 +78,8 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     if tracer.e.l:
         # Implicit methods have no limits at singular positions: an explicit one passes them.
         on_branch = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
-        wanted = rule_beside(explicit_one) if explicit_one else explicit_rule("explicit", tolerance)
+        wanted = explicit_one or explicit_rule("explicit", tolerance)
+        wanted = wanted if name in FIXED else rule_beside(wanted)
         mark = "method" if wanted is explicit_one else "beside"
         step = _Explicit(tracer, on_branch, mark, "beside")
         programs["beside"] = step.program(wanted, "" if explicit_one else "beside")
@@ -216,8 +218,10 @@ class _Explicit(_Step):
         else:
             known += " round_off"
             self._rounded(str(len(rates)))
-            least = ca.fmax(scene.least_error(rule, dt, v, scene.symbol("round_off")), LONG_NOISE * self.plan.branch)
-        error = error / getattr(scene.settings, allowed) if allowed else error
+            least = scene.least_error(rule, dt, v, scene.symbol("round_off"))
+        if allowed:
+            share = getattr(scene.settings, allowed)
+            error, least = error / share, None if least is None else least / share
         calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error, least))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return Program(calls.steps, self.plan, rule.name, len(rates))

@@ -365,7 +365,10 @@ class Scene:
         held = self.held if self.kind == "weighted" else SX.ones(self.e.l)
         C = ca.densify(self.e.C(q, self.p)) * held
         K = C @ C.T
-        sizes = ca.sqrt(ca.diag(K))
+        # A row of a joint that vanishes is not told by its own size, but by that of all of them.
+        joints = [(row.name, row.unit) for row in self.e.rows]
+        together = ca.DM([[float(one == other) for other in joints] for one in joints])
+        sizes = ca.sqrt(together @ ca.diag(K))
         scale = ca.diag(ca.if_else(sizes > 0, 1 / sizes, 0))
         pivots = ca.ldl(scale @ K @ scale + _ALONE * SX.eye(self.e.l), False)[0]
         usual = self.e.l - (self.e.n - self.settings.freedom)

@@ -85,10 +85,6 @@ LONG_SPACING = 0.1
 """distance between places over the step of integrators beside RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
-LONG_NOISE = 2e-11
-"""error [m or rad; per s]: error control accepts so much of a step on the branch, as the return to the branch magnifies
-round-off up to it."""
-
 POLE_ZERO = 1e-5
 """value of a function over its values at the places [1]: a smaller one is zero to round-off, and the position is the
 pole itself."""

@@ -464,10 +464,7 @@ def explicit_rule(method: str, run: float, carried: str | None = None) -> Explic
 
 
 def rule_beside(rule: Explicit) -> Explicit:
-    """What an explicit method is replaced by for its steps on the branch near a singular position.
-
-    Steps of implicit methods are as long as `EXPLICIT8` makes them, and are made by that.
-    """
+    """What an explicit method is replaced by for steps on the branch near a singular position."""
     return EXPLICIT8_BESIDE if rule is EXPLICIT8 else rule
 
 

@@ -552,7 +552,7 @@ static void settle_kernel(Instance *i)
     k[SETTINGS_RELATIVE] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
     k[SETTINGS_ABSOLUTE] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
     k[SETTINGS_BESIDE] =
-        s->method == 1 ? s->beside_share * pow(relative, s->beside_exponent) / k[SETTINGS_RELATIVE] : 0.0;
+        s->method == 1 ? s->beside_share * pow(relative, s->beside_exponent) / k[SETTINGS_RELATIVE] : 1.0;
     k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);

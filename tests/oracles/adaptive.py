@@ -244,9 +244,9 @@ class Adaptive:
 
         y = np.concatenate([self.q, self.v, [self.work]])
         first = None if beside else self._first
-        rule = rule_beside(self.rule) if beside else self.rule
+        rule = rule_beside(self.rule) if beside and not self.fixed else self.rule
         after, errors, last = explicit(rule, rate, self.t, y, dt, first, lambda y: self._settled(y, self.t + dt))
-        size = max(self._size(y, after, error, branch.LONG_NOISE * beside) for error in errors)
+        size = max(self._size(y, after, error) for error in errors)
         return *self._parts(after), float(after[-1]), None if beside else last, None, size
 
     def _collocation(self, dt: float, beside: bool) -> tuple:
@@ -350,15 +350,15 @@ class Adaptive:
         larger = np.maximum(np.abs(y), np.abs(after))[: len(self._turning)]
         return self.absolute + self.relative * np.where(self._turning, np.minimum(larger, 1.0), larger)
 
-    def _size(self, y: NDArray, after: NDArray, error: NDArray, least: float = 0.0) -> float:
-        """Error of the constrained state over the tolerance, or over `least` where that is more."""
+    def _size(self, y: NDArray, after: NDArray, error: NDArray) -> float:
+        """Error of the constrained state over the tolerance."""
         if self.fixed:
             return 0.0
         o, (q, v) = self.oracle, self._parts(after)
         M, C, _, _ = o.constraints(q, v)
         solve = o.inverse(method.augmented_mass(M, C, o.alpha))
         parts = [branch.tangential(C, o.alpha, solve, x) for x in self._parts(error)]
-        return float(np.abs(np.concatenate(parts) / np.maximum(self._scale(y, after), least)).max())
+        return float(np.abs(np.concatenate(parts) / self._scale(y, after)).max())
 
 
 class _Near(Exception):
