@@ -43,11 +43,12 @@ after 10 s instead of less than 1e-8, by the round-off of margins."""
 LEAST_DISTANCE = 0.011
 """distance of the first place [rad]: accelerations on the branch lose digits with the third power of the distance; at
 0.003 the N-four-bar of ten loops in natural coordinates is 8e-6 rad off after 10 s of steps of 0.3 ms instead of 2e-11;
-at half and twice the value `stiff` at 1e-9 refuses four steps in 3 s, as at the value (`tests/test_methods.py`)."""
+at half and twice the value `stiff` at 1e-9 refuses one or two steps in 3 s, as at the value
+(`tests/test_methods.py`)."""
 
 MOST_DISTANCE = 0.015
 """distance of the first place [rad]: the error of a limit grows with its eighth power; with 0.003 for all steps `stiff`
-at 1e-9 refuses seven steps in 3 s instead of none (`tests/test_methods.py`)."""
+at 1e-9 refuses one step in 3 s, as at the value."""
 
 CONVERGENCE = 7.0
 """distance of the first place over the root of the pivot contributed by masses [1]: each multiplier iteration gains
