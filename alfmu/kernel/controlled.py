@@ -86,8 +86,7 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     if default_settings(tracer.e).method == "auto" and _smooth(tracer.e.functions["dynamics"]):
         programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT4, "short")
         if tracer.e.l:
-            on_branch = Plan(CAREFUL, 3, weighted=True, branch=True)
-            step = _Explicit(tracer, on_branch, "short", "short_beside")
+            step = _Explicit(tracer, Plan(CAREFUL, 3, weighted=True, branch=True), "short", "short_beside")
             programs["short_beside"] = step.program(EXPLICIT4, "short")
     return programs
 

@@ -75,13 +75,16 @@ class _Written:
     def get(self, key: bytes, constants: Constants, write: Callable[[], Code]) -> Code:
         """What is known by a key where its constants have the same places here, or is written now."""
         with self._lock:
-            found = self._known.pop(key, None)
-            self._words -= len(found[1].words) if found else 0
-        if found is None or not constants.takes(found[0]):
-            found = constants.asked(), write()
+            found = self._known.get(key)
+            if found is not None:
+                self._known.move_to_end(key)
+        if found is not None and constants.takes(found[0]):
+            return found[1]
+        found = constants.asked(), write()
         with self._lock:
+            before = self._known.pop(key, None)
             self._known[key] = found
-            self._words += len(found[1].words)
+            self._words += len(found[1].words) - (len(before[1].words) if before else 0)
             while self._words > self.MOST:
                 self._words -= len(self._known.popitem(last=False)[1][1].words)
         return found[1]
