@@ -21,7 +21,7 @@ from ..method import formulations as method
 from ..method import implicit
 from ..method.singular import LONG_PLACES, LONG_SPACING
 from ..method.stepping import (
-    EXPLICIT4,
+    EXPLICIT5_SHORT,
     SHORTEST,
     Collocation,
     Explicit,
@@ -83,24 +83,12 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
         mark = "method" if wanted is explicit_one else "beside"
         step = _Explicit(tracer, on_branch, mark, "beside")
         programs["beside"] = step.program(wanted, "" if explicit_one else "beside")
-    if default_settings(tracer.e).method == "auto" and _smooth(tracer.e.functions["dynamics"]):
-        programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT4, "short")
+    if default_settings(tracer.e).method == "auto":
+        programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT5_SHORT, "short")
         if tracer.e.l:
             step = _Explicit(tracer, Plan(CAREFUL, 3, weighted=True, branch=True), "short", "short_beside")
-            programs["short_beside"] = step.program(EXPLICIT4, "short")
+            programs["short_beside"] = step.program(EXPLICIT5_SHORT, "short")
     return programs
-
-
-KINKS = frozenset(
-    getattr(ca, f"OP_{name}")
-    for name in ("FMAX", "FMIN", "FABS", "SIGN", "IF_ELSE_ZERO", "LT", "LE", "EQ", "NE", "FLOOR", "CEIL", "FMOD")
-)
-"""Operations at which a rate may bend or jump."""
-
-
-def _smooth(function: ca.Function) -> bool:
-    """Whether a function has no kink: two rates at the end of a short step see none within it."""
-    return not any(function.instruction_id(k) in KINKS for k in range(function.n_instructions()))
 
 
 def _softened(tracer: Tracer, program: Program) -> Program:

@@ -26,7 +26,7 @@ from ..equations.interface import (
     variables_of,
 )
 from ..method import formulations, implicit, singular, stepping
-from ..method.stepping import EXPLICIT4, EXPLICIT8, Collocation, Explicit, explicit_rule, share
+from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from . import memory, thresholds
 from .alternatives import OWN
@@ -163,8 +163,8 @@ REALS: dict[str, Number] = {
     "no_slope": lambda t: math.inf if "reach" in t.e.kernel else 0.0,
     "share": lambda t: t.share[0],
     "exponent": lambda t: t.share[1],
-    "short_share": lambda t: share(EXPLICIT4)[0],
-    "short_exponent": lambda t: share(EXPLICIT4)[1],
+    "short_share": lambda t: share(EXPLICIT5_SHORT)[0],
+    "short_exponent": lambda t: share(EXPLICIT5_SHORT)[1],
     "beside_share": lambda t: share(EXPLICIT8)[0],
     "beside_exponent": lambda t: share(EXPLICIT8)[1],
 }

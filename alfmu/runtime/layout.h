@@ -26,7 +26,7 @@
 #define ZETA 1.0
 #define OMEGA 10.0
 #define LEAST_BEFORE 0.01
-#define REGAINED 1.05
+#define REGAINED 1.2
 #define GIVEN_UP 1e-12
 #define NOISE 8.0
 #define UNBALANCED 0.001

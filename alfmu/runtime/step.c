@@ -139,8 +139,6 @@ static void try_step(Instance *i)
     const double left = pace[PACE_END] - m[s->z + s->time];
     double dt, before, refused;
     int careful;
-    if (pace[PACE_OTHER_DT] < left)
-        pace[PACE_OTHER_DT] *= REGAINED;
     turn_to(pace, short_ones(i, left));
     if (pace[PACE_SHORT] != 0.0) {
         if (try_short(i))
@@ -219,8 +217,12 @@ int cover(Instance *i, double end, long tries)
                 "and the motion goes on at that",
                 s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share / NOISE,
                 i->values[s->relative_tolerance]);
-        if (pace[PACE_ACCEPTED] != 0.0)
+        if (pace[PACE_ACCEPTED] != 0.0) {
+            /* Steps that are refused regain nothing: short ones and those of the method would take turns for ever. */
+            if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
+                pace[PACE_OTHER_DT] *= REGAINED;
             memcpy(m + s->z, after, state_length(s) * sizeof *m);
+        }
         tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;
     }
     return 1;
