@@ -116,6 +116,8 @@ def references() -> dict[str, Any]:
         "starts": study.reference(four, (th, w), torque, 0.02, 125).exact,
         "slider-crank": study.reference(*crank, 0.0, study.CRANK_STEP, 1600).exact[::40, 0],
         "order 8": study.reference(four, start, 4.0, 0.1, 50).exact[:, 0],
+        "auto": study.reference(four, start, 4.0, 0.01, 500).exact[:, 0],
+        "row": study.reference(study.row(2), study.ROW_START, 0.0, 0.1, 100).exact[:, 0],
     }
 
 
@@ -135,6 +137,25 @@ def _driven(exact: Any, name: str, torques: Mapping[str, float], dt: float, meth
     if run.stopped:
         raise alfmu.StepError(run.stopped)
     return Found(run.error(exact), run.evaluations)
+
+
+def _row(exact: Any) -> Found:
+    """A row of two four-bars in absolute coordinates over 10 s at 1e-9: the error [rad] at the end."""
+    import singular_study as study
+
+    import alfmu
+    from alfmu.simulation import prepared, with_defaults
+
+    wanted = {"solver.method": "explicit", "solver.relative_tolerance": 1e-9}
+    equations = with_defaults(alfmu.derive(alfmu.load("n_four_bar", loops=2, coordinates="absolute")), wanted)
+    i = alfmu.Instance(prepared(equations, "vm"))
+    given = {"start.angle": study.ROW_START[0], "start.angular_velocity": study.ROW_START[1], "g": study.GRAVITY}
+    for name, value in given.items():
+        i.set(name, value)
+    i.initialize()
+    for _ in exact[1:]:
+        i.step(0.1)
+    return Found(abs(float(i.get("crank1.angle")) - exact[-1]), i.counters.evaluations)
 
 
 def _starts(exact: Any) -> Found:
@@ -245,6 +266,8 @@ CASES: dict[str, Callable[[Any], Found]] = {
     "starts": _starts,
     "slider-crank": _crank,
     "order 8": partial(_driven, name="four_bar", torques={"A.torque": 4.0}, dt=0.1, method="order8"),
+    "auto": partial(_driven, name="four_bar", torques={"A.torque": 4.0}, dt=0.01, method="auto"),
+    "row": _row,
     "reading": partial(_read, torque=0.0),
     "pole": partial(_read, torque=4.0),
     "lock-up": _locked,

@@ -219,7 +219,6 @@ def layout_header() -> str:
         "ZETA": Settings.zeta,
         "OMEGA": Settings.omega,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
-        "REGAINED": stepping.REGAINED,
         "GIVEN_UP": stepping.SHORTEST,
         "NOISE": stepping.NOISE,
         "UNBALANCED": UNBALANCED,

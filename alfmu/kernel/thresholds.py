@@ -100,3 +100,23 @@ SAID = 6
 
 FIRST_STEP = 1e-3
 """step [s]: the first one under error control, which then corrects it."""
+
+SHORTENED = 0.2
+"""ratio of steps [1]: a step under error control that cannot be judged is tried again at this part of its length."""
+
+REGAINED = 1.2
+"""ratio of steps [1]: what `auto` takes for the step of the method that it does not use grows by it with each step of
+the other one, as conditions change; below 1.1 the five-bar takes long steps for 0.2 s after a singular position."""
+
+STAYS_CAREFUL = 8
+"""number of tries [1]: so many are made with careful iterations after one that needed them."""
+
+UNSEEN = 16
+"""number of tries [1]: after so many without careful iterations one is made with them, to see what round-off leaves."""
+
+SEEN_FLOOR = 0.1
+"""error that round-off leaves over the tolerance [1]: careful tries are kept to where it is larger."""
+
+STUCK = 20
+"""number of tries [1]: no motion goes on where so many cannot be judged near a singular position before the step is
+covered that was wanted at the first of them."""

@@ -527,10 +527,6 @@ PROPORTIONAL = 0.4
 LEAST_FACTOR, MOST_FACTOR = 0.2, 5.0
 """Of a step over the one before."""
 
-REGAINED = 1.2
-"""Of the step that a method wants which is not used, at each step by the other one: conditions change. With 1.05 the
-five-bar takes half a second to return to short steps after a singular position."""
-
 LEAST_ERROR, LEAST_BEFORE = 1e-6, 1e-2
 """Errors over the tolerance below which one counts no more, as this error and as the one before."""
 

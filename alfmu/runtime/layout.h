@@ -26,7 +26,6 @@
 #define ZETA 1.0
 #define OMEGA 10.0
 #define LEAST_BEFORE 0.01
-#define REGAINED 1.2
 #define GIVEN_UP 1e-12
 #define NOISE 8.0
 #define UNBALANCED 0.001
@@ -113,6 +112,12 @@
 #define SHORTEST 6.103515625e-05
 #define SAID 6
 #define FIRST_STEP 0.001
+#define SHORTENED 0.2
+#define REGAINED 1.2
+#define STAYS_CAREFUL 8
+#define UNSEEN 16
+#define SEEN_FLOOR 0.1
+#define STUCK 20
 
 #define SCENE_COUNTS(X) \
     X(parameters) \

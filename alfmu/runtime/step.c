@@ -5,21 +5,6 @@
 
 #include "alfmu.h"
 
-/* Tries with careful iterations after one that needed them. */
-#define STAYS_CAREFUL 8.0
-
-/* Tries without careful iterations after which one is made with them, to see what round-off leaves; from so much of the
-   tolerance on it counts. */
-#define UNSEEN 16.0
-#define SEEN_FLOOR 0.1
-
-/* Of a step that cannot be judged, the next try. */
-#define SHORTENED 0.2
-
-/* Tries that cannot be judged near a singular position, before the step that was wanted at the first of them is covered:
-   from so many on no motion goes on there. */
-#define STUCK 20
-
 /* Internal steps from one question to the next, whether a run goes on. */
 #define LOOK 64
 
