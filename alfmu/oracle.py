@@ -351,12 +351,11 @@ class Instance(runtime.Instance):
         iteration converges.
         """
         here, rate, spacing = self.approach(q, v, spacing)
-        wanted = branch.first_distance(rate, self.least_distance, min, max)
-        if not (rate > 0 and here < branch.LIMIT_ZONE * wanted):
+        if not (rate > 0 and here < branch.LIMIT_ZONE * self.least_distance):
             return self.accelerations(*self.reached(q, v, t), u, t)
         unconverged = self.counters.unconverged
         try:
-            _, found = self._beside(q, v, u, t, spacing * wanted / rate, branch.MEAN)
+            _, found = self._beside(q, v, u, t, spacing * self.least_distance / rate, branch.MEAN)
             a, lam, left = (branch.mean({k: x[i] for k, x in found.items()}) for i in (0, 1, 3))
             return a, lam, max(x[2] for x in found.values()), left
         except OpenError:

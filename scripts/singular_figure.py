@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 import alfmu
-from alfmu.method.singular import BRANCH_MARGIN, LIMIT_ZONE, MOST_DISTANCE, READ_DISTANCE, READ_ZONE
+from alfmu.method.singular import BRANCH_MARGIN, LEAST_DISTANCE, LIMIT_ZONE, READ_DISTANCE, READ_ZONE
 
 PICTURE = Path(__file__).parents[1] / "docs" / "singular.png"
 
@@ -22,7 +22,7 @@ A step ends at the singular position, nearly: the hardest case for a method that
 
 ZONES = {
     "S3: stages are brought to the branch": (BRANCH_MARGIN**0.5, "#d7e6f4"),
-    "S4: accelerations can be limits": (LIMIT_ZONE * MOST_DISTANCE, "#9cc4e4"),
+    "S4: accelerations can be limits": (LIMIT_ZONE * LEAST_DISTANCE, "#9cc4e4"),
     "S4: reactions read are limits": (READ_ZONE * READ_DISTANCE, "#4f93c8"),
 }
 """Distance [rad] below which each holds, and its colour."""

@@ -389,17 +389,17 @@ class Scene:
         """The margin at q, whether a limit may have to be taken there, no spacing yet; also q after a correction (10),
         most of which is known then."""
         here = self._margin_at(q)
-        farthest = branch.LIMIT_ZONE * ca.fmax(branch.MOST_DISTANCE, self.settings.least_distance)
+        farthest = branch.LIMIT_ZONE * self.settings.least_distance
         near = 1 - (ca.sqrt(here) >= farthest)
         return here, near, SX(0), self.placed(q)
 
     def approached(self, here: SX, q: SX, v: SX, spacing: SX) -> tuple[SX, SX]:
         """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places for it."""
         rate = self._rate(here, q, v, spacing)
-        wanted = branch.first_distance(rate, self.settings.least_distance, ca.fmin, ca.fmax)
-        zone = ca.sqrt(here) < branch.LIMIT_ZONE * wanted
+        first = self.settings.least_distance
+        zone = ca.sqrt(here) < branch.LIMIT_ZONE * first
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the patient tier.
-        return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * wanted / rate
+        return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * first / rate
 
     def _rate(self, here: SX, q: SX, v: SX, spacing: SX) -> SX:
         """S2: the distance that one spacing along v covers at q of a known margin; 0 where that cannot be told."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from .formulations import project, project_residual
 
-__all__ = ["along", "curvature", "first_distance", "mean", "returned", "tangential", "weights", "with_pole"]
+__all__ = ["along", "curvature", "mean", "returned", "tangential", "weights", "with_pole"]
 
 Array = Any
 
@@ -45,10 +45,6 @@ LEAST_DISTANCE = 0.011
 0.003 the N-four-bar of ten loops in natural coordinates is 8e-6 rad off after 10 s of steps of 0.3 ms instead of 2e-11;
 at half and twice the value `stiff` at 1e-9 refuses one or two steps in 3 s, as at the value
 (`tests/test_methods.py`)."""
-
-MOST_DISTANCE = 0.015
-"""distance of the first place [rad]: the error of a limit grows with its eighth power; with 0.003 for all steps `stiff`
-at 1e-9 refuses one step in 3 s, as at the value."""
 
 CONVERGENCE = 7.0
 """distance of the first place over the root of the pivot contributed by masses [1]: each multiplier iteration gains
@@ -113,11 +109,6 @@ READ_MEAN = weights(LONG_PLACES)
 def curvature(before: Array, here: Array, after: Array) -> Array:
     """S2: square of the distance [rad^2] that a spacing covers, from margins, which are parabolas over the distance."""
     return (before + after) / 2 - here
-
-
-def first_distance(rate: Array, least: Array, smaller: Callable, larger: Callable) -> Array:
-    """Distance of the first places from which a limit is taken, where one spacing makes `rate` of it."""
-    return larger(smaller(rate, MOST_DISTANCE), least)
 
 
 def mean(values: dict[int, Array]) -> Array:

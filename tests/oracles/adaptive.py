@@ -188,10 +188,9 @@ class Adaptive:
         """The place on the branch (0), or those that a limit is taken from."""
         o = self.oracle
         here, rate, spacing = o.approach(q, v, spacing)
-        wanted = branch.first_distance(rate, o.least_distance, min, max)
-        if not (rate > 0 and here < branch.LIMIT_ZONE * wanted):
+        if not (rate > 0 and here < branch.LIMIT_ZONE * o.least_distance):
             return {0: o.reached(q, v, t)}
-        spacing *= wanted / rate
+        spacing *= o.least_distance / rate
         return {k: o.reached(q + k * spacing * v, v, t) for k in branch.READ_MEAN}
 
     def _linearised(self, t: float, y: NDArray, beside: bool, dt: float) -> tuple[NDArray, tuple[NDArray, NDArray]]:
