@@ -290,7 +290,7 @@ def read_inputs(path: str | Path) -> dict[str, Signal]:
     return {name: (table[:, 0], table[:, i]) for i, name in enumerate(names) if i}
 
 
-def _table(path: str | Path) -> tuple[list[str], NDArray]:
+def _table(path: str | Path) -> tuple[list[str], NDArray[np.float64]]:
     """Names and numbers of a CSV file whose first column is time; InputError, with the line, where it is none."""
     line, numbers = 0, array("d")
     try:

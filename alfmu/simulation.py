@@ -57,8 +57,8 @@ class Unit(Protocol):
     def set(self, name: str, value: float | str) -> None: ...
     def initialize(self) -> None: ...
     def step(self, communication_step: float, time: float) -> None: ...
-    def read(self) -> NDArray: ...
-    def read_inputs(self) -> NDArray: ...
+    def read(self) -> NDArray[np.float64]: ...
+    def read_inputs(self) -> NDArray[np.float64]: ...
 
 
 def simulate(
@@ -182,12 +182,12 @@ def run(
 
 def _in_one_call(
     unit: Instance,
-    times: NDArray,
+    times: NDArray[np.float64],
     inputs: list[str],
     at: Callable[[str, float], float],
     names: list[str],
     progress: Progress,
-) -> tuple[NDArray, BaseException | None]:
+) -> tuple[NDArray[np.float64], BaseException | None]:
     """The values of a run that is one call of the runtime, and why it ended early."""
     for name in inputs:
         unit.set(name, at(name, times[0]))
@@ -215,12 +215,12 @@ def _in_one_call(
 
 def _step_by_step(
     unit: Unit,
-    times: NDArray,
+    times: NDArray[np.float64],
     inputs: list[str],
     at: Callable[[str, float], float],
     progress: Progress,
     held: bool,
-) -> tuple[NDArray, BaseException | None]:
+) -> tuple[NDArray[np.float64], BaseException | None]:
     """The values of a run of a unit that makes one communication step after the other, and why it ended early."""
     table = np.empty((len(times), len(unit.outputs) + len(unit.input_variables)))
 
@@ -246,7 +246,7 @@ def _step_by_step(
     return table, None
 
 
-def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray:
+def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray[np.float64]:
     """0, step, 2 step, ... and stop_time itself; InputError where a result of so many columns would be too large."""
     if not (math.isfinite(step) and step > 0):
         raise InputError(f"{name}: the step is {step} s; it must be a finite number above zero")
@@ -258,7 +258,7 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
             f"each, are more than the {MOST:.0e} numbers that a result may hold; take a longer step, an earlier stop "
             "time or fewer outputs"
         )
-    times = np.arange(math.floor(points * (1 + 1e-12)) + 1) * step
+    times = np.arange(math.floor(points * (1 + 1e-12)) + 1, dtype=np.float64) * step
     if stop_time - times[-1] > 1e-9 * step:
         return np.append(times, stop_time)
     return times

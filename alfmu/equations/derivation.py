@@ -94,14 +94,14 @@ class Kinematics:
         eps: Mapping[Joint, Displacement] | None = None,
     ):
         self.mechanism = mechanism
-        self.eps = {joint: e for joint, e in (eps or {}).items() if e}
+        self.eps: dict[Joint, Displacement] = {joint: e for joint, e in (eps or {}).items() if e}
         self.held: dict[Body, list[Joint]] = {}
         for joint in held or ():
             if joint in self.eps:
                 self.held.setdefault(joint.second.body, []).append(joint)
         self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
         self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
-        self.order = {body: i for i, body in enumerate([mechanism.ground, *mechanism.bodies])}
+        self.order: dict[Body, int] = {body: i for i, body in enumerate([mechanism.ground, *mechanism.bodies])}
         self.links: dict[tuple[Body, int | None], list[tuple[Joint, int, tuple[Body, int | None]]]] = {}
         self.spans: dict[Body, tuple[ca.SX, ca.SX, ca.SX, ca.SX]] = {}
         self.squares: dict[Joint | Rigidity, ca.SX] = {}

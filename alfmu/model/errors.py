@@ -1,6 +1,11 @@
 """Errors that say which mechanism, what was measured, the limit, and what to do."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..result import Result
 
 __all__ = [
     "AlfmuError",
@@ -18,7 +23,7 @@ __all__ = [
 class AlfmuError(Exception):
     """Base of every error that alfmu raises on purpose; its text is meant for the user."""
 
-    result: Any = None
+    result: Result | None = None
     """What a run had computed when this error ended it (`alfmu.Result`); None where none had begun."""
 
 

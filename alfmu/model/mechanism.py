@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, Never, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, overload
 
 import casadi as ca
 import numpy as np
@@ -23,6 +22,9 @@ from .errors import DeclarationError
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .units import UNITS, alike, rate_of, unit
 from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
+
+if TYPE_CHECKING:
+    from ..view.picture import Drawing
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
 
@@ -319,6 +321,7 @@ class Experiment:
 
 
 _Part = TypeVar("_Part")
+_Form = TypeVar("_Form", str, bytes)
 
 
 class _Parts(Generic[_Part]):
@@ -368,47 +371,47 @@ class Mechanism:
     sketch: str = ""
     experiment: Experiment = field(default_factory=Experiment)
     author: str = ""
-    parameters = _Parts[Parameter]()
+    parameters: ClassVar[_Parts[Parameter]] = _Parts()
     """Constants that a user may change."""
-    starts = _Parts[Start]()
+    starts: ClassVar[_Parts[Start]] = _Parts()
     """Quantities given at the start."""
-    ties = _Parts[tuple[ca.SX, ca.SX]]()
+    ties: ClassVar[_Parts[tuple[ca.SX, ca.SX]]] = _Parts()
     """Start quantities and the expressions that must equal them."""
-    coordinates = _Parts[Coordinate]()
+    coordinates: ClassVar[_Parts[Coordinate]] = _Parts()
     """The dependent coordinates q, in their order."""
-    inputs = _Parts[Input]()
+    inputs: ClassVar[_Parts[Input]] = _Parts()
     """What the environment sets."""
-    outputs = _Parts[Output]()
+    outputs: ClassVar[_Parts[Output]] = _Parts()
     """Results of the user's own."""
-    bodies = _Parts[Body]()
+    bodies: ClassVar[_Parts[Body]] = _Parts()
     """Bodies in the plane, without the ground."""
-    joints = _Parts[Joint]()
+    joints: ClassVar[_Parts[Joint]] = _Parts()
     """Joints in the plane."""
-    spatial_bodies = _Parts[SpatialBody]()
+    spatial_bodies: ClassVar[_Parts[SpatialBody]] = _Parts()
     """Bodies in space, without the ground."""
-    spatial_joints = _Parts[SpatialJoint]()
+    spatial_joints: ClassVar[_Parts[SpatialJoint]] = _Parts()
     """Joints in space."""
-    closures = _Parts[AnyJoint | Rigidity | Constraint | Lock]()
+    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock]] = _Parts()
     """What is closed by constraints, in the order of its rows."""
-    releases = _Parts[AnyJoint | Constraint]()
+    releases: ClassVar[_Parts[AnyJoint | Constraint]] = _Parts()
     """What a Boolean input can open."""
-    springs = _Parts[Spring]()
+    springs: ClassVar[_Parts[Spring]] = _Parts()
     """Springs and dampers."""
-    drives = _Parts[Drive]()
+    drives: ClassVar[_Parts[Drive]] = _Parts()
     """Efforts along joints."""
-    loads = _Parts[Load]()
+    loads: ClassVar[_Parts[Load]] = _Parts()
     """Forces and torques from the ground."""
-    kinetic = _Parts[ca.SX]()
+    kinetic: ClassVar[_Parts[ca.SX]] = _Parts()
     """Kinetic energies at the general level."""
-    potential = _Parts[ca.SX]()
+    potential: ClassVar[_Parts[ca.SX]] = _Parts()
     """Potential energies at the general level."""
-    generalized = _Parts[tuple[ca.SX, Scalar]]()
+    generalized: ClassVar[_Parts[tuple[ca.SX, Scalar]]] = _Parts()
     """Coordinates and generalised forces along them."""
-    traces = _Parts[Trace]()
+    traces: ClassVar[_Parts[Trace]] = _Parts()
     """Points of bodies that are watched."""
-    drawn_joints = _Parts[DrawnJoint]()
+    drawn_joints: ClassVar[_Parts[DrawnJoint]] = _Parts()
     """Joints that pictures show of a mechanism whose bodies are energies alone."""
-    drawn_bars = _Parts[DrawnBar]()
+    drawn_bars: ClassVar[_Parts[DrawnBar]] = _Parts()
     """Bars between them."""
     gravity_vector: Vector = field(default=(0.0, 0.0, 0.0), init=False)
     documentation: str = field(default="", init=False)
@@ -430,10 +433,10 @@ class Mechanism:
             text(f"{self.name}: its {each}", getattr(self, each))
         if not isinstance(self.experiment, Experiment):
             raise DeclarationError(f"{self.name}: its experiment is {shown(self.experiment)}; give an Experiment")
-        self.ground = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
+        self.ground: Body = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
         origin, upright = ca.SX.zeros(3), ca.SX([1, 0, 0, 0])
-        self.spatial_ground = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
-        self.time = ca.SX.sym("time")
+        self.spatial_ground: SpatialBody = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
+        self.time: ca.SX = ca.SX.sym("time")
         self._names: dict[str, str] = {}
         self._lines: dict[str, tuple[str, int]] = {}
         self._by_symbol: dict[int | None, Start | Coordinate] = {}
@@ -862,40 +865,37 @@ class Mechanism:
         at: Mapping[str, float] | None = None,
         parameters: Mapping[str, float] | None = None,
         size: tuple[int, int] = (640, 480),
-    ) -> Any:
+    ) -> Drawing:
         """The picture of the mechanism at its start, before anything is simulated; written to `path` (PNG or SVG) too.
 
         `at` gives values [rad, m] of start quantities or coordinates that it is drawn at, `parameters` changes
         defaults, `size` is in pixels. Returns a `Drawing`, which notebooks show. Raises AlfmuError where there is no
         start.
         """
-        drawn = self._picture().drawing(self, at, parameters, size)
+        from ..view.picture import drawing
+
+        drawn = drawing(self, at, parameters, size)
         if path is not None:
             drawn.save(path)
         return drawn
 
     def _repr_svg_(self) -> str | None:
         """What notebooks show; nothing, in silence, of a declaration that is not finished or cannot start."""
-        return self._shown("_repr_svg_")
+        return self._shown(lambda drawing: drawing._repr_svg_())
 
     def _repr_png_(self) -> bytes | None:
-        return self._shown("_repr_png_")
+        return self._shown(lambda drawing: drawing._repr_png_())
 
-    def _shown(self, how: str) -> Any:
+    def _shown(self, how: Callable[[Drawing], _Form | None]) -> _Form | None:
         """The drawing as a notebook asks for it, None where there is none or where it would take long."""
         if len(self.coordinates) > QUICK:
             return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                return getattr(self.draw(), how)()
+                return how(self.draw())
             except Exception:
                 return None
-
-    @staticmethod
-    def _picture() -> Any:
-        """The module that draws: of a room above, so that it is imported when first used."""
-        return import_module(f"{__name__.split('.')[0]}.view.picture")
 
     # General level ----------------------------------------------------------------------------------------------
 

@@ -324,7 +324,7 @@ class _Drawn:
             self._expressions.append(expression)
         return self._known[key]
 
-    def values(self, expressions: Sequence[ca.SX], at: Mapping[str, float]) -> NDArray:
+    def values(self, expressions: Sequence[ca.SX], at: Mapping[str, float]) -> NDArray[np.float64]:
         f = ca.Function("f", [self._symbols], [ca.vertcat(*expressions)])
         return np.array(f(ca.DM([at[p.name] for p in self.mechanism.parameters]))).ravel()
 

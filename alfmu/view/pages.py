@@ -39,7 +39,11 @@ _SHOWS = """    <div id="shows">
 
 
 def page(
-    shapes: Shapes, scene: plane.Scene | space.Stage, time: NDArray, columns: Mapping[str, NDArray], speed: float
+    shapes: Shapes,
+    scene: plane.Scene | space.Stage,
+    time: NDArray[np.float64],
+    columns: Mapping[str, NDArray[np.float64]],
+    speed: float,
 ) -> str:
     """The page of a motion: its scene, and all poses over time to a hundredth of a pixel and 1e-4 rad."""
     data: dict[str, Any] = {
@@ -75,7 +79,9 @@ def _text(name: str) -> str:
     return (files(__package__) / name).read_text(encoding="utf-8")
 
 
-def _in_plane(scene: plane.Scene, shapes: Shapes, time: NDArray, columns: Mapping[str, NDArray]) -> dict[str, Any]:
+def _in_plane(
+    scene: plane.Scene, shapes: Shapes, time: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
+) -> dict[str, Any]:
     digits = _digits(0.01 / scene.scale)
     poses = {
         name: [np.round(q + 0 * time, n).tolist() for q, n in zip(pose, (digits, digits, 4), strict=True)]
@@ -84,7 +90,9 @@ def _in_plane(scene: plane.Scene, shapes: Shapes, time: NDArray, columns: Mappin
     return {"scene": asdict(scene), "dots": shapes.dots, "poses": poses}
 
 
-def _in_space(stage: space.Stage, shapes: Shapes, time: NDArray, columns: Mapping[str, NDArray]) -> dict[str, Any]:
+def _in_space(
+    stage: space.Stage, shapes: Shapes, time: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
+) -> dict[str, Any]:
     drawn, digits = stage.space, _digits(0.01 / stage.lens.scale)
     frames = {}
     for name, (place, turn) in space.poses_of(shapes, columns).items():
@@ -143,12 +151,12 @@ def _shows(data: Mapping[str, Any]) -> str:
     return _SHOWS.format(boxes="\n      ".join(html), scale=", ".join(scale))
 
 
-def _largest(arrow: Any, columns: Mapping[str, NDArray]) -> float:
+def _largest(arrow: Any, columns: Mapping[str, NDArray[np.float64]]) -> float:
     """The largest effort of an arrow over the motion."""
     return float(np.sqrt(np.sum([np.square(columns[name]) for name in arrow.columns], axis=0)).max())
 
 
-def _significant(values: NDArray, most: float) -> list[float]:
+def _significant(values: NDArray[np.float64], most: float) -> list[float]:
     """Values to a thousandth of the largest."""
     return np.round(values, _digits(1e-3 * most)).tolist()
 
