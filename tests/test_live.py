@@ -3,7 +3,6 @@
 import csv
 import io
 import re
-import shutil
 import sys
 import time
 import warnings
@@ -14,8 +13,9 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pages import settle
 from selenium import webdriver
-from selenium.webdriver import ActionChains, ChromeOptions, ChromeService, Keys
+from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
 import alfmu
@@ -34,33 +34,20 @@ ROUND_OFF = 1e-12
 FIXED = ("slider_crank", "--set", "solver.method=rk4")
 """A page whose steps have a given length: where errors choose it, a last digit changes the steps themselves."""
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-
 MONITORS = ("monitor.position_error", "monitor.velocity_error", "monitor.step_error", "monitor.iterations")
 """What is made of round-off alone, so that it need not be the same."""
 
-SWITCHES = (
-    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage"),
-    *("--window-size=1200,1000", "--force-device-scale-factor=1"),
-)
+IN_MOTION = [{"name": "prefers-reduced-motion", "value": "no-preference"}]
+"""Those of a person whose pages play by themselves."""
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory) -> Iterator[webdriver.Chrome]:
-    binary = next((found for name in NAMES if (found := shutil.which(name))), None)
-    driver = shutil.which("chromedriver")
-    if not (binary and driver):
-        pytest.skip("there is no Chromium here, or no chromedriver")
-    options = ChromeOptions()
-    options.binary_location = binary
-    for switch in (*SWITCHES, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
-        options.add_argument(switch)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    opened = webdriver.Chrome(options=options, service=ChromeService(driver))
-    opened.set_script_timeout(60)
-    yield opened
-    opened.quit()
+@pytest.fixture
+def browser(chromium: webdriver.Chrome) -> Iterator[webdriver.Chrome]:
+    """The browser of all tests, where pages play by themselves and have sizes of their own."""
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": IN_MOTION})
+    yield chromium
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 @pytest.fixture(scope="module")
@@ -113,10 +100,20 @@ class Page:
         names, *rows = csv.reader(io.StringIO(self.browser.execute_script("return alfmu.csv()")))
         return names, np.array(rows, float)
 
+    def drawn(self) -> None:
+        """Wait until the page shows what it knows, in the size that it is going to have."""
+        for _ in range(200):
+            settle(self.browser)
+            if not self.browser.execute_script("return picture.settling"):
+                return
+        raise AssertionError("the picture never comes to rest")
+
     def picture(self) -> str:
+        self.drawn()
         return self.browser.execute_script("return document.getElementById('picture').toDataURL()")
 
     def text(self, element: str) -> str:
+        self.drawn()
         return self.browser.find_element(By.ID, element).text
 
     def field(self, name: str) -> tuple:
@@ -293,7 +290,6 @@ def test_it_moves_by_itself_and_stops_by_the_keyboard(opened):
     assert page.state()["now"] == begun["now"]
     page.press(".")
     page.wait(lambda s: s["now"] > begun["now"])
-    time.sleep(0.1)
     assert page.picture() != still
     page.press(" ")
     page.wait(lambda s: s["playing"] and s["now"] > begun["now"] + 0.2)
@@ -458,7 +454,6 @@ def test_bodies_in_space(opened):
     page.pause()
     still = page.picture()
     page.browser.find_element(By.ID, "picture").send_keys(Keys.ARROW_LEFT * 3)
-    time.sleep(0.2)
     assert page.picture() != still, "the view does not turn"
     # Where the page draws the hinge of a rod is where its joint on the shaft is.
     script = """const p = alfmu.about.picture, row = run.rows.at(-1).row;
