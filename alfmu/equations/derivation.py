@@ -396,7 +396,7 @@ def derive(mechanism: Mechanism) -> Equations:
     for joint in m.spatial_joints:
         if joint.kind == "revolute":
             wrapped[f"{joint.name}.angle"] = _tied_start(m, joint.free)
-    traced_values, traced_outputs = _traces(m, plain, q, v)
+    traced_values, traced_outputs = _watched(m, plain, q, v)
     values += traced_values
     outputs += traced_outputs
     values += ca.vertsplit(lam)
@@ -855,19 +855,19 @@ def _spatial_outputs(
     return values, outputs
 
 
-def _traces(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
     """Place and velocity of every point that is watched."""
     values: list[ca.SX] = []
     outputs: list[Variable] = []
-    for trace in m.traces:
-        marker = trace.marker
+    for point in m.watched:
+        marker = point.marker
         place = ca.vertcat(*kinematics.place(marker)) if isinstance(marker, Marker) else marker.place
-        what = trace.description or f"{trace.name}, a point of {marker.body.name},"
+        what = point.description or f"{point.name}, a point of {marker.body.name},"
         for letter, unit, word, vector in (("", "m", "place", place), ("v", "m/s", "velocity", ca.jtimes(place, q, v))):
-            for axis, x in zip(trace.axes, ca.vertsplit(vector), strict=True):
+            for axis, x in zip(point.axes, ca.vertsplit(vector), strict=True):
                 values.append(x)
                 outputs.append(
-                    Variable(f"{trace.name}.{letter}{axis}", unit, description=f"{word} of {what} along {axis}")
+                    Variable(f"{point.name}.{letter}{axis}", unit, description=f"{word} of {what} along {axis}")
                 )
     return values, outputs
 

@@ -130,8 +130,8 @@ class Output(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Trace(Brief):
-    """A point of a body that is watched: outputs of its place and velocity, and a path in pictures."""
+class Watched(Brief):
+    """A point of a body that is watched: outputs of its place and velocity, and a trail in pictures."""
 
     name: str
     marker: Marker | SpatialMarker
@@ -407,7 +407,7 @@ class Mechanism:
     """Potential energies at the general level."""
     generalized: ClassVar[_Parts[tuple[ca.SX, Scalar]]] = _Parts()
     """Coordinates and generalised forces along them."""
-    traces: ClassVar[_Parts[Trace]] = _Parts()
+    watched: ClassVar[_Parts[Watched]] = _Parts()
     """Points of bodies that are watched."""
     drawn_joints: ClassVar[_Parts[DrawnJoint]] = _Parts()
     """Joints that pictures show of a mechanism whose bodies are energies alone."""
@@ -572,14 +572,20 @@ class Mechanism:
         expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
         Mechanism.outputs.of(self).append(Output(name, expression, unit, description))
 
-    def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
+    def watch(self, name: str, marker: AnyMarker, description: str = "") -> None:
         """Watch a point of a body: outputs `<name>.x`, `.y` [m] and `.vx`, `.vy` [m/s] in ground axes, in space also
-        `.z` and `.vz`. Pictures show the point, and films the path behind it.
+        `.z` and `.vz`. Pictures show the point, and films its trail, the path that it has made.
+
+        Raises DeclarationError where the name is taken or the marker is not on a body of this mechanism.
         """
-        self._claim(name, "m", "a trace")
+        self._claim(name, "m", "a watched point")
         text(f"{self.name}: the description of {name}", description)
-        self._own((marker,), f"trace {name}")
-        Mechanism.traces.of(self).append(Trace(name, marker, description))
+        self._own((marker,), f"watched point {name}")
+        Mechanism.watched.of(self).append(Watched(name, marker, description))
+
+    def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
+        """Former name of `watch`."""
+        self.watch(name, marker, description)
 
     # Bodies -----------------------------------------------------------------------------------------------------
 

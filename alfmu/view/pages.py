@@ -26,8 +26,8 @@ EFFORTS = {
 }
 """Colours of arrows."""
 
-TRACED = 12
-"""Bodies up to which each has a trace; of more, dots alone."""
+TRAILING = 12
+"""Bodies up to which each has a trail; of more, dots alone."""
 
 _OVER = '<canvas id="names" aria-hidden="true"></canvas><p>drag to turn, wheel to zoom, double click to go back</p>'
 
@@ -107,8 +107,8 @@ def _in_space(
     most = {kind: max([_largest(a, columns) for a in arrows if a.kind == kind], default=0.0) for kind in EFFORTS}
     arrows = [a for a in arrows if _largest(a, columns) > 1e-9 * most[a.kind]]
     bodies = [solid.name for solid in drawn.solids]
-    traced = [*drawn.dots, *(bodies if len(bodies) <= TRACED else ())]
-    centers = [(space.Spot(name, 0.0, 0.0, 0.0), stage.colors[name]) for name in traced]
+    trailing = [*drawn.dots, *(bodies if len(bodies) <= TRAILING else ())]
+    centers = [(space.Spot(name, 0.0, 0.0, 0.0), stage.colors[name]) for name in trailing]
     centers += [(joint.second, FAINT) for joint in drawn.pivots if not bodies and joint.second.frame != "ground"]
     colors = {piece.color for piece in stage.pieces}
     return {
@@ -120,7 +120,7 @@ def _in_space(
         "extent": stage.view.extent,
         "floor": asdict(stage.floor),
         "labels": [asdict(name) for name in space.names_of(drawn, stage.colors)],
-        "traces": [{"at": asdict(at), "color": color} for at, color in centers],
+        "trails": [{"at": asdict(at), "color": color} for at, color in centers],
         "arrows": [
             {
                 **{key: value for key, value in asdict(a).items() if key != "columns"},
@@ -137,7 +137,7 @@ def _in_space(
 def _shows(data: Mapping[str, Any]) -> str:
     """What a film in space can show and hide; how long the longest arrow is."""
     kinds = {arrow["kind"] for arrow in data["arrows"]}
-    boxes = {"names": ("Names", True), "traces": ("Traces", True)}
+    boxes = {"names": ("Names", True), "trails": ("Trails", True)}
     boxes |= {f"{kind}s": (f"{kind.capitalize()}s", kind == "force") for kind in EFFORTS}
     html = []
     for name, (text, on) in boxes.items():

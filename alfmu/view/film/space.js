@@ -141,12 +141,12 @@ function floor() {
   world.add(sun, sun.target);
 }
 
-// Traces of points, as far as the film is.
+// Trails of points, as far as the film is.
 
-const traces = [];
+const trails = [];
 
-function trace() {
-  for (const { at, color } of film.traces) {
+function trail() {
+  for (const { at, color } of film.trails) {
     const points = time.map((_, i) => {
       posed = { [at.frame]: pose(at.frame, i, i, 0) };
       return place(at);
@@ -154,7 +154,7 @@ function trace() {
     const shape = new THREE.BufferGeometry().setFromPoints(points);
     const line = new THREE.Line(shape, new THREE.LineBasicMaterial({ color }));
     line.frustumCulled = false;
-    traces.push(line);
+    trails.push(line);
     world.add(line);
   }
 }
@@ -264,8 +264,8 @@ function draw() {
   posed = Object.fromEntries(Object.keys(frames).map((name) => [name, pose(name, i, j, share)]));
   if (!moving.length) build();
   pose_pieces();
-  traces.forEach((line) => {
-    line.visible = shows.traces.checked;
+  trails.forEach((line) => {
+    line.visible = shows.trails.checked;
     line.geometry.setDrawRange(0, i + 1);
   });
   aim(i, j, share);
@@ -281,7 +281,7 @@ function home() {
 }
 
 floor();
-trace();
+trail();
 arm();
 home();
 Object.values(shows).forEach((box) => box.addEventListener("change", draw));
