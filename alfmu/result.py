@@ -49,8 +49,9 @@ class Result:
     """Outputs and inputs over time: `result["link1.angle"]` is an array like `result.time`.
 
     Patterns take several columns: `result["link*.angle"]` is an array (rows, columns), `result.select("link*.angle")` a
-    result with these columns alone. Names are iterated and counted as in a dictionary, without the time:
-    `"A.force.x" in result`, `len(result)`, `dict(result)`.
+    result with these columns alone. `time` (rows,) is in s, `values` (rows, columns) has one row per communication
+    point, `names` and `units` tell what its columns are. Names are iterated and counted as in a dictionary, without the
+    time: `"A.force.x" in result`, `len(result)`, `dict(result)`.
     """
 
     mechanism: str

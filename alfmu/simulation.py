@@ -79,10 +79,12 @@ def simulate(
     `mechanism` is a `Mechanism`, a Python file that declares one, the name of a mechanism or of a recipe, an `.fmu`
     file, a `Recipe`, or equations.
 
-    `parameters` sets parameters, start values and solver variables by name, such as `solver.method`; `inputs` are held
-    over each communication step at their value at its beginning. Defaults are the mechanism's own. Only outputs that
-    match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; parameters in `freeze` are
-    folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`. Runs of one mechanism share what is traced, as
+    `parameters` sets parameters, start values and solver variables by name, such as `solver.method`. `inputs` gives
+    each input by name as a number, a function of time [s], or a table (times, values) between whose points it is
+    linear; it is held over each communication step at its value at the beginning. Defaults are the mechanism's own.
+    Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; parameters
+    in `freeze` are folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`; `progress` wraps the
+    communication points, to show how far a run is (`tqdm.tqdm` does). Runs of one mechanism share what is traced, as
     long as they differ in numbers alone.
 
     Outputs of a row that depend on inputs at once, such as accelerations and reactions, are those with the inputs that

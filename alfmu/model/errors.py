@@ -40,7 +40,7 @@ class AssemblyError(AlfmuError):
 
 
 class InputError(AlfmuError):
-    """A name is unknown, or a value is not finite or out of its bounds."""
+    """What a user gave cannot be used: an unknown name, a value out of its bounds, a file of another form."""
 
 
 class WriteError(AlfmuError, OSError):

@@ -153,7 +153,7 @@ class Point(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Marker(Brief):
-    """A point fixed on a body, by its place in the body's frame."""
+    """A point fixed on a body, at (x, y) [m] of the body's frame; `body.at(x, y)` makes it."""
 
     body: Body
     x: Scalar
@@ -162,7 +162,11 @@ class Marker(Brief):
 
 @dataclass(eq=False, repr=False)
 class Body(Brief):
-    """A rigid planar body; its frame's origin is wherever the user measures from."""
+    """A rigid body in the plane; `Mechanism.body` and `Mechanism.bar` make it.
+
+    `mass` [kg], `inertia` [kg.m2] about the centre of mass, `center` (x, y) [m] of mass in the body's frame, whose
+    origin is wherever the user measures from; `length` [m] of a bar.
+    """
 
     name: str
     mass: Scalar
@@ -192,12 +196,16 @@ class Body(Brief):
 
     @property
     def is_placed(self) -> bool:
+        """Whether something says where the body is: a pose, two points, a joint with a coordinate."""
         return self.pose is not None or self.between is not None or self.placed_by is not None
 
 
 @dataclass(eq=False, repr=False)
 class Joint(Brief):
-    """A joint between two bodies: closed by a coordinate where one is given, otherwise by constraints."""
+    """A joint in the plane; `Mechanism.revolute` and the methods beside it make it.
+
+    A joint with a `coordinate` places its second body from its first; one without is closed by constraints.
+    """
 
     name: str
     kind: str
@@ -298,7 +306,12 @@ class DrawnBar(Brief):
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a run of the mechanism looks like when nobody says otherwise."""
+    """What a run of the mechanism looks like when nobody says otherwise.
+
+    `stop_time` is its end [s], `communication_step` the time between two rows of the result [s], `step_size` the
+    default of `solver.step_size` [s], which stands for the communication step where that is None. Raises
+    DeclarationError where one of them is not above zero.
+    """
 
     stop_time: float = 10.0
     """[s]"""
@@ -362,8 +375,13 @@ class Mechanism:
         m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=th)
         m.gravity(0, -g)
 
+    `ground` is the frame of the ground in the plane, x to the right, y upwards and angles [rad] counter-clockwise;
+    `spatial_ground` is that in space; `time` is the symbol of time [s]. Numbers are in SI units: floats, or expressions
+    of CasADi in what the methods return.
+
     `sketch` is shown wherever the mechanism is explained; the README beside a mechanism's file is its documentation.
-    Its `author` is named in the FMU.
+    Its `author` is named in the FMU. Methods raise DeclarationError, with the mechanism and the name, where what they
+    are given makes no sense.
     """
 
     name: str
@@ -455,7 +473,10 @@ class Mechanism:
         maximum: float | None = None,
         description: str = "",
     ) -> ca.SX:
-        """A constant with a default, a unit and inclusive bounds; returns its symbol."""
+        """A constant that a user may change before the start; returns its symbol.
+
+        `default`, `minimum` and `maximum` (inclusive) are floats in `unit`, one of `alfmu.model.units.UNITS`.
+        """
         symbol = self._claim(name, unit, "a parameter")
         default = self._plain(f"the default of {name}", default)
         low, high = (
@@ -518,7 +539,7 @@ class Mechanism:
         independent: bool = False,
         description: str = "",
     ) -> ca.SX:
-        """A dependent coordinate (entry of q); returns its symbol.
+        """A dependent coordinate (entry of q) in `unit`: rad, m or 1; returns its symbol.
 
         `start` is the guess from which the assembly is solved: a number, or an expression in parameters, start
         quantities and coordinates declared before; its time derivative is the guess of the velocity. A coordinate with
@@ -557,7 +578,7 @@ class Mechanism:
         return self._coordinate(coordinate).a
 
     def input(self, name: str, unit: str, *, start: float = 0.0, description: str = "") -> ca.SX:
-        """A quantity set from outside at any time; returns its symbol."""
+        """A quantity in `unit` that is set from outside at any time and is `start` until then; returns its symbol."""
         symbol = self._claim(name, unit, "an input")
         text(f"{self.name}: the description of {name}", description)
         Mechanism.inputs.of(self).append(
@@ -566,7 +587,7 @@ class Mechanism:
         return self._stands_for(symbol, "inputs", f"the input {name}", unit)
 
     def output(self, name: str, expression: Scalar, unit: str = "1", description: str = "") -> None:
-        """A result of the user's own: any expression in coordinates, rates, accelerations, inputs and time."""
+        """A result in `unit` of the user's own: an expression in coordinates, rates, accelerations, inputs, time."""
         self._claim(name, unit, "an output")
         text(f"{self.name}: the description of {name}", description)
         expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
@@ -600,8 +621,8 @@ class Mechanism:
     ) -> Body:
         """A rigid body: mass [kg], inertia about its centre of mass [kg.m2], centre of mass in its frame [m].
 
-        `pose` gives the place of the *centre of mass* and the angle of the frame (absolute coordinates). A body without
-        one is placed by a joint with a coordinate, or by a weld.
+        `pose` (x, y, angle) gives the place of the *centre of mass* [m] and the angle of the frame [rad] in ground axes
+        (absolute coordinates). A body without one is placed by a joint with a coordinate, or by a weld.
         """
         mass, inertia = self._mass(name, mass), self._inertia(name, inertia)
         center = self._vector(f"the center of {name}", center, ("m",) * 2, CONSTANT)
@@ -616,7 +637,9 @@ class Mechanism:
         pose: tuple[Scalar, Scalar, Scalar] | None = None,
         between: tuple[Point | Marker, Point | Marker] | None = None,
     ) -> Body:
-        """A thin uniform bar along the x axis of its frame, from `start` to `end`.
+        """A thin uniform bar, mass [kg] and length [m], along the x axis of its frame from `start` to `end`.
+
+        `pose` (x, y, angle) gives the place of its *middle* [m] and its angle [rad] in ground axes.
 
         `between` places it on two points (natural coordinates): its mass matrix is then constant, and one constraint
         keeps the points at their distance.
@@ -682,7 +705,11 @@ class Mechanism:
     # Joints -----------------------------------------------------------------------------------------------------
 
     def revolute(self, name: str, first: Marker, second: Marker, *, coordinate: Scalar | None = None) -> Joint:
-        """A hinge: the two markers coincide. `coordinate` is the angle [rad] of the second body from the first."""
+        """A hinge: the two markers coincide. Returns the joint, for `drive`, `spring_damper`, `friction` and `lock`.
+
+        `coordinate` is the angle [rad] of the second body from the first, counter-clockwise; a hinge without one closes
+        a loop. Outputs `<name>.force.x` and `.y` [N] are the reaction on the second body from the first in ground axes.
+        """
         return self._join(Joint(name, "revolute", first, second, coordinate))
 
     def prismatic(
@@ -699,7 +726,9 @@ class Mechanism:
         """A slider in a guide: the second marker on a line through the first, the second body at a constant angle.
 
         The guide has the direction `axis` [rad] in the first body's frame and lies `offset` [m] to its left; the second
-        body's frame stands at `angle` [rad] from the first's. `coordinate` is the place [m] along the guide.
+        body's frame stands at `angle` [rad] from the first's. `coordinate` is the place [m] of the second marker along
+        the guide from the first. Outputs `<name>.force` [N], across the guide, and `<name>.moment` [N.m] are the
+        reaction on the second body from the first.
         """
         return self._join(Joint(name, "prismatic", first, second, coordinate, axis, offset, angle))
 
@@ -717,7 +746,10 @@ class Mechanism:
     def point_on_line(
         self, name: str, first: Marker, second: Marker, *, axis: Scalar = 0.0, offset: Scalar = 0.0
     ) -> Joint:
-        """A pin in a slot: the second marker on a line through the first, free to turn."""
+        """A pin in a slot: the second marker on a line through the first, free to turn.
+
+        The line has the direction `axis` [rad] in the first body's frame and lies `offset` [m] to its left.
+        """
         return self._join(Joint(name, "point_on_line", first, second, None, axis, offset))
 
     def distance(self, name: str, first: Marker, second: Marker, *, length: Scalar) -> Joint:

@@ -105,17 +105,17 @@ class Instance:
 
     @property
     def q(self) -> NDArray[np.float64]:
-        """Coordinates (n,), a view."""
+        """Coordinates (n,) [m or rad], a view."""
         return self.state[: self.layout.n]
 
     @property
     def v(self) -> NDArray[np.float64]:
-        """Velocities (n,), a view."""
+        """Velocities (n,) [m/s or rad/s], a view."""
         return self.state[self.layout.n : 2 * self.layout.n]
 
     @property
     def angles(self) -> NDArray[np.float64]:
-        """Computed angles, whole turns counted, a view."""
+        """Angles [rad] that are computed from coordinates, whole turns counted, a view."""
         return self.state[2 * self.layout.n : self.layout.work]
 
     @property
@@ -149,6 +149,7 @@ class Instance:
 
     @property
     def initialized(self) -> bool:
+        """Whether `initialize` has assembled the mechanism."""
         return self._unit.initialized
 
     @property
@@ -169,7 +170,11 @@ class Instance:
     # Values ------------------------------------------------------------------------------------------------------
 
     def set(self, name: str, value: float | str) -> None:
-        """Set an input (any time), or a parameter, start value or solver number (before `initialize`)."""
+        """Set an input (any time), or a parameter, start value or solver variable (before `initialize`), in its unit.
+
+        Raises InputError where there is no such name, or the value is not finite or out of its bounds, and keeps the
+        old value.
+        """
         e = self.equations
         reference = self._references.get(name)
         if reference is None or reference >= self._scene.first_output:
@@ -234,7 +239,8 @@ class Instance:
     def initialize(self) -> None:
         """Assemble the mechanism from its start values at `time`; parameters are fixed from here on.
 
-        Warns where it ends in another assembly than the one that the guess is nearest to.
+        Warns where it ends in another assembly than the one that the guess is nearest to. Raises AssemblyError where
+        the loops cannot be closed, InputError where a parameter has no sense.
         """
         self._unit.run_on(False)
         self.memory["passes"][:] = 0.0
@@ -281,8 +287,8 @@ class Instance:
     def undetermined(self) -> list[str]:
         """Coordinates that neither constraints nor start values determine, so that they begin at their guess.
 
-        Of mechanisms with up to `DENSE` coordinates, at regular positions: beside a singular one there are branches on
-        which other coordinates move.
+        Of mechanisms with up to `alfmu.equations.evaluation.DENSE` coordinates, at regular positions: beside a singular
+        one there are branches on which other coordinates move.
         """
         e = self.equations
         if e.n > DENSE:
