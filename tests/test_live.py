@@ -7,6 +7,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import casadi as ca
@@ -23,7 +24,8 @@ from alfmu.cli import main
 from alfmu.fmi.drive import Fmu
 from alfmu.runtime import build, shipped
 from alfmu.simulation import run
-from alfmu.view import live
+from alfmu.view import live, plane
+from alfmu.view.picture import geometry
 
 LARGEST = 1_500_000
 """Of a page [bytes]."""
@@ -446,6 +448,62 @@ def contrast(front: str, back: str) -> float:
 
     bright, dark = sorted((luminance(front), luminance(back)), reverse=True)
     return (bright + 0.05) / (dark + 0.05)
+
+
+RIG = """
+from alfmu import Mechanism
+
+def rig() -> Mechanism:
+    m = Mechanism("rig")
+    turn = m.coordinate("turn", "rad", start=0.2, independent=True)
+    swing = m.coordinate("swing", "rad", start=-1.0)
+    plate = m.body("plate", mass=1.0, inertia=0.1, center=(0.2, 0.1))
+    arm = m.body("arm", mass=0.5, inertia=0.05, center=(0.1, 0.0))
+    bob = m.bar("bob", mass=0.3, length=0.4)
+    m.revolute("A", m.ground.at(0, 0), plate.at(0, 0), coordinate=turn)
+    m.weld("W", plate.at(0.5, 0.3), arm.at(0, 0), angle=0.4)
+    m.revolute("B", plate.at(0.6, 0.0), bob.start, coordinate=swing)
+    m.distance("strut", m.ground.at(1.3, -0.4), bob.end, length=0.6)
+    m.spring_damper((m.ground.at(1.2, 0.8), plate.at(0.5, 0.3)), stiffness=20.0, damping=1.0, rest=0.5)
+    m.watch("tip", arm.at(0.35, 0))
+    m.gravity(0, -9.81)
+    return m
+"""
+
+
+@pytest.mark.parametrize("name", ["slider_crank", "flexible_four_bar", "rig.py"])
+def test_the_scene_is_the_one_that_films_have(opened, name: str, monkeypatch, tmp_path):
+    """Every stroke and label, in the order in which `plane.scene_of` has them, to a hundredth of a pixel."""
+    monkeypatch.chdir(tmp_path)
+    Path("rig.py").write_text(RIG)
+    page = opened(name)
+    page.pause()
+    page.press("n")
+    page.drawn()
+    script = "paint('light'); picture.draw(run.drawn.row); return [picture.scene(), picture.base, picture.travel]"
+    scene, base, travel = page.browser.execute_script(script)
+    pen = plane._Pen(scene["size"], scene["scale"], scene["origin"], base, scene["unit"])
+    assert pen.unit > 0.92  # where no text is held at the least size
+    monkeypatch.setattr(plane._Pen, "fitting", lambda *_: pen)
+    view = plane.View((0.0, 0.0), (0.0, 0.0), tuple(map(tuple, travel)))
+    expected = asdict(plane.scene_of(geometry(alfmu.load(name)), view, tuple(scene["size"])))
+    assert len(expected["front"]) > 5
+    assert len(expected["labels"]) > 8
+    del expected["colors"]
+    assert differences(expected, scene, "scene") == []
+
+
+def differences(expected, found, where: str) -> list[str]:
+    """Where a value from a page is not the expected one; it may know more."""
+    if isinstance(expected, dict):
+        return [each for key in expected for each in differences(expected[key], found[key], f"{where}.{key}")]
+    if isinstance(expected, list | tuple):
+        if len(expected) != len(found):
+            return [f"{where}: {len(found)} instead of {len(expected)}"]
+        pairs = enumerate(zip(expected, found, strict=True))
+        return [each for i, (one, other) in pairs for each in differences(one, other, f"{where}[{i}]")]
+    same = abs(expected - found) < 0.0051 if isinstance(expected, float) else expected == found
+    return [] if same else [f"{where}: {found} instead of {expected}"]
 
 
 def test_bodies_in_space(opened):

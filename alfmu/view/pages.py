@@ -18,7 +18,7 @@ from . import plane, space
 from .shapes import Shapes
 from .surface import BACKGROUND, FAINT, FONTS, GRID, INK, STEEL, WHITE, ZERO, shade
 
-__all__ = ["page"]
+__all__ = ["filled", "page", "text_of"]
 
 EFFORTS = {
     "force": {"applied": "#b3261e", "reaction": "#d9534a"},
@@ -55,10 +55,11 @@ def page(
     if isinstance(scene, space.Stage):
         data |= _in_space(scene, shapes, time, columns)
         values |= {"over": _OVER, "more": _shows(data)}
-        values["library"] = f"<script>\n{_text('vendor/three.min.js')}</script>\n"
+        values["library"] = f"<script>\n{text_of('vendor/three.min.js')}</script>\n"
     else:
         data |= _in_plane(scene, shapes, time, columns)
-    scripts = [_text(f"film/{name}.js") for name in ("clock", "space" if shapes.space else "plane", "film")]
+    names = ("film/clock", "shared/strokes", "film/space" if shapes.space else "film/plane", "film/film")
+    scripts = [text_of(f"{name}.js") for name in names]
     values |= {
         "title": escape(shapes.name.replace("_", " ")),
         "description": escape(shapes.description),
@@ -66,15 +67,16 @@ def page(
         "fonts": FONTS,
         "data": json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),
     }
-    values["script"] = _filled("".join(scripts), values)
-    return _filled(_text("film/film.html"), values)
+    values["script"] = filled("".join(scripts), values)
+    return filled(text_of("film/film.html"), values)
 
 
-def _filled(text: str, values: Mapping[str, str]) -> str:
+def filled(text: str, values: Mapping[str, str]) -> str:
+    """A template with a value for each `{{name}}`."""
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], text)
 
 
-def _text(name: str) -> str:
+def text_of(name: str) -> str:
     """A file of this room."""
     return (files(__package__) / name).read_text(encoding="utf-8")
 
