@@ -146,11 +146,14 @@ class Plane extends Canvas {
     return { ground: { x: 0, y: 0, angle: 0 }, ...Object.fromEntries(moving) };
   }
 
+  // Metres where the pointer is, and back; its y points downwards.
   metres(x, y) { return [(x - this.origin[0]) / this.scale, (this.height - y - this.origin[1]) / this.scale]; }
+
+  pixels([x, y]) { return [this.origin[0] + this.scale * x, this.height - this.origin[1] - this.scale * y]; }
 
   // Keep all that moves in the picture.
   fit(frames) {
-    const metres = { origin: [0, 0], scale: 1 }, at = (a) => placed(metres, frames, a);
+    const at = (a) => placed(METRES, frames, a);
     const points = this.links.flatMap((link) => link.points.map(([x, y]) => at({ body: link.name, x, y })));
     points.push(...this.supports.map(at), ...this.about.dots.map(({ name }) => at({ body: name, x: 0, y: 0 })));
     for (const p of points) {
@@ -381,15 +384,15 @@ class Plane extends Canvas {
 
   // The body under the pointer, and its point there; null where there is none.
   hit(row, x, y) {
-    const near = [], frames = this.frames(row), scene = { origin: this.origin, scale: this.scale }, spot = [x, this.height - y];
-    const pixels = (body, [px, py]) => placed(scene, frames, { body, x: px, y: py });
+    const near = [], frames = this.frames(row);
+    const pixels = (body, [px, py]) => this.pixels(placed(METRES, frames, { body, x: px, y: py }));
     for (const link of this.links) {
       const points = link.hull.map((p) => pixels(link.name, p));
       const ends = points.length > 1 ? points.map((p, i) => [p, points[(i + 1) % points.length]]) : [[points[0], points[0]]];
       if (link.kind === "mass") ends.push([1, 1].map(() => pixels(link.name, [0, 0])));
-      near.push([Math.min(...ends.map(([a, b]) => away(spot, a, b))) / (points.length > 2 ? 2 : 1), link]);
+      near.push([Math.min(...ends.map(([a, b]) => away([x, y], a, b))) / (points.length > 2 ? 2 : 1), link]);
     }
-    for (const dot of this.about.dots) near.push([away(spot, ...[1, 1].map(() => pixels(dot.name, [0, 0]))), dot]);
+    for (const dot of this.about.dots) near.push([away([x, y], ...[1, 1].map(() => pixels(dot.name, [0, 0]))), dot]);
     near.sort((a, b) => a[0] - b[0]);
     if (!near.length || near[0][0] > 22) return null;
     const { name, columns } = near[0][1], pose = frames[name], [mx, my] = this.metres(x, y);
@@ -398,6 +401,8 @@ class Plane extends Canvas {
     return { name, columns, x: px, y: py };
   }
 }
+
+const METRES = { origin: [0, 0], scale: 1 };
 
 const ORIGIN = [{ body: "ground", x: 0, y: 0 }];
 
