@@ -49,8 +49,9 @@ class Result:
     """Outputs and inputs over time: `result["link1.angle"]` is an array like `result.time`.
 
     Patterns take several columns: `result["link*.angle"]` is an array (rows, columns), `result.select("link*.angle")` a
-    result with these columns alone. Names are iterated and counted as in a dictionary, without the time:
-    `"A.force.x" in result`, `len(result)`, `dict(result)`.
+    result with these columns alone. `time` (rows,) is in s, `values` (rows, columns) has one row per communication
+    point, `names` and `units` tell what its columns are. Names are iterated and counted as in a dictionary, without the
+    time: `"A.force.x" in result`, `len(result)`, `dict(result)`.
     """
 
     mechanism: str
@@ -290,7 +291,7 @@ def read_inputs(path: str | Path) -> dict[str, Signal]:
     return {name: (table[:, 0], table[:, i]) for i, name in enumerate(names) if i}
 
 
-def _table(path: str | Path) -> tuple[list[str], NDArray]:
+def _table(path: str | Path) -> tuple[list[str], NDArray[np.float64]]:
     """Names and numbers of a CSV file whose first column is time; InputError, with the line, where it is none."""
     line, numbers = 0, array("d")
     try:

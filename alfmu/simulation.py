@@ -57,8 +57,8 @@ class Unit(Protocol):
     def set(self, name: str, value: float | str) -> None: ...
     def initialize(self) -> None: ...
     def step(self, communication_step: float, time: float) -> None: ...
-    def read(self) -> NDArray: ...
-    def read_inputs(self) -> NDArray: ...
+    def read(self) -> NDArray[np.float64]: ...
+    def read_inputs(self) -> NDArray[np.float64]: ...
 
 
 def simulate(
@@ -79,10 +79,12 @@ def simulate(
     `mechanism` is a `Mechanism`, a Python file that declares one, the name of a mechanism or of a recipe, an `.fmu`
     file, a `Recipe`, or equations.
 
-    `parameters` sets parameters, start values and solver variables by name, such as `solver.method`; `inputs` are held
-    over each communication step at their value at its beginning. Defaults are the mechanism's own. Only outputs that
-    match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; parameters in `freeze` are
-    folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`. Runs of one mechanism share what is traced, as
+    `parameters` sets parameters, start values and solver variables by name, such as `solver.method`. `inputs` gives
+    each input by name as a number, a function of time [s], or a table (times, values) between whose points it is
+    linear; it is held over each communication step at its value at the beginning. Defaults are the mechanism's own.
+    Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; parameters
+    in `freeze` are folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`; `progress` wraps the
+    communication points, to show how far a run is (`tqdm.tqdm` does). Runs of one mechanism share what is traced, as
     long as they differ in numbers alone.
 
     Outputs of a row that depend on inputs at once, such as accelerations and reactions, are those with the inputs that
@@ -182,12 +184,12 @@ def run(
 
 def _in_one_call(
     unit: Instance,
-    times: NDArray,
+    times: NDArray[np.float64],
     inputs: list[str],
     at: Callable[[str, float], float],
     names: list[str],
     progress: Progress,
-) -> tuple[NDArray, BaseException | None]:
+) -> tuple[NDArray[np.float64], BaseException | None]:
     """The values of a run that is one call of the runtime, and why it ended early."""
     for name in inputs:
         unit.set(name, at(name, times[0]))
@@ -215,12 +217,12 @@ def _in_one_call(
 
 def _step_by_step(
     unit: Unit,
-    times: NDArray,
+    times: NDArray[np.float64],
     inputs: list[str],
     at: Callable[[str, float], float],
     progress: Progress,
     held: bool,
-) -> tuple[NDArray, BaseException | None]:
+) -> tuple[NDArray[np.float64], BaseException | None]:
     """The values of a run of a unit that makes one communication step after the other, and why it ended early."""
     table = np.empty((len(times), len(unit.outputs) + len(unit.input_variables)))
 
@@ -246,7 +248,7 @@ def _step_by_step(
     return table, None
 
 
-def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray:
+def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray[np.float64]:
     """0, step, 2 step, ... and stop_time itself; InputError where a result of so many columns would be too large."""
     if not (math.isfinite(step) and step > 0):
         raise InputError(f"{name}: the step is {step} s; it must be a finite number above zero")
@@ -258,7 +260,7 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
             f"each, are more than the {MOST:.0e} numbers that a result may hold; take a longer step, an earlier stop "
             "time or fewer outputs"
         )
-    times = np.arange(math.floor(points * (1 + 1e-12)) + 1) * step
+    times = np.arange(math.floor(points * (1 + 1e-12)) + 1, dtype=np.float64) * step
     if stop_time - times[-1] > 1e-9 * step:
         return np.append(times, stop_time)
     return times

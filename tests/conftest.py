@@ -40,14 +40,17 @@ def distribution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[s
     return install
 
 
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
+
+
 @pytest.fixture(scope="session")
-def chromium() -> Iterator[Any]:
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A Chromium without a window, as a driver of Selenium; `get_log("browser")` has what pages say on the console.
 
     It draws WebGL by software and asks for reduced motion, so that films wait to be started. Tests that ask for it are
     skipped where there is no Chromium.
     """
-    program, driver = shutil.which("chromium") or shutil.which("chromium-browser"), shutil.which("chromedriver")
+    program, driver = next(filter(None, map(shutil.which, BROWSERS)), None), shutil.which("chromedriver")
     if not program or not driver:
         pytest.skip("there is no Chromium with its driver here")
     from selenium import webdriver
@@ -58,7 +61,8 @@ def chromium() -> Iterator[Any]:
     quiet = ("quic", "background-networking", "component-update", "sync", "dev-shm-usage")
     for argument in (
         *("headless=new", "no-sandbox", "no-first-run", "window-size=640,620", "force-prefers-reduced-motion"),
-        *("use-angle=swiftshader", "enable-unsafe-swiftshader"),
+        *("use-angle=swiftshader", "enable-unsafe-swiftshader", "force-device-scale-factor=1"),
+        f"user-data-dir={tmp_path_factory.mktemp('browser')}",
         *(f"disable-{what}" for what in quiet),
     ):
         options.add_argument(f"--{argument}")

@@ -5,16 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pages import errors, settle
 from PIL import Image
 
 from alfmu import load, simulate
 from alfmu.view.picture import animate, geometry
 from alfmu.view.surface import BACKGROUND, COLORS
-
-WAIT = """
-const done = arguments[arguments.length - 1];
-requestAnimationFrame(() => requestAnimationFrame(() => done(true)));
-"""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +38,7 @@ def shown(browser, at: float) -> np.ndarray:
 
 def picture(browser) -> np.ndarray:
     """What is on the screen where the film is."""
-    browser.execute_async_script(WAIT)
+    settle(browser)
     png = browser.find_element("css selector", "canvas").screenshot_as_png
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
 
@@ -53,10 +49,6 @@ def hue(image: np.ndarray, color: str) -> np.ndarray:
     wanted, seen = rgb - rgb.mean(), image - image.mean(axis=2, keepdims=True)
     sizes = np.linalg.norm(seen, axis=2)
     return (sizes > 20) & (seen @ wanted > 0.985 * sizes * np.linalg.norm(wanted))
-
-
-def errors(browser) -> list[str]:
-    return [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]
 
 
 def test_a_film_in_space_shows_every_body_and_moves(chromium, films):
@@ -80,12 +72,12 @@ def test_a_film_plays_by_itself_and_stops_by_the_space_bar(chromium, films):
     body.send_keys(Keys.SPACE)
     before = chromium.execute_script(time)
     for _ in range(20):
-        chromium.execute_async_script(WAIT)
+        settle(chromium)
     playing = chromium.execute_script(time)
     assert playing != before
     body.send_keys(Keys.SPACE)
     stopped = chromium.execute_script(time)
-    chromium.execute_async_script(WAIT)
+    settle(chromium)
     assert chromium.execute_script(time) == stopped
     assert errors(chromium) == []
 

@@ -3,19 +3,20 @@
 import csv
 import io
 import re
-import shutil
 import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pages import settle
 from selenium import webdriver
-from selenium.webdriver import ActionChains, ChromeOptions, ChromeService, Keys
+from selenium.webdriver import ActionChains, Keys
 from selenium.webdriver.common.by import By
 
 import alfmu
@@ -23,7 +24,8 @@ from alfmu.cli import main
 from alfmu.fmi.drive import Fmu
 from alfmu.runtime import build, shipped
 from alfmu.simulation import run
-from alfmu.view import live
+from alfmu.view import live, plane
+from alfmu.view.picture import geometry
 
 LARGEST = 1_500_000
 """Of a page [bytes]."""
@@ -34,33 +36,20 @@ ROUND_OFF = 1e-12
 FIXED = ("slider_crank", "--set", "solver.method=rk4")
 """A page whose steps have a given length: where errors choose it, a last digit changes the steps themselves."""
 
-NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
-
 MONITORS = ("monitor.position_error", "monitor.velocity_error", "monitor.step_error", "monitor.iterations")
 """What is made of round-off alone, so that it need not be the same."""
 
-SWITCHES = (
-    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage"),
-    *("--window-size=1200,1000", "--force-device-scale-factor=1"),
-)
+IN_MOTION = [{"name": "prefers-reduced-motion", "value": "no-preference"}]
+"""Those of a person whose pages play by themselves."""
 
 
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory) -> Iterator[webdriver.Chrome]:
-    binary = next((found for name in NAMES if (found := shutil.which(name))), None)
-    driver = shutil.which("chromedriver")
-    if not (binary and driver):
-        pytest.skip("there is no Chromium here, or no chromedriver")
-    options = ChromeOptions()
-    options.binary_location = binary
-    for switch in (*SWITCHES, f"--user-data-dir={tmp_path_factory.mktemp('browser')}"):
-        options.add_argument(switch)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    opened = webdriver.Chrome(options=options, service=ChromeService(driver))
-    opened.set_script_timeout(60)
-    yield opened
-    opened.quit()
+@pytest.fixture
+def browser(chromium: webdriver.Chrome) -> Iterator[webdriver.Chrome]:
+    """The browser of all tests, where pages play by themselves and have sizes of their own."""
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": IN_MOTION})
+    yield chromium
+    chromium.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    chromium.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
 
 
 @pytest.fixture(scope="module")
@@ -113,10 +102,20 @@ class Page:
         names, *rows = csv.reader(io.StringIO(self.browser.execute_script("return alfmu.csv()")))
         return names, np.array(rows, float)
 
+    def drawn(self) -> None:
+        """Wait until the page shows what it knows, in the size that it is going to have."""
+        for _ in range(200):
+            settle(self.browser)
+            if not self.browser.execute_script("return picture.settling"):
+                return
+        raise AssertionError("the picture never comes to rest")
+
     def picture(self) -> str:
+        self.drawn()
         return self.browser.execute_script("return document.getElementById('picture').toDataURL()")
 
     def text(self, element: str) -> str:
+        self.drawn()
         return self.browser.find_element(By.ID, element).text
 
     def field(self, name: str) -> tuple:
@@ -293,7 +292,6 @@ def test_it_moves_by_itself_and_stops_by_the_keyboard(opened):
     assert page.state()["now"] == begun["now"]
     page.press(".")
     page.wait(lambda s: s["now"] > begun["now"])
-    time.sleep(0.1)
     assert page.picture() != still
     page.press(" ")
     page.wait(lambda s: s["playing"] and s["now"] > begun["now"] + 0.2)
@@ -452,13 +450,68 @@ def contrast(front: str, back: str) -> float:
     return (bright + 0.05) / (dark + 0.05)
 
 
+RIG = """
+from alfmu import Mechanism
+
+def rig() -> Mechanism:
+    m = Mechanism("rig")
+    turn = m.coordinate("turn", "rad", start=0.2, independent=True)
+    swing = m.coordinate("swing", "rad", start=-1.0)
+    plate = m.body("plate", mass=1.0, inertia=0.1, center=(0.2, 0.1))
+    arm = m.body("arm", mass=0.5, inertia=0.05, center=(0.1, 0.0))
+    bob = m.bar("bob", mass=0.3, length=0.4)
+    m.revolute("A", m.ground.at(0, 0), plate.at(0, 0), coordinate=turn)
+    m.weld("W", plate.at(0.5, 0.3), arm.at(0, 0), angle=0.4)
+    m.revolute("B", plate.at(0.6, 0.0), bob.start, coordinate=swing)
+    m.distance("strut", m.ground.at(1.3, -0.4), bob.end, length=0.6)
+    m.spring_damper((m.ground.at(1.2, 0.8), plate.at(0.5, 0.3)), stiffness=20.0, damping=1.0, rest=0.5)
+    m.watch("tip", arm.at(0.35, 0))
+    m.gravity(0, -9.81)
+    return m
+"""
+
+
+@pytest.mark.parametrize("name", ["slider_crank", "flexible_four_bar", "rig.py"])
+def test_the_scene_is_the_one_that_films_have(opened, name: str, monkeypatch, tmp_path):
+    """Every stroke and label, in the order in which `plane.scene_of` has them, to a hundredth of a pixel."""
+    monkeypatch.chdir(tmp_path)
+    Path("rig.py").write_text(RIG)
+    page = opened(name)
+    page.pause()
+    page.press("n")
+    page.drawn()
+    script = "paint('light'); picture.draw(run.drawn.row); return [picture.scene(), picture.base, picture.travel]"
+    scene, base, travel = page.browser.execute_script(script)
+    pen = plane._Pen(scene["size"], scene["scale"], scene["origin"], base, scene["unit"])
+    assert pen.unit > 0.92  # where no text is held at the least size
+    monkeypatch.setattr(plane._Pen, "fitting", lambda *_: pen)
+    view = plane.View((0.0, 0.0), (0.0, 0.0), tuple(map(tuple, travel)))
+    expected = asdict(plane.scene_of(geometry(alfmu.load(name)), view, tuple(scene["size"])))
+    assert len(expected["front"]) > 5
+    assert len(expected["labels"]) > 8
+    del expected["colors"]
+    assert differences(expected, scene, "scene") == []
+
+
+def differences(expected, found, where: str) -> list[str]:
+    """Where a value from a page is not the expected one; it may know more."""
+    if isinstance(expected, dict):
+        return [each for key in expected for each in differences(expected[key], found[key], f"{where}.{key}")]
+    if isinstance(expected, list | tuple):
+        if len(expected) != len(found):
+            return [f"{where}: {len(found)} instead of {len(expected)}"]
+        pairs = enumerate(zip(expected, found, strict=True))
+        return [each for i, (one, other) in pairs for each in differences(one, other, f"{where}[{i}]")]
+    same = abs(expected - found) < 0.0051 if isinstance(expected, float) else expected == found
+    return [] if same else [f"{where}: {found} instead of {expected}"]
+
+
 def test_bodies_in_space(opened):
     page = opened("flyball_governor")
     page.wait(lambda s: s["now"] > 0.05)
     page.pause()
     still = page.picture()
     page.browser.find_element(By.ID, "picture").send_keys(Keys.ARROW_LEFT * 3)
-    time.sleep(0.2)
     assert page.picture() != still, "the view does not turn"
     # Where the page draws the hinge of a rod is where its joint on the shaft is.
     script = """const p = alfmu.about.picture, row = run.rows.at(-1).row;

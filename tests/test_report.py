@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
+from pages import errors
 from scenes import derived
 from studies import prose, rows, tables, untraced
 
@@ -268,7 +269,7 @@ def test_the_page_draws_its_plots_in_a_browser(written, chromium):
     wait = "const done = arguments[0]; setTimeout(() => done(document.querySelectorAll('canvas, svg').length), 500)"
     assert chromium.execute_async_script(wait)
     chromium.switch_to.default_content()
-    assert [entry for entry in chromium.get_log("browser") if entry["level"] == "SEVERE"] == []
+    assert errors(chromium) == []
 
 
 def test_buttons_choose_which_ways_are_shown(written, chromium):

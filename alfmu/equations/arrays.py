@@ -17,7 +17,7 @@ __all__ = ["ArrayFunction", "ArrayFunctions", "Backend"]
 class Backend(Protocol):
     """A way to run functions."""
 
-    def bind(self, name: str, x: list[NDArray], y: list[NDArray]) -> Callable[[], Any]:
+    def bind(self, name: str, x: list[NDArray[np.float64]], y: list[NDArray[np.float64]]) -> Callable[[], Any]:
         """The function bound to arrays for its arguments and the nonzeros of its results."""
 
 
@@ -28,10 +28,12 @@ class ArrayFunctions:
         self.equations = equations
         self._buffers: list[Any] = []
 
-    def bind(self, name: str, x: list[NDArray], y: list[NDArray]) -> Callable[[], Any]:
+    def bind(self, name: str, x: list[NDArray[np.float64]], y: list[NDArray[np.float64]]) -> Callable[[], Any]:
         return self.bound(self.equations.functions[name], x, y)
 
-    def bound(self, function: ca.Function, x: list[NDArray], y: list[NDArray]) -> Callable[[], Any]:
+    def bound(
+        self, function: ca.Function, x: list[NDArray[np.float64]], y: list[NDArray[np.float64]]
+    ) -> Callable[[], Any]:
         """A function bound to arrays, to be called without any argument."""
         buffer, run = function.buffer()
         for i, each in enumerate(x):
@@ -46,22 +48,22 @@ class ArrayFunction:
     """A function called on arrays of its own: dense, or sparse matrices whose pattern never changes."""
 
     def __init__(self, backend: Backend, name: str, signature: Signature):
-        self.x = [np.zeros(size) for size in signature["inputs"]]
+        self.x: list[NDArray[np.float64]] = [np.zeros(size) for size in signature["inputs"]]
         y = [np.zeros(len(shape[3]) if len(shape) > 2 else shape[0] * shape[1]) for shape in signature["outputs"]]
         self._run, self._backend = backend.bind(name, self.x, y), backend  # which keeps alive what runs
-        self.y = [
+        self.y: list[Any] = [
             _matrix(each, shape) if i < signature["matrices"] else each
             for i, (each, shape) in enumerate(zip(y, signature["outputs"], strict=True))
         ]
 
-    def __call__(self, *arguments: NDArray | float) -> list[Any]:
+    def __call__(self, *arguments: NDArray[np.float64] | float) -> list[Any]:
         for x, value in zip(self.x, arguments, strict=True):
             x[:] = value
         self._run()
         return self.y
 
 
-def _matrix(data: NDArray, shape: list) -> Any:
+def _matrix(data: NDArray[np.float64], shape: list) -> Any:
     if len(shape) == 2:
         return data.reshape(shape, order="F")
     from scipy.sparse import csc_array

@@ -94,14 +94,14 @@ class Kinematics:
         eps: Mapping[Joint, Displacement] | None = None,
     ):
         self.mechanism = mechanism
-        self.eps = {joint: e for joint, e in (eps or {}).items() if e}
+        self.eps: dict[Joint, Displacement] = {joint: e for joint, e in (eps or {}).items() if e}
         self.held: dict[Body, list[Joint]] = {}
         for joint in held or ():
             if joint in self.eps:
                 self.held.setdefault(joint.second.body, []).append(joint)
         self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
         self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
-        self.order = {body: i for i, body in enumerate([mechanism.ground, *mechanism.bodies])}
+        self.order: dict[Body, int] = {body: i for i, body in enumerate([mechanism.ground, *mechanism.bodies])}
         self.links: dict[tuple[Body, int | None], list[tuple[Joint, int, tuple[Body, int | None]]]] = {}
         self.spans: dict[Body, tuple[ca.SX, ca.SX, ca.SX, ca.SX]] = {}
         self.squares: dict[Joint | Rigidity, ca.SX] = {}
@@ -396,7 +396,7 @@ def derive(mechanism: Mechanism) -> Equations:
     for joint in m.spatial_joints:
         if joint.kind == "revolute":
             wrapped[f"{joint.name}.angle"] = _tied_start(m, joint.free)
-    traced_values, traced_outputs = _traces(m, plain, q, v)
+    traced_values, traced_outputs = _watched(m, plain, q, v)
     values += traced_values
     outputs += traced_outputs
     values += ca.vertsplit(lam)
@@ -855,19 +855,19 @@ def _spatial_outputs(
     return values, outputs
 
 
-def _traces(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
     """Place and velocity of every point that is watched."""
     values: list[ca.SX] = []
     outputs: list[Variable] = []
-    for trace in m.traces:
-        marker = trace.marker
+    for point in m.watched:
+        marker = point.marker
         place = ca.vertcat(*kinematics.place(marker)) if isinstance(marker, Marker) else marker.place
-        what = trace.description or f"{trace.name}, a point of {marker.body.name},"
+        what = point.description or f"{point.name}, a point of {marker.body.name},"
         for letter, unit, word, vector in (("", "m", "place", place), ("v", "m/s", "velocity", ca.jtimes(place, q, v))):
-            for axis, x in zip(trace.axes, ca.vertsplit(vector), strict=True):
+            for axis, x in zip(point.axes, ca.vertsplit(vector), strict=True):
                 values.append(x)
                 outputs.append(
-                    Variable(f"{trace.name}.{letter}{axis}", unit, description=f"{word} of {what} along {axis}")
+                    Variable(f"{point.name}.{letter}{axis}", unit, description=f"{word} of {what} along {axis}")
                 )
     return values, outputs
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -16,6 +17,7 @@ __all__ = [
     "CHOICES",
     "MONITORS",
     "SOLVER_VARIABLES",
+    "Choice",
     "Counters",
     "Interface",
     "checked",
@@ -76,8 +78,15 @@ SOLVER_VARIABLES = (
 )
 """Numbers of the method that a user may set; `CHOICES` come beside them."""
 
-CHOICES = {"solver.formulation": FORMULATIONS, "solver.branch": BRANCHES, "solver.method": METHODS}
-"""Solver variables that are text, and what each can be."""
+Choice = Literal["solver.formulation", "solver.branch", "solver.method"]
+"""Names of solver variables that are text."""
+
+CHOICES: dict[Choice, dict[str, str]] = {
+    "solver.formulation": FORMULATIONS,
+    "solver.branch": BRANCHES,
+    "solver.method": METHODS,
+}
+"""What each of them can be."""
 
 MONITORS = (
     Variable("monitor.position_error", "1", description="largest |Phi| (m, rad)"),

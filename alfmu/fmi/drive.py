@@ -158,13 +158,13 @@ class Fmu:
         if self._version == "3" and (said[1] or said[2]):
             raise StepError(self._why(f"{self.name}: doStep from {time:g} s ended at {said[3]:g} s"))
 
-    def read(self) -> NDArray:
+    def read(self) -> NDArray[np.float64]:
         return self._read(self._outputs, len(self.outputs))
 
-    def read_inputs(self) -> NDArray:
+    def read_inputs(self) -> NDArray[np.float64]:
         return self._read(self._inputs, len(self.input_variables))
 
-    def _read(self, readings: dict[str, list[tuple[int, int]]], size: int) -> NDArray:
+    def _read(self, readings: dict[str, list[tuple[int, int]]], size: int) -> NDArray[np.float64]:
         y = np.empty(size)
         for kind, pairs in readings.items():
             y[[i for i, _ in pairs]] = self._call(f"get{kind}", [reference for _, reference in pairs])
@@ -334,7 +334,7 @@ def _unlike_reference(fmu: Fmu) -> list[str]:
     return [f"reference results: {each}" for each in unlike(expected, experiment, result)]
 
 
-def _run(fmu: Fmu, step: float, steps: int, begin: int = 0) -> list[NDArray]:
+def _run(fmu: Fmu, step: float, steps: int, begin: int = 0) -> list[NDArray[np.float64]]:
     if not fmu.begun:
         fmu.initialize()
     rows = [fmu.read()]
@@ -344,7 +344,7 @@ def _run(fmu: Fmu, step: float, steps: int, begin: int = 0) -> list[NDArray]:
     return rows
 
 
-def _same(a: list[NDArray], b: list[NDArray]) -> bool:
+def _same(a: list[NDArray[np.float64]], b: list[NDArray[np.float64]]) -> bool:
     return len(a) == len(b) and all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
 
 

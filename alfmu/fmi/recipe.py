@@ -84,8 +84,11 @@ class Recipe(Brief):
     """One exported FMU: a mechanism, what of it the FMU has, and its form. Checked when it is made.
 
     `mechanism` is a registered name, the path of a Python file that declares one (relative to the recipe's file), or a
-    `Mechanism`. Raises InputError where a field is not what it says below, ExportError where fields contradict each
-    other; names of variables, joints and options are checked when the FMU is exported.
+    `Mechanism`. `kind` is "python", an FMU that runs in Python, or "native", a C library for every host; `options` are
+    the mechanism's, `parameters`, `outputs` and `freeze` are those of `alfmu.simulate`, `lock` and `release` name
+    joints that get Boolean inputs, `stop_time` and `communication_step` [s] are of the default experiment. Raises
+    InputError where a field is not of its form, ExportError where fields contradict each other; names of variables,
+    joints and options are checked when the FMU is exported.
     """
 
     mechanism: str | Path | Mechanism

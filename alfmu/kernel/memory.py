@@ -46,7 +46,13 @@ whether the first three are of short steps, and those of the method that is not 
 SEEN = ("acceleration_error", "near", "trouble")
 """What `seen` ends with: largest |Phi-ddot|, whether a limit has to be read instead, trouble."""
 
-NAMED = {"SETTINGS": SETTINGS, "CONTROL": CONTROL, "TALLY": TALLY, "PACE": PACE, "SEEN": SEEN}
+NAMED: dict[str, tuple[str, ...]] = {
+    "SETTINGS": SETTINGS,
+    "CONTROL": CONTROL,
+    "TALLY": TALLY,
+    "PACE": PACE,
+    "SEEN": SEEN,
+}
 """Vectors whose entries have names in C too; SEEN counts from its own beginning, the end of what is read."""
 
 GROSS = 1e-6
@@ -84,12 +90,18 @@ class Layout:
 
     def __init__(self, equations: Equations):
         e = equations
-        self.n, self.l, self.angles = e.n, e.l, len(e.wrapped)
-        self.work = 2 * e.n + self.angles
-        self.time, self.trouble, self.change, self.pivot, self.near = (self.work + i for i in range(1, 6))
-        size = self.work + 6
+        self.n: int = e.n
+        self.l: int = e.l
+        self.angles: int = len(e.wrapped)
+        self.work: int = 2 * e.n + self.angles
+        self.time: int = self.work + 1
+        self.trouble: int = self.time + 1
+        self.change: int = self.trouble + 1
+        self.pivot: int = self.change + 1
+        self.near: int = self.pivot + 1
+        size = self.near + 1
         kept = e.kernel["method"].history if "method" in e.kernel else 0
-        lengths = {
+        lengths: dict[str, int] = {
             "z": size,
             "after": size,
             "begin": size,
@@ -101,12 +113,12 @@ class Layout:
             "tally": len(TALLY),
             "pace": len(PACE),
             "past": memory_size(len(e.inputs)) if "reach" in e.kernel else 0,
-            "passes": bool(kept),
+            "passes": int(bool(kept)),
             "history": kept,
             "seen": e.signatures["seen"]["outputs"][0][0] if e.kernel else 0,
         }
         self.fields: dict[str, tuple[int, int]] = {}
-        self.size = 0
+        self.size: int = 0
         for name, length in lengths.items():
             self.fields[name] = self.size, length
             self.size += length
@@ -115,10 +127,10 @@ class Layout:
 class Memory:
     """The numbers of one instance: `memory["z"]` is a view into one array, `block`."""
 
-    def __init__(self, layout: Layout, block: NDArray | None = None):
-        self.layout = layout
-        self.block = np.zeros(layout.size) if block is None else block
+    def __init__(self, layout: Layout, block: NDArray[np.float64] | None = None):
+        self.layout: Layout = layout
+        self.block: NDArray[np.float64] = np.zeros(layout.size) if block is None else block
 
-    def __getitem__(self, name: str) -> NDArray:
+    def __getitem__(self, name: str) -> NDArray[np.float64]:
         offset, length = self.layout.fields[name]
         return self.block[offset : offset + length]

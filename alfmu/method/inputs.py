@@ -60,16 +60,16 @@ def extrapolated(
 class Past:
     """Inputs at the last communication points, newest first; `numbers` are all of it, and may be kept by the caller."""
 
-    def __init__(self, inputs: int, numbers: NDArray | None = None):
-        self.numbers = np.zeros(memory_size(inputs)) if numbers is None else numbers
+    def __init__(self, inputs: int, numbers: NDArray[np.float64] | None = None):
+        self.numbers: NDArray[np.float64] = np.zeros(memory_size(inputs)) if numbers is None else numbers
         self._times = self.numbers[1 : 1 + KEPT]
         self._inputs = self.numbers[1 + KEPT :].reshape(KEPT, inputs)
 
-    def reach(self, t: float, u: NDArray) -> None:
+    def reach(self, t: float, u: NDArray[np.float64]) -> None:
         """Records the inputs u at a communication point t."""
         known, times, inputs = reached(self.numbers[0], self._times.tolist(), self._inputs.copy(), t, u, np.where)
         self.numbers[0], self._times[:], self._inputs[:] = known, times, inputs
 
-    def at(self, t: float, order: int) -> NDArray:
+    def at(self, t: float, order: int) -> NDArray[np.float64]:
         """Inputs at t."""
         return extrapolated(self.numbers[0], self._times, self._inputs, t, order, np.where)

@@ -1,6 +1,11 @@
 """Errors that say which mechanism, what was measured, the limit, and what to do."""
 
-from typing import Any
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..result import Result
 
 __all__ = [
     "AlfmuError",
@@ -18,7 +23,7 @@ __all__ = [
 class AlfmuError(Exception):
     """Base of every error that alfmu raises on purpose; its text is meant for the user."""
 
-    result: Any = None
+    result: Result | None = None
     """What a run had computed when this error ended it (`alfmu.Result`); None where none had begun."""
 
 
@@ -35,7 +40,7 @@ class AssemblyError(AlfmuError):
 
 
 class InputError(AlfmuError):
-    """A name is unknown, or a value is not finite or out of its bounds."""
+    """What a user gave cannot be used: an unknown name, a value out of its bounds, a file of another form."""
 
 
 class WriteError(AlfmuError, OSError):

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 import re
 import warnings
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Generic, Never, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, overload
 
 import casadi as ca
 import numpy as np
@@ -23,6 +22,9 @@ from .errors import DeclarationError
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .units import UNITS, alike, rate_of, unit
 from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
+
+if TYPE_CHECKING:
+    from ..view.picture import Drawing
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
 
@@ -128,8 +130,8 @@ class Output(Brief):
 
 
 @dataclass(frozen=True, repr=False)
-class Trace(Brief):
-    """A point of a body that is watched: outputs of its place and velocity, and a path in pictures."""
+class Watched(Brief):
+    """A point of a body that is watched: outputs of its place and velocity, and a trail in pictures."""
 
     name: str
     marker: Marker | SpatialMarker
@@ -151,7 +153,7 @@ class Point(Brief):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Marker(Brief):
-    """A point fixed on a body, by its place in the body's frame."""
+    """A point fixed on a body, at (x, y) [m] of the body's frame; `body.at(x, y)` makes it."""
 
     body: Body
     x: Scalar
@@ -160,7 +162,11 @@ class Marker(Brief):
 
 @dataclass(eq=False, repr=False)
 class Body(Brief):
-    """A rigid planar body; its frame's origin is wherever the user measures from."""
+    """A rigid body in the plane; `Mechanism.body` and `Mechanism.bar` make it.
+
+    `mass` [kg], `inertia` [kg.m2] about the centre of mass, `center` (x, y) [m] of mass in the body's frame, whose
+    origin is wherever the user measures from; `length` [m] of a bar.
+    """
 
     name: str
     mass: Scalar
@@ -190,12 +196,16 @@ class Body(Brief):
 
     @property
     def is_placed(self) -> bool:
+        """Whether something says where the body is: a pose, two points, a joint with a coordinate."""
         return self.pose is not None or self.between is not None or self.placed_by is not None
 
 
 @dataclass(eq=False, repr=False)
 class Joint(Brief):
-    """A joint between two bodies: closed by a coordinate where one is given, otherwise by constraints."""
+    """A joint in the plane; `Mechanism.revolute` and the methods beside it make it.
+
+    A joint with a `coordinate` places its second body from its first; one without is closed by constraints.
+    """
 
     name: str
     kind: str
@@ -296,7 +306,12 @@ class DrawnBar(Brief):
 
 @dataclass(frozen=True)
 class Experiment:
-    """What a run of the mechanism looks like when nobody says otherwise."""
+    """What a run of the mechanism looks like when nobody says otherwise.
+
+    `stop_time` is its end [s], `communication_step` the time between two rows of the result [s], `step_size` the
+    default of `solver.step_size` [s], which stands for the communication step where that is None. Raises
+    DeclarationError where one of them is not above zero.
+    """
 
     stop_time: float = 10.0
     """[s]"""
@@ -319,6 +334,7 @@ class Experiment:
 
 
 _Part = TypeVar("_Part")
+_Form = TypeVar("_Form", str, bytes)
 
 
 class _Parts(Generic[_Part]):
@@ -359,8 +375,13 @@ class Mechanism:
         m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=th)
         m.gravity(0, -g)
 
+    `ground` is the frame of the ground in the plane, x to the right, y upwards and angles [rad] counter-clockwise;
+    `spatial_ground` is that in space; `time` is the symbol of time [s]. Numbers are in SI units: floats, or expressions
+    of CasADi in what the methods return.
+
     `sketch` is shown wherever the mechanism is explained; the README beside a mechanism's file is its documentation.
-    Its `author` is named in the FMU.
+    Its `author` is named in the FMU. Methods raise DeclarationError, with the mechanism and the name, where what they
+    are given makes no sense.
     """
 
     name: str
@@ -368,47 +389,47 @@ class Mechanism:
     sketch: str = ""
     experiment: Experiment = field(default_factory=Experiment)
     author: str = ""
-    parameters = _Parts[Parameter]()
+    parameters: ClassVar[_Parts[Parameter]] = _Parts()
     """Constants that a user may change."""
-    starts = _Parts[Start]()
+    starts: ClassVar[_Parts[Start]] = _Parts()
     """Quantities given at the start."""
-    ties = _Parts[tuple[ca.SX, ca.SX]]()
+    ties: ClassVar[_Parts[tuple[ca.SX, ca.SX]]] = _Parts()
     """Start quantities and the expressions that must equal them."""
-    coordinates = _Parts[Coordinate]()
+    coordinates: ClassVar[_Parts[Coordinate]] = _Parts()
     """The dependent coordinates q, in their order."""
-    inputs = _Parts[Input]()
+    inputs: ClassVar[_Parts[Input]] = _Parts()
     """What the environment sets."""
-    outputs = _Parts[Output]()
+    outputs: ClassVar[_Parts[Output]] = _Parts()
     """Results of the user's own."""
-    bodies = _Parts[Body]()
+    bodies: ClassVar[_Parts[Body]] = _Parts()
     """Bodies in the plane, without the ground."""
-    joints = _Parts[Joint]()
+    joints: ClassVar[_Parts[Joint]] = _Parts()
     """Joints in the plane."""
-    spatial_bodies = _Parts[SpatialBody]()
+    spatial_bodies: ClassVar[_Parts[SpatialBody]] = _Parts()
     """Bodies in space, without the ground."""
-    spatial_joints = _Parts[SpatialJoint]()
+    spatial_joints: ClassVar[_Parts[SpatialJoint]] = _Parts()
     """Joints in space."""
-    closures = _Parts[AnyJoint | Rigidity | Constraint | Lock]()
+    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock]] = _Parts()
     """What is closed by constraints, in the order of its rows."""
-    releases = _Parts[AnyJoint | Constraint]()
+    releases: ClassVar[_Parts[AnyJoint | Constraint]] = _Parts()
     """What a Boolean input can open."""
-    springs = _Parts[Spring]()
+    springs: ClassVar[_Parts[Spring]] = _Parts()
     """Springs and dampers."""
-    drives = _Parts[Drive]()
+    drives: ClassVar[_Parts[Drive]] = _Parts()
     """Efforts along joints."""
-    loads = _Parts[Load]()
+    loads: ClassVar[_Parts[Load]] = _Parts()
     """Forces and torques from the ground."""
-    kinetic = _Parts[ca.SX]()
+    kinetic: ClassVar[_Parts[ca.SX]] = _Parts()
     """Kinetic energies at the general level."""
-    potential = _Parts[ca.SX]()
+    potential: ClassVar[_Parts[ca.SX]] = _Parts()
     """Potential energies at the general level."""
-    generalized = _Parts[tuple[ca.SX, Scalar]]()
+    generalized: ClassVar[_Parts[tuple[ca.SX, Scalar]]] = _Parts()
     """Coordinates and generalised forces along them."""
-    traces = _Parts[Trace]()
+    watched: ClassVar[_Parts[Watched]] = _Parts()
     """Points of bodies that are watched."""
-    drawn_joints = _Parts[DrawnJoint]()
+    drawn_joints: ClassVar[_Parts[DrawnJoint]] = _Parts()
     """Joints that pictures show of a mechanism whose bodies are energies alone."""
-    drawn_bars = _Parts[DrawnBar]()
+    drawn_bars: ClassVar[_Parts[DrawnBar]] = _Parts()
     """Bars between them."""
     gravity_vector: Vector = field(default=(0.0, 0.0, 0.0), init=False)
     documentation: str = field(default="", init=False)
@@ -430,10 +451,10 @@ class Mechanism:
             text(f"{self.name}: its {each}", getattr(self, each))
         if not isinstance(self.experiment, Experiment):
             raise DeclarationError(f"{self.name}: its experiment is {shown(self.experiment)}; give an Experiment")
-        self.ground = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
+        self.ground: Body = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
         origin, upright = ca.SX.zeros(3), ca.SX([1, 0, 0, 0])
-        self.spatial_ground = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
-        self.time = ca.SX.sym("time")
+        self.spatial_ground: SpatialBody = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
+        self.time: ca.SX = ca.SX.sym("time")
         self._names: dict[str, str] = {}
         self._lines: dict[str, tuple[str, int]] = {}
         self._by_symbol: dict[int | None, Start | Coordinate] = {}
@@ -452,7 +473,10 @@ class Mechanism:
         maximum: float | None = None,
         description: str = "",
     ) -> ca.SX:
-        """A constant with a default, a unit and inclusive bounds; returns its symbol."""
+        """A constant that a user may change before the start; returns its symbol.
+
+        `default`, `minimum` and `maximum` (inclusive) are floats in `unit`, one of `alfmu.model.units.UNITS`.
+        """
         symbol = self._claim(name, unit, "a parameter")
         default = self._plain(f"the default of {name}", default)
         low, high = (
@@ -515,7 +539,7 @@ class Mechanism:
         independent: bool = False,
         description: str = "",
     ) -> ca.SX:
-        """A dependent coordinate (entry of q); returns its symbol.
+        """A dependent coordinate (entry of q) in `unit`: rad, m or 1; returns its symbol.
 
         `start` is the guess from which the assembly is solved: a number, or an expression in parameters, start
         quantities and coordinates declared before; its time derivative is the guess of the velocity. A coordinate with
@@ -554,7 +578,7 @@ class Mechanism:
         return self._coordinate(coordinate).a
 
     def input(self, name: str, unit: str, *, start: float = 0.0, description: str = "") -> ca.SX:
-        """A quantity set from outside at any time; returns its symbol."""
+        """A quantity in `unit` that is set from outside at any time and is `start` until then; returns its symbol."""
         symbol = self._claim(name, unit, "an input")
         text(f"{self.name}: the description of {name}", description)
         Mechanism.inputs.of(self).append(
@@ -563,20 +587,26 @@ class Mechanism:
         return self._stands_for(symbol, "inputs", f"the input {name}", unit)
 
     def output(self, name: str, expression: Scalar, unit: str = "1", description: str = "") -> None:
-        """A result of the user's own: any expression in coordinates, rates, accelerations, inputs and time."""
+        """A result in `unit` of the user's own: an expression in coordinates, rates, accelerations, inputs, time."""
         self._claim(name, unit, "an output")
         text(f"{self.name}: the description of {name}", description)
         expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
         Mechanism.outputs.of(self).append(Output(name, expression, unit, description))
 
-    def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
+    def watch(self, name: str, marker: AnyMarker, description: str = "") -> None:
         """Watch a point of a body: outputs `<name>.x`, `.y` [m] and `.vx`, `.vy` [m/s] in ground axes, in space also
-        `.z` and `.vz`. Pictures show the point, and films the path behind it.
+        `.z` and `.vz`. Pictures show the point, and films its trail, the path that it has made.
+
+        Raises DeclarationError where the name is taken or the marker is not on a body of this mechanism.
         """
-        self._claim(name, "m", "a trace")
+        self._claim(name, "m", "a watched point")
         text(f"{self.name}: the description of {name}", description)
-        self._own((marker,), f"trace {name}")
-        Mechanism.traces.of(self).append(Trace(name, marker, description))
+        self._own((marker,), f"watched point {name}")
+        Mechanism.watched.of(self).append(Watched(name, marker, description))
+
+    def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
+        """Former name of `watch`."""
+        self.watch(name, marker, description)
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
@@ -591,8 +621,8 @@ class Mechanism:
     ) -> Body:
         """A rigid body: mass [kg], inertia about its centre of mass [kg.m2], centre of mass in its frame [m].
 
-        `pose` gives the place of the *centre of mass* and the angle of the frame (absolute coordinates). A body without
-        one is placed by a joint with a coordinate, or by a weld.
+        `pose` (x, y, angle) gives the place of the *centre of mass* [m] and the angle of the frame [rad] in ground axes
+        (absolute coordinates). A body without one is placed by a joint with a coordinate, or by a weld.
         """
         mass, inertia = self._mass(name, mass), self._inertia(name, inertia)
         center = self._vector(f"the center of {name}", center, ("m",) * 2, CONSTANT)
@@ -607,7 +637,9 @@ class Mechanism:
         pose: tuple[Scalar, Scalar, Scalar] | None = None,
         between: tuple[Point | Marker, Point | Marker] | None = None,
     ) -> Body:
-        """A thin uniform bar along the x axis of its frame, from `start` to `end`.
+        """A thin uniform bar, mass [kg] and length [m], along the x axis of its frame from `start` to `end`.
+
+        `pose` (x, y, angle) gives the place of its *middle* [m] and its angle [rad] in ground axes.
 
         `between` places it on two points (natural coordinates): its mass matrix is then constant, and one constraint
         keeps the points at their distance.
@@ -673,7 +705,11 @@ class Mechanism:
     # Joints -----------------------------------------------------------------------------------------------------
 
     def revolute(self, name: str, first: Marker, second: Marker, *, coordinate: Scalar | None = None) -> Joint:
-        """A hinge: the two markers coincide. `coordinate` is the angle [rad] of the second body from the first."""
+        """A hinge: the two markers coincide. Returns the joint, for `drive`, `spring_damper`, `friction` and `lock`.
+
+        `coordinate` is the angle [rad] of the second body from the first, counter-clockwise; a hinge without one closes
+        a loop. Outputs `<name>.force.x` and `.y` [N] are the reaction on the second body from the first in ground axes.
+        """
         return self._join(Joint(name, "revolute", first, second, coordinate))
 
     def prismatic(
@@ -690,7 +726,9 @@ class Mechanism:
         """A slider in a guide: the second marker on a line through the first, the second body at a constant angle.
 
         The guide has the direction `axis` [rad] in the first body's frame and lies `offset` [m] to its left; the second
-        body's frame stands at `angle` [rad] from the first's. `coordinate` is the place [m] along the guide.
+        body's frame stands at `angle` [rad] from the first's. `coordinate` is the place [m] of the second marker along
+        the guide from the first. Outputs `<name>.force` [N], across the guide, and `<name>.moment` [N.m] are the
+        reaction on the second body from the first.
         """
         return self._join(Joint(name, "prismatic", first, second, coordinate, axis, offset, angle))
 
@@ -708,7 +746,10 @@ class Mechanism:
     def point_on_line(
         self, name: str, first: Marker, second: Marker, *, axis: Scalar = 0.0, offset: Scalar = 0.0
     ) -> Joint:
-        """A pin in a slot: the second marker on a line through the first, free to turn."""
+        """A pin in a slot: the second marker on a line through the first, free to turn.
+
+        The line has the direction `axis` [rad] in the first body's frame and lies `offset` [m] to its left.
+        """
         return self._join(Joint(name, "point_on_line", first, second, None, axis, offset))
 
     def distance(self, name: str, first: Marker, second: Marker, *, length: Scalar) -> Joint:
@@ -862,40 +903,37 @@ class Mechanism:
         at: Mapping[str, float] | None = None,
         parameters: Mapping[str, float] | None = None,
         size: tuple[int, int] = (640, 480),
-    ) -> Any:
+    ) -> Drawing:
         """The picture of the mechanism at its start, before anything is simulated; written to `path` (PNG or SVG) too.
 
         `at` gives values [rad, m] of start quantities or coordinates that it is drawn at, `parameters` changes
         defaults, `size` is in pixels. Returns a `Drawing`, which notebooks show. Raises AlfmuError where there is no
         start.
         """
-        drawn = self._picture().drawing(self, at, parameters, size)
+        from ..view.picture import drawing
+
+        drawn = drawing(self, at, parameters, size)
         if path is not None:
             drawn.save(path)
         return drawn
 
     def _repr_svg_(self) -> str | None:
         """What notebooks show; nothing, in silence, of a declaration that is not finished or cannot start."""
-        return self._shown("_repr_svg_")
+        return self._shown(lambda drawing: drawing._repr_svg_())
 
     def _repr_png_(self) -> bytes | None:
-        return self._shown("_repr_png_")
+        return self._shown(lambda drawing: drawing._repr_png_())
 
-    def _shown(self, how: str) -> Any:
+    def _shown(self, how: Callable[[Drawing], _Form | None]) -> _Form | None:
         """The drawing as a notebook asks for it, None where there is none or where it would take long."""
         if len(self.coordinates) > QUICK:
             return None
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                return getattr(self.draw(), how)()
+                return how(self.draw())
             except Exception:
                 return None
-
-    @staticmethod
-    def _picture() -> Any:
-        """The module that draws: of a room above, so that it is imported when first used."""
-        return import_module(f"{__name__.split('.')[0]}.view.picture")
 
     # General level ----------------------------------------------------------------------------------------------
 

@@ -78,7 +78,7 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
     return declared
 
 
-def options(mechanism: str | Path) -> dict[str, tuple]:
+def options(mechanism: str | Path) -> dict[str, tuple[Any, ...]]:
     """Options of a mechanism: name -> the values it takes (empty: any)."""
     factory = _factory(mechanism)
     hints = _hints(mechanism, factory)

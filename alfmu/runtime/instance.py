@@ -12,14 +12,14 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..equations import Equations, Mobility
+from ..equations import Equations, Mobility, Variable
 from ..equations.evaluation import DENSE
-from ..equations.interface import CHOICES, Counters, checked, default_settings, setting, variables_of
+from ..equations.interface import CHOICES, Choice, Counters, checked, default_settings, setting, variables_of
 from ..kernel import DEFAULT
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
@@ -75,12 +75,14 @@ class Instance:
 
     def _take(self, equations: Equations) -> None:
         """Run these equations with the settings that are given."""
-        self.equations = e = retraced(equations, self._given)
+        e = retraced(equations, self._given)
+        self.equations: Equations = e
         given = self._given
-        self.name = e.name
+        self.name: str = e.name
         found = variables_of(e, given)
-        self.parameters, self.outputs = tuple(found.parameters), tuple(found.outputs)
-        self.input_variables = (*found.inputs, *found.switches)
+        self.parameters: tuple[Variable, ...] = tuple(found.parameters)
+        self.outputs: tuple[Variable, ...] = tuple(found.outputs)
+        self.input_variables: tuple[Variable, ...] = (*found.inputs, *found.switches)
         self._variables = {v.name: v for _, v in found.causalities}
         self._scene = loaded(e)
         self._unit = Unit(self._scene)
@@ -91,32 +93,33 @@ class Instance:
         self._judged(self._scene.library.alfmu_stabilise(self._unit.address, given.zeta, given.omega, projection))
         if np.ndim(given.penalty):
             self._penalize(np.asarray(given.penalty, float))
-        self.layout = layout = Layout(e)
+        layout = Layout(e)
+        self.layout: Layout = layout
         address = self._scene.library.alfmu_state(self._unit.address) - 8 * layout.fields["z"][0]
         block = np.ctypeslib.as_array((ctypes.c_double * layout.size).from_address(address))
-        self.memory = Memory(layout, block=block)
+        self.memory: Memory = Memory(layout, block=block)
         """Named fields of the numbers that evolve (`alfmu.kernel.memory.Layout`), as views."""
-        self.state = self.memory["z"][: layout.time + 1]
+        self.state: NDArray[np.float64] = self.memory["z"][: layout.time + 1]
 
     # State -------------------------------------------------------------------------------------------------------
 
     @property
-    def q(self) -> NDArray:
-        """Coordinates (n,), a view."""
+    def q(self) -> NDArray[np.float64]:
+        """Coordinates (n,) [m or rad], a view."""
         return self.state[: self.layout.n]
 
     @property
-    def v(self) -> NDArray:
-        """Velocities (n,), a view."""
+    def v(self) -> NDArray[np.float64]:
+        """Velocities (n,) [m/s or rad/s], a view."""
         return self.state[self.layout.n : 2 * self.layout.n]
 
     @property
-    def angles(self) -> NDArray:
-        """Computed angles, whole turns counted, a view."""
+    def angles(self) -> NDArray[np.float64]:
+        """Angles [rad] that are computed from coordinates, whole turns counted, a view."""
         return self.state[2 * self.layout.n : self.layout.work]
 
     @property
-    def inputs(self) -> NDArray:
+    def inputs(self) -> NDArray[np.float64]:
         """Inputs that are numbers, a view; `set` checks what is given."""
         return self.memory["u"]
 
@@ -146,6 +149,7 @@ class Instance:
 
     @property
     def initialized(self) -> bool:
+        """Whether `initialize` has assembled the mechanism."""
         return self._unit.initialized
 
     @property
@@ -154,7 +158,7 @@ class Instance:
         return self.choices["solver.method"] not in FIXED
 
     @property
-    def values(self) -> NDArray:
+    def values(self) -> NDArray[np.float64]:
         """Parameters, start values and numbers of the solver, in the order of `parameters`."""
         return np.array(self._unit.get_many(range(len(self.parameters)))[1])
 
@@ -166,7 +170,11 @@ class Instance:
     # Values ------------------------------------------------------------------------------------------------------
 
     def set(self, name: str, value: float | str) -> None:
-        """Set an input (any time), or a parameter, start value or solver number (before `initialize`)."""
+        """Set an input (any time), or a parameter, start value or solver variable (before `initialize`), in its unit.
+
+        Raises InputError where there is no such name, or the value is not finite or out of its bounds, and keeps the
+        old value.
+        """
         e = self.equations
         reference = self._references.get(name)
         if reference is None or reference >= self._scene.first_output:
@@ -209,8 +217,16 @@ class Instance:
                 self._unit.set(self._references[each], old)
         self.time = time
 
+    @overload  # A choice is a text; every other name stands for a number.
+    def get(self, name: Choice) -> str: ...  # type: ignore[overload-overlap]
+    @overload
+    def get(self, name: str) -> float: ...
     def get(self, name: str) -> float | str:
-        """The value of an output, input, parameter, start value or solver number."""
+        """The value of an output, an input, a parameter, a start value or a solver variable, in its unit.
+
+        A choice such as `solver.method` is a text. Raises InputError where there is no such name, and where outputs are
+        asked for that cannot be computed.
+        """
         if name not in self._references:
             raise InputError(f"{self.equations.name} has no variable {name!r}; {there_is(name, self._references)}")
         reference = self._references[name]
@@ -223,7 +239,8 @@ class Instance:
     def initialize(self) -> None:
         """Assemble the mechanism from its start values at `time`; parameters are fixed from here on.
 
-        Warns where it ends in another assembly than the one that the guess is nearest to.
+        Warns where it ends in another assembly than the one that the guess is nearest to. Raises AssemblyError where
+        the loops cannot be closed, InputError where a parameter has no sense.
         """
         self._unit.run_on(False)
         self.memory["passes"][:] = 0.0
@@ -270,8 +287,8 @@ class Instance:
     def undetermined(self) -> list[str]:
         """Coordinates that neither constraints nor start values determine, so that they begin at their guess.
 
-        Of mechanisms with up to `DENSE` coordinates, at regular positions: beside a singular one there are branches on
-        which other coordinates move.
+        Of mechanisms with up to `alfmu.equations.evaluation.DENSE` coordinates, at regular positions: beside a singular
+        one there are branches on which other coordinates move.
         """
         e = self.equations
         if e.n > DENSE:
@@ -325,28 +342,28 @@ class Instance:
         self._judged(outcome)
         return outcome
 
-    def read(self) -> NDArray:
+    def read(self) -> NDArray[np.float64]:
         """All outputs, in the order of `outputs`, at this time and for the inputs as they are now."""
         self._read()
         return np.array(self._unit.outputs)
 
-    def read_state(self) -> NDArray:
+    def read_state(self) -> NDArray[np.float64]:
         """Like `read` where accelerations and reactions cannot be computed: they are NaN, the rest is known."""
         self._unit.read()
         return np.array(self._unit.outputs)
 
-    def read_inputs(self) -> NDArray:
+    def read_inputs(self) -> NDArray[np.float64]:
         """The inputs as they are now, in the order of `input_variables`."""
         return np.array([self._unit.get(self._references[v.name]) for v in self.input_variables])
 
     def run(
         self,
-        times: NDArray,
+        times: NDArray[np.float64],
         inputs: Sequence[str],
-        table: NDArray,
+        table: NDArray[np.float64],
         wanted: Sequence[str],
         progress: Callable[[int], bool] | None = None,
-    ) -> tuple[NDArray, BaseException | None]:
+    ) -> tuple[NDArray[np.float64], BaseException | None]:
         """A whole run in one call: communication points (k,) [s], a table (k, inputs) of inputs at each.
 
         Returns the wanted variables (rows, wanted) at the communication points that were reached, and the reason where
@@ -384,7 +401,7 @@ class Instance:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
         return self._mobility()[0]
 
-    def _mobility(self) -> tuple[Mobility, NDArray]:
+    def _mobility(self) -> tuple[Mobility, NDArray[np.float64]]:
         outcome, found, place = mobility(self._unit, self.equations.n)
         self._judged(outcome)
         return found, place
@@ -396,7 +413,7 @@ class Instance:
         return shared(self.equations, numbers, self.penalty > 0, place, self.equations.n - found.freedom)
 
     @property
-    def penalty(self) -> NDArray:
+    def penalty(self) -> NDArray[np.float64]:
         """alpha (l,) [kg or kg.m2 by row], settable while running; a constraint with zero is switched off.
 
         A constraint that is switched on again must be closed; its velocity becomes consistent at once (10), as in a
@@ -412,7 +429,7 @@ class Instance:
         replace(self._given, penalty=full.tolist()).checked(e.name, e.l)
         self._penalize(np.broadcast_to(full, (e.l,)))
 
-    def _penalize(self, alpha: NDArray) -> None:
+    def _penalize(self, alpha: NDArray[np.float64]) -> None:
         alpha = np.ascontiguousarray(alpha, float)
         self._judged(self._scene.library.alfmu_penalize(self._unit.address, alpha.ctypes.data))
 

@@ -110,12 +110,12 @@ class Scene:
     """A scene that has been loaded and checked; ValueError where its bytes are not a scene of this version."""
 
     def __init__(self, data: bytes, folder: Path | None = None):
-        self.library = library(folder) if folder else library()
+        self.library: ctypes.CDLL = library(folder) if folder else library()
         why = ctypes.create_string_buffer(_WHY)
-        self.address = self.library.alfmu_scene_load(data, len(data), why, _WHY)
+        self.address: int | None = self.library.alfmu_scene_load(data, len(data), why, _WHY)
         if not self.address:
             raise ValueError(why.value.decode(errors="replace"))
-        self.name = self.library.alfmu_name(self.address).decode(errors="replace")
+        self.name: str = self.library.alfmu_name(self.address).decode(errors="replace")
         kind, type_ = c_int(), c_int()
         self.names: list[str] = []
         self.types: list[str] = []
@@ -125,8 +125,8 @@ class Scene:
             self.names.append(name.decode(errors="replace"))
             self.types.append(_TYPES[type_.value])
             self.kinds.append(_KINDS[kind.value])
-        self.references = {name: reference for reference, name in enumerate(self.names)}
-        self.first_output = self.kinds.index("output") if "output" in self.kinds else len(self.kinds)
+        self.references: dict[str, int] = {name: reference for reference, name in enumerate(self.names)}
+        self.first_output: int = self.kinds.index("output") if "output" in self.kinds else len(self.kinds)
 
     def compiled_by(self, path: Path) -> None:
         """Run compiled functions in place of interpreted ones; ValueError where they are of another scene."""
@@ -147,15 +147,16 @@ class Unit:
     """One instance of a scene: calls by value reference, each with an outcome."""
 
     def __init__(self, scene: Scene):
-        self.scene, c = scene, scene.library
-        self.address = c.alfmu_new(scene.address)
+        c = scene.library
+        self.scene: Scene = scene
+        self.address: int | None = c.alfmu_new(scene.address)
         if not self.address:
             raise MemoryError("there is no memory for an instance")
         address = self.address
         self._step, self._read, self._get = c.alfmu_step, c.alfmu_read, c.alfmu_get
         self._outputs = (c_double * (len(scene.names) - scene.first_output))()
         self._place = ctypes.addressof(self._outputs)
-        self._many: dict[tuple[int, ...], tuple[ctypes.Array, ctypes.Array]] = {}
+        self._many: dict[tuple[int, ...], tuple[ctypes.Array[c_int], ctypes.Array[c_double]]] = {}
         self._address = address
         self._warns = c_int.from_address(c.alfmu_warns(address))
 
@@ -231,7 +232,7 @@ class Unit:
         return self._read(self._address, self._place)
 
     @property
-    def outputs(self) -> ctypes.Array:
+    def outputs(self) -> ctypes.Array[c_double]:
         """What `read` found last, overwritten by the next call."""
         return self._outputs
 

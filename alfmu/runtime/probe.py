@@ -30,7 +30,7 @@ _SHARED = 1e-7
 """Change of an output by a unit of load that redundant constraints share, up to which it is none."""
 
 
-def mobility(unit: Unit, n: int, every: bool = False) -> tuple[int, Mobility, NDArray]:
+def mobility(unit: Unit, n: int, every: bool = False) -> tuple[int, Mobility, NDArray[np.float64]]:
     """The outcome, degrees of freedom and redundant constraints, and a place (n,) near the present one that tells them.
 
     Of the constraints in force, or with `every` of all.
@@ -40,7 +40,13 @@ def mobility(unit: Unit, n: int, every: bool = False) -> tuple[int, Mobility, ND
     return outcome, Mobility(*(x.value for x in found)), place
 
 
-def shared(e: Equations, numbers: dict[str, NDArray], held: NDArray, place: NDArray, rank: int) -> list[str]:
+def shared(
+    e: Equations,
+    numbers: dict[str, NDArray[np.float64]],
+    held: NDArray[np.bool_],
+    place: NDArray[np.float64],
+    rank: int,
+) -> list[str]:
     """Outputs that are not unique, because redundant constraints share a load: those of least norm are given.
 
     `numbers` are q, u, p and t by letter, `held` (l,) tells which constraints are in force, `place` (n,) is one near q
@@ -54,7 +60,7 @@ def shared(e: Equations, numbers: dict[str, NDArray], held: NDArray, place: NDAr
     units[units == 0] = 1.0
     rows, _, _ = np.linalg.svd(C / units[:, None])
 
-    def read(lam: NDArray) -> NDArray:
+    def read(lam: NDArray[np.float64]) -> NDArray[np.float64]:
         q, u, p, t = (numbers[letter] for letter in "qupt")
         return np.array(e.functions["readings"](q, v, v, lam, u, p, t)).ravel()
 
@@ -74,11 +80,11 @@ class Probe:
     unit: Unit
     brakes: bool
     """Whether redundant constraints would stop the motion beside the start."""
-    numbers: dict[str, NDArray]
+    numbers: dict[str, NDArray[np.float64]]
     """q, v, u, p, t by letter."""
-    units: NDArray
+    units: NDArray[np.float64]
     """Of the rows (l,)."""
-    penalty: NDArray
+    penalty: NDArray[np.float64]
     """alpha (l,) [kg or kg.m2 by row], zero where a constraint is not in force."""
 
     @classmethod
@@ -119,7 +125,7 @@ class Probe:
         """
         settings, made = default_settings(self.equations), 0
 
-        def done(da: NDArray, a: NDArray) -> bool:
+        def done(da: NDArray[np.float64], a: NDArray[np.float64]) -> bool:
             nonlocal made
             made += 1
             limit = (settings.tolerance / 10) ** ((made - 1) / made)
@@ -131,7 +137,7 @@ class Probe:
         return made
 
     @np.errstate(all="ignore")
-    def spectrum(self) -> NDArray:
+    def spectrum(self) -> NDArray[np.float64]:
         """Eigenvalues [1/s] of small motions about the start, none where they are not finite.
 
         Of equations that have tangents.
@@ -139,7 +145,7 @@ class Probe:
         e, n, l, settings = self.equations, self.equations.n, self.equations.l, default_settings(self.equations)
         M, C, F, xi, alpha, solve = self._dynamics()
 
-        def done(change: NDArray, value: NDArray) -> bool:
+        def done(change: NDArray[np.float64], value: NDArray[np.float64]) -> bool:
             return np.abs(change).max(initial=0.0) <= settings.tolerance * np.abs(value).max(initial=0.0)
 
         most = settings.max_iterations
@@ -155,7 +161,7 @@ class Probe:
         motions = np.block([[np.zeros((n, n)), T], [T @ aq, T @ av]])
         return np.linalg.eigvals(motions) if np.isfinite(motions).all() else np.array([])
 
-    def _dynamics(self) -> tuple[Any, Any, NDArray, NDArray, Any, method.Solve]:
+    def _dynamics(self) -> tuple[Any, Any, NDArray[np.float64], NDArray[np.float64], Any, method.Solve]:
         """M, C, F, xi, the penalties as a matrix, and what solves with H; matrices are sparse where they are large."""
         e = self.equations
         M, C, F, xi = e.functions["dynamics"](*(self.numbers[letter] for letter in "qvupt"))

@@ -1,9 +1,9 @@
 """A live page: a mechanism that runs in a browser, as one file that needs nothing else.
 
-The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU.
-Its files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime, `picture.js` draws, `page.js` has
-controls, clock and plots; plots are made by uPlot, a library in `vendor`. What they must know of the mechanism is put
-together here.
+The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU. Its
+files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime, `picture.js` draws with the painter of
+films (`shared/strokes.js`), `page.js` has controls, clock and plots; plots are made by uPlot, a library in `vendor`.
+What they must know of the mechanism is put together here.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import gzip
 import importlib.metadata
 import json
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from html import escape
@@ -37,11 +36,11 @@ from ..runtime.build import WEB
 from ..runtime.prepare import prepared
 from ..runtime.shipped import library
 from ..simulation import communication_points
+from .pages import filled, text_of
 from .picture import Shapes, geometry, view_of
+from .surface import FONTS
 
 __all__ = ["live", "needed", "written_by_alfmu"]
-
-_FILES, _VENDOR = (Path(__file__).with_name(name) for name in ("page", "vendor"))
 
 _MARK = '<meta name="generator" content="alfmu'
 """By which a page is known."""
@@ -107,27 +106,24 @@ def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: byt
     if picture := about["picture"]:
         hint = "Drag a body to place it" if picture["kind"] == "plane" and about["tied"] else ""
         hint = "Drag to turn, scroll or pinch to zoom" if picture["kind"] == "space" else hint
+    scripts = text_of("page/picture.js") + text_of("page/page.js")
     values = {
         "title": name,
         "description": escape(mechanism.description),
         "version": escape(importlib.metadata.version("alfmu")),
         "interval": f"{about['interval']:g}",
         "hint": hint,
-        "styles": _file("uPlot.min.css", _VENDOR) + _file("page.css"),
-        "licence": escape(_file("uPlot.LICENSE", _VENDOR)),
+        "styles": text_of("vendor/uPlot.min.css") + text_of("page/page.css"),
+        "licence": escape(text_of("vendor/uPlot.LICENSE")),
         "about": json.dumps(about, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         "wasm": _packed(wasm),
         "scene": _packed(scene),
-        "worker": _file("engine.js") + _file("worker.js"),
-        "plots": _file("uPlot.min.js", _VENDOR),
+        "worker": text_of("page/engine.js") + text_of("page/worker.js"),
+        "plots": text_of("vendor/uPlot.min.js"),
         "functions": functions,
-        "script": _file("picture.js") + _file("page.js"),
+        "script": filled(text_of("shared/strokes.js"), {"fonts": FONTS}) + scripts,
     }
-    return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], _file("page.html"))
-
-
-def _file(name: str, folder: Path = _FILES) -> str:
-    return (folder / name).read_text(encoding="utf-8")
+    return filled(text_of("page/page.html"), values)
 
 
 def _packed(content: bytes) -> str:
@@ -324,7 +320,7 @@ class _Drawn:
             self._expressions.append(expression)
         return self._known[key]
 
-    def values(self, expressions: Sequence[ca.SX], at: Mapping[str, float]) -> NDArray:
+    def values(self, expressions: Sequence[ca.SX], at: Mapping[str, float]) -> NDArray[np.float64]:
         f = ca.Function("f", [self._symbols], [ca.vertcat(*expressions)])
         return np.array(f(ca.DM([at[p.name] for p in self.mechanism.parameters]))).ravel()
 
@@ -397,7 +393,7 @@ def _in_the_plane(drawn: _Drawn, e: Equations, looked: Result) -> _Drawn | None:
         ],
         "joints": [_pair(each, place) | {"name": each.name, "kind": each.kind} for each in shapes.joints],
         "guides": [guide(g) for g in shapes.guides],
-        "ties": [_pair(tie, place) | {"kind": tie.kind} for tie in shapes.ties],
+        "ties": [_pair(tie, place) | {"name": tie.name, "kind": tie.kind} for tie in shapes.ties],
         "dots": [{"name": dot, "columns": [f"{dot}.{q}" for q in "xy"]} for dot in shapes.dots],
         "low": view.low,
         "high": view.high,
@@ -438,6 +434,9 @@ def _candidates(m: Mechanism) -> dict[str, list[tuple[ca.SX, ca.SX]]]:
         for end in spring.between if isinstance(spring.between, tuple) else ():
             if isinstance(end, Marker):
                 add(end)
+    for point in m.watched:
+        if isinstance(point.marker, Marker):
+            add(point.marker)
     for body in m.bodies:
         if body.length is not None:
             add(body.start)

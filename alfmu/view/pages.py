@@ -18,7 +18,7 @@ from . import plane, space
 from .shapes import Shapes
 from .surface import BACKGROUND, FAINT, FONTS, GRID, INK, STEEL, WHITE, ZERO, shade
 
-__all__ = ["page"]
+__all__ = ["filled", "page", "text_of"]
 
 EFFORTS = {
     "force": {"applied": "#b3261e", "reaction": "#d9534a"},
@@ -26,8 +26,8 @@ EFFORTS = {
 }
 """Colours of arrows."""
 
-TRACED = 12
-"""Bodies up to which each has a trace; of more, dots alone."""
+TRAILING = 12
+"""Bodies up to which each has a trail; of more, dots alone."""
 
 _OVER = '<canvas id="names" aria-hidden="true"></canvas><p>drag to turn, wheel to zoom, double click to go back</p>'
 
@@ -39,7 +39,11 @@ _SHOWS = """    <div id="shows">
 
 
 def page(
-    shapes: Shapes, scene: plane.Scene | space.Stage, time: NDArray, columns: Mapping[str, NDArray], speed: float
+    shapes: Shapes,
+    scene: plane.Scene | space.Stage,
+    time: NDArray[np.float64],
+    columns: Mapping[str, NDArray[np.float64]],
+    speed: float,
 ) -> str:
     """The page of a motion: its scene, and all poses over time to a hundredth of a pixel and 1e-4 rad."""
     data: dict[str, Any] = {
@@ -51,10 +55,11 @@ def page(
     if isinstance(scene, space.Stage):
         data |= _in_space(scene, shapes, time, columns)
         values |= {"over": _OVER, "more": _shows(data)}
-        values["library"] = f"<script>\n{_text('vendor/three.min.js')}</script>\n"
+        values["library"] = f"<script>\n{text_of('vendor/three.min.js')}</script>\n"
     else:
         data |= _in_plane(scene, shapes, time, columns)
-    scripts = [_text(f"film/{name}.js") for name in ("clock", "space" if shapes.space else "plane", "film")]
+    names = ("film/clock", "shared/strokes", "film/space" if shapes.space else "film/plane", "film/film")
+    scripts = [text_of(f"{name}.js") for name in names]
     values |= {
         "title": escape(shapes.name.replace("_", " ")),
         "description": escape(shapes.description),
@@ -62,20 +67,23 @@ def page(
         "fonts": FONTS,
         "data": json.dumps(data, separators=(",", ":")).replace("<", "\\u003c"),
     }
-    values["script"] = _filled("".join(scripts), values)
-    return _filled(_text("film/film.html"), values)
+    values["script"] = filled("".join(scripts), values)
+    return filled(text_of("film/film.html"), values)
 
 
-def _filled(text: str, values: Mapping[str, str]) -> str:
+def filled(text: str, values: Mapping[str, str]) -> str:
+    """A template with a value for each `{{name}}`."""
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], text)
 
 
-def _text(name: str) -> str:
+def text_of(name: str) -> str:
     """A file of this room."""
     return (files(__package__) / name).read_text(encoding="utf-8")
 
 
-def _in_plane(scene: plane.Scene, shapes: Shapes, time: NDArray, columns: Mapping[str, NDArray]) -> dict[str, Any]:
+def _in_plane(
+    scene: plane.Scene, shapes: Shapes, time: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
+) -> dict[str, Any]:
     digits = _digits(0.01 / scene.scale)
     poses = {
         name: [np.round(q + 0 * time, n).tolist() for q, n in zip(pose, (digits, digits, 4), strict=True)]
@@ -84,7 +92,9 @@ def _in_plane(scene: plane.Scene, shapes: Shapes, time: NDArray, columns: Mappin
     return {"scene": asdict(scene), "dots": shapes.dots, "poses": poses}
 
 
-def _in_space(stage: space.Stage, shapes: Shapes, time: NDArray, columns: Mapping[str, NDArray]) -> dict[str, Any]:
+def _in_space(
+    stage: space.Stage, shapes: Shapes, time: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
+) -> dict[str, Any]:
     drawn, digits = stage.space, _digits(0.01 / stage.lens.scale)
     frames = {}
     for name, (place, turn) in space.poses_of(shapes, columns).items():
@@ -99,8 +109,8 @@ def _in_space(stage: space.Stage, shapes: Shapes, time: NDArray, columns: Mappin
     most = {kind: max([_largest(a, columns) for a in arrows if a.kind == kind], default=0.0) for kind in EFFORTS}
     arrows = [a for a in arrows if _largest(a, columns) > 1e-9 * most[a.kind]]
     bodies = [solid.name for solid in drawn.solids]
-    traced = [*drawn.dots, *(bodies if len(bodies) <= TRACED else ())]
-    centers = [(space.Spot(name, 0.0, 0.0, 0.0), stage.colors[name]) for name in traced]
+    trailing = [*drawn.dots, *(bodies if len(bodies) <= TRAILING else ())]
+    centers = [(space.Spot(name, 0.0, 0.0, 0.0), stage.colors[name]) for name in trailing]
     centers += [(joint.second, FAINT) for joint in drawn.pivots if not bodies and joint.second.frame != "ground"]
     colors = {piece.color for piece in stage.pieces}
     return {
@@ -112,7 +122,7 @@ def _in_space(stage: space.Stage, shapes: Shapes, time: NDArray, columns: Mappin
         "extent": stage.view.extent,
         "floor": asdict(stage.floor),
         "labels": [asdict(name) for name in space.names_of(drawn, stage.colors)],
-        "traces": [{"at": asdict(at), "color": color} for at, color in centers],
+        "trails": [{"at": asdict(at), "color": color} for at, color in centers],
         "arrows": [
             {
                 **{key: value for key, value in asdict(a).items() if key != "columns"},
@@ -129,7 +139,7 @@ def _in_space(stage: space.Stage, shapes: Shapes, time: NDArray, columns: Mappin
 def _shows(data: Mapping[str, Any]) -> str:
     """What a film in space can show and hide; how long the longest arrow is."""
     kinds = {arrow["kind"] for arrow in data["arrows"]}
-    boxes = {"names": ("Names", True), "traces": ("Traces", True)}
+    boxes = {"names": ("Names", True), "trails": ("Trails", True)}
     boxes |= {f"{kind}s": (f"{kind.capitalize()}s", kind == "force") for kind in EFFORTS}
     html = []
     for name, (text, on) in boxes.items():
@@ -143,12 +153,12 @@ def _shows(data: Mapping[str, Any]) -> str:
     return _SHOWS.format(boxes="\n      ".join(html), scale=", ".join(scale))
 
 
-def _largest(arrow: Any, columns: Mapping[str, NDArray]) -> float:
+def _largest(arrow: Any, columns: Mapping[str, NDArray[np.float64]]) -> float:
     """The largest effort of an arrow over the motion."""
     return float(np.sqrt(np.sum([np.square(columns[name]) for name in arrow.columns], axis=0)).max())
 
 
-def _significant(values: NDArray, most: float) -> list[float]:
+def _significant(values: NDArray[np.float64], most: float) -> list[float]:
     """Values to a thousandth of the largest."""
     return np.round(values, _digits(1e-3 * most)).tolist()
 

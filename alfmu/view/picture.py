@@ -350,8 +350,8 @@ def _film(
     shapes: Shapes,
     view: View | SpaceView,
     size: Size,
-    time: NDArray,
-    columns: Mapping[str, NDArray],
+    time: NDArray[np.float64],
+    columns: Mapping[str, NDArray[np.float64]],
     delay: int,
     instants: list[float],
     progress: Progress,
@@ -365,7 +365,7 @@ def _film(
     next(indexed).save(file, "GIF", save_all=True, append_images=indexed, duration=delay, loop=0)
 
 
-def _instants(time: NDArray, fps: float, speed: float) -> tuple[int, list[float]]:
+def _instants(time: NDArray[np.float64], fps: float, speed: float) -> tuple[int, list[float]]:
     """Duration of each frame of a GIF [ms], whole hundredths of a second as GIF counts, and their instants [s]."""
     seconds = (time[-1] - time[0]) / speed
     hundredths = max(2, round(100 / fps), math.ceil(100 * seconds / MAX_FRAMES))
@@ -377,8 +377,8 @@ def _frames(
     shapes: Shapes,
     view: View | SpaceView,
     size: Size,
-    time: NDArray,
-    columns: Mapping[str, NDArray],
+    time: NDArray[np.float64],
+    columns: Mapping[str, NDArray[np.float64]],
     instants: Iterable[float],
 ) -> Iterator[Image.Image]:
     """Pictures of a motion at some instants [s], dots with the trail behind them."""

@@ -2,7 +2,7 @@
 
 The shapes give what there is, the motion gives what they must fit in (`view_of`). From both follows a scene: strokes in
 pixels, each fixed to the ground, to a body, to a dot or between two points. `paint` shows it at one instant; the script
-of a page (`film/plane.js`) does so in a browser.
+that pages share (`shared/strokes.js`) does so in a browser.
 """
 
 from __future__ import annotations

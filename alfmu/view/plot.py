@@ -77,7 +77,7 @@ class _Line:
     """A line: the columns that it stands for, with one and the same course."""
 
     names: tuple[str, ...]
-    values: NDArray
+    values: NDArray[np.float64]
 
     @property
     def owner(self) -> str:
@@ -301,7 +301,7 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     axes.legend(**place, frameon=False, fontsize=7.5, handlelength=2.6, labelspacing=0.35)
 
 
-def _runs_close(values: NDArray, others: NDArray, reach: float) -> bool:
+def _runs_close(values: NDArray[np.float64], others: NDArray[np.float64], reach: float) -> bool:
     """Whether a line runs along one before it for some time."""
     return any(np.mean(np.abs(values - other) <= CLOSE * reach) > OFTEN for other in others)
 
@@ -323,7 +323,7 @@ def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, object]]:
     return styles
 
 
-def _range(values: NDArray, name: str) -> float:
+def _range(values: NDArray[np.float64], name: str) -> float:
     """How much a column changes; 0 for what is constant but for rounding."""
     change = float(np.ptp(values))
     return change if name in ERRORS or change > 1e-9 * (1 + float(np.abs(values).max())) else 0.0

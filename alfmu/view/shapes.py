@@ -214,7 +214,7 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) 
     """
     m, number = mechanism, _evaluator(mechanism, parameters or {})
     places = [o.name for o in m.outputs if o.unit == "m"]
-    places += [f"{trace.name}.{axis}" for trace in m.traces for axis in trace.axes]
+    places += [f"{point.name}.{axis}" for point in m.watched for axis in point.axes]
     dots = tuple(name[:-2] for name in places if name.endswith(".x") and f"{name[:-2]}.y" in places)
     plane = Shapes(m.name, m.description, *_in_plane(m, number), dots)
     if m.spatial_bodies or m.drawn_joints or any(f"{dot}.z" in places for dot in dots):
@@ -252,9 +252,9 @@ def _in_plane(
     for pair in (*joints, *ties):
         for at in (pair.first, pair.second):
             fixed.setdefault(at.body, []).append(at)
-    for trace in m.traces:
-        if isinstance(trace.marker, Marker):
-            fixed.setdefault(trace.marker.body.name, []).append(anchor(trace.marker))
+    for point in m.watched:
+        if isinstance(point.marker, Marker):
+            fixed.setdefault(point.marker.body.name, []).append(anchor(point.marker))
     blocks = {g.rider.body for g in guides if g.block is not None}
     links = []
     for body in m.bodies:

@@ -52,7 +52,7 @@ __all__ = [
     "view_of",
 ]
 
-Pose = tuple[NDArray, NDArray]
+Pose = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Place (..., 3) [m] and Euler parameters (..., 4) of a frame, at one instant or over time."""
 
 Quaternion = tuple[float, float, float, float]
@@ -98,7 +98,7 @@ class Piece:
 class SpaceView:
     """What a picture must show of a motion: places (N, 3) [m] that it holds, the range of each joint that slides."""
 
-    cloud: NDArray = field(compare=False)
+    cloud: NDArray[np.float64] = field(compare=False)
     up: Vector3
     extent: float
     """Diagonal of the box around all places [m]."""
@@ -119,7 +119,7 @@ class Camera:
     opening: float
 
     @property
-    def axes(self) -> NDArray:
+    def axes(self) -> NDArray[np.float64]:
         """Directions (3, 3) to the right, up and towards the eye, as rows."""
         return _looking(np.subtract(self.eye, self.target), np.array(self.up))
 
@@ -180,33 +180,33 @@ def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> SpaceView:
     return SpaceView(cloud, space.up, extent, unit, low - 5.5 * unit, travel)
 
 
-def _thinned(places: NDArray) -> NDArray:
+def _thinned(places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Places at some instants, those at the ends included."""
     if places.ndim == 1 or len(places) <= CLOUD:
         return places
     return places[np.unique(np.linspace(0, len(places) - 1, CLOUD).astype(int))]
 
 
-def place_of(poses: Mapping[str, Pose], at: Spot) -> NDArray:
+def place_of(poses: Mapping[str, Pose], at: Spot) -> NDArray[np.float64]:
     """A point (..., 3) in ground axes [m]."""
     place, turn = poses[at.frame]
     return place + rotated(turn, np.array([at.x, at.y, at.z]))
 
 
-def rotated(turn: NDArray, vector: NDArray) -> NDArray:
+def rotated(turn: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
     """A vector (..., 3) of a frame in ground axes, by Euler parameters (..., 4)."""
     p = turn[..., 1:]
     twice = 2 * _cross(p, vector)
     return vector + turn[..., :1] * twice + _cross(p, twice)
 
 
-def _cross(a: NDArray, b: NDArray) -> NDArray:
+def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
     """NumPy's `cross` of vectors (..., 3), some ten times as fast for a few of them."""
     (ax, ay, az), (bx, by, bz) = a.T, b.T
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]).T
 
 
-def _turned_to(direction: NDArray) -> NDArray:
+def _turned_to(direction: NDArray[np.float64]) -> NDArray[np.float64]:
     """Euler parameters (..., 4) of the shortest turn that leads z to a direction (..., 3)."""
     z = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
     e = np.stack([1 + z[..., 2], -z[..., 1], z[..., 0], 0 * z[..., 0]], -1)
@@ -226,7 +226,7 @@ def camera_of(view: SpaceView, size: Size) -> Camera:
     up = np.array(view.up)
     east, north, _ = (np.array(x) for x in right_handed(view.up))
     angle = math.radians(ELEVATION)
-    best: tuple[float, NDArray] = (-1.0, east)
+    best: tuple[float, NDArray[np.float64]] = (-1.0, east)
     for i in range(AZIMUTHS):
         around = 2 * math.pi * (i + 0.35) / AZIMUTHS  # never along an axis, where things hide each other
         flat = math.cos(around) * east + math.sin(around) * north
@@ -256,7 +256,7 @@ def camera_of(view: SpaceView, size: Size) -> Camera:
     )
 
 
-def _looking(towards: NDArray, up: NDArray) -> NDArray:
+def _looking(towards: NDArray[np.float64], up: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rows to the right, up and towards the eye."""
     z = towards / np.linalg.norm(towards)
     x = np.cross(up, z)
@@ -375,16 +375,16 @@ def _solid(solid: Solid, color: str, unit: float, extent: float) -> list[Piece]:
     return pieces
 
 
-def _distinct(points: NDArray, near: float) -> NDArray:
+def _distinct(points: NDArray[np.float64], near: float) -> NDArray[np.float64]:
     """Points (N, 3) without those that are next to one before."""
-    kept: list[NDArray] = []
+    kept: list[NDArray[np.float64]] = []
     for p in points:
         if all(np.linalg.norm(p - k) > near for k in kept):
             kept.append(p)
     return np.array(kept).reshape(-1, 3)
 
 
-def _tree(points: NDArray, extent: float) -> list[tuple[Vector3, Vector3]]:
+def _tree(points: NDArray[np.float64], extent: float) -> list[tuple[Vector3, Vector3]]:
     """The shortest rods that hold points together."""
     points = _distinct(points, 1e-6 * extent)
     inside, rods = [0], []
@@ -397,7 +397,7 @@ def _tree(points: NDArray, extent: float) -> list[tuple[Vector3, Vector3]]:
     return rods
 
 
-def _spine(points: NDArray, extent: float) -> list[tuple[Vector3, Vector3]]:
+def _spine(points: NDArray[np.float64], extent: float) -> list[tuple[Vector3, Vector3]]:
     """A rod through the centre of mass and short ones from it to each point, where all points are near one line."""
     _, sizes, axes = np.linalg.svd(points)
     if len(points) < 3 or not 1e-6 * extent < sizes[1] < 0.25 * sizes[0]:
@@ -409,7 +409,7 @@ def _spine(points: NDArray, extent: float) -> list[tuple[Vector3, Vector3]]:
     return [(tuple(map(float, a)), tuple(map(float, b))) for a, b in (spine, *ribs)]
 
 
-def _plate(points: NDArray, extent: float) -> tuple[Vector3, Quaternion, tuple[Vector, ...]] | None:
+def _plate(points: NDArray[np.float64], extent: float) -> tuple[Vector3, Quaternion, tuple[Vector, ...]] | None:
     """Middle, attitude and outline of the plate through points of one plane; None where there is none."""
     if len(points) < 3:
         return None
@@ -426,7 +426,7 @@ def _plate(points: NDArray, extent: float) -> tuple[Vector3, Quaternion, tuple[V
     return tuple(map(float, middle)), _attitude(axes.T), tuple((float(x), float(y)) for x, y in corners)
 
 
-def _attitude(R: NDArray) -> Quaternion:
+def _attitude(R: NDArray[np.float64]) -> Quaternion:
     """Euler parameters of a rotation matrix (3, 3)."""
     from scipy.spatial.transform import Rotation
 
@@ -451,13 +451,13 @@ class Stage:
         self.meshes = [() if piece.kind == "coil" else _mesh(piece, self.unit) for piece in self.pieces]
 
 
-def paint(surface: Surface, stage: Stage, poses: Mapping[str, Pose], trails: Mapping[str, NDArray]) -> None:
+def paint(surface: Surface, stage: Stage, poses: Mapping[str, Pose], trails: Mapping[str, NDArray[np.float64]]) -> None:
     """A mechanism at one instant, with the paths (T, 3) [m] of dots and bodies by name."""
     lens, base, unit = stage.lens, base_of(stage.size), stage.unit
     rim = 1.3 * base / lens.scale
     faces: list[Faces] = []
     rims: list[Faces] = []
-    lines: list[tuple[NDArray, str, float]] = []  # (P, 3)
+    lines: list[tuple[NDArray[np.float64], str, float]] = []  # (P, 3)
     for piece, mesh in zip(stage.pieces, stage.meshes, strict=True):
         dark = INK if piece.color in (WHITE, STEEL, FAINT) else shade(piece.color)
         if not mesh:
@@ -499,20 +499,20 @@ class _Lens:
         self.scale = self.focus / float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
         """Pixels of a metre at the target."""
 
-    def seen(self, places: NDArray) -> tuple[NDArray, NDArray]:
+    def seen(self, places: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixels (..., 2), y upwards, and distance from the eye (...) [m]."""
         local = (places - self.eye) @ self.axes.T
         depth = np.maximum(-local[..., 2], 1e-9)
         pixels = self.focus * local[..., :2] / depth[..., None] + np.array(self.size) / 2
         return pixels, np.linalg.norm(local, axis=-1)
 
-    def one(self, place: NDArray) -> Vector:
+    def one(self, place: NDArray[np.float64]) -> Vector:
         """Pixels of one place."""
         x, y = self.seen(place)[0]
         return float(x), float(y)
 
 
-Item = tuple[float, "Sequence[Vector] | NDArray", Stroke]
+Item = tuple[float, "Sequence[Vector] | NDArray[np.float64]", Stroke]
 """Distance from the eye, points in pixels, and how they are drawn."""
 
 
@@ -520,7 +520,7 @@ Item = tuple[float, "Sequence[Vector] | NDArray", Stroke]
 class Faces:
     """Faces (F, 4, 3) of a piece in ground axes [m], drawn as if they were nearer to the eye by `before` [m]."""
 
-    quads: NDArray
+    quads: NDArray[np.float64]
     color: str
     before: float
 
@@ -582,7 +582,7 @@ def floor_of(view: SpaceView, scale: float, base: float) -> Floor:
     return Floor(east, north, tuple(map(int, low)), tuple(map(int, high)), cell, view.floor)
 
 
-def _floor(surface: Surface, lens: _Lens, stage: Stage, faces: Sequence[NDArray]) -> None:
+def _floor(surface: Surface, lens: _Lens, stage: Stage, faces: Sequence[NDArray[np.float64]]) -> None:
     """Grid lines on the floor under the motion, and the shadows of what stands on it."""
     up, base, floor = np.array(stage.view.up), base_of(surface.size), stage.floor
     east, north = np.array(floor.east), np.array(floor.north)
@@ -656,10 +656,10 @@ def _texts(stage: Stage, poses: Mapping[str, Pose]) -> Iterator[Text]:
 
 # Meshes: corners, directions in which a rim grows, faces of four corners whose normals point outwards -----------------
 
-Mesh = tuple[NDArray, NDArray, NDArray]
+Mesh = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
 
 
-def _world(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray) -> NDArray:
+def _world(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     """Corners of a piece (V, 3) in ground axes [m]."""
     if len(piece.at) == 2:
         return _between(piece, poses, vertices)
@@ -668,7 +668,7 @@ def _world(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray) -> NDArra
     return place + rotated(turn, np.array(_xyz(at)) + rotated(np.array(piece.turn), vertices))
 
 
-def _between(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray) -> NDArray:
+def _between(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
     """What stretches between two points: z runs from 0 to 1, x and y are in radii of a coil, in metres of a rod."""
     start, end = (place_of(poses, at) for at in piece.at)
     way = end - start
@@ -690,7 +690,7 @@ def _mesh(piece: Piece, unit: float) -> Mesh:
     return {"ball": _ball, "box": _block, "cylinder": _cylinder, "cone": _cone}[kind](*size)
 
 
-def _around(sides: int = SIDES) -> NDArray:
+def _around(sides: int = SIDES) -> NDArray[np.float64]:
     angles = 2 * np.pi * (np.arange(sides) + 0.5) / sides
     return np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
 
@@ -784,7 +784,7 @@ def _prism(outline: tuple[Vector, ...], half: float) -> Mesh:
 
 
 @cache
-def _coil() -> NDArray:
+def _coil() -> NDArray[np.float64]:
     """A wire (P, 3) with nine turns between straight ends."""
     z = np.linspace(0.18, 0.82, 9 * 14 + 1)
     angle = 2 * np.pi * 9 * (z - 0.18) / 0.64

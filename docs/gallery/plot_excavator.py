@@ -50,7 +50,7 @@ def excavator() -> Mechanism:
     m.revolute("rocker_hinge", stick.at(STICK - 0.45, 0.0), rocker.start, coordinate=swing)
     m.revolute("rocker_end", rocker.end, link.start, coordinate=push)
     m.revolute("ear", link.end, bucket.at(0.0, 0.45))
-    m.trace("tip", bucket.at(1.35, 0))
+    m.watch("tip", bucket.at(1.35, 0))
 
     # Origin and angle of each body at the start.
     elbow = BOOM * turned(LIFT)

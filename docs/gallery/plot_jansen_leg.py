@@ -68,7 +68,7 @@ def jansen_leg() -> Mechanism:
     m.tie(angle, ca.atan2(y - l, x - a))
     rate = ((x - a) * m.rate(y) - (y - l) * m.rate(x)) / crank**2
     m.drive(m.revolute("motor", axle, arm.start), 20.0 * (speed - rate))
-    m.trace("foot", tubes["i"].end)
+    m.watch("foot", tubes["i"].end)
     m.gravity(0, -9.81)
     return m
 

@@ -50,7 +50,7 @@ def landing_gear() -> Mechanism:
     m.drive(hinge, torque)
     m.output("actuator", torque, "N.m", "torque of the actuator")
     m.force(leg.at(LEG, 0), m.input("wheel.side_load", "N", description="force on the wheel, inwards"), 0.0)
-    m.trace("wheel", leg.at(LEG, 0))
+    m.watch("wheel", leg.at(LEG, 0))
     m.gravity(0, -9.81)
     return m
 

@@ -53,8 +53,8 @@ def pantograph() -> Mechanism:
     speed = ca.jtimes(place, ca.vertcat(shoulder, corner), ca.vertcat(m.rate(shoulder), m.rate(corner)))
     hand = 2000.0 * (heart(m.time) - place) + 40.0 * (ca.jacobian(heart(m.time), m.time) - speed)
     m.force(inner.end, *ca.vertsplit(hand))
-    m.trace("tracer", inner.end)
-    m.trace("pen", second.end)
+    m.watch("tracer", inner.end)
+    m.watch("pen", second.end)
     return m
 
 

@@ -50,8 +50,8 @@ def peaucellier() -> Mechanism:
         m.bar(name, mass=0.8 * length, length=length, between=(first, second))
     weight = m.body("weight", mass=2.0, pose=(*q["D"], 0.0))
     m.tie(start, ca.atan2(q["B"][1], q["B"][0] - CRANK))
-    m.trace("B", crank.end)
-    m.trace("D", weight.at(0, 0))
+    m.watch("B", crank.end)
+    m.watch("D", weight.at(0, 0))
     m.gravity(0, -9.81)
     m.spring_damper((m.ground.at((ARM**2 - SIDE**2) / (2 * CRANK), 0.6), weight.at(0, 0)), stiffness=100.0, rest=0.3)
     return m

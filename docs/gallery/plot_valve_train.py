@@ -47,7 +47,7 @@ def valve_train() -> Mechanism:
     m.spring_damper(
         (m.ground.at(0, BASE + 0.040), valve.at(0, 0)), stiffness=STIFFNESS, rest=0.040 + PRELOAD / STIFFNESS
     )
-    m.trace("mark", cam.at(0, BASE))
+    m.watch("mark", cam.at(0, BASE))
     m.drive(bearing, 5.0 * (SPEED - m.rate(turn)))
     m.gravity(0, -9.81)
     return m

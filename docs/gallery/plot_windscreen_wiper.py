@@ -49,8 +49,8 @@ def windscreen_wiper() -> Mechanism:
     m.drive(motor, 30.0 * (1 - m.rate(turn) / full_speed))
     m.friction(pivot, 1.5)
     m.friction(other, 1.5)
-    m.trace("blade1", arms[0].at(0, ARM))
-    m.trace("blade2", arms[1].at(0, ARM))
+    m.watch("blade1", arms[0].at(0, ARM))
+    m.watch("blade2", arms[1].at(0, ARM))
     m.gravity(0, -9.81)
     return m
 

@@ -2,6 +2,7 @@
 // of space.py; THREE is what scripts/vendor_three.py bundles.
 const { pieces, frames, camera: seen, unit, extent } = film;
 const overlay = document.getElementById("names"), pen = overlay.getContext("2d");
+const painter = new Painter(pen, "{{background}}");
 const shows = Object.fromEntries([...document.querySelectorAll("#shows input")].map((box) => [box.name, box]));
 const vector = (x) => new THREE.Vector3(...x), up = vector(film.up), Z = vector([0, 0, 1]);
 
@@ -141,12 +142,12 @@ function floor() {
   world.add(sun, sun.target);
 }
 
-// Traces of points, as far as the film is.
+// Trails of points, as far as the film is.
 
-const traces = [];
+const trails = [];
 
-function trace() {
-  for (const { at, color } of film.traces) {
+function trail() {
+  for (const { at, color } of film.trails) {
     const points = time.map((_, i) => {
       posed = { [at.frame]: pose(at.frame, i, i, 0) };
       return place(at);
@@ -154,7 +155,7 @@ function trace() {
     const shape = new THREE.BufferGeometry().setFromPoints(points);
     const line = new THREE.Line(shape, new THREE.LineBasicMaterial({ color }));
     line.frustumCulled = false;
-    traces.push(line);
+    trails.push(line);
     world.add(line);
   }
 }
@@ -207,9 +208,6 @@ function names() {
   const k = overlay.width / width, scale = height / 2 / Math.tan(seen.opening * Math.PI / 360);
   pen.setTransform(k, 0, 0, -k, 0, k * height);
   pen.clearRect(0, 0, width, height);
-  pen.textAlign = "center";
-  pen.textBaseline = "middle";
-  pen.lineJoin = "round";
   axes();
   if (!shows.names.checked) return;
   const found = new Map();
@@ -224,26 +222,18 @@ function names() {
       pin: [x, y, 1.4 * unit * away] });
   }
   const all = [...found.values()];
-  const boxes = all.map(({ text, x, y, size }) => {
-    pen.font = `${size}px {{fonts}}`;
-    return [x, y, pen.measureText(text).width / 2 + 2, 0.55 * size + 1];
-  });
+  const boxes = all.map(({ text, x, y, size }) => [x, y, ...painter.box(text, size)]);
   apart(boxes, all.filter((l) => l.joint).map((l) => l.pin), film.size);
-  all.forEach(({ text, size, color }, i) => lettered(pen, text, boxes[i][0], boxes[i][1], size, color));
+  all.forEach(({ text, size, color }, i) => painter.text(text, boxes[i][0], boxes[i][1], size, color));
 }
 
 function axes() {
   const turn = camera.quaternion.clone().invert();
-  pen.lineWidth = 1.5;
-  pen.strokeStyle = film.colors.faint;
   for (const [name, axis] of [["x", [1, 0, 0]], ["y", [0, 1, 0]], ["z", [0, 0, 1]]]) {
     const { x, y } = vector(axis).applyQuaternion(turn);
     if (Math.hypot(x, y) < 0.45) continue; // it points at the eye
-    pen.beginPath();
-    pen.moveTo(44, 44);
-    pen.lineTo(44 + 28 * x, 44 + 28 * y);
-    pen.stroke();
-    lettered(pen, name, 44 + 39 * x, 44 + 39 * y, 12, film.colors.faint);
+    painter.line([[44, 44], [44 + 28 * x, 44 + 28 * y]], 1.5, film.colors.faint);
+    painter.text(name, 44 + 39 * x, 44 + 39 * y, 12, film.colors.faint);
   }
 }
 
@@ -264,8 +254,8 @@ function draw() {
   posed = Object.fromEntries(Object.keys(frames).map((name) => [name, pose(name, i, j, share)]));
   if (!moving.length) build();
   pose_pieces();
-  traces.forEach((line) => {
-    line.visible = shows.traces.checked;
+  trails.forEach((line) => {
+    line.visible = shows.trails.checked;
     line.geometry.setDrawRange(0, i + 1);
   });
   aim(i, j, share);
@@ -281,7 +271,7 @@ function home() {
 }
 
 floor();
-trace();
+trail();
 arm();
 home();
 Object.values(shows).forEach((box) => box.addEventListener("change", draw));

@@ -1,15 +1,20 @@
-// Pictures of a mechanism on a canvas: one of the plane, one of space. Both take the numbers of its shapes (`numbers`, what
+// Pictures of a mechanism on a canvas: one of the plane, one of space. Parameters change while the page is open, so the
+// scene that plane.py makes of a film's shapes once is made here for each picture; shared/strokes.js paints both. Both take the numbers of its shapes (`numbers`, what
 // the page's function `geometry` gives for the parameters as they are) and a row of outputs.
 
 const COLORS = ["#6b9bc7", "#e3b05f", "#76b18f", "#d0826f", "#9d8fc6", "#58a9ae", "#c98ca9", "#9aa4ae"];
 
 const TRAIL = 600; // places that a trail keeps
 
-class Canvas {
+const DARK = "#2b3440"; // the rim of a white pin, on a dark page too
+
+const LEAST_TEXT = 11; // pixels: what a phone shows stays readable
+
+class Canvas extends Painter {
   constructor(canvas, about) {
+    super(canvas.getContext("2d"), "");
     this.canvas = canvas;
     this.about = about;
-    this.pen = canvas.getContext("2d");
     this.names = false;
     this.trails = about.dots.map(() => []);
     const named = [...about.links, ...about.bodies, ...about.bars, ...about.dots];
@@ -30,71 +35,44 @@ class Canvas {
     this.rim = Number(this.color("rim"));
     const pen = this.pen;
     pen.setTransform(ratio, 0, 0, ratio, 0, 0);
-    pen.fillStyle = this.color("paper");
+    pen.fillStyle = this.paper = this.color("paper");
     pen.fillRect(0, 0, width, height);
-    pen.lineCap = pen.lineJoin = "round";
   }
 
-  // A line with round ends; a disc where it has one point, an area where it is filled.
-  line(points, width, color, filled = false) {
-    const pen = this.pen;
-    pen.lineWidth = width;
-    pen.strokeStyle = pen.fillStyle = color;
-    pen.beginPath();
-    if (points.length === 1) {
-      pen.arc(...points[0], width / 2, 0, 2 * Math.PI);
-      pen.fill();
-      return;
-    }
-    for (const [x, y] of points) pen.lineTo(x, y);
-    if (filled) { pen.closePath(); pen.fill(); }
-    pen.stroke();
-  }
+  // A stroke whose width is in units.
+  stroke(points, width = 2, color = this.ink, filled = false) { return { points, width: width * this.unit, color, filled }; }
 
-  outlined(points, width, color, filled = false) {
-    this.line(points, width + 2.6 * this.unit, this.shade(color), filled);
-    this.line(points, width, color, filled);
+  // A line or area of `width` pixels with a rim.
+  outlined(points, width, color, filled = false, rim = this.shade(color)) {
+    return [{ points, width: width + 3.2 * this.unit, color: rim, filled }, { points, width, color, filled }];
   }
 
   // The rim of a colour: darker on a light page, lighter on a dark one.
   shade(color) {
-    const whole = (i) => Math.min(255, Math.round(parseInt(color.slice(i, i + 2), 16) * this.rim));
-    return `rgb(${whole(1)}, ${whole(3)}, ${whole(5)})`;
+    const part = (i) => Math.min(255, Math.floor(parseInt(color.slice(i, i + 2), 16) * this.rim));
+    return `#${[1, 3, 5].map((i) => part(i).toString(16).padStart(2, "0")).join("")}`;
   }
 
-  text(text, x, y, color = this.ink, align = "center", size = 12) {
-    const pen = this.pen;
-    pen.font = `${size}px system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif`;
-    pen.textAlign = align;
-    pen.textBaseline = "middle";
-    pen.lineWidth = 3.5;
-    pen.strokeStyle = this.color("paper");
-    pen.strokeText(text, x, y);
-    pen.fillStyle = color;
-    pen.fillText(text, x, y);
-  }
-
-  // A spring, a damper or both from one point to another in pixels.
-  tie(kind, [ax, ay], [bx, by]) {
-    const u = this.unit, length = Math.hypot(bx - ax, by - ay) || 1;
-    const at = (along, across) => [
-      ax + (bx - ax) * along - (by - ay) / length * across * u, ay + (by - ay) * along + (bx - ax) / length * across * u,
-    ];
-    const line = (points, width = 2) => this.line(points.map((p) => at(...p)), width * u, this.ink);
-    if (kind === "rod") line([[0, 0], [1, 0]], 4);
-    const apart = kind === "spring-damper" ? 9 : 0;
+  // A rod, a spring, a damper or both from one point to another.
+  tie(kind) {
+    const u = this.unit, offset = kind === "spring-damper" ? 9 * u : 0, strokes = [];
+    if (kind === "rod") {
+      const end = (x) => this.outlined([[x, 0]], 8 * u, this.color("white"), false, DARK);
+      return [this.stroke([[0, 0], [1, 0]], 4), ...end(0), ...end(1)];
+    }
     if (kind.includes("spring")) {
-      const teeth = Array.from({ length: 13 }, (_, i) => [0.26 + 0.04 * i, apart + (i % 2 ? 7 : -7)]);
-      line([[0, 0], [0.15, 0], [0.15, apart], [0.23, apart], ...teeth, [0.77, apart], [0.85, apart], [0.85, 0], [1, 0]], 1.8);
+      const teeth = Array.from({ length: 13 }, (_, i) => [0.26 + 0.04 * i, offset + (i % 2 ? 7 : -7) * u]);
+      const coil = [[0, 0], [0.15, 0], [0.15, offset], [0.23, offset], ...teeth];
+      strokes.push(this.stroke([...coil, [0.77, offset], [0.85, offset], [0.85, 0], [1, 0]]));
     }
     if (kind.includes("damper")) {
-      const y = -apart;
-      line([[0, 0], [0.15, 0], [0.15, y], [0.38, y]]);
-      line([[0.62, y + 6], [0.38, y + 6], [0.38, y - 6], [0.62, y - 6]]);
-      line([[0.52, y + 3], [0.52, y - 3]], 3);
-      line([[0.52, y], [0.85, y], [0.85, 0], [1, 0]]);
+      const y = -offset, r = 6 * u;
+      strokes.push(this.stroke([[0, 0], [0.15, 0], [0.15, y], [0.38, y]]));
+      strokes.push(this.stroke([[0.62, y + r], [0.38, y + r], [0.38, y - r], [0.62, y - r]]));
+      strokes.push(this.stroke([[0.52, y + r / 2], [0.52, y - r / 2]], 3));
+      strokes.push(this.stroke([[0.52, y], [0.85, y], [0.85, 0], [1, 0]]));
     }
-    for (const end of [[0, 0], [1, 0]]) line([end], kind === "rod" ? 9 : 6);
+    return [...strokes, this.stroke([[0, 0]], 6), this.stroke([[1, 0]], 6)];
   }
 
   // The mechanism begins anew.
@@ -124,64 +102,60 @@ class Plane extends Canvas {
   constructor(canvas, about) {
     super(canvas, about);
     this.columns = Object.fromEntries([...about.links, ...about.dots].map(({ name, columns }) => [name, columns]));
-    this.low = [...about.low];
-    this.high = [...about.high];
-    this.travel = about.travel.map((range) => [...range]);
+    this.refit();
     const key = (a) => `${a.body} ${a.x} ${a.y}`;
+    const once = (some) => [...new Map(some.map((a) => [key(a), a])).values()];
     // Hinges, welds and pins; those that share a point are one.
-    this.knots = [];
+    this.places = [];
     for (const joint of about.joints) {
       if (joint.kind === "prismatic" || joint.kind === "distance") continue;
       const pin = joint.kind === "point_on_line", anchors = pin ? [joint.second] : [joint.first, joint.second];
-      const knot = { names: pin ? [] : [joint.name], kind: joint.kind, anchors };
-      const shared = this.knots.filter((k) => k.anchors.some((a) => anchors.some((b) => key(a) === key(b))));
+      const knot = { names: pin || !joint.name ? [] : [joint.name], kind: joint.kind, anchors };
+      const shared = this.places.filter((k) => k.anchors.some((a) => anchors.some((b) => key(a) === key(b))));
       for (const other of shared) {
         knot.names.unshift(...other.names);
-        knot.anchors = [...other.anchors, ...knot.anchors];
+        knot.anchors = once([...other.anchors, ...knot.anchors]);
         knot.kind = other.kind;
-        this.knots.splice(this.knots.indexOf(other), 1);
+        this.places.splice(this.places.indexOf(other), 1);
       }
-      this.knots.push(knot);
+      this.places.push(knot);
     }
     const held = about.joints.filter((j) => ["revolute", "weld", "distance"].includes(j.kind))
-      .map((j) => [j.first, j.second, j.kind !== "weld"]);
-    held.push(...about.ties.filter((t) => t.kind !== "spiral").map((t) => [t.first, t.second, true]));
-    this.supports = held.flatMap(([a, b, legs]) => [a, b].map((at) => [at, legs])).filter(([at]) => at.body === "ground");
-    this.supports = [...new Map(this.supports.map((s) => [key(s[0]), s])).values()];
+      .map((j) => ({ ...j.first, legs: j.kind !== "weld" }));
+    const ties = about.ties.filter((tie) => tie.kind !== "spiral").flatMap((tie) => [tie.first, tie.second]);
+    held.push(...ties.map((at) => ({ ...at, legs: true })));
+    this.ground = once(held.filter(({ body }) => body === "ground"));
   }
 
   shape(numbers) {
-    this.numbers = numbers;
-    const point = ([x, y]) => [numbers[x], numbers[y]];
-    this.links = this.about.links.map((link) => ({ ...link, points: link.points.map(point) }));
+    const at = (a) => ({ ...a, x: numbers[a.x], y: numbers[a.y] });
+    const ends = (of) => ({ ...of, first: at(of.first), second: at(of.second) });
+    this.links = this.about.links.map((link) => ({ ...link, points: link.points.map(([x, y]) => [numbers[x], numbers[y]]) }));
     for (const link of this.links) link.hull = hull(link.points);
+    this.guides = this.about.guides.map((g) => ({ ...g, base: at(g.base), rider: at(g.rider), axis: numbers[g.axis],
+      block: g.block === null ? null : numbers[g.block] }));
+    this.ties = this.about.ties.map(ends);
+    this.knots = this.places.map((knot) => ({ ...knot, anchors: knot.anchors.map(at) }));
+    this.supports = this.ground.map(at);
   }
 
-  // Pose of a body in this row: x [m], y [m], angle [rad].
-  pose(row, body) {
-    const columns = this.columns[body];
-    if (!columns) return [0, 0, 0];
-    const [x, y, angle] = columns.map((c) => row[c]);
-    return [x, y, angle || 0];
+  // Poses of all bodies and dots in this row.
+  frames(row) {
+    const pose = ([x, y, angle]) => ({ x: row[x], y: row[y], angle: angle === undefined ? 0 : row[angle] });
+    const moving = Object.entries(this.columns).map(([name, columns]) => [name, pose(columns)]);
+    return { ground: { x: 0, y: 0, angle: 0 }, ...Object.fromEntries(moving) };
   }
 
-  // A point of a body in ground axes [m].
-  place(row, body, x, y) {
-    const [px, py, angle] = this.pose(row, body), c = Math.cos(angle), s = Math.sin(angle);
-    return [px + c * x - s * y, py + s * x + c * y];
-  }
+  // Metres where the pointer is, and back; its y points downwards.
+  metres(x, y) { return [(x - this.origin[0]) / this.scale, (this.height - y - this.origin[1]) / this.scale]; }
 
-  anchor(row, at) { return this.place(row, at.body, this.numbers[at.x], this.numbers[at.y]); }
-
-  pixels([x, y]) { return [this.middle[0] + this.scale * x, this.middle[1] - this.scale * y]; }
-
-  metres(x, y) { return [(x - this.middle[0]) / this.scale, (this.middle[1] - y) / this.scale]; }
+  pixels([x, y]) { return [this.origin[0] + this.scale * x, this.height - this.origin[1] - this.scale * y]; }
 
   // Keep all that moves in the picture.
-  fit(row) {
-    const points = this.links.flatMap((link) => link.points.map((p) => this.place(row, link.name, ...p)));
-    points.push(...this.supports.map(([at]) => this.anchor(row, at)));
-    points.push(...this.about.dots.map(({ name }) => this.place(row, name, 0, 0)));
+  fit(frames) {
+    const at = (a) => placed(METRES, frames, a);
+    const points = this.links.flatMap((link) => link.points.map(([x, y]) => at({ body: link.name, x, y })));
+    points.push(...this.supports.map(at), ...this.about.dots.map(({ name }) => at({ body: name, x: 0, y: 0 })));
     for (const p of points) {
       for (const k of [0, 1]) {
         if (!Number.isFinite(p[k])) continue;
@@ -189,6 +163,11 @@ class Plane extends Canvas {
         this.high[k] = Math.max(this.high[k], p[k]);
       }
     }
+    this.guides.forEach(({ base, rider, axis }, i) => {
+      const [x, y] = at(base), [rx, ry] = at(rider), turn = frames[base.body].angle + axis;
+      const along = (rx - x) * Math.cos(turn) + (ry - y) * Math.sin(turn), range = this.travel[i];
+      if (Number.isFinite(along)) this.travel[i] = [Math.min(range[0], along), Math.max(range[1], along)];
+    });
     const base = Math.max(0.62, Math.min(this.width / 640, this.height / 480, 1.25));
     const margin = 104 * base;
     let spans = [0, 1].map((k) => this.high[k] - this.low[k]);
@@ -202,10 +181,11 @@ class Plane extends Canvas {
     this.sized = this.width;
     this.settling = ease < 1 && Math.abs(Math.log(scale / this.scale)) > 1e-3; // another picture shows more of it
     this.scale = this.scale ? this.scale * (scale / this.scale) ** ease : scale;
-    const middle = [this.width / 2 - this.scale * center[0], this.height / 2 + 6 * base + this.scale * center[1]];
-    this.middle = this.middle && ease < 1 ? this.middle.map((m, k) => m + ease * (middle[k] - m)) : middle;
+    const origin = [this.width / 2 - this.scale * center[0], this.height / 2 - 6 * base - this.scale * center[1]];
+    this.origin = this.origin && ease < 1 ? this.origin.map((m, k) => m + ease * (origin[k] - m)) : origin;
     const lengths = this.links.filter((l) => l.points.length > 1).map((l) => this.scale * extent(l.points)).sort((a, b) => a - b);
     const usual = lengths.length ? lengths[lengths.length >> 1] : 80 * base;
+    this.base = base;
     this.unit = base * Math.min(1, Math.max(0.3, usual / (80 * base)));
   }
 
@@ -218,172 +198,215 @@ class Plane extends Canvas {
   }
 
   draw(row) {
+    const frames = this.frames(row);
     this.begin();
-    this.fit(row);
-    this.grid();
-    for (const [at, legs] of this.supports) this.support(this.pixels(this.anchor(row, at)), legs);
-    const guides = this.about.guides.map((guide, i) => ({ ...guide, ...this.rails(row, guide, i) }));
-    for (const guide of guides) if (guide.base.body === "ground") this.guide(guide);
-    this.about.dots.forEach(({ name }, i) => {
-      const trail = [...this.trails[i].map((p) => this.pixels(p)), this.pixels(this.place(row, name, 0, 0))];
-      this.faded(trail, this.colors[name], 2.5 * this.unit);
-    });
-    for (const link of this.links) this.link(row, link);
-    for (const guide of guides) {
-      if (guide.base.body !== "ground") this.guide(guide);
-      if (guide.block !== null) this.block(row, guide);
-    }
-    for (const tie of this.about.ties) {
-      const [a, b] = [tie.first, tie.second].map((at) => this.pixels(this.anchor(row, at)));
-      if (tie.kind === "spiral") this.spiral(a); else this.tie(tie.kind, a, b);
-    }
-    for (const knot of this.knots) this.knot(this.pixels(this.anchor(row, knot.anchors[0])), knot.kind);
-    for (const { name } of this.about.dots) {
-      this.outlined([this.pixels(this.place(row, name, 0, 0))], 14 * this.unit, this.colors[name]);
-    }
-    if (this.names) this.labels(row);
+    this.fit(frames);
+    this.pen.transform(1, 0, 0, -1, 0, this.height);
+    const scene = this.scene(), pixels = ([x, y]) => placed(scene, frames, { body: "ground", x, y });
+    this.paint(scene, frames, () => this.about.dots.forEach(({ name }, i) => {
+      const trail = [...this.trails[i], [frames[name].x, frames[name].y]];
+      this.faded(trail.map(pixels), this.colors[name], 2.5 * this.unit);
+    }));
     if (this.pulled) {
-      const from = this.pixels(this.place(row, this.pulled.name, this.pulled.x, this.pulled.y));
+      const [x, y] = this.pulled.to, from = placed(scene, frames, { ...this.pulled, body: this.pulled.name });
       this.pen.setLineDash([4, 4]);
-      this.line([from, this.pulled.to], 1.5, this.color("accent"));
+      this.line([from, [x, this.height - y]], 1.5, this.color("accent"));
       this.pen.setLineDash([]);
       this.line([from], 9, this.color("accent"));
     }
   }
 
-  grid() {
-    const cell = nice(70 / this.scale), [left, top] = this.metres(0, 0), [right, bottom] = this.metres(this.width, this.height);
-    const lines = [[0, left, right], [1, bottom, top]].flatMap(([k, low, high]) => {
-      const some = [];
-      for (let i = Math.ceil(low / cell); i <= high / cell; i++) some.push([k, i]);
-      return some;
-    });
-    for (const [k, i] of lines.sort((a, b) => (a[1] === 0) - (b[1] === 0))) {
-      const ends = k === 0 ? [[i * cell, bottom], [i * cell, top]] : [[left, i * cell], [right, i * cell]];
-      this.line(ends.map((p) => this.pixels(p)), 1, this.color(i ? "grid" : "zero"));
+  // What plane.py makes of the same shapes (`scene_of`), by the same rules in the same order.
+  scene() {
+    const back = [this.grid(), this.marks(), ...this.supports.map((at) => this.support(at))];
+    const front = this.links.map((link) => this.link(link));
+    this.guides.forEach((guide, i) => (guide.base.body === "ground" ? back : front).push(...this.guide(guide, this.travel[i])));
+    front.push(...this.ties.map((tie) => this.tied(tie)), ...this.knots.map((knot) => this.knot(knot)));
+    const dots = this.about.dots.map(({ name }) => ({ body: name, x: 0, y: 0 }));
+    front.push(...dots.map((at) => part([at], this.outlined([[0, 0]], 14 * this.unit, this.colors[at.body]))));
+    const labels = this.markLabels();
+    if (this.names) {
+      labels.push(...this.ties.filter((tie) => tie.name).map((tie) => this.named(tie.name, [tie.first, tie.second], [], 5)));
+      labels.push(...dots.map((at) => this.named(at.body, [at], [], 10)));
+      labels.push(...this.guides.map((guide, i) => this.guideLabel(guide, this.travel[i])));
+      labels.push(...this.links.map((link) => this.linkLabel(link)));
+      labels.push(...this.knots.filter((knot) => knot.names.length).map((knot) => this.knotLabel(knot)));
     }
-    const x = this.width - 14, y = this.height - 16, faint = this.color("faint");
-    this.line([[x - cell * this.scale, y], [x, y]], 1.5, faint);
-    for (const end of [x - cell * this.scale, x]) this.line([[end, y - 4], [end, y + 4]], 1.5, faint);
-    this.text(`${Number(cell.toPrecision(3))} m`, x - cell * this.scale / 2, y - 11, faint);
+    const pins = [...this.knots.map((knot) => knot.anchors[0]), ...dots];
+    return { size: [this.width, this.height], scale: this.scale, origin: this.origin, unit: this.unit, back, front, labels,
+      pins, pin: 6 * this.unit };
   }
 
-  hatch([x, y], along, low, high, drop) {
-    const u = this.unit, c = Math.cos(along), s = Math.sin(along);
-    const at = (a, b) => [x + c * a + s * b, y - s * a + c * b];
-    for (let a = low + 7 * u; a < high; a += 7 * u) this.line([at(a, drop), at(a - 7 * u, drop + 8 * u)], 1.2 * u, this.color("faint"));
-    this.line([at(low, drop), at(high, drop)], 2 * u, this.ink);
+  // Distance of grid lines [m].
+  get cell() { return nice(70 * this.base / this.scale); }
+
+  // A place so many `base` pixels from the left lower corner (x < 0: the right one), seen from the origin.
+  corner(x, y) { return [x * this.base + (x < 0 ? this.width : 0) - this.origin[0], y * this.base - this.origin[1]]; }
+
+  grid() {
+    const step = this.scale * this.cell, size = [this.width, this.height], lines = [];
+    for (const k of [0, 1]) {
+      const low = -this.origin[1 - k], high = size[1 - k] - this.origin[1 - k];
+      for (let i = Math.ceil(-this.origin[k] / step); i <= (size[k] - this.origin[k]) / step; i++) {
+        const points = k === 0 ? [[i * step, low], [i * step, high]] : [[low, i * step], [high, i * step]];
+        lines.push({ points, width: this.base, color: this.color(i ? "grid" : "zero"), filled: false, zero: i === 0 });
+      }
+    }
+    return part(ORIGIN, lines.sort((a, b) => a.zero - b.zero));
   }
 
-  support([x, y], legs) {
-    const u = this.unit, foot = (legs ? 24 : 9) * u;
-    this.hatch([x, y], 0, -24 * u, 24 * u, foot);
-    if (legs) this.outlinedIn([[x, y], [x - 13 * u, y + foot], [x + 13 * u, y + foot]], 2 * u, this.color("steel"));
+  marks() {
+    const u = this.base, [x, y] = this.corner(24, 24), [right] = this.corner(-24, 24), color = this.color("faint");
+    const left = right - this.scale * this.cell;
+    const lines = [[[x, y + 30 * u], [x, y], [x + 30 * u, y]], [[left, y], [right, y]],
+      ...[left, right].map((end) => [[end, y - 4 * u], [end, y + 4 * u]])];
+    const tips = [[[36, 0], [28, 3], [28, -3]], [[0, 36], [3, 28], [-3, 28]]];
+    return part(ORIGIN, [
+      ...lines.map((points) => ({ points, width: 1.5 * u, color, filled: false })),
+      ...tips.map((tip) => ({ points: tip.map(([dx, dy]) => [x + dx * u, y + dy * u]), width: u, color, filled: true })),
+    ]);
   }
 
-  outlinedIn(points, width, color) {
-    this.line(points, width + 2.6 * this.unit, this.ink, true);
-    this.line(points, width, color, true);
+  markLabels() {
+    const [right, y] = this.corner(-24, 36), long = `${Number(this.cell.toPrecision(6))} m`;
+    const texts = [["x", this.corner(70, 24)], ["y", this.corner(24, 70)], [long, [right - this.scale * this.cell / 2, y]]];
+    return texts.map(([text, [px, py]]) => ({ text, at: [{ body: "ground", x: px / this.scale, y: py / this.scale }], links: [],
+      gap: 0, size: Math.max(LEAST_TEXT, 12 * this.base), color: this.color("faint"), free: false }));
   }
 
-  // Where a guide is, and how far it is used.
-  rails(row, guide, i) {
-    const base = this.anchor(row, guide.base), rider = this.anchor(row, guide.rider);
-    const turn = this.pose(row, guide.base.body)[2] + this.numbers[guide.axis];
-    const along = (rider[0] - base[0]) * Math.cos(turn) + (rider[1] - base[1]) * Math.sin(turn);
-    const range = this.travel[i];
-    if (Number.isFinite(along)) this.travel[i] = [Math.min(range[0], along), Math.max(range[1], along)];
-    return { at: this.pixels(base), turn };
+  support(at) {
+    const u = this.unit, foot = (at.legs ? -24 : -9) * u;
+    const strokes = [...this.hatch(-24 * u, 24 * u, foot), this.stroke([[-24 * u, foot], [24 * u, foot]])];
+    if (at.legs) strokes.push(...this.outlined([[0, 0], [-13 * u, foot], [13 * u, foot]], 2 * u, this.color("steel"), true, this.ink));
+    return part([at], strokes);
+  }
+
+  guide(guide, travel) {
+    const u = this.unit, half = this.half(guide), grounded = guide.base.body === "ground", faint = this.color("faint");
+    const [low, high] = travel.map((end, k) => end * this.scale + (k ? 50 : -50) * u);
+    const strokes = [this.stroke([[low, -half], [high, -half]])];
+    if (grounded) strokes.push(...this.hatch(low, high, -half));
+    if (!grounded || guide.block === null) strokes.push(this.stroke([[low, half], [high, half]]));
+    for (let i = 0; low + 20 * u * i < high; i++) {
+      const x = low + 20 * u * i;
+      strokes.push(this.stroke([[x, 0], [x + 10 * u, 0]], 1, faint), this.stroke([[x + 15 * u, 0]], 1.5, faint));
+    }
+    const rails = part([guide.base], strokes, guide.axis);
+    if (guide.block === null) return [rails];
+    const x = 24 * u, y = half - 2 * u, corners = [[-x, -y], [x, -y], [x, y], [-x, y]];
+    return [rails, part([guide.rider], this.outlined(corners, 4 * u, this.colors[guide.rider.body], true), guide.block)];
+  }
+
+  link(link) {
+    const u = this.unit, color = this.colors[link.name], strokes = [];
+    const points = link.hull.map(([x, y]) => [x * this.scale, y * this.scale]);
+    if (points.length > 1) strokes.push(...this.outlined(points, (link.kind === "mass" ? 8 : 14) * u, color, points.length > 2));
+    if (link.kind === "mass") strokes.push(...this.outlined([[0, 0]], 28 * u, color));
+    return part([{ body: link.name, x: 0, y: 0 }], strokes);
+  }
+
+  knot({ kind, anchors }) {
+    const u = this.unit;
+    if (kind !== "weld") return part([anchors[0]], this.outlined([[0, 0]], 13 * u, this.color("white"), false, DARK));
+    const square = [[-3, -3], [3, -3], [3, 3], [-3, 3]].map(([x, y]) => [x * u, y * u]);
+    return part([anchors[0]], [this.stroke(square, 2, this.ink, true)]);
+  }
+
+  tied({ kind, first, second }) {
+    if (kind !== "spiral") return part([first, second], this.tie(kind));
+    const points = Array.from({ length: 61 }, (_, i) => {
+      const t = 5 * Math.PI * i / 60, r = (10 + 0.7 * t) * this.unit;
+      return [r * Math.cos(t), r * Math.sin(t)];
+    });
+    return part([first], [this.stroke(points, 1.5)]);
+  }
+
+  named(text, at, links, gap, size = 14, color = this.ink) {
+    return { text, at, links, gap: gap * this.unit, size: Math.max(LEAST_TEXT, size * this.unit), color, free: true };
+  }
+
+  // On the side that links, rails and ground leave free.
+  knotLabel({ names, anchors }) {
+    const at = (a, b) => a.body === b.body && a.x === b.x && a.y === b.y;
+    const links = anchors.filter((a) => a.body === "ground").map(() => ({ body: "ground", x: 0, y: -1 }));
+    for (const a of anchors) {
+      const { points = [] } = this.links.find((link) => link.name === a.body) || {};
+      for (const [x, y] of points) {
+        if (x === a.x && y === a.y) continue;
+        const length = Math.hypot(x - a.x, y - a.y);
+        links.push({ body: a.body, x: (x - a.x) / length, y: (y - a.y) / length });
+      }
+    }
+    const blocks = this.guides.filter((g) => g.block !== null && anchors.some((a) => at(a, g.rider)));
+    links.push(...blocks.map((g) => ({ body: g.rider.body, x: Math.sin(g.block), y: -Math.cos(g.block) })));
+    const spirals = this.ties.some((tie) => tie.kind === "spiral" && anchors.some((a) => at(a, tie.first)));
+    return this.named(names.join(", "), [anchors[0]], links, blocks.length || spirals ? 26 : 11);
+  }
+
+  // Under the beginning of the rails.
+  guideLabel(guide, travel) {
+    const along = travel[0] - 50 * this.unit / this.scale, c = Math.cos(guide.axis), s = Math.sin(guide.axis);
+    const at = { body: guide.base.body, x: guide.base.x + c * along, y: guide.base.y + s * along };
+    return this.named(guide.name, [at], [{ body: at.body, x: -s, y: c }], this.half(guide) / this.unit + 12);
+  }
+
+  // Beside the longest free stretch of a bar, in the middle of a plate, under a block.
+  linkLabel(link) {
+    const on = (points) => points.map(([x, y]) => ({ body: link.name, x, y })), corners = link.hull;
+    const label = (at, away, gap) => this.named(link.name, on(at), on(away), gap, 13, this.shade(this.colors[link.name]));
+    const guide = this.guides.find((g) => link.kind === "block" && g.rider.body === link.name && g.block !== null);
+    if (guide) {
+      const up = [-Math.sin(guide.block), Math.cos(guide.block)];
+      return label([[guide.rider.x, guide.rider.y]], [up], this.half(guide) / this.unit + 12);
+    }
+    if (corners.length === 1) return label(corners, [], 18);
+    if (corners.length > 2) return label(corners, [], 0);
+    const [a, b] = corners, length = Math.hypot(b[0] - a[0], b[1] - a[1]);
+    let [ex, ey] = [(b[0] - a[0]) / length, (b[1] - a[1]) / length];
+    if (ex < 0 || (ex === 0 && ey < 0)) [ex, ey] = [-ex, -ey];
+    const points = [...link.points].sort((p, q) => p[0] - q[0] || p[1] - q[1]);
+    const size = (i) => Math.round(1e9 * Math.hypot(points[i + 1][0] - points[i][0], points[i + 1][1] - points[i][1]));
+    let widest = 0;
+    for (let i = 1; i + 1 < points.length; i++) if (size(i) > size(widest)) widest = i;
+    return label(points.slice(widest, widest + 2), [[ey, -ex]], 15);
+  }
+
+  hatch(low, high, y) {
+    const u = this.unit, strokes = [];
+    for (let i = 1; low + 7 * u * i < high; i++) {
+      const x = low + 7 * u * i;
+      strokes.push(this.stroke([[x, y], [x - 7 * u, y - 8 * u]], 1.2, this.color("faint")));
+    }
+    return strokes;
   }
 
   half(guide) { return (guide.block === null ? 9 : 15) * this.unit; }
 
-  guide(guide) {
-    const u = this.unit, i = this.about.guides.findIndex((g) => g.name === guide.name), half = this.half(guide);
-    const [low, high] = this.travel[i].map((end, k) => end * this.scale + (k ? 50 : -50) * u);
-    const c = Math.cos(guide.turn), s = Math.sin(guide.turn), [x, y] = guide.at;
-    const at = (a, b) => [x + c * a + s * b, y - s * a + c * b];
-    if (guide.base.body === "ground") this.hatch(guide.at, guide.turn, low, high, half);
-    else this.line([at(low, half), at(high, half)], 2 * u, this.ink);
-    if (guide.base.body !== "ground" || guide.block === null) this.line([at(low, -half), at(high, -half)], 2 * u, this.ink);
-    this.pen.setLineDash([10 * u, 5 * u, 1, 5 * u]);
-    this.line([at(low, 0), at(high, 0)], u, this.color("faint"));
-    this.pen.setLineDash([]);
-  }
-
-  block(row, guide) {
-    const u = this.unit, [x, y] = this.pixels(this.anchor(row, guide.rider)), h = this.half(guide) - 2 * u, w = 24 * u;
-    const turn = this.pose(row, guide.rider.body)[2] + this.numbers[guide.block], c = Math.cos(turn), s = Math.sin(turn);
-    const corners = [[-w, -h], [w, -h], [w, h], [-w, h]].map(([a, b]) => [x + c * a + s * b, y - s * a + c * b]);
-    this.outlined(corners, 4 * u, this.colors[guide.rider.body], true);
-  }
-
-  link(row, link) {
-    const u = this.unit, points = link.hull.map((p) => this.pixels(this.place(row, link.name, ...p)));
-    if (points.length > 1) this.outlined(points, (link.kind === "mass" ? 8 : 14) * u, this.colors[link.name], points.length > 2);
-    if (link.kind === "mass") this.outlined([this.pixels(this.place(row, link.name, 0, 0))], 28 * u, this.colors[link.name]);
-  }
-
-  knot([x, y], kind) {
-    const u = this.unit;
-    if (kind === "weld") {
-      this.line([[-3, -3], [3, -3], [3, 3], [-3, 3]].map(([a, b]) => [x + a * u, y + b * u]), 2 * u, this.ink, true);
-      return;
-    }
-    this.line([[x, y]], 16.2 * u, "#2b3440");
-    this.line([[x, y]], 13 * u, this.color("white"));
-  }
-
-  spiral([x, y]) {
-    const points = Array.from({ length: 61 }, (_, i) => {
-      const t = 5 * Math.PI * i / 60, r = (10 + 0.7 * t) * this.unit;
-      return [x + r * Math.cos(t), y - r * Math.sin(t)];
-    });
-    this.line(points, 1.5 * this.unit, this.ink);
-  }
-
-  labels(row) {
-    const size = Math.max(11, 13 * this.unit), taken = [];
-    // At the first of some places where it covers no other name.
-    const write = (text, places, color) => {
-      const half = 0.29 * size * text.length + 2;
-      const free = places.find(([x, y]) => taken.every(([a, b, c]) => Math.abs(x - a) > half + c || Math.abs(y - b) > size));
-      const [x, y] = free || places[0];
-      taken.push([x, y, half]);
-      this.text(text, x, y, color, "center", size);
-    };
-    const around = ([x, y], gap) => [[0, -1], [0.75, -0.75], [-0.75, -0.75], [1.2, 0], [-1.2, 0], [0, 1]]
-      .map(([a, b]) => [x + a * gap * 1.2, y + b * gap]);
-    for (const knot of this.knots) {
-      const text = [...new Set(knot.names)].join(", ");
-      if (text) write(text, around(this.pixels(this.anchor(row, knot.anchors[0])), 20 * this.unit + 4));
-    }
-    for (const link of this.links) {
-      const points = link.hull.map((p) => this.pixels(this.place(row, link.name, ...p)));
-      const middle = [0, 1].map((k) => points.reduce((sum, p) => sum + p[k], 0) / points.length);
-      write(link.name, around(middle, 16 * this.unit + 6), this.color("soft"));
-    }
-    for (const { name } of this.about.dots) write(name, around(this.pixels(this.place(row, name, 0, 0)), 20 * this.unit));
-  }
-
   // The body under the pointer, and its point there; null where there is none.
   hit(row, x, y) {
-    const near = [];
+    const near = [], frames = this.frames(row);
+    const pixels = (body, [px, py]) => this.pixels(placed(METRES, frames, { body, x: px, y: py }));
     for (const link of this.links) {
-      const points = link.hull.map((p) => this.pixels(this.place(row, link.name, ...p)));
+      const points = link.hull.map((p) => pixels(link.name, p));
       const ends = points.length > 1 ? points.map((p, i) => [p, points[(i + 1) % points.length]]) : [[points[0], points[0]]];
-      if (link.kind === "mass") ends.push([1, 1].map(() => this.pixels(this.place(row, link.name, 0, 0))));
+      if (link.kind === "mass") ends.push([1, 1].map(() => pixels(link.name, [0, 0])));
       near.push([Math.min(...ends.map(([a, b]) => away([x, y], a, b))) / (points.length > 2 ? 2 : 1), link]);
     }
-    for (const dot of this.about.dots) near.push([away([x, y], ...[1, 1].map(() => this.pixels(this.place(row, dot.name, 0, 0)))), dot]);
+    for (const dot of this.about.dots) near.push([away([x, y], ...[1, 1].map(() => pixels(dot.name, [0, 0]))), dot]);
     near.sort((a, b) => a[0] - b[0]);
     if (!near.length || near[0][0] > 22) return null;
-    const { name, columns } = near[0][1], [px, py, angle] = this.pose(row, name), [mx, my] = this.metres(x, y);
-    const c = Math.cos(angle), s = Math.sin(angle);
+    const { name, columns } = near[0][1], pose = frames[name], [mx, my] = this.metres(x, y);
     if (columns.length < 3) return { name, columns, x: 0, y: 0 };
-    return { name, columns, x: c * (mx - px) + s * (my - py), y: -s * (mx - px) + c * (my - py) };
+    const [px, py] = turned({ angle: -pose.angle }, mx - pose.x, my - pose.y);
+    return { name, columns, x: px, y: py };
   }
 }
+
+const METRES = { origin: [0, 0], scale: 1 };
+
+const ORIGIN = [{ body: "ground", x: 0, y: 0 }];
+
+function part(at, strokes, angle = 0) { return { at, strokes, angle }; }
 
 class Space extends Canvas {
   constructor(canvas, about) {
@@ -515,7 +538,7 @@ class Space extends Canvas {
     }
     for (const { kind, first, second } of this.about.ties) {
       const [a, b] = [first, second].map((at) => this.place(row, at.body, at.point));
-      parts.push([this.project(a.map((x, i) => (x + b[i]) / 2))[2], () => this.tie(kind, flat(a), flat(b))]);
+      parts.push([this.project(a.map((x, i) => (x + b[i]) / 2))[2], () => this.between(flat(a), flat(b), this.tie(kind))]);
     }
     this.about.dots.forEach((dot, i) => {
       const at = this.moved(row, dot, [0, 0, 0]), color = this.colors[dot.name];
@@ -532,7 +555,7 @@ class Space extends Canvas {
     if (this.names) {
       for (const frame of [...this.about.bodies, ...this.about.dots]) {
         const [x, y] = flat(this.moved(row, frame, [0, 0, 0]));
-        this.text(frame.name, x, y - 18 * this.unit, this.ink, "center", 13);
+        this.text(frame.name, x, y - 18 * this.unit, 13, this.ink);
       }
     }
   }
@@ -572,7 +595,7 @@ class Space extends Canvas {
         this.line(ends, 1, this.color((k ? j0 + i : i0 + i) === 0 ? "zero" : "grid"));
       }
     }
-    this.text(`grid ${Number(cell.toPrecision(3))} m`, this.width - 12, this.height - 14, this.color("faint"), "right");
+    this.text(`grid ${Number(cell.toPrecision(3))} m`, this.width - 12, this.height - 14, 12, this.color("faint"), "right");
   }
 
   // Directions of the axes in the lower left corner.
@@ -583,7 +606,7 @@ class Space extends Canvas {
       const unit = 26 / (0.05 * this.scale * this.size);
       const way = [0, 1].map((i) => (tip[i] - origin[i]) * unit), from = [40, this.height - 40];
       this.line([from, [from[0] + way[0], from[1] + way[1]]], 1.6, this.color("faint"));
-      this.text(name, from[0] + way[0] * 1.35, from[1] + way[1] * 1.35, this.color("faint"));
+      this.text(name, from[0] + way[0] * 1.35, from[1] + way[1] * 1.35, 12, this.color("faint"));
     });
   }
 
@@ -613,7 +636,9 @@ function away([x, y], [ax, ay], [bx, by]) {
 
 // Corners of the convex hull; the two ends where all points lie on one line.
 function hull(points) {
-  const ordered = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]), least = 1e-9 * extent(points) ** 2;
+  const spans = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) - Math.min(...points.map((p) => p[k])));
+  const ordered = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]).filter((p, i, all) =>
+    !i || p[0] !== all[i - 1][0] || p[1] !== all[i - 1][1]), least = 1e-9 * Math.max(...spans) ** 2;
   if (ordered.length < 3) return ordered;
   const chain = (some) => {
     const corners = [];

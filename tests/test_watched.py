@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from alfmu import DeclarationError, Mechanism, simulate
+from alfmu import DeclarationError, Mechanism, derive, simulate
 from alfmu.view.picture import geometry
 
 
@@ -15,7 +15,7 @@ def arm(length: float = 0.8) -> Mechanism:
     angle = m.coordinate("angle", "rad", start=0.3, rate=1.5, independent=True)
     bar = m.bar("bar", mass=1.0, length=length)
     m.revolute("A", m.ground.at(0.2, 0.1), bar.start, coordinate=angle)
-    m.trace("tip", bar.at(length, 0.1), "the tip")
+    m.watch("tip", bar.at(length, 0.1), "the tip")
     m.gravity(0, -9.81)
     return m
 
@@ -35,7 +35,7 @@ def test_a_point_in_space_has_three_components():
     m = Mechanism("top")
     body = m.spatial_body("body", mass=1.0, inertia=(0.1, 0.1, 0.1), position=(0.5, 0.0, 0.0))
     m.spatial_revolute("A", m.spatial_ground.at(), body.at(-0.5, 0, 0), axis=(0, 1, 0))
-    m.trace("end", body.at(0.5, 0.2, 0.0))
+    m.watch("end", body.at(0.5, 0.2, 0.0))
     m.gravity(0, 0, -9.81)
     result = simulate(m, 0.5, 0.01, outputs=["end.*", "A.*"])
     angle, rate = result["A.angle"], result["A.angular_velocity"]
@@ -44,6 +44,13 @@ def test_a_point_in_space_has_three_components():
     expected |= {"vx": -np.sin(angle) * rate, "vy": 0 * angle, "vz": -np.cos(angle) * rate}
     for name, values in expected.items():
         assert np.abs(result[f"end.{name}"] - values).max() < 1e-9, name
+
+
+def test_the_former_name_declares_the_same():
+    m = arm()
+    m.trace("middle", m.bodies[0].at(0.4))
+    assert [point.name for point in m.watched] == ["tip", "middle"]
+    assert {"middle.x", "middle.vy"} <= {v.name for v in derive(m).outputs}
 
 
 def test_pictures_show_the_point_and_draw_the_body_as_far():
@@ -68,10 +75,10 @@ def test_a_rod_in_a_barrel_is_drawn_as_two_bars():
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        (lambda m: m.trace("bar", m.bodies[0].end), "'bar' is a body already"),
-        (lambda m: m.trace("p", m.bodies[0]), "takes a point of bar, not the body"),
-        (lambda m: m.trace("p", arm().bodies[0].end), "a body of another mechanism"),
-        (lambda m: m.trace("p", m.bodies[0].at(math.nan, 0)), "nan"),
+        (lambda m: m.watch("bar", m.bodies[0].end), "'bar' is a body already"),
+        (lambda m: m.watch("p", m.bodies[0]), "takes a point of bar, not the body"),
+        (lambda m: m.watch("p", arm().bodies[0].end), "a body of another mechanism"),
+        (lambda m: m.watch("p", m.bodies[0].at(math.nan, 0)), "nan"),
     ],
 )
 def test_what_cannot_be_watched_is_refused(line, message: str):
