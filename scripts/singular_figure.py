@@ -22,10 +22,10 @@ A step ends at the singular position, nearly: the hardest case for a method that
 
 ZONES = {
     "S3: stages are brought to the branch": (BRANCH_MARGIN**0.5, "#d7e6f4"),
-    "S4: accelerations can be limits": (LIMIT_ZONE * LEAST_DISTANCE, "#9cc4e4"),
-    "S4: reactions read are limits": (READ_ZONE * READ_DISTANCE, "#4f93c8"),
+    "S4: reactions read are limits": (READ_ZONE * READ_DISTANCE, "#9cc4e4"),
+    "S4: accelerations are limits": (LIMIT_ZONE * LEAST_DISTANCE, "#4f93c8"),
 }
-"""Distance [rad] below which each holds, and its colour."""
+"""Distance [rad] below which each holds, the largest first, and its colour."""
 
 
 def distances(angles: NDArray) -> NDArray:
