@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from .runtime import Instance as Instance
     from .simulation import simulate as simulate
 
+    __version__: str
 
 _GONE = {
     "Settings": "settings of the solver are variables: give parameters={'solver.method': 'explicit'} to simulate(), or "
@@ -74,6 +75,8 @@ def __dir__() -> list[str]:
 if not TYPE_CHECKING:  # a checker knows the names above, and no others
 
     def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            return import_module("importlib.metadata").version("alfmu")
         if name in _GONE:
             raise AttributeError(f"module 'alfmu' has no attribute {name!r}; {_GONE[name]}")
         if name not in _HOME:

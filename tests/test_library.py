@@ -1,5 +1,6 @@
 """The library as a user's code meets it: results, what `simulate` takes, short texts, lists, scenes that are shared."""
 
+import importlib.metadata
 import json
 import subprocess
 import sys
@@ -413,3 +414,7 @@ def test_python_m_alfmu_is_the_command():
     done = subprocess.run([sys.executable, "-m", "alfmu", "--version"], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0
     assert done.stdout.startswith("alfmu ")
+
+
+def test_the_version_is_that_of_the_installation():
+    assert alfmu.__version__ == importlib.metadata.version("alfmu")
