@@ -80,19 +80,20 @@ def evaluable(equations: Equations) -> Equations:
     """The same equations with the functions that the start and the oracle call.
 
     dynamics(q, v, u, p, t): M, C, F = f - d, xi. constraints(q, v, p): M, C, Phi, C v. power(q, v, u, p, t): W.
-    energy(q, v, p): J. closure(q, p, s): derivatives of gaps and ties, gaps, ties. guesses(p, s, sdot): q, v.
+    energy(q, v, p): kinetic and potential, kinetic alone [J]. closure(q, p, s): derivatives of gaps and ties, gaps,
+    ties. guesses(p, s, sdot): q, v.
     """
     e, x = equations, symbols(equations)
     q, v, u, p, t, s, sdot = (x[k] for k in ("q", "v", "u", "p", "t", "s", "sdot"))
     M, C, Phi = e.M(q, p), e.C(q, p), e.Phi(q, p)
     power = e.input_power(q, v, u, p, t) + e.other_power(q, v, p, t)
-    energy = e.kinetic_energy(q, v, p) + e.potential_energy(q, p)
+    kinetic = e.kinetic_energy(q, v, p)
     closure = [e.gaps_matrix(q, p), e.ties_matrix(q, p, s), e.gaps(q, p), e.ties(q, p, s)]
     results = {
         "dynamics": ([q, v, u, p, t], [M, C, e.f(q, v, u, p, t) - e.d(q, v, p), e.xi(q, v, p)]),
         "constraints": ([q, v, p], [M, C, Phi, C @ v]),
         "power": ([q, v, u, p, t], [power]),
-        "energy": ([q, v, p], [energy]),
+        "energy": ([q, v, p], [kinetic + e.potential_energy(q, p), kinetic]),
         "closure": ([q, p, s], closure),
         "guesses": ([p, s, sdot], [e.guess(p, s), e.guess_rate(p, s, sdot)]),
     }

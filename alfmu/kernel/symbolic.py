@@ -577,7 +577,7 @@ class Scene:
         if set(MONITORED) - set(e.monitors):
             _, _, Phi, Cv = e.constraints(q, v, p)
             margin = Watch.of(watch).margin if watch is not None else SX(1)
-            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p), z[layout.work], 0
+            values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p)[0], z[layout.work], 0
             values = *values, plan.iterations, ca.sqrt(margin), singular
             monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
         if watch is None:

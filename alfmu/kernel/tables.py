@@ -52,7 +52,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 6
+VERSION = 7
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"

@@ -223,6 +223,7 @@ int variable_count(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);
 double instance_get(const Instance *i, int reference);
+void instance_get_many(const Instance *i, const int *references, int count, double *values);
 Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection);
 Outcome instance_set_slope(Instance *i, int reference, double value);
 

@@ -320,25 +320,32 @@ Outcome instance_set_slope(Instance *i, int reference, double value)
     return DONE;
 }
 
-double instance_get(const Instance *i, int reference)
+static inline double value_of(const Instance *i, int reference)
 {
     const Scene *s = i->scene;
+    const int output = reference - (variable_count(s) - s->outputs), event = output - (s->outputs - s->event_count);
+    if (event >= 0)
+        return s->event_places[event] < s->impulses ? i->impulses[s->event_places[event]] : *i->lost;
+    if (output >= 0)
+        return i->m[s->seen + output];
     if (reference < s->parameters)
         return i->values[reference];
     reference -= s->parameters;
     if (reference < s->choices)
         return i->flags.choice[reference] + 1;
     reference -= s->choices;
-    if (reference < s->inputs)
-        return i->m[s->u + reference];
-    reference -= s->inputs;
-    if (reference < s->switches)
-        return i->wanted[reference];
-    reference -= s->switches;
-    if (reference < s->outputs - s->event_count)
-        return i->m[s->seen + reference];
-    reference = s->event_places[reference - (s->outputs - s->event_count)];
-    return reference < s->impulses ? i->impulses[reference] : *i->lost;
+    return reference < s->inputs ? i->m[s->u + reference] : i->wanted[reference - s->inputs];
+}
+
+double instance_get(const Instance *i, int reference)
+{
+    return value_of(i, reference);
+}
+
+void instance_get_many(const Instance *i, const int *references, int count, double *values)
+{
+    for (int k = 0; k < count; k++)
+        values[k] = value_of(i, references[k]);
 }
 
 /* Equations -------------------------------------------------------------------------------------------------------- */
@@ -768,27 +775,27 @@ static Outcome projected(Instance *i, double *q, double *v)
     return outcome;
 }
 
-/* Kinetic and potential energy with these velocities. */
-static double energy(Instance *i, const double *v)
+/* Kinetic and potential energy with these velocities, and the kinetic one alone. */
+static double energy(Instance *i, const double *v, double *kinetic)
 {
     const Scene *s = i->scene;
     double found;
     const double *x[] = {field(i, s->z), v, field(i, s->p)};
-    double *y[] = {&found};
+    double *y[] = {&found, kinetic};
     call(i, s->energy, x, y);
     return found;
 }
 
-/* The same where all velocities are of one size. */
-static double energy_at(Instance *i, double speed)
+/* The kinetic one where all velocities are of one size. */
+static double kinetic_energy_at(Instance *i, double speed)
 {
     const size_t used = i->used, n = (size_t)i->scene->n;
-    double *v = take(i, n), found;
+    double *v = take(i, n), kinetic;
     for (size_t k = 0; k < n; k++)
         v[k] = speed;
-    found = energy(i, v);
+    energy(i, v, &kinetic);
     i->used = used;
-    return found;
+    return kinetic;
 }
 
 /* The balance of energies after a communication step, where anybody reads of it. */
@@ -796,12 +803,12 @@ void instance_balance(Instance *i)
 {
     const Scene *s = i->scene;
     const double *z = field(i, s->z), work = z[s->work];
-    double *c = i->counts, found, off;
+    double *c = i->counts, found, kinetic, off;
     if (!s->balances)
         return;
-    found = energy(i, z + s->n);
+    found = energy(i, z + s->n, &kinetic);
     off = found - c[ENERGY_START] - work;
-    c[ENERGY_SCALE] = fmax(c[ENERGY_SCALE], fmax(found - energy_at(i, 0.0), fabs(work)));
+    c[ENERGY_SCALE] = fmax(c[ENERGY_SCALE], fmax(kinetic, fabs(work)));
     c[STEP_ERROR] = fabs(off - c[BALANCE]) / c[ENERGY_SCALE];
     c[BALANCE] = off;
     c[RUN_ERROR] = fmax(c[RUN_ERROR], fabs(off) / c[ENERGY_SCALE]);
@@ -843,7 +850,7 @@ static Outcome comply(Instance *i)
 static void begin_at(Instance *i, const double *q, const double *v, double time)
 {
     const Scene *s = i->scene;
-    double *z = field(i, s->z);
+    double *z = field(i, s->z), kinetic;
     memset(z, 0, state_length(s) * sizeof *z);
     memcpy(z, q, (size_t)s->n * sizeof *q);
     memcpy(z + s->n, v, (size_t)s->n * sizeof *v);
@@ -857,9 +864,9 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     field(i, s->pace)[1] = LEAST_BEFORE;
     memset(i->counts, 0, COUNTED * sizeof *i->counts);
     memset(field(i, s->tally), 0, TALLY * sizeof(double));
-    i->counts[ENERGY_START] = energy(i, z + s->n);
+    i->counts[ENERGY_START] = energy(i, z + s->n, &kinetic);
     /* A motion slower than this is none. */
-    i->counts[ENERGY_SCALE] = fabs(energy_at(i, SLOW_MOTION) - energy_at(i, 0.0)) + DBL_MIN;
+    i->counts[ENERGY_SCALE] = fabs(kinetic_energy_at(i, SLOW_MOTION)) + DBL_MIN;
     i->flags.warned = i->warns = 0;
 }
 
@@ -1363,6 +1370,23 @@ static const char *not_finite(const Instance *i, double *value)
     return NULL;
 }
 
+/* Whether all outputs are finite, as `not_finite` finds it: zero times what is not finite is not a number. */
+static int all_finite(const Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *seen = i->m + s->seen;
+    double sums[4] = {0.0, 0.0, 0.0, 0.0}, events = *i->lost * 0.0;
+    int k = 0;
+    for (; k + 4 <= s->seen_size; k += 4)
+        for (int j = 0; j < 4; j++)
+            sums[j] += seen[k + j] * 0.0;
+    for (; k < s->seen_size; k++)
+        sums[0] += seen[k] * 0.0;
+    for (k = 0; k < s->impulses; k++)
+        events += i->impulses[k] * 0.0;
+    return sums[0] + sums[1] + sums[2] + sums[3] + events == 0.0;
+}
+
 /* The largest errors that were read; not a number where nobody watches. */
 static void watch_errors(Instance *i)
 {
@@ -1407,7 +1431,7 @@ Outcome instance_read(Instance *i)
     const Scene *s = i->scene;
     const double *z = field(i, s->z);
     Outcome outcome = DONE;
-    const char *name;
+    const char *name = NULL;
     double value;
     if (i->flags.known)
         return DONE;
@@ -1415,11 +1439,12 @@ Outcome instance_read(Instance *i)
     hand_over(i);
     if (i->flags.brakes)
         hold(i);
-    if (!(i->flags.fast && read_quickly(i) && !not_finite(i, &value)))
+    if (!(i->flags.fast && read_quickly(i) && all_finite(i))) {
         outcome = read_patiently(i);
+        name = not_finite(i, &value);
+    }
     if (outcome != DONE)
         return outcome;
-    name = not_finite(i, &value);
     i->flags.known = !name;
     if (!name) {
         watch_errors(i);

@@ -186,14 +186,14 @@ API int alfmu_read(Instance *i, double *values)
 
 API int alfmu_get_many(Instance *i, const int *references, int count, double *values)
 {
-    const Scene *s = i->scene;
-    const int first = s->parameters + s->choices + s->inputs + s->switches;
+    const int first = variable_count(i->scene) - i->scene->outputs;
     Outcome outcome = DONE;
-    for (int k = 0; k < count && outcome == DONE; k++)
-        if (references[k] >= first)
-            outcome = instance_read(i);
+    int reads = 0;
     for (int k = 0; k < count; k++)
-        values[k] = instance_get(i, references[k]);
+        reads |= references[k] >= first;
+    if (reads)
+        outcome = instance_read(i);
+    instance_get_many(i, references, count, values);
     return (int)outcome;
 }
 

@@ -695,7 +695,7 @@ static void functions(Reader *r)
     s->function_count = (int)count;
     shaped(r, "dynamics", s->dynamics, 1, 5, 4, n, n, s->inputs, P, 1, s->mass.entries, s->constraint.entries, n, l);
     shaped(r, "constraints", s->constraints, 1, 3, 4, n, n, P, s->mass.entries, s->constraint.entries, l, l);
-    shaped(r, "energy", s->energy, 1, 3, 1, n, n, P, 1);
+    shaped(r, "energy", s->energy, 1, 3, 2, n, n, P, 1, 1);
     shaped(r, "closure", s->closure, 1, 3, 4, n, P, s->starts, s->gaps.entries, s->tie_rows.entries, l, ties);
     shaped(r, "guesses", s->guesses, 1, 3, 2, P, s->starts, s->starts, n, n);
     shaped(r, "displacements", s->displacements, s->held > 0, 2, 1, n, P, s->held);
