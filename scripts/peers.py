@@ -482,16 +482,16 @@ USAGE = {
 LIMITS = """\
 Run times are those of small mechanisms called from Python on a shared machine; only ratios within one run mean
 something. alfmu is measured as a library that makes a whole run in one call, as Exudyn does; through an FMU every step
-costs more. alfmu's compiled kernel, Exudyn and
-MuJoCo step in compiled code, its vm kernel in the runtime's interpreter; Pinocchio evaluates in compiled code and is
-stepped in Python (a loop in C++ would spare it that), SciPy is Python but for the terms of the equations. All use one
-thread. Pinocchio and MuJoCo describe the five-bar by joint angles, in which its parallelogram is a straight line that
-no stage leaves, and so do alfmu's settings named `joint`; alfmu by default, Exudyn and SciPy by coordinates of torn-off
-bodies. The peers were tuned to these two motions with the exact ones at hand; alfmu's choices are its coordinates and
-its integrator. Other mechanisms need the tuning again. Time is taken at equal error of the angle; the reactions there differ in accuracy (see their column): MuJoCo's belong to slightly soft
-constraints, Exudyn's to the tolerance of Newton's method. Errors of reactions are taken at equal times and so contain
-those of the motion, and only what rigid bodies determine is compared. Steps that do not divide 0.02 s were not run,
-and some points are luckier than their neighbours."""
+costs more. alfmu's compiled kernel, Exudyn and MuJoCo step in compiled code, its vm kernel in the runtime's
+interpreter; Pinocchio evaluates in compiled code and is stepped in Python (a loop in C++ would spare it that), SciPy
+is Python but for the terms of the equations. All use one thread. Pinocchio and MuJoCo describe the five-bar by joint
+angles, in which its parallelogram is a straight line that no stage leaves, and so do alfmu's settings named `joint`;
+alfmu by default, Exudyn and SciPy by coordinates of torn-off bodies. The peers were tuned to these two motions with
+the exact ones at hand; alfmu's choices are its coordinates and its integrator. Other mechanisms need the tuning again.
+Time is taken at equal error of the angle; the reactions there differ in accuracy (see their column): MuJoCo's belong
+to slightly soft constraints, Exudyn's to the tolerance of Newton's method. Errors of reactions are taken at equal
+times and so contain those of the motion, and only what rigid bodies determine is compared. Steps that do not divide
+0.02 s were not run, and some points are luckier than their neighbours."""
 
 Row = dict[str, Cell]
 
