@@ -26,12 +26,11 @@ from functools import partial
 from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
-from timeit import Timer
 
 import casadi as ca
 import fmpy
 import numpy as np
-from _report import Call, Laps, Target, in_turns, judged, parser, times, written
+from _report import Call, Laps, Target, clocked, in_turns, judged, parser, times, written
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pythonfmu import FmuBuilder
@@ -102,7 +101,7 @@ def solve_call() -> Call:
     """The yardstick: `numpy.linalg.solve` of 8 equations."""
     random = np.random.default_rng(0)
     A, b = random.normal(size=(8, 8)) + 8 * np.eye(8), random.normal(size=8)
-    return Call(Timer(partial(np.linalg.solve, A, b)))
+    return Call(clocked(partial(np.linalg.solve, A, b)))
 
 
 RK4 = {"solver.method": "rk4"}
@@ -140,12 +139,12 @@ def reading(instance: alfmu.Instance) -> Call:
         instance.set(name, value)
         instance.read()
 
-    return Call(Timer(read))
+    return Call(clocked(read))
 
 
 def stepping(instance: AnyInstance, dt: float = SHORT, steps: int = 1, once: bool = False) -> Call:
     """A communication step of so many internal ones of dt [s]; every lap begins from the instance's present state."""
-    return Call(Timer(partial(instance.step, steps * dt), partial(instance.restore, instance.save())), steps, once)
+    return Call(clocked(partial(instance.step, steps * dt), partial(instance.restore, instance.save())), steps, once)
 
 
 def quick_share(instance: alfmu.Instance) -> float:
@@ -232,7 +231,7 @@ def functions(instance: alfmu.Instance) -> dict[str, Call]:
         y = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
         run = vm.bound(function, x, y)
         run.alive = vm, x, y  # as long as the call, which knows their addresses
-        calls[f"CasADi {name}"] = Call(Timer(run))
+        calls[f"CasADi {name}"] = Call(clocked(run))
     return calls
 
 
@@ -301,8 +300,11 @@ def single_steps(equations: alfmu.Equations, dt: float, effort: Effort) -> tuple
 
 # doStep through FMI -----------------------------------------------------------------------------------------------
 
-STOP, DT = 20.0, 0.02
-"""End of the motion [s], communication step [s], which is the internal one too."""
+STOP = 20.0
+"""End of the motion [s]."""
+
+DT, SHORTER = 0.02, 0.001
+"""Communication steps [s], which are the internal ones too."""
 
 PASSING, REGULAR = "through singular positions", "between them"
 
@@ -312,7 +314,7 @@ MOTIONS: dict[str, dict[str, float]] = {
 }
 """Start values of the motions: the five-bar's own, and one about the lowest position."""
 
-TIERS = ("quick steps", "careful steps", "steps on the branch", "oracle steps")
+TIERS = ("quick steps", "careful steps", "steps on the branch", "patient steps")
 """What a step can be made by."""
 
 EMPTY_SLAVE = '''"""A slave that does nothing: what pythonfmu and fmpy cost by themselves."""
@@ -332,8 +334,7 @@ class EmptySlave(Fmi2Slave):
 
 
 def dostep_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
-    """Rows of dostep.csv: the five-bar with each kernel beside an FMU that does nothing."""
-    points = [i * DT for i in range(round(STOP / DT))]
+    """Rows of dostep.csv: the five-bar with each kernel beside an FMU that does nothing, for both steps."""
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder, ExitStack() as stack:
         script = Path(folder) / "empty_slave.py"
         script.write_text(EMPTY_SLAVE, encoding="utf-8")
@@ -342,24 +343,27 @@ def dostep_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
             paths[kernel] = alfmu.export("five_bar", Path(folder) / f"{kernel}.fmu", kernel=kernel, parameters=RK4)
         motions = {(slave, name): start for slave in paths for name, start in MOTIONS.items()}
         del motions["empty", REGULAR]
-        calls = {
-            f"{slave} {name}": driven(stack.enter_context(Fmu(paths[slave])), points, start if slave != "empty" else {})
-            for (slave, name), start in motions.items()
-        }
-        measured = times(in_turns(calls, effort.runs, 0.0), f"empty {PASSING}")
-    rows = []
-    for (slave, name), start in motions.items():
-        call = f"{slave} {name}"
-        own = {key.replace(call, "doStep", 1): measured[key] for key in measured if key.startswith(call)}
-        own = {key.replace(f" / empty {PASSING}", " / empty"): value for key, value in own.items()}
-        made = {} if slave == "empty" else tiers(slave, points, start)
-        about = {"slave": slave, "motion": name if slave != "empty" else "none"}
-        rows.append({**about, **own, **made, "runs": effort.runs, "steps in a run": len(points)})
+        fmus = {motion: stack.enter_context(Fmu(paths[motion[0]])) for motion in motions}
+        rows = []
+        for dt in (DT, SHORTER):
+            points = [i * dt for i in range(round(STOP / dt))]
+            calls = {
+                f"{slave} {name}": driven(fmus[slave, name], points, dt, start if slave != "empty" else {})
+                for (slave, name), start in motions.items()
+            }
+            measured = times(in_turns(calls, effort.runs, 0.0), f"empty {PASSING}")
+            for (slave, name), start in motions.items():
+                call = f"{slave} {name}"
+                own = {key.replace(call, "doStep", 1): measured[key] for key in measured if key.startswith(call)}
+                own = {key.replace(f" / empty {PASSING}", " / empty"): value for key, value in own.items()}
+                made = {} if slave == "empty" else tiers(slave, points, dt, start)
+                about = {"slave": slave, "motion": name if slave != "empty" else "none", "step [s]": dt}
+                rows.append({**about, **own, **made, "runs": effort.runs, "steps in a run": len(points)})
     return rows
 
 
-def driven(fmu: Fmu, points: Sequence[float], start: Mapping[str, float]) -> Call:
-    """The whole motion of an FMU, by step; every lap begins where the motion does."""
+def driven(fmu: Fmu, points: Sequence[float], dt: float, start: Mapping[str, float]) -> Call:
+    """The whole motion of an FMU in steps of dt [s], by step; every lap begins where the motion does."""
     do_step = fmu.slave.doStep
 
     def begin() -> None:
@@ -369,10 +373,10 @@ def driven(fmu: Fmu, points: Sequence[float], start: Mapping[str, float]) -> Cal
         fmu.initialize()
 
     begin()
-    return Call(Timer(lambda: [do_step(t, DT) for t in points], begin), len(points), once=True)
+    return Call(clocked(lambda: [do_step(t, dt) for t in points], begin), len(points), once=True)
 
 
-def tiers(kernel: str, points: Sequence[float], start: Mapping[str, float]) -> Row:
+def tiers(kernel: str, points: Sequence[float], dt: float, start: Mapping[str, float]) -> Row:
     """Steps of the same motion by what made them, counted in the library."""
     instance, made = alfmu.Instance(prepared(by_rk4("five_bar"), kernel)), Counter()
     for name, value in start.items():
@@ -380,7 +384,7 @@ def tiers(kernel: str, points: Sequence[float], start: Mapping[str, float]) -> R
     instance.initialize()
     for t in points:
         instance.memory["tally"][:] = 0.0
-        instance.step(DT, t)
+        instance.step(dt, t)
         steps = instance.memory["tally"][: len(KINDS)]
         made[TIERS[int(np.argmax(steps)) if steps.any() else -1]] += 1
     return {tier: made[tier] for tier in TIERS}
@@ -451,7 +455,7 @@ def slave_of(folder: Path, guid: str, points: Sequence[float]) -> Call:
         slave.exitInitializationMode()
 
     begin()
-    return Call(Timer(lambda: [slave.doStep(t, DT) for t in points], begin), len(points), once=True)
+    return Call(clocked(lambda: [slave.doStep(t, DT) for t in points], begin), len(points), once=True)
 
 
 # Growth with the mechanism ----------------------------------------------------------------------------------------
@@ -493,18 +497,18 @@ def build(coordinates: str, loops: int, effort: Effort, kernels: Sequence[str], 
     os.environ["XDG_CACHE_HOME"] = cache
     row: Row = {"memory after import [MB]": peak_memory()}
 
-    def clocked(name: str, call: Callable[[], alfmu.Equations]) -> alfmu.Equations:
+    def watched(name: str, call: Callable[[], alfmu.Equations]) -> alfmu.Equations:
         begin = time.perf_counter()
         result = call()
         row[name] = time.perf_counter() - begin
         return result
 
     m = alfmu.load("n_four_bar", loops=loops, coordinates=coordinates)
-    derived = clocked("derive [s]", lambda: with_defaults(alfmu.derive(m), RK4))
-    scene = {"vm": clocked("trace [s]", lambda: prepared(derived))}
+    derived = watched("derive [s]", lambda: with_defaults(alfmu.derive(m), RK4))
+    scene = {"vm": watched("trace [s]", lambda: prepared(derived))}
     row["peak memory [MB]"] = peak_memory()
     if "compiled" in kernels:
-        scene["compiled"] = clocked("compile [s]", lambda: prepared(scene["vm"], "compiled"))
+        scene["compiled"] = watched("compile [s]", lambda: prepared(scene["vm"], "compiled"))
     instances = {kernel: begun(e) for kernel, e in scene.items()}
     calls = {f"{kernel} step": stepping(instance, steps=STRETCH) for kernel, instance in instances.items()}
     laps = in_turns({"solve": solve_call(), **calls}, math.ceil(effort.rounds / effort.builds), effort.lap)
@@ -559,7 +563,14 @@ def scale_plot(rows: Sequence[Row]) -> Figure:
 # Targets ----------------------------------------------------------------------------------------------------------
 
 
-STEP_LIMITS = {"compiled {} / solve": 0.4, "vm {} / solve": 3.5, "oracle / compiled {}": 50, "oracle / vm {}": 50}
+STEP_LIMITS = {
+    "compiled {} / solve": 0.3,
+    f"{INTERPRETED} {{}}": 1.6,
+    "oracle / compiled {}": 50,
+    "oracle / vm {}": 50,
+}
+DOSTEP_LIMITS = {"compiled": 3, "vm": 4}
+SPREAD_LIMIT = 60
 SCALE_LIMITS = {
     f"vm step [us] per loop / at {BASE}": 1.5,
     f"compiled step [us] per loop / at {BASE}": 2,
@@ -572,8 +583,14 @@ TARGETS = (
         for column, limit in STEP_LIMITS.items()
         for step in STEPS
     ),
-    *(Target("dostep", {"slave": "compiled", "motion": name}, "doStep / empty", 4) for name in MOTIONS),
-    *(Target("dostep", {"slave": "vm", "motion": name}, "doStep / empty", 14) for name in MOTIONS),
+    *(
+        Target("spread", {"mechanism": name, "kernel": kernel}, column, SPREAD_LIMIT)
+        for name, kernel, column in product(mechanisms(), KERNELS, SPREAD)
+    ),
+    *(
+        Target("dostep", {"slave": kernel, "motion": name, "step [s]": dt}, "doStep / empty", limit)
+        for (kernel, limit), name, dt in product(DOSTEP_LIMITS.items(), MOTIONS, (DT, SHORTER))
+    ),
     *(
         Target("native", {"scene": "five_bar"}, column, limit)
         for column, limit in {
@@ -634,7 +651,7 @@ CHAPTERS = {
     ),
     "spread": Chapter(
         "## The slowest internal step",
-        f"""Every step of a mechanism's own motion up to its stop time (`--quick`: one second of some), timed by itself
+        f"""Every step of a mechanism's own motion up to its stop time (`--quick`: one second), timed by itself
         from Python with its outputs, at the default step and at 1/{FINER} of it. Of each step the least time of some
         passes counts, so that what else the machine does is left out. By a method with error control a step is a
         communication step of that length.""",
@@ -642,10 +659,11 @@ CHAPTERS = {
     ),
     "dostep": Chapter(
         "## doStep of the five-bar through FMI",
-        f"""Called through fmpy every {DT:g} s up to {STOP:g} s, in turns with an FMU of pythonfmu that does nothing:
-        from a start in a singular position, through many of them, and about the lowest position, between them. Outputs
-        are not asked for in between. Steps by what made them were counted in the library.""",
-        {"doStep": ("slave", "motion", "doStep [us]", "doStep, minimum [us]", "doStep / empty", *TIERS)},
+        f"""Called through fmpy every {DT:g} s, and every {SHORTER:g} s, up to {STOP:g} s, in turns with an FMU of
+        pythonfmu that does nothing: from a start in a singular position, through many of them, and about
+        the lowest position, between them. Outputs are not asked for in between. Steps by what made them
+        were counted in the library.""",
+        {"doStep": ("slave", "motion", "step [s]", "doStep [us]", "doStep, minimum [us]", "doStep / empty", *TIERS)},
     ),
     "native": Chapter(
         "## The five-bar as a native FMU",
@@ -683,8 +701,8 @@ LIMITS = """\
   Load slows calls from Python more than long computations, so it changes ratios to the solve as well.
 - The yardstick `numpy.linalg.solve` is mostly the way from Python to LAPACK and back at this size. It says how many
   such calls a step is worth, not how far a step is from the best that a processor can do.
-- Steps are timed at one regular position. Nearly singular ones take careful steps, or the oracle's; the motion of the
-  doStep study passes some, and so do those whose single steps are timed.
+- Steps are timed at one regular position. Nearly singular ones take other steps, some of them patient; the motion of
+  the doStep study passes some, and so do those whose single steps are timed.
 - The oracle iterates until it converges, kernels a fixed number of times; both leave the same errors. Its step has the
   mechanism's own length; those of the kernels cost the same at any, and are so short that the position stays.
 - A doStep is timed from Python, and the empty slave pays for the same way; a host in another language pays less for it

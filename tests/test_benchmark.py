@@ -5,11 +5,13 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pytest
 
 import alfmu
+from alfmu.model.registry import mechanisms
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
@@ -73,7 +75,7 @@ def test_everything_that_was_promised_is_there(folder):
     assert [(row["mechanism"], row["kernel"]) for row in rows(folder, "spread")] == [
         (name, kernel) for name in ("five_bar", "end_stop") for kernel in ("vm", "compiled")
     ]
-    assert [row["slave"] for row in rows(folder, "dostep")] == ["empty", "vm", "vm", "compiled", "compiled"]
+    assert [row["slave"] for row in rows(folder, "dostep")] == 2 * ["empty", "vm", "vm", "compiled", "compiled"]
     assert [(row["coordinates"], row["N"]) for row in rows(folder, "scale")] == [("natural", "1"), ("natural", "10")]
     machine = {row["what"]: row["value"] for row in rows(folder, "environment")}
     assert machine["command"] == "`python scripts/benchmark.py --quick`"
@@ -109,9 +111,11 @@ def test_ratios_follow_from_the_times_beside_them(folder):
                 assert float(row[column]) == pytest.approx(expected, rel=1e-12), (name, column)
                 checked += 1
     assert checked == 3 * (15 + 4 + 2) + 2 * 3
-    empty, *others = rows(folder, "dostep")
-    for row in (empty, *others):
-        ratio = float(row["doStep [us]"]) / float(empty["doStep [us]"])
+    through = rows(folder, "dostep")
+    empty = {row["step [s]"]: row for row in through if row["slave"] == "empty"}
+    assert len(empty) == 2
+    for row in through:
+        ratio = float(row["doStep [us]"]) / float(empty[row["step [s]"]]["doStep [us]"])
         assert float(row["doStep / empty"]) == pytest.approx(ratio, rel=1e-12)
     one, ten = rows(folder, "scale")
     compared = [column for column in one if column.endswith(" per loop / at 10")]
@@ -133,11 +137,11 @@ def test_numbers_are_those_of_what_they_claim_to_measure(benchmark, folder):
         assert sum(parts[:-3]) == parts[-3]  # the step; a careful one and the outputs come after it
         assert sum(float(x) for column, x in row.items() if column.startswith("time: ")) == pytest.approx(100)
         assert float(row["oracle step [us]"]) > float(row["vm step [us]"]) > float(row["compiled step [us]"])
-    for row in rows(folder, "dostep")[1:]:
+    for row in (row for row in rows(folder, "dostep") if row["slave"] != "empty"):
         steps = [int(row[tier]) for tier in benchmark.TIERS]
-        assert sum(steps) == int(row["steps in a run"]) == 1000
-        assert steps[0] > steps[2]
-        assert steps[3] == 0
+        assert sum(steps) == int(row["steps in a run"]) == round(20.0 / float(row["step [s]"]))
+        assert steps[0] > 10 * steps[2]
+        assert steps[3] <= (row["motion"] == benchmark.PASSING) * 0.01 * sum(steps)
         assert (steps[2] > 0) == (row["motion"] == benchmark.PASSING)
     for row in rows(folder, "spread"):
         dt = alfmu.derive(alfmu.load(row["mechanism"])).step_size
@@ -156,11 +160,12 @@ def test_numbers_are_those_of_what_they_claim_to_measure(benchmark, folder):
 def test_every_target_has_a_verdict_that_follows_from_its_number(benchmark, folder):
     judged = rows(folder, "targets")
     limits = [row["target"] for row in judged]
-    step = [limit for limit in ("<= 0.4", "<= 3.5", ">= 50", ">= 50") for _ in range(2)]
+    step = [limit for limit in ("<= 0.3", "<= 1.6", ">= 50", ">= 50") for _ in range(2)]
     assert limits == [
         *step,
-        *["<= 4"] * 2,
-        *["<= 14"] * 2,
+        *["<= 60"] * 4 * len(mechanisms()),
+        *["<= 3"] * 4,
+        *["<= 4"] * 4,
         "<= 1.3",
         "<= 2.5",
         "<= 1000",
@@ -173,13 +178,14 @@ def test_every_target_has_a_verdict_that_follows_from_its_number(benchmark, fold
         value = number(found[0][target.column]) if found else None
         assert number(row["measured"]) == value
         if value is None:
-            assert row["study"] == "scale"  # which stops before a thousand loops
+            # Studies of few loops, and of two mechanisms.
+            assert row["study"] == "scale" or target.row.get("mechanism") not in ("five_bar", "end_stop", None)
             assert row["verdict"] == "not measured"
         else:
             sign, limit = row["target"].split()
             good = value >= float(limit) if sign == ">=" else value <= float(limit)
             assert row["verdict"] == ("met" if good else "not met")
-    assert sum(row["verdict"] != "not measured" for row in judged) == 16
+    assert sum(row["verdict"] != "not measured" for row in judged) == 8 + 8 + 8 + 4
 
 
 @pytest.mark.parametrize(
@@ -198,13 +204,13 @@ def test_without_a_compiler_the_report_says_what_is_missing(benchmark, tmp_path,
     text = (tmp_path / "benchmark.md").read_text(encoding="utf-8")
     assert "Numbers of the compiled kernel are missing: the C compiler no-such-compiler cannot be run" in text
     slaves = rows(tmp_path, "dostep")
-    assert [row["slave"] for row in slaves] == ["empty", "vm", "vm"]
+    assert [row["slave"] for row in slaves] == 2 * ["empty", "vm", "vm"]
     assert all("no-such-compiler" in row["not compiled"] for row in slaves)
     verdicts = {(row["study"], row["row"]): row["verdict"] for row in rows(tmp_path, "targets")}
     assert verdicts["step", "five_bar"] == "not measured"
-    for motion in benchmark.MOTIONS:
-        assert verdicts["dostep", f"compiled, {motion}"] == "not measured"
-        assert verdicts["dostep", f"vm, {motion}"] in ("met", "not met")
+    for motion, dt in product(benchmark.MOTIONS, (benchmark.DT, benchmark.SHORTER)):
+        assert verdicts["dostep", f"compiled, {motion}, {dt}"] == "not measured"
+        assert verdicts["dostep", f"vm, {motion}, {dt}"] in ("met", "not met")
     assert not (tmp_path / "step.csv").exists()
 
 

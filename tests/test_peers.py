@@ -78,18 +78,23 @@ def test_alfmu_converges_with_order_4_and_kernels_agree(folder):
     for mechanism in ("five_bar", "slider_crank"):
         runs = [r for r in rows(folder / "peers.csv") if (r["code"], r["mechanism"]) == ("alfmu", mechanism)]
         error = {(r["setting"], round(float(r["step"]), 6)): float(r["angle error [rad]"]) for r in runs}
-        assert error["compiled", 0.01] / error["compiled", 0.005] == pytest.approx(16, rel=0.5)
-        assert error["vm", 0.01] == pytest.approx(error["compiled", 0.01], rel=1e-3)
+        for setting in ("compiled", "compiled, joint", "compiled, joint, lean"):
+            assert error[setting, 0.01] / error[setting, 0.005] == pytest.approx(16, rel=0.5)
+        for form in ("", ", joint", ", joint, lean"):
+            assert error[f"vm{form}", 0.01] == pytest.approx(error[f"compiled{form}", 0.01], rel=1e-3)
+        assert error["compiled, joint, order8", 0.02] < 1e-10
+        assert error["vm, auto", 1e-5] < 1e-5
 
 
-def test_report_names_what_is_missing_and_where_it_ran(folder):
+def test_report_names_what_is_missing_and_where_it_ran(peers, folder):
     text = (folder / "peers.md").read_text(encoding="utf-8")
     for package, name in OTHERS.items():
         assert text.count(f"| {name} |  | not installed |") == 2, package
     assert "`python scripts/peers.py --quick`" in text
     assert str(folder) not in text
     assert (folder / "peers.png").stat().st_size > 10_000
-    assert re.search(r"SciPy, DOP853 .* (met|not met) \|", text)
+    for kernel, ratio in peers.RATIOS.items():
+        assert re.search(rf"\| {kernel}.* \| SciPy, DOP853 .* {ratio:g}: (met|not met) \|", text)
     missing = [r for r in rows(folder / "peers_reach.csv") if r["time at target [s]"] == "not installed"]
     assert len(missing) == 2 * len(OTHERS)
 
@@ -101,20 +106,20 @@ def points(peers, *measured):
 
 
 def test_interpolation_is_logarithmic_and_by_rounds(peers):
-    reach = peers.Reach(points(peers, (1e-4, [1.0, 2.0, 9.0]), (1e-8, [4.0, 8.0])))
+    reach = peers.Reach(points(peers, (1e-4, [1.0, 2.0, 9.0]), (1e-8, [4.0, 8.0])), 1e-6)
     assert reach.seconds == pytest.approx([2.0, 4.0])
     assert reach.text == "3"
-    assert reach.ratios(peers.Reach(points(peers, (1e-4, [1.0]), (1e-8, [1.0])))) == pytest.approx([2.0])
+    assert reach.ratios(peers.Reach(points(peers, (1e-4, [1.0]), (1e-8, [1.0])), 1e-6)) == pytest.approx([2.0])
 
 
 def test_nothing_is_extrapolated(peers):
-    short = peers.Reach(points(peers, (1e-3, [1.0]), (2e-5, [2.0])))
+    short = peers.Reach(points(peers, (1e-3, [1.0]), (2e-5, [2.0])), 1e-6)
     assert (short.seconds, short.text) == ([], "not reached (best 2e-05 rad)")
-    below = peers.Reach(points(peers, (1e-7, [1.0]), (1e-8, [2.0])))
+    below = peers.Reach(points(peers, (1e-7, [1.0]), (1e-8, [2.0])), 1e-6)
     assert (below.seconds, below.text) == ([1.0], "<= 1")
     lost = points(peers, (None, []))
     lost[0].note = "lost the motion at t = 1 s"
-    assert peers.Reach(lost).text == "not reached (lost the motion at t = 1 s)"
+    assert peers.Reach(lost, 1e-6).text == "not reached (lost the motion at t = 1 s)"
 
 
 def test_a_lost_motion_and_an_exception_are_results(peers):
