@@ -193,9 +193,9 @@ class Alfmu(Peer):
 
     kernel: str = "compiled"
     joint: bool = False
-    """In the coordinates of the joints, as Pinocchio and MuJoCo are."""
+    """In the coordinates of the joints and with constant parameters, as Pinocchio and MuJoCo are."""
     lean: bool = False
-    """With the outputs that are wanted alone, and constant parameters."""
+    """With the outputs that are wanted alone."""
     method: str = "rk4"
     """`solver.method`"""
 
@@ -228,8 +228,8 @@ def _equations(mechanism: str, kernel: str, joint: bool, lean: bool, method: str
     """Derived, traced and compiled once; so the first point of a setting has the set-up time."""
     options = {"coordinates": "joint"} if joint else {}
     equations = with_defaults(alfmu.derive(alfmu.load(mechanism, **options)), {"solver.method": method})
-    if lean:
-        equations = specialised(equations, [ANGLE[mechanism], *REACTIONS[mechanism]], ["all"])
+    outputs = [ANGLE[mechanism], *REACTIONS[mechanism]] if lean else None
+    equations = specialised(equations, outputs, ["all"] if joint else None)
     return prepared(equations, kernel)
 
 
@@ -463,8 +463,8 @@ def reaches(points: Sequence[Point], mechanism: str, target: float) -> list[Reac
 USAGE = {
     "alfmu": "Library `Instance`, a whole run in one call of its method `run`; all outputs are read at each sample. "
     "`solver.method` is `rk4` with `solver.step_size`; `order8`: that method; `auto`: the default, with "
-    "`solver.relative_tolerance`. `joint`: the coordinates are those of the joints (defaults: mixed and absolute). "
-    "`lean`: `outputs` are those that are compared, parameters are frozen.",
+    "`solver.relative_tolerance`. `joint`: the coordinates are those of the joints and parameters are frozen "
+    "(defaults: mixed and absolute, none). `lean`: `outputs` are those that are compared.",
     "Pinocchio": "Minimal tree and two (one) loop closures, `constraintDynamics` with mu = 1e-8 and 3 proximal "
     "iterations on preallocated data; RK4 in NumPy or `solve_ivp`. Tried: mu 1e-4 to 1e-12, 1 to 50 iterations, "
     "Baumgarte from 0 to 200 1/s (five-bar 60, slider-crank 5), projection instead (slower), `lcaba` (slower).",
