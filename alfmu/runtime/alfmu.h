@@ -279,7 +279,7 @@ void run(Instance *i, int program);
 long advance(Instance *i, long steps, double dt);
 int cover(Instance *i, double end, long tries);
 int ended(Instance *i);
-int communicate(Instance *i, double start, double h);
+int communicate(Instance *i, double start, double h, long *made);
 int read_quickly(Instance *i);
 
 #if defined(__GNUC__) && !defined(_WIN32)

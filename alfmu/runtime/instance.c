@@ -1190,8 +1190,9 @@ static double internal_steps(const Instance *i, double h)
     return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
 }
 
-/* A communication step that the kernel cannot make in one go. */
-static Outcome slow_step(Instance *i, double start, double h)
+/* A communication step that the kernel cannot make in one go: it made so many internal steps, and not the next one; below
+   zero where it has not tried. */
+static Outcome slow_step(Instance *i, double start, double h, long made)
 {
     const Scene *s = i->scene;
     const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
@@ -1211,11 +1212,12 @@ static Outcome slow_step(Instance *i, double start, double h)
     while (done < steps && outcome == DONE) {
         if (ended(i))
             outcome = interrupted(i);
-        else if (i->flags.fast) {
+        else if (i->flags.fast && done != (double)made) {
+            const double whole = (double)made > done ? (double)made - done : steps - done;
             z[s->time] = start + done * dt;
             if (i->flags.brakes)
                 hold(i);
-            done += (double)advance(i, i->flags.whole ? (long)(steps - done) : 1L, dt);
+            done += (double)advance(i, i->flags.whole ? (long)whole : 1L, dt);
         }
         if (done < steps && outcome == DONE && !i->ended) {
             outcome = watched_step(i, start + done * dt, dt);
@@ -1289,9 +1291,10 @@ static Outcome whole_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
     Outcome outcome = DONE;
+    long made = -1;
     /* Methods beside RK4 may need any number of steps, which the slower way counts. */
-    if (!i->flags.whole || method(i) || !communicate(i, start, h))
-        outcome = slow_step(i, start, h);
+    if (!i->flags.whole || method(i) || !communicate(i, start, h, &made))
+        outcome = slow_step(i, start, h, made);
     if (outcome != DONE)
         return outcome;
     for (int k = 0; k < s->inputs; k++) {
@@ -1538,7 +1541,7 @@ Outcome instance_output_derivatives(
             i->used = 0;
             i->within = k > 1;
             hand_over(i);
-            outcome = slow_step(i, start + (k - 1) * h, h);
+            outcome = slow_step(i, start + (k - 1) * h, h, -1);
             for (int each = 0; each < s->inputs; each++)
                 if (isfinite(i->slopes[1 + each]))
                     i->m[s->u + each] += h * i->slopes[1 + each];

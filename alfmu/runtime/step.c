@@ -213,14 +213,16 @@ int cover(Instance *i, double end, long tries)
     return 1;
 }
 
-/* A communication step by RK4 in one go; 0, and nothing has changed, where that is not possible. */
-int communicate(Instance *i, double start, double h)
+/* A communication step by RK4 in one go; 0, and nothing has changed, where that is not possible. `made` is then the
+   internal steps before the one that was not, -1 where none was tried. */
+int communicate(Instance *i, double start, double h, long *made)
 {
     const Scene *s = i->scene;
     double *m = i->m, *z = m + s->z, ratio;
     double counted[TALLY];
     const size_t state = state_length(s) * sizeof *m, past = (size_t)s->past_size * sizeof *m;
     long steps;
+    *made = -1;
     if (!(h > 0.0 && h < INFINITY && fabs(start - z[s->time]) <= 1e-6 * h + 1e-12 * fabs(start)))
         return 0;
     ratio = h / m[s->control + CONTROL_STEP_SIZE] * (1 - 1e-12);
@@ -233,7 +235,8 @@ int communicate(Instance *i, double start, double h)
     z[s->time] = start;
     if (s->reach >= 0)
         run(i, s->reach);
-    if (advance(i, steps, h / (double)steps) != steps) {
+    *made = advance(i, steps, h / (double)steps);
+    if (*made != steps) {
         memcpy(z, m + s->begin, state);
         memcpy(m + s->tally, counted, TALLY * sizeof *m);
         memcpy(m + s->past, i->past_before, past);
