@@ -2,6 +2,8 @@
 
 import csv
 import hashlib
+import posixpath
+import re
 import subprocess
 import sys
 import uuid
@@ -404,7 +406,6 @@ def test_the_archive_is_clean_and_complete(exported):
             "modelDescription.xml",
             "model.png",
             "documentation/index.html",
-            "documentation/model.png",
             "documentation/externalDependencies.txt",
             "documentation/licenses/alfmu.txt",
             "documentation/licenses/pythonfmu.txt",
@@ -416,6 +417,7 @@ def test_the_archive_is_clean_and_complete(exported):
         assert "link1" in page
         assert "E ---- link4 ---- F" in page
         assert "<table>" in page
+        assert posixpath.normpath("documentation/" + re.search(r'<img src="(.*?)"', page)[1]) in names
         assert ET.fromstring(archive.read("modelDescription.xml")).get("guid")
         assert b"libraries" not in archive.read("documentation/externalDependencies.txt")
         assert b"no package" in archive.read("documentation/externalDependencies.txt")

@@ -708,7 +708,8 @@ def test_fmi_3_validates_and_gives_the_numbers_of_the_library(built):
     with zipfile.ZipFile(path) as archive:
         terminals = ET.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
         built_from = ET.fromstring(archive.read("sources/buildDescription.xml"))
-        names = archive.namelist()
+        names, page = archive.namelist(), archive.read("documentation/index.html").decode()
+    assert posixpath.normpath("documentation/" + re.search(r'<img src="(.*?)"', page)[1]) in names
     members = {t.get("name"): [v.get("variableName") for v in t] for t in terminals.iter("Terminal")}
     assert members["A"] == ["A.torque", "link1.angle", "link1.angular_velocity"]
     assert members["D"] == ["D.torque", "link3.angle", "link3.angular_velocity"]

@@ -317,9 +317,10 @@ def documentation(
     readme: str,
     generator: str,
     needs: str,
+    picture: str,
     variables: Sequence[tuple[str, Variable]] | None = None,
 ) -> str:
-    """documentation/index.html: picture, sketch, equations, all variables, and what the FMU needs."""
+    """documentation/index.html: the picture that stands in the archive, sketch, equations, all variables, needs."""
     e = equations
     body = markdown.markdown(readme, extensions=["tables", "fenced_code"]) if readme else f"<h1>{e.name}</h1>"
     sketch_block = f"<pre>{html.escape(sketch.strip())}</pre>" if sketch and not readme else ""
@@ -333,7 +334,7 @@ def documentation(
     return f"""<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><title>{html.escape(e.name)}</title><style>{_STYLE}</style></head>
 <body>
-<p><img src="model.png" alt="{html.escape(e.description)} at its start"></p>
+<p><img src="../{picture}" alt="{html.escape(e.description)} at its start"></p>
 {sketch_block}
 {body}
 {f"<h2>Options of this FMU</h2><ul>{options}</ul>" if options else ""}

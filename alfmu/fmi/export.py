@@ -126,18 +126,17 @@ def export(
         for file, data in resources.items():
             (top / file).write_bytes(data)
         documents, needs = top / "documentation", dependencies()
-        page = documentation(equations, declared.sketch, declared.documentation, generator, needs)
+        page = documentation(equations, declared.sketch, declared.documentation, generator, needs, _PICTURE[2])
         _write(documents / "index.html", page)
         _write(documents / "externalDependencies.txt", needs + "\n")
         for each in ("alfmu", "pythonfmu"):
             _write(documents / "licenses" / f"{each}.txt", _license(each))
-        (documents / "model.png").write_bytes(picture)
         made = top / f"{name}.fmu"
         with _imports_undone(package, script.stem), _temporary_in(top):
             FmuBuilder.build_FMU(script, made, [top / package, *(top / file for file in resources)], documents)
         described = {
             "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
-            "model.png": picture,
+            _PICTURE[2]: picture,
         }
         with zipfile.ZipFile(made) as archive:
             files = {info.filename: archive.read(info) for info in archive.infolist() if not info.is_dir()}
@@ -204,7 +203,8 @@ def _native(
     compiled = [name for name in files if name.endswith(".c")]
     needs = "This FMU needs nothing but the C library."
     variables, choices = interface(e).causalities, known_choices(e)
-    page = documentation(e, declared.sketch, declared.documentation, generator, needs, enumerated(variables, choices))
+    listed = enumerated(variables, choices)
+    page = documentation(e, declared.sketch, declared.documentation, generator, needs, _PICTURE[fmi], listed)
     found = terminals(declared, [v.name for _, v in variables])
     if fmi == 2:
         described = model_description(e, version, generator, guid, variables, compiled, _credits(declared), choices)
@@ -225,7 +225,6 @@ def _native(
         **form,
         _PICTURE[fmi]: picture,
         "documentation/index.html": page.encode(),
-        "documentation/model.png": picture,
         "documentation/licenses/alfmu.txt": _license("alfmu").encode(),
         f"resources/{SCENE}": identified(scene, guid),
         f"resources/{OPTIONS}": _options(recipe, e),
