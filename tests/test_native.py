@@ -1,6 +1,8 @@
 """Native FMUs: the numbers of the library, everything a scene asks for, and a host that does all wrong."""
 
 import os
+import posixpath
+import re
 import shutil
 import subprocess
 import sys
