@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from alfmu import DeclarationError, InputError, Instance, Mechanism, Result, derive, load, simulate
-from alfmu.view.picture import COLORS, MAX_FRAMES, Anchor, animate, draw, geometry, model_png, view_of
+from alfmu.view.picture import MAX_FRAMES, Anchor, animate, draw, geometry, model_png, view_of
 from alfmu.view.plot import COLORS, figure, plot
 
 SLIDER_CRANKS = [
