@@ -15,8 +15,9 @@ import pytest
 from PIL import Image
 
 from alfmu import DeclarationError, InputError, Instance, Mechanism, Result, derive, load, simulate
-from alfmu.view.picture import MAX_FRAMES, Anchor, animate, draw, geometry, model_png, view_of
-from alfmu.view.plot import COLORS, figure, plot
+from alfmu.view.picture import COLORS, MAX_FRAMES, Anchor, animate, draw, geometry, model_png, view_of
+from alfmu.view.plot import COLORS as OF_LINES
+from alfmu.view.plot import figure, plot
 
 SLIDER_CRANKS = [
     {"coordinates": coordinates, "rod": rod}
@@ -590,7 +591,7 @@ def test_errors_are_points_and_multipliers_begin_with_the_first_colour():
     multipliers, errors = drawn.axes[-2:]
     assert errors.get_yscale() == "log"
     assert {line.get_linestyle() for line in errors.get_lines()} == {"None"}
-    assert multipliers.get_lines()[0].get_color() == COLORS[0]
+    assert multipliers.get_lines()[0].get_color() == OF_LINES[0]
     assert multipliers.get_lines()[0].get_linestyle() == "-"
 
 
