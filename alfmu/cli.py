@@ -66,6 +66,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         argcomplete.autocomplete(parser)
     words = sys.argv[1:] if arguments is None else list(arguments)
+    if words[:1] == ["help"]:
+        words = [*words[1:2], "--help"]
+    if not words:
+        parser.print_help(sys.stderr)
+        parser.exit(2)
     if words and not words[0].startswith("-") and words[0] not in commands:
         parser.error(f"there is no command {words[0]!r}; {_perhaps(words[0], commands)}")
     chosen, unknown = parser.parse_known_args(words)
@@ -268,9 +273,11 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
 
     sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
     sub.epilog = _LIVE
-    sub.add_argument("mechanism", metavar="NAME", help=_EITHER_HELP)
+    _add_name(sub, "mechanism", "NAME", _EITHER_HELP)
     sub.add_argument("-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME.html here)")
-    sub.add_argument("--step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)")
+    sub.add_argument(
+        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)"
+    )
     _add_scene(sub)
 
     sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
@@ -662,6 +669,8 @@ def _animate(chosen: argparse.Namespace) -> None:
 
     path = Path(chosen.output or Path(chosen.result).with_suffix(".gif"))
     check_film(path)
+    if Path(chosen.result).suffix.lower() in (".py", ".fmu"):
+        raise InputError(f"{chosen.result} is no result; `alfmu simulate` makes one of it, a table that ends in .csv")
     result = Result.from_csv(chosen.result)
     facts = result.facts
     if chosen.mechanism:

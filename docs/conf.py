@@ -75,12 +75,18 @@ def _without_gallery(app: Any, document: str, source: list[str]) -> None:
     if document == "mechanisms/index" and not GALLERY:
         before, _, rest = source[0].partition("## Gallery")
         source[0] = before + rest[rest.index("## ") :]
+    if document == "index" and not GALLERY:
+        source[0] = source[0].replace("mechanisms/gallery/index", "mechanisms/index")
 
 
 def setup(app: Any) -> None:
     """Formulas as MathML, which browsers show by themselves: nothing is fetched."""
     app.connect("autodoc-process-docstring", _escaped)
     app.connect("source-read", _without_gallery)
+    if GALLERY:
+        from films import small
+
+        app.connect("builder-inited", small, priority=900)  # after sphinx-gallery has made the pages
     app.add_html_math_renderer(
         "mathml",
         inline_renderers=(lambda self, node: _formula(self, node, True), None),

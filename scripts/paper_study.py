@@ -5,19 +5,25 @@ Writes CSV files, pictures and `report.md` into one folder. The chapters are tho
 
 from __future__ import annotations
 
+import importlib.util
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
 from _report import parser, written
 from tqdm import tqdm
 
+from alfmu.model.errors import InputError
 from alfmu.studies import paper, tables
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "mpmath", "matplotlib")
 
 
 def write(folder: Path, effort: paper.Effort, studies: Sequence[str], command: str) -> None:
-    """Run the studies and write their results."""
+    """Run the studies and write their results; InputError where something is not installed."""
+    if importlib.util.find_spec("mpmath") is None:
+        raise InputError("the references take mpmath; install it with: pip install 'alfmu[bench]'")
+    logging.getLogger("alfmu").addHandler(logging.NullHandler())  # what ends without convergence is in the tables
     about = paper.settings(effort)
     where = tables.where(command, PACKAGES, {})
     parts = ["# The paper's study, remade", tables.paragraph(paper.__doc__.split("\n\n")[1])]

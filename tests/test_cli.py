@@ -17,6 +17,7 @@ import pytest
 
 import alfmu
 from alfmu.cli import main
+from alfmu.runtime.library import library
 
 PENDULUM = """
 from alfmu import Mechanism
@@ -154,12 +155,39 @@ def test_help_explains_every_command(command, capsys):
     assert "usage: alfmu" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("words", [[], ["help"], ["help", "draw"]], ids=" ".join)
+def test_whoever_gives_no_command_or_asks_for_help_is_shown_what_there_is(words, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == (0 if words else 2)
+    said = "".join(capsys.readouterr())
+    assert "raw a mechanism where it starts" in said
+    assert ("page that runs" in said) == (len(words) < 2)
+
+
+def test_a_source_folder_in_the_way_of_the_installed_package_is_named(tmp_path):
+    (tmp_path / "alfmu" / "runtime").mkdir(parents=True)
+    with pytest.raises(OSError, match=r"is missing.*install alfmu again"):
+        library(tmp_path / "alfmu" / "runtime")
+    (tmp_path / "pyproject.toml").touch()
+    library.cache_clear()
+    with pytest.raises(OSError, match=r"from its source folder .* run this in another folder, or build it there"):
+        library(tmp_path / "alfmu" / "runtime")
+
+
 MISTAKES = [
     (["info", "nonsense"], "no mechanism 'nonsense'"),
     (["info", "missing.py"], "there is no file missing.py"),
     (["info", "broken.py"], "broken.py, line 1: ZeroDivisionError"),
     (["info", "typo.py"], "typo.py, line 1: "),
-    (["info", "empty.py"], "declares no single mechanism"),
+    (["info", "empty.py"], "empty.py declares no mechanism; write `def empty() -> Mechanism:`"),
+    (["info", "unmarked.py"], "or mark the one that is there: `def swing(...) -> Mechanism:`"),
+    (["info", "twins.py"], "twins.py declares several mechanisms, one(), two(); write `def twins() -> Mechanism:`"),
+    (["info", "empty"], "there is no mechanism 'empty'; did you mean empty.py? Use one of bennett"),
+    (["info", "fivebar"], "did you mean five_bar? Use one of bennett"),
+    (["live", "five_bar.fmu"], "five_bar.fmu is an FMU; give the mechanism instead"),
+    (["simulate", "five_bar.csv"], "five_bar.csv is a table; give the mechanism instead"),
+    (["animate", "empty.py"], "empty.py is no result; `alfmu simulate` makes one of it"),
     (["info", "slider_crank", "--option", "coordinates=polar"], "use one of absolute, joint, mixed, natural"),
     (["info", "five_bar", "--option", "colour=red"], "has no option 'colour'; it has coordinates"),
     (["export", "five_bar", "--set", "m9=1"], "no input or parameter 'm9'"),
@@ -194,6 +222,9 @@ def test_a_mistake_is_one_clear_line_and_exit_code_1(arguments, words, here, cap
     (here / "broken.py").write_text("1 / 0\n")
     (here / "typo.py").write_text("def f(:\n")
     (here / "empty.py").write_text("x = 1\n")
+    (here / "unmarked.py").write_text("def swing():\n    return 1\n")
+    marked = "".join(f"def {name}() -> Mechanism:\n    return Mechanism({name!r})\n" for name in ("one", "two"))
+    (here / "twins.py").write_text(f"from alfmu import Mechanism\n{marked}")
     (here / "broken.fmu").write_text("no archive")
     (here / "words.csv").write_text("time,A.torque\n0,many\n")
     (here / "unknown.csv").write_text("time,Z.torque\n0,1\n")

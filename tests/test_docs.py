@@ -11,6 +11,7 @@ from email import message_from_bytes
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 pytest.importorskip("sybil")
 pytest.importorskip("sphinx")
@@ -233,6 +234,17 @@ def site(tmp_path_factory) -> Path:
     done = subprocess.run(command, env=without, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stderr
     return folder / "site"
+
+
+def test_the_gallery_lists_an_example_by_its_film(site):
+    if not (site / "mechanisms/gallery/index.html").exists():
+        pytest.skip("this copy comes without the gallery")
+    (listed,) = (site / "_images").glob(f"sphx_glr_plot_{ONE}_thumb.png")
+    (film,) = (site / "_images").glob(f"sphx_glr_plot_{ONE}_*.gif")
+    with Image.open(listed) as small, Image.open(film) as frames:
+        assert small.size == (400, 280)
+        ground, of_film = (max(each.convert("RGB").getcolors(1 << 20))[1] for each in (small, frames))
+        assert ground == of_film != (255, 255, 255)  # a figure stands on white
 
 
 def test_pages_load_in_a_browser(site, chromium):

@@ -16,6 +16,7 @@ from PIL import Image
 
 from alfmu import DeclarationError, InputError, Instance, Mechanism, Result, derive, load, simulate
 from alfmu.view.picture import COLORS, MAX_FRAMES, Anchor, animate, draw, geometry, model_png, view_of
+from alfmu.view.plot import COLORS as OF_LINES
 from alfmu.view.plot import figure, plot
 
 SLIDER_CRANKS = [
@@ -568,6 +569,30 @@ def test_drift_of_a_mechanism_without_constraints_is_not_logarithmic():
     assert "error [m, rad; per s]" not in panels_of(figure(result))
     (axes,) = figure(result, ["monitor.*_error"]).axes
     assert axes.get_yscale() == "linear"
+
+
+def test_what_turns_round_does_not_hide_what_swings():
+    time = np.linspace(0.0, 10.0, 101)
+    names = ["crank.angle", "wheel.angle", "arm.angle", "rod.angle", "rod.x"]
+    values = np.column_stack([6 * time, -3 * time, np.sin(time), 0.2 * np.cos(time), 0.1 * np.sin(time)])
+    result = Result("turning", time, names, dict.fromkeys(names, "rad") | {"rod.x": "m"}, values)
+    for drawn in (figure(result), figure(result, ["*"])):
+        assert [legend_of(axes) for axes in drawn.axes] == [names[2:4], names[:2], names[4:]]
+        assert [axes.get_ylabel() for axes in drawn.axes] == ["angle [rad]", "angle [rad]", "position [m]"]
+    few = Result("turning", time, names[:2], dict.fromkeys(names[:2], "rad"), values[:, :2])
+    assert len(figure(few).axes) == 1
+    motion = simulate("slider_crank", 4.0, 0.02, inputs={"A.torque": 20.0})  # its crank turns round many times
+    panels = [axes.get_ylabel() for axes in figure(motion).axes]
+    assert panels == ["angle [rad]", "angle [rad]", "position [m]", "force [N]", "error [m, rad; per s]"]
+
+
+def test_errors_are_points_and_multipliers_begin_with_the_first_colour():
+    drawn = figure(simulate("five_bar", 0.5, 0.02), ["monitor.*_error", "multiplier*"])
+    multipliers, errors = drawn.axes[-2:]
+    assert errors.get_yscale() == "log"
+    assert {line.get_linestyle() for line in errors.get_lines()} == {"None"}
+    assert multipliers.get_lines()[0].get_color() == OF_LINES[0]
+    assert multipliers.get_lines()[0].get_linestyle() == "-"
 
 
 def test_rounding_is_not_blown_up():

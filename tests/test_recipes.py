@@ -287,7 +287,7 @@ MISTAKES = [
     ("Recipe('five_bar', kernel='oracle')", "no FMU carries the oracle"),
     ("Recipe('five_bar', kind='native', kernel='vm')", "a native FMU has a kernel of its own"),
     ("Recipe('five_bar', platforms=['win64'])", "an FMU that runs in Python is for no platform of its own"),
-    ("Recipe('six_bar')", "there is no mechanism 'six_bar'; use one of"),
+    ("Recipe('six_bar')", "there is no mechanism 'six_bar'; did you mean five_bar? Use one of"),
     ("Recipe('missing.py')", "there is no file"),
     ("Recipe('five_bar', options={'links': 3})", "five_bar has no option 'links'; it has coordinates"),
     ("Recipe('five_bar', parameters={'m9': 1})", "wrong has no input or parameter 'm9'"),

@@ -25,7 +25,8 @@ from alfmu.studies import cases, paper, stability
 from alfmu.studies import reference as exact
 from alfmu.studies.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run
 from alfmu.studies.looks import LOOKS
-from alfmu.studies.report import LEVELS, TIME, Effort, Setting, Study, _skipped, report
+from alfmu.studies.page import Page
+from alfmu.studies.report import LEVELS, QUICK, TIME, Effort, Setting, Study, _chapter_of_page, _skipped, report
 from alfmu.studies.rivals import RIVALS
 
 MAPS = stability.Effort(
@@ -270,6 +271,25 @@ def test_the_page_draws_its_plots_in_a_browser(written, chromium):
     assert chromium.execute_async_script(wait)
     chromium.switch_to.default_content()
     assert errors(chromium) == []
+
+
+def test_no_line_ends_within_a_number_of_a_page():
+    page = Page("numbers")
+    page.text("| error | note |\n|---|---|\n| 3.2e-14 | some 1e-3 of it |\n")
+    (html,) = page._parts
+    assert '<td class="number">3.2e-14</td>' in html
+    assert "<td>some 1e-3 of it</td>" in html
+
+
+def test_maps_that_there_was_no_time_for_are_not_drawn():
+    study = Study("particle_on_circle", QUICK)
+    study.files["reference"] = [{"note": "there was no time for one"}]
+    study.maps.rows = [{"class": stability.NOT_RUN}]
+    page = Page("late")
+    _chapter_of_page(page, study)
+    html = "".join(page._parts)
+    assert "No cell of a map was run" in html
+    assert 'class="map"' not in html
 
 
 def test_buttons_choose_which_ways_are_shown(written, chromium):

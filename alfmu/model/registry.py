@@ -122,8 +122,14 @@ def _factory(mechanism: str | Path) -> Factory:
     for entry in entry_points(group=GROUP):
         if entry.name == str(mechanism):
             return _guarded(mechanism, entry.load)
+    name = str(mechanism)
+    if name.endswith((".fmu", ".csv")):
+        kind = "an FMU" if name.endswith(".fmu") else "a table"
+        raise InputError(f"{name} is {kind}; give the mechanism instead, by its name or as a Python file")
+    there = [f"{name}.py"] if Path(f"{name}.py").is_file() else nearest(name, mechanisms())
+    said = f"did you mean {in_words(there)}? Use" if there else "use"
     raise InputError(
-        f"there is no mechanism {str(mechanism)!r}; use one of {', '.join(mechanisms())}, or the path of a Python file "
+        f"there is no mechanism {name!r}; {said} one of {', '.join(mechanisms())}, or the path of a Python file "
         "that declares one"
     )
 
@@ -136,13 +142,16 @@ def _from_file(path: Path) -> Factory:
     annotated = [f for f in functions.values() if f.__annotations__.get("return") in (Mechanism, "Mechanism")]
     if len(annotated) == 1:
         return annotated[0]
-    declared = [m for m in names.values() if isinstance(m, Mechanism)]
+    declared = list({id(m): m for m in names.values() if isinstance(m, Mechanism)}.values())
     if len(declared) == 1:
         return lambda: declared[0]
-    raise InputError(
-        f"{path} declares no single mechanism; give it a function {path.stem}() that returns a Mechanism, or one "
-        "Mechanism object"
-    )
+    what = f"write `def {path.stem}() -> Mechanism:`"
+    if len(annotated) > 1 or len(declared) > 1:
+        found = [f"{f.__name__}()" for f in annotated] or [m.name for m in declared]
+        raise InputError(f"{path} declares several mechanisms, {', '.join(found)}; {what} for the one that is meant")
+    if len(functions) == 1:
+        what += f", or mark the one that is there: `def {next(iter(functions))}(...) -> Mechanism:`"
+    raise InputError(f"{path} declares no mechanism; {what}")
 
 
 def executed(path: Path) -> dict[str, Any]:

@@ -99,6 +99,12 @@ def library(folder: Path = Path(__file__).parent) -> ctypes.CDLL:
         except OSError as error:  # one for another processor
             why = str(error)
     if loaded is None:
+        source = folder.parent.parent
+        if not there and (source / "pyproject.toml").is_file():
+            raise OSError(
+                f"Python takes alfmu from its source folder {source}, where the runtime is not built; run this in "
+                f"another folder, or build it there: pip install -e {source}"
+            )
         raise OSError(f"alfmu's runtime for this machine is missing ({why}); install alfmu again, with a C compiler")
     for name, (result, *arguments) in _SIGNATURES.items():
         function = getattr(loaded, f"alfmu_{name}")

@@ -158,7 +158,8 @@ def in_short(a: About) -> list[str]:
     ]
     title = f"{a.mechanism.name}: {a.mechanism.description}"
     picture = _picture(a.mechanism.sketch)
-    for lines in ([title, "", *picture, "", *facts], [title, *picture, *facts], [title, "", *facts]):
+    with_picture = [[title, "", *picture, "", *facts], [title, *picture, *facts]] if picture else []
+    for lines in (*with_picture, [title, "", *facts]):
         if len(lines) <= LINES:
             break
     return [*lines, *a.notes]

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 __all__ = ["Page", "library"]
 
 
+_NUMBER = re.compile(r"<td([^>]*>-?[\d.]+e[-+]?\d+</td>)")
+"""A cell with a number that a line would end within."""
+
+
 def library() -> str:
     """plotly's script; InputError where plotly is missing."""
     try:
@@ -57,6 +61,7 @@ class Page:
         """Text and tables in Markdown; a note stands out."""
         html = to_html(markdown, extensions=["tables"]).replace("<table>", '<div class="table"><table>')
         html = html.replace("</table>", "</table></div>")
+        html = _NUMBER.sub(r'<td class="number"\1', html)
         self._parts.append(f'<aside class="note">{html}</aside>' if note else html)
 
     def fold(self, title: str, markdown: str) -> None:

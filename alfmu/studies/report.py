@@ -820,10 +820,10 @@ def _chapter_of_page(page: Page, study: Study) -> None:
         for table in _table(study, file):
             page.fold(SHOWN[file][0], table)
     page.head(3, f"Where {name} runs")
-    meaning = {str(r["class"]): _criterion(r) for r in maps.CRITERIA}
-    page.legend(maps.CLASSES, {x: meaning.get(x) or meaning[x.split(":")[0]] for x in maps.CLASSES})
-    page.maps(maps.maps_of(study.maps), maps.CLASSES, _said(study.maps.rows))
-    page.fold("How maps are made", "\n\n".join([*maps.explained(), *maps.chapter(study.maps)][1:2]))
+    if all(r["class"] == maps.NOT_RUN for r in study.maps.rows):
+        page.text("No cell of a map was run, as the time for this mechanism was used up before.", note=True)
+    else:
+        _maps_of_page(page, study)
     for chapter in study.chapters:
         page.head(3, f"The paper: {chapter.title}")
         page.text(paragraph(chapter.text))
@@ -835,6 +835,14 @@ def _chapter_of_page(page: Page, study: Study) -> None:
         page.together()
     if study.chapters:
         page.text(paper.LIMITS, note=True)
+
+
+def _maps_of_page(page: Page, study: Study) -> None:
+    """Maps of stability under their legend."""
+    meaning = {str(r["class"]): _criterion(r) for r in maps.CRITERIA}
+    page.legend(maps.CLASSES, {x: meaning.get(x) or meaning[x.split(":")[0]] for x in maps.CLASSES})
+    page.maps(maps.maps_of(study.maps), maps.CLASSES, _said(study.maps.rows))
+    page.fold("How maps are made", "\n\n".join([*maps.explained(), *maps.chapter(study.maps)][1:2]))
 
 
 def _criterion(row: Row) -> str:

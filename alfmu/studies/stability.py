@@ -75,6 +75,9 @@ OTHER = "something else"
 
 REFUSED = "refused: "
 
+NOT_RUN = "not run"
+"""What there was no time for."""
+
 SHADES = ("#8fb3d9", "#5f8fc4", "#3b6ea5", "#27507e", "#16335a", "#a9a4c9", "#7f78ad")
 
 CLASSES = {
@@ -86,7 +89,7 @@ CLASSES = {
     "energy grows": "#d0423a",
     "not finite": "#4a1d1d",
     **dict(zip((REFUSED + kind for kind in dict.fromkeys([*KINDS.values(), OTHER])), SHADES, strict=True)),
-    "not run": "#ffffff",
+    NOT_RUN: "#ffffff",
 }
 """Classes of cells and their colours; of those that apply, the last one in the order of CRITERIA counts."""
 
@@ -99,7 +102,7 @@ CRITERIA: Sequence[Row] = (
     {"class": "energy grows", "measure": "energy error over the largest kinetic energy", "above": GROWTH},
     {"class": "not finite", "measure": "an output is not a finite number"},
     {"class": "refused", "measure": "an error ended the run; its message tells the kind"},
-    {"class": "not run", "measure": "the time for the mechanism was used up"},
+    {"class": NOT_RUN, "measure": "the time for the mechanism was used up"},
 )
 
 ALPHA = ("residual", "classic", "penalty", "stiffness")
@@ -192,7 +195,7 @@ class Study(cases.Study):
         self.instance.initialize()
         self.mass = float(e.M(self.instance.q, self.instance.memory["p"]).full().diagonal().max())
         for cell in progress(list(self.cells())):
-            self.rows.append(self._measured(cell) if time.perf_counter() < deadline else self._row(cell, "not run"))
+            self.rows.append(self._measured(cell) if time.perf_counter() < deadline else self._row(cell, NOT_RUN))
 
     # Cells -------------------------------------------------------------------------------------------------------
 
@@ -255,7 +258,7 @@ class Study(cases.Study):
         try:
             found = run(*self._unit(cell.method), Case(self._values(cell), self._times(step), self.effort.limit))
         except AlfmuError as error:
-            return self._row(cell, "not run", message=str(error))
+            return self._row(cell, NOT_RUN, message=str(error))
         reached = float(found.times[-1]) if len(found.times) else 0.0
         judge, scale, kinetic = self._judge(cell)
         errors = judge.errors(found)

@@ -37,6 +37,9 @@ SAME = 2e-3
 CLOSE, OFTEN = 0.015, 0.15
 """A line that runs within the one share of the range of another, for the other share of the time, has markers."""
 
+TURN, FAR = 2 * np.pi, 4.0
+"""Angles of a whole turn [rad] have a panel of their own where they reach this many times as far as the others."""
+
 ROUNDING = 1e-17
 """Errors [m, rad; per s] below which an axis does not reach: what is left of them is chance."""
 
@@ -158,7 +161,8 @@ def _chosen(result: Result) -> tuple[list[_Panel], str]:
     if not shown:  # nothing moves: what there is, as far as it is a motion at all
         known = [name for name in result.names if result.units.get(name, "") in FIRST and _wanted(result, name)]
         shown = _panels(result, _reduced(result, known or result.names))
-    shown = [*shown[: PANELS - len(errors)], *errors]
+    apart = shown[1:2] and shown[0].label == shown[1].label  # angles that turn round do not cost another panel
+    shown = [*shown[: PANELS + bool(apart) - len(errors)], *errors]
     for panel in shown:
         if len(panel.lines) > LINES:
             largest = sorted(panel.lines, key=lambda line: -np.ptp(line.values))[:LINES]
@@ -249,8 +253,20 @@ def _panels(result: Result, lines: Iterable[_Line]) -> list[_Panel]:
         part = name.strip("|")
         unit = result.units.get(name) or result.units.get(f"{part}.x", "")
         (errors if name in ERRORS else groups.setdefault(unit, [])).append(line)
-    panels = [_Panel(_titled(unit), _merged(group)) for unit, group in groups.items() if group]
+    panels = [
+        _Panel(_titled(unit), _merged(part)) for unit, group in groups.items() for part in _apart(unit, group) if part
+    ]
     return [*panels, _Panel("error [m, rad; per s]", errors, True)] if errors else panels
+
+
+def _apart(unit: str, lines: list[_Line]) -> list[list[_Line]]:
+    """Lines of a unit by panels: what swings is not seen beside what turns round many times."""
+    reach = [float(np.ptp(line.values)) for line in lines]
+    turning = [unit == "rad" and x >= TURN for x in reach]
+    others = [x for x, turns in zip(reach, turning, strict=True) if not turns]
+    if not others or max(reach) < max(TURN, FAR * max(others)):
+        return [lines]
+    return [[line for line, turns in zip(lines, turning, strict=True) if turns is which] for which in (False, True)]
 
 
 def _merged(lines: Sequence[_Line]) -> list[_Line]:
@@ -281,11 +297,14 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     """Lines, labels and legend of one panel."""
     values = np.array([line.values for line in panel.lines])
     low, high = float(values.min()), float(values.max())
+    logarithmic = panel.logarithmic and high > 0
     for i, (line, style) in enumerate(zip(panel.lines, _styles(result, panel.lines), strict=True)):
         if not panel.logarithmic and _runs_close(values[i], values[:i], high - low):
             style |= {"marker": MARKERS[i % len(MARKERS)], "markersize": 3.5, "markevery": (0.02 + 0.023 * i, 0.14)}
+        if logarithmic:  # mostly round-off, whose points no line connects
+            style |= {"linestyle": "", "marker": ".", "markersize": 2.5}
         axes.plot(result.time, line.values, label=line.label, linewidth=1.5, **style)
-    if panel.logarithmic and high > 0:
+    if logarithmic:
         axes.set_yscale("log", nonpositive="mask")
         axes.set_ylim(bottom=max(axes.get_ylim()[0], ROUNDING))
     else:
@@ -298,7 +317,8 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     axes.grid(color="#e3e8ee", linewidth=0.8)
     axes.spines[["top", "right"]].set_visible(False)
     place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.04), "borderaxespad": 0.0}
-    axes.legend(**place, frameon=False, fontsize=7.5, handlelength=2.6, labelspacing=0.35)
+    scale = 3 if logarithmic else 1
+    axes.legend(**place, frameon=False, fontsize=7.5, handlelength=2.6, labelspacing=0.35, markerscale=scale)
 
 
 def _runs_close(values: NDArray[np.float64], others: NDArray[np.float64], reach: float) -> bool:
@@ -307,8 +327,11 @@ def _runs_close(values: NDArray[np.float64], others: NDArray[np.float64], reach:
 
 
 def _styles(result: Result, lines: Sequence[_Line]) -> list[dict[str, object]]:
-    """Colour by body or joint, the same in all panels, dashes by component; colour alone where there is one owner."""
-    if len({line.owner for line in lines}) == 1:
+    """Colour by body or joint, the same in all panels, dashes by component; colour alone where there is one owner.
+
+    Multipliers belong to none.
+    """
+    if len({"multiplier" if line.owner.startswith("multiplier[") else line.owner for line in lines}) == 1:
         return [{"color": COLORS[i % len(COLORS)], "linestyle": DASHES[i % 4]} for i in range(len(lines))]
     names = sorted(result.names, key=lambda name: name.startswith("multiplier["))  # bodies and joints first
     owners = list(dict.fromkeys(name.split(".")[0] for name in names))
