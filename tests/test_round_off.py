@@ -103,6 +103,21 @@ def test_forces_that_balance_each_other_leave_nothing_unconverged(method, caplog
     assert np.abs(r["crank.angle"]).max() <= 1e-12
 
 
+@pytest.mark.parametrize("name", ["five_bar", "four_bar"])
+def test_short_fixed_steps_tell_how_far_a_singular_position_is(name, caplog):
+    """At 1 ms places a quarter of a step apart are too close for that; nothing is patient, nothing is warned."""
+    unit = instance(with_defaults(derived(name), {"solver.method": "rk4", "solver.step_size": 1e-3}), "vm")
+    unit.initialize()
+    nearest = 1.0
+    for _ in range(2500):
+        unit.step(1e-3)
+        nearest = min(nearest, unit.get("monitor.distance"))
+    assert nearest <= 1e-3
+    assert unit.counters.patient == 0
+    assert unit.counters.unconverged == 0
+    assert not caplog.records
+
+
 def test_fixed_steps_that_are_too_long_are_warned_about(caplog):
     r = alfmu.simulate("slider_crank", 4.0, inputs={"A.torque": 5.0}, parameters={"solver.method": "rk4"})
     balance = r["monitor.energy"] - r["monitor.energy"][0] - r["monitor.work"]

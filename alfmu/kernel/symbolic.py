@@ -378,11 +378,9 @@ class Scene:
         D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
         return self.margin(D)[1]
 
-    def spacing(self, plan: Plan, v: SX, dt: SX) -> SX:
-        """S4: distance [s] of places along v; steps of error control may be too short to tell the places apart."""
-        spacing = plan.spacing * dt
-        if plan.spacing == Plan.spacing:
-            return spacing
+    def spacing(self, share: float, v: SX, dt: SX) -> SX:
+        """S4: distance [s] of places along v; a step may be too short to tell the places apart."""
+        spacing = share * dt
         return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
 
     def probed(self, q: SX) -> tuple[SX, ...]:
@@ -428,7 +426,7 @@ class Scene:
 
     def read_places(self, q: SX, v: SX, dt: SX) -> list[SX]:
         """S4: the places from which a limit is read; not finite where they cannot be told from the position itself."""
-        spacing = branch.SPACING * dt
+        spacing = self.spacing(branch.SPACING, v, dt)
         spacing *= branch.READ_DISTANCE / self._rate(self._margin_at(q), q, v, spacing)
         return [q + k * spacing * v for k in branch.READ_MEAN]
 

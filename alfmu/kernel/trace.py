@@ -320,7 +320,7 @@ class Tracer:
             f"approach{plan.own}",
             f"here q{i} v{i} {length} p k",
             f"zone{i} spacing",
-            lambda here, q, v, dt: scene.approached(here, q, v, scene.spacing(plan, v, dt)),
+            lambda here, q, v, dt: scene.approached(here, q, v, scene.spacing(plan.spacing, v, dt)),
         )
         calls.choice(f"zone{i}", ways)
 

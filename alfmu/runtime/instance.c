@@ -1412,18 +1412,18 @@ static Outcome read_patiently(Instance *i)
     const Scene *s = i->scene;
     const int instant = instant_by(s, formulation(i));
     Outcome outcome = DONE;
+    int limited = 0;
     double value;
     i->iterations = 0;
     run(i, instant);
-    if (s->l && instant != s->instant)
-        outcome = check_converged(i, i->workspace + s->watch0, *instance_time(i));
     if (verdict(i, SEEN_NEAR) != 0.0 && s->limit_patient >= 0) {
         run(i, s->limit_patient);
-        if (not_finite(i, &value))
+        limited = !not_finite(i, &value);
+        if (!limited)
             run(i, instant);
-        else
-            outcome = DONE;
     }
+    if (s->l && instant != s->instant && !limited)
+        outcome = check_converged(i, i->workspace + s->watch0, *instance_time(i));
     if (s->monitor_iterations >= 0 && i->iterations > 0)
         i->m[s->seen + s->monitor_iterations] = i->iterations;
     return outcome;
