@@ -440,6 +440,19 @@ static const char *or_penalty(const Instance *i)
     return penalty_given(i) ? "; or solver.penalty 0, which scales it with the masses" : "";
 }
 
+/* What to do, too, where loads are shared by compliances that are too far apart for the passes there are. */
+static const char *or_compliances(const Instance *i, char *text, size_t size)
+{
+    double least = INFINITY;
+    *text = '\0';
+    for (int r = 0; r < i->scene->compliances; r++)
+        least = fmin(least, i->compliances[r]);
+    if (least > 0.0 && least < INFINITY)
+        snprintf(text, size, "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
+            largest(i->compliances, i->scene->compliances) / least);
+    return text;
+}
+
 /* What to do where a loop ends before it converges. */
 static const char *remedy(const Instance *i)
 {
@@ -510,12 +523,12 @@ void hand_over(Instance *i)
         i->workspace[s->within] = i->within;
 }
 
-/* Penalties and units handed on to the kernel; redundant constraints as they are. */
+/* Penalties, units and shares of constraints handed on to the kernel; redundant constraints as they are. */
 static void weigh(Instance *i)
 {
     const Scene *s = i->scene;
-    double *k = field(i, s->k), *rows = k + SETTINGS, most = largest(i->penalty, s->l);
-    double *matrix = rows + 2 * s->l + s->n + s->compliances;
+    double *k = field(i, s->k), *rows = k + SETTINGS, most = largest(i->penalty, s->l), least = INFINITY;
+    double *shares = rows + 2 * s->l + s->n, *matrix = shares + s->compliances;
     *i->largest_penalty = most = most > 0.0 ? most : 1.0;
     k[SETTINGS_ALPHA] = most;
     k[SETTINGS_TOLERANCE] = i->values[s->tolerance];
@@ -525,6 +538,10 @@ static void weigh(Instance *i)
         for (int c = 0; s->brakes && c < s->l; c++)
             matrix[r * s->l + c] = r == c ? rows[r] : 0.0;
     }
+    for (int r = 0; r < s->compliances; r++)
+        least = fmin(least, i->compliances[r]);
+    for (int r = 0; r < s->compliances; r++)
+        shares[r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
 }
 
 /* Whether a motion goes on along its branch near a singular position. */
@@ -546,7 +563,7 @@ static int method(const Instance *i)
 static void settle_kernel(Instance *i)
 {
     const Scene *s = i->scene;
-    double *k = field(i, s->k), *rows = k + SETTINGS, *control = field(i, s->control), least = INFINITY;
+    double *k = field(i, s->k), *rows = k + SETTINGS, *control = field(i, s->control);
     const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
     const double pivot_of_mass = *i->freedom > 0.0 ? exp(*i->masses / *i->freedom) : 0.0;
     weigh(i);
@@ -563,10 +580,6 @@ static void settle_kernel(Instance *i)
     k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
-    for (int r = 0; r < s->compliances; r++)
-        least = fmin(least, i->compliances[r]);
-    for (int r = 0; r < s->compliances; r++)
-        rows[2 * s->l + s->n + r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
     field(i, s->dt)[0] = control[CONTROL_STEP_SIZE] = i->values[s->step_size];
     control[CONTROL_TIER] = !(i->flags.scaled || s->same_tiers);
     control[CONTROL_METHOD] = method(i);
@@ -1435,6 +1448,7 @@ Outcome instance_read(Instance *i)
     const double *z = field(i, s->z);
     Outcome outcome = DONE;
     const char *name = NULL;
+    char closer[120];
     double value;
     if (i->flags.known)
         return DONE;
@@ -1460,8 +1474,8 @@ Outcome instance_read(Instance *i)
         return outcome;
     return say(i, FAILED,
         "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
-        "another start or a smaller solver.step_size%s",
-        s->name, *instance_time(i), name, value, or_penalty(i));
+        "another start or a smaller solver.step_size%s%s",
+        s->name, *instance_time(i), name, value, or_penalty(i), or_compliances(i, closer, sizeof closer));
 }
 
 /* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
