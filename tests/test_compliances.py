@@ -96,7 +96,7 @@ def test_some_compliances_and_not_all_are_refused():
 
 
 def held(given: float = 0.0) -> tuple[alfmu.Equations, alfmu.Instance]:
-    """A parallel four-bar held at B and by a brake from its start at 0.6 rad on, by compliances over so many decades."""
+    """A parallel four-bar held at B and by a brake from its start on, by compliances over so many decades."""
     m = alfmu.load("four_bar")
     m.lock("B")
     m.clutch("brake", m.ground, next(b for b in m.bodies if b.name == "link3"))
