@@ -39,6 +39,7 @@ enum {
     ENERGY_SCALE, /* largest kinetic energy and largest work so far [J] */
     STEP_ERROR,   /* what the last communication step changed of the balance, over that */
     RUN_ERROR,    /* largest balance over it */
+    AT_REST,      /* what communication steps at rest left, which is round-off of work and no part of the balance [J] */
     COUNTED
 };
 

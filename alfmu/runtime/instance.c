@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define FORMAT 4
+#define FORMAT 5
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
@@ -18,6 +18,10 @@
 
 /* Velocities [m/s, rad/s] of a motion whose energy is too little to judge a balance by. */
 #define SLOW_MOTION 1e-5
+
+/* Displacement [m, rad] of a communication step, between ends at which the motion is as slow, that is rest: a hundredth of
+   the default tolerance. */
+#define RESTING 1e-8
 
 /* Inputs above this are tried before they are taken: some outputs may not be finite with them. */
 #define TRIED 1e30
@@ -811,6 +815,19 @@ static double kinetic_energy_at(Instance *i, double speed)
     return kinetic;
 }
 
+/* Whether the last communication step begins and ends at rest in one place. The work of a large force is then that of the
+   last digits of the velocities, and its energy none. */
+static int rested(const Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *now = field(i, s->z), *begin = field(i, s->begin);
+    for (int c = 0; c < s->n; c++)
+        if (!(fabs(now[c] - begin[c]) <= RESTING && fabs(now[s->n + c]) <= SLOW_MOTION
+                && fabs(begin[s->n + c]) <= SLOW_MOTION))
+            return 0;
+    return 1;
+}
+
 /* The balance of energies after a communication step, where anybody reads of it. */
 void instance_balance(Instance *i)
 {
@@ -820,7 +837,11 @@ void instance_balance(Instance *i)
     if (!s->balances)
         return;
     found = energy(i, z + s->n, &kinetic);
-    off = found - c[ENERGY_START] - work;
+    off = found - c[ENERGY_START] - work - c[AT_REST];
+    if (rested(i)) {
+        c[AT_REST] += off - c[BALANCE];
+        off = c[BALANCE];
+    }
     c[ENERGY_SCALE] = fmax(c[ENERGY_SCALE], fmax(kinetic, fabs(work)));
     c[STEP_ERROR] = fabs(off - c[BALANCE]) / c[ENERGY_SCALE];
     c[BALANCE] = off;
