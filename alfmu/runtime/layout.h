@@ -106,6 +106,8 @@
 #define TRIES 32
 #define AWAY 0.5
 #define NEARER 0.8
+#define BETWEEN 2.0
+#define APART 0.1
 #define RANKED 8
 #define FEW_RANKED 2
 #define TORN 0.3
