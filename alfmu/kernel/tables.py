@@ -207,6 +207,7 @@ def layout_header() -> str:
         "CORRECTIONS": formulations.CORRECTIONS,
         "NOISE_FLOOR": singular.NOISE_FLOOR,
         "LEAST_DISTANCE": singular.LEAST_DISTANCE,
+        "BRANCH_MARGIN": singular.BRANCH_MARGIN,
         "REGULAR_PRODUCT": singular.REGULAR_PRODUCT,
         "CONVERGENCE": singular.CONVERGENCE,
         "QUARTER": math.pi / 2,

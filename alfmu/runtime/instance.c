@@ -653,6 +653,18 @@ static const char *method_name(const Instance *i)
     return s->choice[s->method_choice].values[i->flags.choice[s->method_choice]];
 }
 
+static double margin(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n;
+    double found;
+    const double *x[] = {field(i, s->z), field(i, s->p), field(i, s->k)};
+    double *y[] = {take(i, n), take(i, n), take(i, n), &found};
+    call(i, s->pivots, x, y);
+    i->used = used;
+    return found;
+}
+
 /* Other constraints from now on; what comes into force must be closed, and makes the velocity consistent. */
 static Outcome change(Instance *i, const double *on)
 {
@@ -943,6 +955,9 @@ static Outcome started(Instance *i)
         return outcome;
     begin_at(i, q, v, time);
     settle_kernel(i);
+    /* At rest near a singular position nothing else tells the direction along which a limit is taken. */
+    if (s->l && continues(i) && largest(v, s->n) == 0.0 && margin(i) < BRANCH_MARGIN)
+        set_off(i, held, q, field(i, s->z) + s->n);
     for (int k = 0; k < s->switches; k++)
         if (i->wanted[k] != i->on[k])
             return take_effect(i);
@@ -974,18 +989,6 @@ Outcome instance_initialize(Instance *i)
 }
 
 /* Steps ------------------------------------------------------------------------------------------------------------ */
-
-static double margin(Instance *i)
-{
-    const Scene *s = i->scene;
-    const size_t used = i->used, n = (size_t)s->n;
-    double found;
-    const double *x[] = {field(i, s->z), field(i, s->p), field(i, s->k)};
-    double *y[] = {take(i, n), take(i, n), take(i, n), &found};
-    call(i, s->pivots, x, y);
-    i->used = used;
-    return found;
-}
 
 /* FAILED where a move from `start` ends at no finite state, in the words of its first stage that went wrong. */
 static Outcome check_finite(Instance *i, double start, double dt)

@@ -9,6 +9,7 @@
 #define CORRECTIONS 20
 #define NOISE_FLOOR 25.0
 #define LEAST_DISTANCE 0.011
+#define BRANCH_MARGIN 0.00025
 #define REGULAR_PRODUCT 0.1
 #define CONVERGENCE 7.0
 #define QUARTER 1.5707963267948966
@@ -108,6 +109,7 @@
 #define NEARER 0.8
 #define BETWEEN 2.0
 #define APART 0.1
+#define DIRECTION 1e-40
 #define RANKED 8
 #define FEW_RANKED 2
 #define TORN 0.3

@@ -377,18 +377,13 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
     return alone(i, loops, guess, q, moved, &another);
 }
 
-/* Velocities that keep the loops closed and have the start rates, nearest to the guess v. */
-static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
+/* Velocities that keep the loops closed and have the rates of start values, nearest to the guess v; what they leave. */
+static void rated(Instance *i, Loops *loops, const double *q, const double *rate, double *v, double *left)
 {
     const Scene *s = i->scene;
-    const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
-    const double *rate = starts(i) + s->starts;
-    double *left = take(i, count), *made = take(i, count), *dv = take(i, n), *weights = take(i, l);
-    double *F = take(i, n), *zeros = take(i, (size_t)s->inputs + 1), *M = take(i, (size_t)s->mass.entries);
-    double lost = 0.0, most;
-    const double zero = 0.0;
-    Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
-    int worst = 0;
+    const size_t used = i->used;
+    double *made = take(i, (size_t)loops->count), *dv = take(i, (size_t)s->n), *weights = take(i, (size_t)s->l);
+    const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     closure_at(i, loops, q);
     constraints_at(i, q, v, NULL, J.constraints.values, NULL, NULL);
     for (int r = 0; r < s->l; r++)
@@ -404,6 +399,24 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
         for (int c = 0; c < s->n; c++)
             v[c] += dv[c];
     }
+    i->used = used;
+}
+
+/* Velocities that keep the loops closed and have the start rates, nearest to the guess v. */
+static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
+{
+    const Scene *s = i->scene;
+    const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
+    const double *rate = starts(i) + s->starts;
+    double *left = take(i, count), *made = take(i, count), *dv = take(i, n), *weights = take(i, l);
+    double *F = take(i, n), *zeros = take(i, (size_t)s->inputs + 1), *M = take(i, (size_t)s->mass.entries);
+    double lost = 0.0, most;
+    const double zero = 0.0;
+    Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
+    int worst = 0;
+    rated(i, loops, q, rate, v, left);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = loops->held[r];
     for (int r = 1; r < loops->count; r++)
         if (fabs(left[r]) > fabs(left[worst]))
             worst = r;
@@ -443,6 +456,27 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
             "would open by %.3g %s/s2); start a little beside it",
             s->name, s->rows[worst].name, lost, s->rows[worst].unit);
     return DONE;
+}
+
+/* The direction of a motion that starts at rest, as a velocity that is nothing: that of equal rates of the start values;
+   it stays at rest where there is no such motion. */
+void set_off(Instance *i, const unsigned char *held, const double *q, double *v)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n;
+    double *guess = take(i, n), *way = take(i, n), *equal = take(i, (size_t)s->starts), size;
+    const double *x[] = {field(i, s->p), starts(i), equal};
+    double *y[] = {guess, way};
+    Loops loops = loops_new(i, held);
+    for (int k = 0; k < s->starts; k++)
+        equal[k] = 1.0;
+    call(i, s->guesses, x, y);
+    rated(i, &loops, q, equal, way, loops.residue);
+    size = largest(way, s->n);
+    if (size > 0.0 && largest(loops.residue, loops.count) <= ROUGH * size)
+        for (int c = 0; c < s->n; c++)
+            v[c] = DIRECTION / size * way[c];
+    i->used = used;
 }
 
 Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
