@@ -221,6 +221,8 @@ def layout_header() -> str:
         "OMEGA": Settings.omega,
         "LEAST_BEFORE": stepping.LEAST_BEFORE,
         "GIVEN_UP": stepping.SHORTEST,
+        "STEADY": stepping.STEADY,
+        "LOOSER": stepping.LOOSER,
         "NOISE": stepping.NOISE,
         "UNBALANCED": UNBALANCED,
         "ROUND_OFF": ROUND_OFF,

@@ -86,7 +86,7 @@ BETWEEN = 2.0
 as the guess is then beyond a third of the way to it; so it is where one bar of a pantograph is guessed half a turn
 off."""
 
-APART = 0.1
+DISTINCT = 0.1
 """way between assemblies [m or rad]: nearer ones are the same, found less exactly; an assembly that is found again from
 so far beside it is determined by the start values."""
 

@@ -28,6 +28,8 @@
 #define OMEGA 10.0
 #define LEAST_BEFORE 0.01
 #define GIVEN_UP 1e-12
+#define STEADY 1e-06
+#define LOOSER 0.25
 #define NOISE 8.0
 #define UNBALANCED 0.001
 #define ROUND_OFF 1.7763568394002505e-15
@@ -108,7 +110,7 @@
 #define AWAY 0.5
 #define NEARER 0.8
 #define BETWEEN 2.0
-#define APART 0.1
+#define DISTINCT 0.1
 #define DIRECTION 1e-40
 #define RANKED 8
 #define FEW_RANKED 2

@@ -236,7 +236,7 @@ static int nearest(Instance *i, Loops *loops, const double *guess, double size, 
             memcpy(found, q, (size_t)s->n * sizeof *q);
         }
         away = apart(s, guess, q);
-        if (away < another->way && apart(s, another->own, q) > APART) {
+        if (away < another->way && apart(s, another->own, q) > DISTINCT) {
             another->way = away;
             for (int c = 0; c < s->n; c++) /* Angles that a reader compares with the guess, without whole turns. */
                 another->q[c] = guess[c] + short_way(s, c, q[c] - guess[c]);
@@ -254,9 +254,9 @@ static int determined(Instance *i, Loops *loops, const double *assembly)
     double *q = take(i, (size_t)s->n);
     int back;
     for (int c = 0; c < s->n; c++)
-        q[c] = assembly[c] + APART * s->normal[c] / sqrt(s->n);
+        q[c] = assembly[c] + DISTINCT * s->normal[c] / sqrt(s->n);
     followed(i, loops, q);
-    back = closes(i, loops, q) && apart(s, assembly, q) < APART * APART;
+    back = closes(i, loops, q) && apart(s, assembly, q) < DISTINCT * DISTINCT;
     i->used = used;
     return back;
 }
