@@ -380,6 +380,7 @@ class Instance(runtime.Instance):
         self._judged(self._scene.library.alfmu_ready(self._unit.address, start, h))
         try:
             self._change(penalty, v)
+            self.memory["begin"][:] = self.memory["z"]
             n = max(1, math.ceil(h / self.settings.step_size * (1 - 1e-12)))
             if self._past:
                 self._past.reach(start, self.inputs)

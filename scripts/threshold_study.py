@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -245,7 +246,8 @@ def _assembled(_: Any) -> Found:
         i = alfmu.Instance(equations)
         i.set("start.a", float(angle))
         try:
-            i.initialize()
+            with warnings.catch_warnings(action="ignore", category=alfmu.AlfmuWarning):  # Guesses are meant to be poor.
+                i.initialize()
         except alfmu.AlfmuError:
             refused += 1
     return Found(refused / 100, 0)

@@ -44,6 +44,17 @@ def reference() -> tuple[ca.Function, np.ndarray, np.ndarray]:
     return acceleration, times, ode.motion(lambda t, x, v: float(acceleration(x, v)), 1.0, 3.0, times)
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
+def test_loose_tolerances_are_held_over_the_whole_run(tolerance):
+    """Six turns, by steps so long that the estimate misses a part of their errors; few communication points."""
+    acceleration, times = reference()[0], np.arange(0.0, 10.5)
+    exact = ode.motion(lambda t, x, v: float(acceleration(x, v)), 1.0, 3.0, times)[:, 0]
+    given = {"solver.method": "explicit", "solver.relative_tolerance": tolerance}
+    r = alfmu.simulate(derived("bennett"), 10.0, 1.0, parameters=given)
+    assert np.abs(r["hinge1.angle"] - exact).max() <= 10 * tolerance
+    assert r.counters.evaluations <= 2_800
+
+
 @pytest.mark.parametrize("penalty", [0.0, 1.0, 1e3, 1e6, 1e9, 1e12])
 def test_fourth_order_for_every_penalty(penalty):
     """The same error to 1 % for penalties over twelve decades, the default among them; no redundant row brakes."""

@@ -93,3 +93,43 @@ def test_some_compliances_and_not_all_are_refused():
         i.initialize()
     with pytest.raises(alfmu.InputError, match="outside"):
         i.set("C.compliance.x", -1.0)
+
+
+def held(given: float = 0.0) -> tuple[alfmu.Equations, alfmu.Instance]:
+    """A parallel four-bar held at B and by a brake from its start on, by compliances over so many decades."""
+    m = alfmu.load("four_bar")
+    m.lock("B")
+    m.clutch("brake", m.ground, next(b for b in m.bodies if b.name == "link3"))
+    m.compliances()
+    e = alfmu.derive(m)
+    i = alfmu.Instance(prepared(e))
+    if given:
+        for variable, x in zip(
+            e.compliances, np.random.default_rng(4).uniform(-given / 2, given / 2, e.l), strict=True
+        ):
+            i.set(variable.name, 10**x)
+    i.set("start.angle", 0.6)
+    for name in ("B.locked", "brake.locked"):
+        i.set(name, True)
+    i.initialize()
+    return e, i
+
+
+@pytest.mark.parametrize("given", [0.0, 2.0])
+def test_an_impact_at_the_start_is_shared_by_compliances(given):
+    """Two brakes that come into force at the start; where no compliances are given, in the least norm."""
+    e, i = held(given)
+    p = parameters(i)
+    free = by_the_oracle(alfmu.derive(alfmu.load("four_bar")), {"start.angle": 0.6})
+    momentum = np.array(e.M(i.q, p)) @ free.v
+    compliance = np.array([i.get(v.name) for v in e.compliances]) if given else np.ones(e.l)
+    W = np.diag(1 / np.sqrt(compliance))
+    shares = -W @ np.linalg.pinv(np.array(e.C(i.q, p)).T @ W, rcond=1e-9) @ momentum
+    assert [i.get("B.impulse"), i.get("brake.impulse")] == pytest.approx(shares[-2:], rel=1e-10)
+    assert abs(shares[-1]) > 0.1  # else the brake would show nothing
+
+
+def test_compliances_that_are_too_far_apart_are_named():
+    """Eight decades are more than the passes share."""
+    with pytest.raises(alfmu.StepError, match=r"would be nan.*compliances .* differ by a factor of \d"):
+        held(14.0)[1].get("A.force.x")

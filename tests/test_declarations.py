@@ -1,6 +1,7 @@
 """What a user may declare by mistake: refused at its line, with the name, what was given and what would be right."""
 
 import math
+import re
 import subprocess
 import sys
 import textwrap
@@ -432,6 +433,61 @@ def test_an_assembly_on_the_other_side_of_the_guess_is_warned_of_where_it_is_the
         assert said[0].startswith(
             "under: the loops closed 2 (m and rad) from the guess, where y is -1 m instead of 1, and"
         )
+
+
+def told_at_the_start(m: alfmu.Mechanism) -> list[str]:
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        alfmu.Instance(m).initialize()
+    return [str(each.message) for each in told]
+
+
+def pantograph(inner: float) -> alfmu.Mechanism:
+    """Two bars, and two that make a parallelogram with them: the first of these at -1.7 rad to the first bar."""
+    m = alfmu.Mechanism("pantograph")
+    lengths = {"first": 0.6, "second": 0.6, "inner": 0.24, "outer": 0.36}
+    first, second, short, long = (m.bar(name, mass=0.1, length=each) for name, each in lengths.items())
+    m.revolute(
+        "O", m.ground.at(), first.start, coordinate=m.coordinate("shoulder", "rad", start=1.46, independent=True)
+    )
+    m.revolute("B", first.end, second.start, coordinate=m.coordinate("corner", "rad", start=-1.7, independent=True))
+    m.revolute("A", first.at(0.24, 0), short.start, coordinate=m.coordinate("a", start=inner))
+    m.revolute("D", second.at(0.24, 0), long.start, coordinate=m.coordinate("d", start=1.7 - math.pi))
+    m.revolute("P", short.end, long.end)
+    return m
+
+
+@pytest.mark.parametrize(("off", "between"), [(0.0, False), (0.4, False), (-0.4, False), (math.pi, True), (-3.0, True)])
+def test_a_guess_between_two_assemblies_is_warned_of(off, between):
+    """Half a turn off in one bar, a pantograph closes as an antiparallelogram, to which its guess is nearer in rad."""
+    said = told_at_the_start(pantograph(-1.7 + off))
+    if not between:
+        assert said == []
+        return
+    assert len(said) == 1
+    found = re.match(
+        r"pantograph: the guess lies between two assemblies, and the loops closed in one, (\S+) \(m and rad\) from it, "
+        r"where a is (\S+) rad instead of (\S+); another is (\S+) from it, where that is (\S+) rad; give start values",
+        said[0],
+    )
+    near, a, guess, far, other = map(float, found.groups())
+    assert near < far == pytest.approx(abs(off), abs=0.01)
+    assert guess == pytest.approx(-1.7 + off, abs=1e-4)
+    assert math.remainder(other + 1.7, 2 * math.pi) == pytest.approx(0.0, abs=1e-4)
+    assert abs(math.remainder(a + 1.7, 2 * math.pi)) > 1.0
+
+
+def test_of_assemblies_that_no_start_value_tells_apart_there_is_no_other():
+    """A rod on a pin, guessed 2 m off, may have any angle."""
+    m = alfmu.Mechanism("pinned")
+    x, y, th = (
+        m.coordinate("x", "m", start=2.0),
+        m.coordinate("y", "m", start=0.3),
+        m.coordinate("th", "rad", start=0.1),
+    )
+    rod = m.body("rod", mass=1.0, inertia=0.1, pose=(x, y, th))
+    m.revolute("A", m.ground.at(), rod.at(-0.5, 0.0))
+    assert told_at_the_start(m) == []
 
 
 def test_an_assembly_at_its_guess_says_nothing():

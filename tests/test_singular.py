@@ -415,3 +415,18 @@ def test_rows_of_loops_pass_their_singular_positions(loops, coordinates, step):
 @cache
 def scene_of_row(loops: int, coordinates: str) -> alfmu.Equations:
     return prepared(derived("n_four_bar", loops=loops, coordinates=coordinates), "compiled")
+
+
+@pytest.mark.parametrize("coordinates", ["mixed", "joint"])
+@pytest.mark.parametrize("aside", [0.0, 1e-9, -1e-7, 1e-5, -3e-4])
+def test_a_motion_that_begins_at_rest_beside_a_singular_position_goes_on(aside, coordinates):
+    """Where a motion turns back it has no velocity, along which places of a limit could lie; with all defaults."""
+    i = alfmu.Instance(scene("four_bar", "vm", coordinates))
+    for name, value in {"start.angle": np.pi + aside, "start.angular_velocity": 0.0, "A.torque": 1.0}.items():
+        i.set(name, value)
+    i.initialize()
+    assert np.abs(i.v).max() <= 1e-39
+    for _ in range(20):
+        i.step(0.02)
+    th, w = FOUR_BAR.driven(np.pi + aside, 0.0, np.array([0.0, 0.4]), 1.0)[-1]
+    assert [i.get("link1.angle"), i.get("link1.angular_velocity")] == pytest.approx([th, w], abs=1e-7)

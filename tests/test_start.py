@@ -1,6 +1,7 @@
 """The start of a run: assembly, rates, masses; names and numbers that cannot be; what survives a refusal."""
 
 import re
+import warnings
 from math import cos, hypot, inf, nan, pi, sin
 
 import casadi as ca
@@ -94,17 +95,20 @@ def test_assembly_nearest_to_the_guess(guess: tuple[float, float]) -> None:
 def test_a_guess_that_leads_elsewhere_is_refused(guess: tuple[float, float]) -> None:
     """Radians off, the start is the nearest assembly, counting whole turns, or an error with the loop and the gap.
 
-    Where two assemblies are about equally far (a quarter) either will do.
+    Where two assemblies are about equally far (a quarter) either will do; it says that the guess lies between them.
     """
     turns = [2 * pi * k for k in range(-8, 9)]
     nearest = min(
         hypot(closed(s)[0] + a - guess[0], closed(s)[1] + b - guess[1]) for s in (1, -1) for a in turns for b in turns
     )
     try:
-        r = readings(started(linkage(*guess)))
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            r = readings(started(linkage(*guess)))
     except alfmu.AssemblyError as error:
         assert re.search(r"gap of \d.* m at C", str(error))  # noqa: PT017 - either outcome is right
         return
+    assert all("linkage: the guess lies between two assemblies" in str(each.message) for each in said)
     moved = hypot(r["rocker.angle"] - guess[0], r["coupler.angle"] - 0.8 - guess[1])
     assert moved <= 1.25 * nearest
 

@@ -81,6 +81,19 @@ AWAY = 0.5
 NEARER = 0.8
 """ratio of ways from the guess [1]: the start warns of an assembly whose way is less than this part of its own."""
 
+BETWEEN = 2.0
+"""ratio of ways from the guess [1]: the start warns of another assembly whose way is less than so many times its own,
+as the guess is then beyond a third of the way to it; so it is where one bar of a pantograph is guessed half a turn
+off."""
+
+DISTINCT = 0.1
+"""way between assemblies [m or rad]: nearer ones are the same, found less exactly; an assembly that is found again from
+so far beside it is determined by the start values."""
+
+DIRECTION = 1e-40
+"""velocity [m/s or rad/s]: a motion that begins at rest near a singular position begins with it, as the places of a
+limit lie along the velocity; all that it moves, and its energy, are nothing."""
+
 RANKED = 8
 """number of places [1]: S1 finds the rank of C at so many places around the start, as the start itself may be singular;
 with four the five-bar, which starts at a singular position, stops."""

@@ -39,6 +39,7 @@ enum {
     ENERGY_SCALE, /* largest kinetic energy and largest work so far [J] */
     STEP_ERROR,   /* what the last communication step changed of the balance, over that */
     RUN_ERROR,    /* largest balance over it */
+    AT_REST,      /* what communication steps at rest left, which is round-off of work and no part of the balance [J] */
     COUNTED
 };
 
@@ -263,6 +264,7 @@ double widest(Instance *i, const double *q, const double *v, int of_velocity, in
 void in_force(const Instance *i, const double *on, unsigned char *held);
 
 Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v);
+void set_off(Instance *i, const unsigned char *held, const double *q, double *v);
 Outcome check_masses(Instance *i, const double *q, const unsigned char *held);
 void default_penalties(Instance *i, const double *q, double *penalties);
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);

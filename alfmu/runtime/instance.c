@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define FORMAT 4
+#define FORMAT 5
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
@@ -18,6 +18,10 @@
 
 /* Velocities [m/s, rad/s] of a motion whose energy is too little to judge a balance by. */
 #define SLOW_MOTION 1e-5
+
+/* Displacement [m, rad] of a communication step, between ends at which the motion is as slow, that is rest: a hundredth of
+   the default tolerance. */
+#define RESTING 1e-8
 
 /* Inputs above this are tried before they are taken: some outputs may not be finite with them. */
 #define TRIED 1e30
@@ -440,6 +444,19 @@ static const char *or_penalty(const Instance *i)
     return penalty_given(i) ? "; or solver.penalty 0, which scales it with the masses" : "";
 }
 
+/* What to do, too, where loads are shared by compliances that are too far apart for the passes there are. */
+static const char *or_compliances(const Instance *i, char *text, size_t size)
+{
+    double least = INFINITY;
+    *text = '\0';
+    for (int r = 0; r < i->scene->compliances; r++)
+        least = fmin(least, i->compliances[r]);
+    if (least > 0.0 && least < INFINITY)
+        snprintf(text, size, "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
+            largest(i->compliances, i->scene->compliances) / least);
+    return text;
+}
+
 /* What to do where a loop ends before it converges. */
 static const char *remedy(const Instance *i)
 {
@@ -510,12 +527,12 @@ void hand_over(Instance *i)
         i->workspace[s->within] = i->within;
 }
 
-/* Penalties and units handed on to the kernel; redundant constraints as they are. */
+/* Penalties, units and shares of constraints handed on to the kernel; redundant constraints as they are. */
 static void weigh(Instance *i)
 {
     const Scene *s = i->scene;
-    double *k = field(i, s->k), *rows = k + SETTINGS, most = largest(i->penalty, s->l);
-    double *matrix = rows + 2 * s->l + s->n + s->compliances;
+    double *k = field(i, s->k), *rows = k + SETTINGS, most = largest(i->penalty, s->l), least = INFINITY;
+    double *shares = rows + 2 * s->l + s->n, *matrix = shares + s->compliances;
     *i->largest_penalty = most = most > 0.0 ? most : 1.0;
     k[SETTINGS_ALPHA] = most;
     k[SETTINGS_TOLERANCE] = i->values[s->tolerance];
@@ -525,6 +542,10 @@ static void weigh(Instance *i)
         for (int c = 0; s->brakes && c < s->l; c++)
             matrix[r * s->l + c] = r == c ? rows[r] : 0.0;
     }
+    for (int r = 0; r < s->compliances; r++)
+        least = fmin(least, i->compliances[r]);
+    for (int r = 0; r < s->compliances; r++)
+        shares[r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
 }
 
 /* Whether a motion goes on along its branch near a singular position. */
@@ -542,11 +563,17 @@ static int method(const Instance *i)
     return rk4 ? 0 : s->method;
 }
 
+/* The tolerance of a step for that of a run; in proportion for explicit methods, and less where it is loose. */
+static double of_step(double share, double exponent, double run)
+{
+    return share * pow(run, exponent) * (exponent == 1.0 ? pow(fmin(1.0, STEADY / run), LOOSER) : 1.0);
+}
+
 /* The kernel told what the settings ask for. */
 static void settle_kernel(Instance *i)
 {
     const Scene *s = i->scene;
-    double *k = field(i, s->k), *rows = k + SETTINGS, *control = field(i, s->control), least = INFINITY;
+    double *k = field(i, s->k), *rows = k + SETTINGS, *control = field(i, s->control);
     const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
     const double pivot_of_mass = *i->freedom > 0.0 ? exp(*i->masses / *i->freedom) : 0.0;
     weigh(i);
@@ -556,17 +583,13 @@ static void settle_kernel(Instance *i)
     k[SETTINGS_NOTHING] = NOISE_FLOOR * pivot_of_mass;
     k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
     k[SETTINGS_CONTINUES] = s->l && continues(i);
-    k[SETTINGS_RELATIVE] = s->method ? s->share * pow(relative, s->exponent) : 0.0;
-    k[SETTINGS_ABSOLUTE] = s->method ? s->share * pow(absolute > 0.0 ? absolute : relative, s->exponent) : 0.0;
+    k[SETTINGS_RELATIVE] = s->method ? of_step(s->share, s->exponent, relative) : 0.0;
+    k[SETTINGS_ABSOLUTE] = s->method ? of_step(s->share, s->exponent, absolute > 0.0 ? absolute : relative) : 0.0;
     k[SETTINGS_BESIDE] =
-        s->method == 1 ? s->beside_share * pow(relative, s->beside_exponent) / k[SETTINGS_RELATIVE] : 1.0;
+        s->method == 1 ? of_step(s->beside_share, s->beside_exponent, relative) / k[SETTINGS_RELATIVE] : 1.0;
     k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
-    for (int r = 0; r < s->compliances; r++)
-        least = fmin(least, i->compliances[r]);
-    for (int r = 0; r < s->compliances; r++)
-        rows[2 * s->l + s->n + r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
     field(i, s->dt)[0] = control[CONTROL_STEP_SIZE] = i->values[s->step_size];
     control[CONTROL_TIER] = !(i->flags.scaled || s->same_tiers);
     control[CONTROL_METHOD] = method(i);
@@ -634,6 +657,18 @@ static const char *method_name(const Instance *i)
 {
     const Scene *s = i->scene;
     return s->choice[s->method_choice].values[i->flags.choice[s->method_choice]];
+}
+
+static double margin(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n;
+    double found;
+    const double *x[] = {field(i, s->z), field(i, s->p), field(i, s->k)};
+    double *y[] = {take(i, n), take(i, n), take(i, n), &found};
+    call(i, s->pivots, x, y);
+    i->used = used;
+    return found;
 }
 
 /* Other constraints from now on; what comes into force must be closed, and makes the velocity consistent. */
@@ -798,6 +833,19 @@ static double kinetic_energy_at(Instance *i, double speed)
     return kinetic;
 }
 
+/* Whether the last communication step begins and ends at rest in one place. The work of a large force is then that of the
+   last digits of the velocities, and its energy none. */
+static int rested(const Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *now = field(i, s->z), *begin = field(i, s->begin);
+    for (int c = 0; c < s->n; c++)
+        if (!(fabs(now[c] - begin[c]) <= RESTING && fabs(now[s->n + c]) <= SLOW_MOTION
+                && fabs(begin[s->n + c]) <= SLOW_MOTION))
+            return 0;
+    return 1;
+}
+
 /* The balance of energies after a communication step, where anybody reads of it. */
 void instance_balance(Instance *i)
 {
@@ -807,7 +855,11 @@ void instance_balance(Instance *i)
     if (!s->balances)
         return;
     found = energy(i, z + s->n, &kinetic);
-    off = found - c[ENERGY_START] - work;
+    off = found - c[ENERGY_START] - work - c[AT_REST];
+    if (rested(i)) {
+        c[AT_REST] += off - c[BALANCE];
+        off = c[BALANCE];
+    }
     c[ENERGY_SCALE] = fmax(c[ENERGY_SCALE], fmax(kinetic, fabs(work)));
     c[STEP_ERROR] = fabs(off - c[BALANCE]) / c[ENERGY_SCALE];
     c[BALANCE] = off;
@@ -909,6 +961,9 @@ static Outcome started(Instance *i)
         return outcome;
     begin_at(i, q, v, time);
     settle_kernel(i);
+    /* At rest near a singular position nothing else tells the direction along which a limit is taken. */
+    if (s->l && continues(i) && largest(v, s->n) == 0.0 && margin(i) < BRANCH_MARGIN)
+        set_off(i, held, q, field(i, s->z) + s->n);
     for (int k = 0; k < s->switches; k++)
         if (i->wanted[k] != i->on[k])
             return take_effect(i);
@@ -940,18 +995,6 @@ Outcome instance_initialize(Instance *i)
 }
 
 /* Steps ------------------------------------------------------------------------------------------------------------ */
-
-static double margin(Instance *i)
-{
-    const Scene *s = i->scene;
-    const size_t used = i->used, n = (size_t)s->n;
-    double found;
-    const double *x[] = {field(i, s->z), field(i, s->p), field(i, s->k)};
-    double *y[] = {take(i, n), take(i, n), take(i, n), &found};
-    call(i, s->pivots, x, y);
-    i->used = used;
-    return found;
-}
 
 /* FAILED where a move from `start` ends at no finite state, in the words of its first stage that went wrong. */
 static Outcome check_finite(Instance *i, double start, double dt)
@@ -1435,6 +1478,7 @@ Outcome instance_read(Instance *i)
     const double *z = field(i, s->z);
     Outcome outcome = DONE;
     const char *name = NULL;
+    char closer[120];
     double value;
     if (i->flags.known)
         return DONE;
@@ -1460,8 +1504,8 @@ Outcome instance_read(Instance *i)
         return outcome;
     return say(i, FAILED,
         "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
-        "another start or a smaller solver.step_size%s",
-        s->name, *instance_time(i), name, value, or_penalty(i));
+        "another start or a smaller solver.step_size%s%s",
+        s->name, *instance_time(i), name, value, or_penalty(i), or_compliances(i, closer, sizeof closer));
 }
 
 /* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */

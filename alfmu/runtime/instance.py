@@ -42,7 +42,7 @@ _FREE = 1e-7
 
 _COUNTED = (
     *("patient_steps", "reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
-    *("energy_error", "energy_start", "balance", "energy_scale", "step_error", "run_error"),
+    *("energy_error", "energy_start", "balance", "energy_scale", "step_error", "run_error", "at_rest"),
 )
 """What the library counts beside the tally of the kernel, in its order."""
 

@@ -9,6 +9,7 @@
 #define CORRECTIONS 20
 #define NOISE_FLOOR 25.0
 #define LEAST_DISTANCE 0.011
+#define BRANCH_MARGIN 0.00025
 #define REGULAR_PRODUCT 0.1
 #define CONVERGENCE 7.0
 #define QUARTER 1.5707963267948966
@@ -27,6 +28,8 @@
 #define OMEGA 10.0
 #define LEAST_BEFORE 0.01
 #define GIVEN_UP 1e-12
+#define STEADY 1e-06
+#define LOOSER 0.25
 #define NOISE 8.0
 #define UNBALANCED 0.001
 #define ROUND_OFF 1.7763568394002505e-15
@@ -106,6 +109,9 @@
 #define TRIES 32
 #define AWAY 0.5
 #define NEARER 0.8
+#define BETWEEN 2.0
+#define DISTINCT 0.1
+#define DIRECTION 1e-40
 #define RANKED 8
 #define FEW_RANKED 2
 #define TORN 0.3

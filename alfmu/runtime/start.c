@@ -193,12 +193,35 @@ static double followed(Instance *i, Loops *loops, double *q)
     return fmax(first, 0.0);
 }
 
-/* The assembly nearest to the guess among those found from places around it; whether there is one. */
-static int nearest(Instance *i, Loops *loops, const double *guess, double size, double *found)
+/* A change of a coordinate, of an angle by at most half a turn. */
+static double short_way(const Scene *s, int coordinate, double change)
+{
+    return strcmp(s->coordinates[coordinate].unit, "rad") ? change : remainder(change, 4 * QUARTER);
+}
+
+/* The length of the shortest way from one place to another. */
+static double apart(const Scene *s, const double *from, const double *to)
+{
+    double square = 0.0;
+    for (int c = 0; c < s->n; c++)
+        square += pow(short_way(s, c, to[c] - from[c]), 2);
+    return sqrt(square);
+}
+
+/* An assembly beside the one that the start ends in, and how far it is from the guess. */
+typedef struct {
+    const double *own;
+    double *q, way;
+} Another;
+
+/* The assembly nearest to the guess among those found from places around it; whether there is one. The nearest one that is
+   not the own is `another`. */
+static int nearest(Instance *i, Loops *loops, const double *guess, double size, double *found, Another *another)
 {
     const Scene *s = i->scene;
     const size_t used = i->used;
     double *q = take(i, (size_t)s->n), best = INFINITY;
+    another->way = INFINITY;
     for (int k = 0; k < TRIES; k++) {
         double away = 0.0;
         for (int c = 0; c < s->n; c++)
@@ -212,9 +235,30 @@ static int nearest(Instance *i, Loops *loops, const double *guess, double size, 
             best = away;
             memcpy(found, q, (size_t)s->n * sizeof *q);
         }
+        away = apart(s, guess, q);
+        if (away < another->way && apart(s, another->own, q) > DISTINCT) {
+            another->way = away;
+            for (int c = 0; c < s->n; c++) /* Angles that a reader compares with the guess, without whole turns. */
+                another->q[c] = guess[c] + short_way(s, c, q[c] - guess[c]);
+        }
     }
     i->used = used;
     return best < INFINITY;
+}
+
+/* Whether an assembly leads back to itself from a place beside it: start values determine it. */
+static int determined(Instance *i, Loops *loops, const double *assembly)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *q = take(i, (size_t)s->n);
+    int back;
+    for (int c = 0; c < s->n; c++)
+        q[c] = assembly[c] + DISTINCT * s->normal[c] / sqrt(s->n);
+    followed(i, loops, q);
+    back = closes(i, loops, q) && apart(s, assembly, q) < DISTINCT * DISTINCT;
+    i->used = used;
+    return back;
 }
 
 /* The widest gap, or the start value that is missed most. */
@@ -265,12 +309,22 @@ static int crossed(const Scene *s, const double *from, const double *to)
     return most;
 }
 
-/* DONE with a warning where the only assembly is on the other side of the guess. */
-static Outcome alone(Instance *i, const double *guess, const double *q, double moved)
+/* DONE, with a warning where the guess lies between this assembly and another, or the only one is on its other side. */
+static Outcome alone(
+    Instance *i, Loops *loops, const double *guess, const double *q, double moved, const Another *another)
 {
     const Scene *s = i->scene;
     const int c = crossed(s, guess, q);
-    if (c >= 0)
+    int most;
+    if (another->way < BETWEEN * apart(s, guess, q) && determined(i, loops, q)) {
+        way(s, q, another->q, &most);
+        say(i, DONE,
+            "%s: the guess lies between two assemblies, and the loops closed in one, %.3g (m and rad) from it, where %s "
+            "is %.6g %s instead of %.6g; another is %.3g from it, where that is %.6g %s; give start values or guesses "
+            "closer to the assembly you want",
+            s->name, moved, s->coordinates[most].name, q[most], s->coordinates[most].unit, guess[most], another->way,
+            another->q[most], s->coordinates[most].unit);
+    } else if (c >= 0)
         say(i, DONE,
             "%s: the loops closed %.3g (m and rad) from the guess, where %s is %.6g %s instead of %.6g, and no assembly "
             "was found that is nearer; check lengths and offsets, or give start values or guesses closer to this assembly",
@@ -282,6 +336,7 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
 {
     const Scene *s = i->scene;
     double step, moved, away = INFINITY, *other = take(i, (size_t)s->n);
+    Another another = {q, take(i, (size_t)s->n), INFINITY};
     char label[200];
     int most, found, direct;
     i->text[0] = '\0';
@@ -292,7 +347,7 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
     if (direct && (moved <= AWAY || s->n > DENSE))
         return DONE;
     /* A long way, or none: is there an assembly nearer to the guess? */
-    found = nearest(i, loops, guess, fmin(moved, 3.0), other);
+    found = nearest(i, loops, guess, fmin(moved, 3.0), other, &another);
     if (found)
         away = way(s, guess, other, &most);
     if (direct) {
@@ -301,7 +356,7 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
                 "%s: the loops closed far from the guess (%.3g in m and rad), and a nearer assembly is %.3g from it, where "
                 "%s is %.6g %s instead of %.6g; give start values or guesses closer to the assembly you want",
                 s->name, moved, away, s->coordinates[most].name, other[most], s->coordinates[most].unit, q[most]);
-        return away < NEARER * moved ? DONE : alone(i, guess, q, moved);
+        return away < NEARER * moved ? DONE : alone(i, loops, guess, q, moved, &another);
     }
     if (!found && moved == INFINITY) {
         closure_at(i, loops, q);
@@ -319,21 +374,16 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
             s->name, gap_label(i, loops, label, sizeof label), s->coordinates[most].name, other[most],
             s->coordinates[most].unit);
     }
-    return alone(i, guess, q, moved);
+    return alone(i, loops, guess, q, moved, &another);
 }
 
-/* Velocities that keep the loops closed and have the start rates, nearest to the guess v. */
-static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
+/* Velocities that keep the loops closed and have the rates of start values, nearest to the guess v; what they leave. */
+static void rated(Instance *i, Loops *loops, const double *q, const double *rate, double *v, double *left)
 {
     const Scene *s = i->scene;
-    const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
-    const double *rate = starts(i) + s->starts;
-    double *left = take(i, count), *made = take(i, count), *dv = take(i, n), *weights = take(i, l);
-    double *F = take(i, n), *zeros = take(i, (size_t)s->inputs + 1), *M = take(i, (size_t)s->mass.entries);
-    double lost = 0.0, most;
-    const double zero = 0.0;
-    Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
-    int worst = 0;
+    const size_t used = i->used;
+    double *made = take(i, (size_t)loops->count), *dv = take(i, (size_t)s->n), *weights = take(i, (size_t)s->l);
+    const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     closure_at(i, loops, q);
     constraints_at(i, q, v, NULL, J.constraints.values, NULL, NULL);
     for (int r = 0; r < s->l; r++)
@@ -349,6 +399,24 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
         for (int c = 0; c < s->n; c++)
             v[c] += dv[c];
     }
+    i->used = used;
+}
+
+/* Velocities that keep the loops closed and have the start rates, nearest to the guess v. */
+static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
+{
+    const Scene *s = i->scene;
+    const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
+    const double *rate = starts(i) + s->starts;
+    double *left = take(i, count), *made = take(i, count), *dv = take(i, n), *weights = take(i, l);
+    double *F = take(i, n), *zeros = take(i, (size_t)s->inputs + 1), *M = take(i, (size_t)s->mass.entries);
+    double lost = 0.0, most;
+    const double zero = 0.0;
+    Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
+    int worst = 0;
+    rated(i, loops, q, rate, v, left);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = loops->held[r];
     for (int r = 1; r < loops->count; r++)
         if (fabs(left[r]) > fabs(left[worst]))
             worst = r;
@@ -388,6 +456,27 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
             "would open by %.3g %s/s2); start a little beside it",
             s->name, s->rows[worst].name, lost, s->rows[worst].unit);
     return DONE;
+}
+
+/* The direction of a motion that starts at rest, as a velocity that is nothing: that of equal rates of the start values;
+   it stays at rest where there is no such motion. */
+void set_off(Instance *i, const unsigned char *held, const double *q, double *v)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n;
+    double *guess = take(i, n), *way = take(i, n), *equal = take(i, (size_t)s->starts), size;
+    const double *x[] = {field(i, s->p), starts(i), equal};
+    double *y[] = {guess, way};
+    Loops loops = loops_new(i, held);
+    for (int k = 0; k < s->starts; k++)
+        equal[k] = 1.0;
+    call(i, s->guesses, x, y);
+    rated(i, &loops, q, equal, way, loops.residue);
+    size = largest(way, s->n);
+    if (size > 0.0 && largest(loops.residue, loops.count) <= ROUGH * size)
+        for (int c = 0; c < s->n; c++)
+            v[c] = DIRECTION / size * way[c];
+    i->used = used;
 }
 
 Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
