@@ -80,8 +80,8 @@ def balance(unit: alfmu.Instance, equations: Equations, stop: float) -> float:
     for _ in range(round(stop / equations.interval)):
         unit.step(equations.interval)
         now, work = unit.get("monitor.energy"), unit.work
-        kinetic = now - float(energy(unit.q, 0 * unit.v, unit.memory["p"]))
-        off, scale = max(off, abs(now - first - work)), max(scale, kinetic, abs(work))
+        _, kinetic = energy(unit.q, unit.v, unit.memory["p"])
+        off, scale = max(off, abs(now - first - work)), max(scale, float(kinetic), abs(work))
     return off / scale
 
 
