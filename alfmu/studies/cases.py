@@ -62,8 +62,8 @@ QUANTITIES = (POSITION, REACTION, PHI, PHI_DOT, ENERGY)
 STEP, TOLERANCE = "step [s]", "tolerance"
 """What sets the error of a method."""
 
-SMALL = 10
-"""Coordinates that a study takes as long for as for all that does not depend on their number."""
+SMALL = 1000
+"""Operations in the equations that a study takes as long for as for all that does not depend on their number."""
 
 REPEATED = 0.1
 """Part of the limit of time that goes into repeating a run."""
@@ -325,9 +325,10 @@ class Begun(Generic[AnyStudy]):
     """Wall time for all [s]."""
 
     def measured(self, progress: Callable[[str], Progress]) -> Iterator[AnyStudy]:
-        """The studies, each measured with its share of the time that is left: larger mechanisms take longer."""
+        """The studies, each measured with its share of the time that is left: larger equations take longer."""
         end = time.perf_counter() + self.total
-        weights = [SMALL + study.derived.n for study in self.studies]
+        sizes = [sum(f.n_nodes() for f in study.derived.functions.values()) for study in self.studies]
+        weights = [SMALL + size for size in sizes]
         for i, study in enumerate(self.studies):
             now = time.perf_counter()
             study.measure(now + (end - now) * weights[i] / sum(weights[i:]), progress(study.name))
