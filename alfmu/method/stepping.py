@@ -55,7 +55,7 @@ class Explicit:
 
     @property
     def name(self) -> str:
-        """The name of the method, different from that of any other."""
+        """The name of the method: its order tells those apart that `solver.method` stands for."""
         return f"explicit {self.order}"
 
     @property
