@@ -52,7 +52,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 7
+VERSION = 8
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
