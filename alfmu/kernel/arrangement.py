@@ -159,7 +159,9 @@ class _Form:
     def _without_differences(self, sums: dict[int, list[_Term]]) -> dict[int, list[_Term]]:
         """The same, of products that are subtracted one factor negated instead: few factors, which many have in
         common."""
-        left = {(k, i): x for k, terms in sums.items() for i, x in enumerate(terms) if x.negative and x.second is not None}
+        left = {
+            (k, i): x for k, terms in sums.items() for i, x in enumerate(terms) if x.negative and x.second is not None
+        }
         of: dict[int, dict[tuple[int, int], None]] = defaultdict(dict)
         for place, term in left.items():
             for factor in {term.first, term.second}:

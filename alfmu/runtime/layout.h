@@ -271,6 +271,8 @@
     X(method_careful) \
     X(short_step) \
     X(short_beside) \
+    X(onward) \
+    X(instant_quick) \
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \
@@ -312,6 +314,8 @@
     X(method_careful) \
     X(short_step) \
     X(short_beside) \
+    X(onward) \
+    X(instant_quick) \
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \
