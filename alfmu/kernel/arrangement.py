@@ -12,7 +12,7 @@ import struct
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from itertools import zip_longest
 from typing import NamedTuple
 
@@ -120,8 +120,10 @@ class _Form:
     # Sums ----------------------------------------------------------------------------------------------------------
 
     def _sums(self) -> dict[int, list[_Term]]:
-        """The summands of each sum, in the order in which they are added; sums that only begin another one, and products
-        that only one sum has, are part of that one."""
+        """The summands of each sum, in the order in which they are added.
+
+        Sums that only begin another one, and products that only one sum has, are part of that one.
+        """
         found: dict[int, list[_Term]] = {}
         for k, (code, (a, b)) in enumerate(zip(self._code, self._operands, strict=True)):
             if code in _PRODUCTS:
@@ -167,11 +169,9 @@ class _Form:
             for factor in {term.first, term.second}:
                 of[factor][place] = None
         # Constants cost nothing; of others, those first that most products have.
-        waiting = [(0 if x in self._constants else 1, -len(places), x) for x, places in of.items()]
+        heap = [(x not in self._constants, -len(places), x) for x, places in of.items()]
+        heapify(heap)
         made = {k: list(terms) for k, terms in sums.items()}
-        heap: list[tuple[int, int, int]] = []
-        for each in waiting:
-            heappush(heap, each)
         while left:
             rank, count, factor = heappop(heap)
             places = [place for place in of[factor] if place in left]

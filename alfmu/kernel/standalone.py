@@ -3,8 +3,8 @@
 The tiers of `alfmu.kernel.trace` stay as they are. After them comes a patient one, whose loops stop on convergence:
 `move` and `move_on_branch` lead to the end of a step, `close` brings it back to the constraints, `instant_patient` and
 `limit_patient` read. `impact` makes the velocity consistent, `sensitivity` and `limit_sensitivity` derive what is read
-by the inputs. `instant_quick` reads by as few
-iterations as a quick step makes, and `onward` is one that goes on with what was read. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an `instant` of their own, and `keep`
+by the inputs. `instant_quick` reads by as few iterations as a quick step makes, and `onward` is one that goes on with
+what was read. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an `instant` of their own, and `keep`
 ends a step without projections.
 """
 
