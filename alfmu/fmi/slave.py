@@ -88,6 +88,7 @@ class Slave(Fmi2Slave):
         self.unit = Unit(self.scene)
         self.modelName = self.scene.name
         self._refused: dict[int, str] = {}
+        self._step, self._warns = self.unit.step, self.unit.warns  # close at hand, as every doStep needs them
 
     def _scene(self, folder: Path) -> Scene:
         """The scene among the resources, run by the library there."""
@@ -115,11 +116,11 @@ class Slave(Fmi2Slave):
             self._say("; ".join(self._refused.values()), Fmi2Status.discard)
             self._refused.clear()
             return False
-        if self.unit.step(current_time, step_size) != DONE:
+        if self._step(current_time, step_size) != DONE:
             self._say(self.unit.text, Fmi2Status.discard)
             return False
-        if warning := self.unit.warning():
-            self._say(warning, Fmi2Status.warning)
+        if self._warns.value:
+            self._say(self.unit.warning(), Fmi2Status.warning)
         return True
 
     def _initialize(self) -> None:

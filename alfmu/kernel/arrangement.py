@@ -1,19 +1,20 @@
 """The operations of a function in the form and the order that the interpreter runs fastest.
 
-Sums, differences and products are sums of products, c + a b + a' b', and the sine and the cosine of an angle are one
-operation, so that there are few kinds, and few numbers that are stored and read again. Equal operations follow each
-other in runs: a processor that cannot foresee the next kind loses as much time as dozens of operations take. The
-numbers are those of the function to the last bit: a factor of one, two negated factors and a summand of minus zero
-change none.
+Sums, differences and products are sums of products, c + a b + a' b' and the like, and the sine and the cosine of an
+angle are one operation, so that there are few kinds, and few numbers that are stored and read again. Equal operations
+follow each other in runs, as few as can be. The numbers are those of the function to the last bit: a factor of one, two
+negated factors, a summand of minus zero and summands that change places change none.
 """
 
 from __future__ import annotations
 
 import struct
-from collections import Counter
+from collections import Counter, defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from itertools import zip_longest
+from typing import NamedTuple
 
 import casadi as ca
 
@@ -21,8 +22,12 @@ from .stream import BINARY, UNARY, Instructions
 
 __all__ = ["KINDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged", "in_runs"]
 
-SUMS = ("sum1", "sum2")
-"""c + a b with so many products, which are added in their order."""
+SUMS = {
+    **{"sum1": 3, "sum2": 5, "sum4": 9},
+    **{"product": 2, "products": 4, "plus": 2, "minus": 2, "negative": 1},
+}
+"""Kinds that sums of products are made of, and how many operands they have: c + a b with so many products, which are
+added in their order; a b, a b + c d, a + b, a - b, -a."""
 
 SINE_COSINE = "sine_cosine"
 """The sine and the cosine of an angle."""
@@ -34,14 +39,8 @@ _JOINED = (ca.OP_ADD, ca.OP_SUB, *_PRODUCTS, ca.OP_TWICE, ca.OP_NEG, ca.OP_ASSIG
 KINDS = (*SUMS, ca.OP_DIV, SINE_COSINE, *(x for x in (*BINARY, *UNARY) if x not in (*_JOINED, ca.OP_DIV, ca.OP_INV)))
 """Kinds of operations in a scene; their places here are their numbers."""
 
-_CYCLES = {SUMS[0]: 14, SUMS[1]: 17, ca.OP_DIV: 20, SINE_COSINE: 50}
-"""From the operands of an operation to its result, both in memory; the others as the first."""
-
-_URGENT = len(SUMS) + 2
-"""Kinds that chains are made of; the others, comparisons above all, wait until there is nothing else."""
-
-_PATIENCE = 60
-"""Cycles by which another kind may be more urgent than the one of a run: some runs more, and a tenth less time."""
+_CYCLES = {ca.OP_DIV: 20, SINE_COSINE: 50, "sum2": 17, "products": 17, "sum4": 23}
+"""From the operands of an operation to its result, both in memory; 14 of others."""
 
 _NUMBER = {kind: i for i, kind in enumerate(KINDS)}
 
@@ -72,6 +71,14 @@ def arranged(instructions: Instructions) -> Arrangement:
     return _Form(instructions).arrangement()
 
 
+class _Term(NamedTuple):
+    """A summand: a value, or a product of two."""
+
+    negative: bool
+    first: int
+    second: int | None = None
+
+
 class _Form:
     """Instructions as operations of few kinds."""
 
@@ -79,9 +86,9 @@ class _Form:
         self._code = instructions.code.tolist()
         self._operands = list(zip(*instructions.operands.tolist(), strict=True))
         self._places = list(zip(*instructions.place.tolist(), strict=True))
-        self._numbers = instructions.constant.tolist()
+        numbers = instructions.constant.tolist()
         self._count = len(self._code)
-        self._constants: dict[int, float] = {}
+        self._constants = {k: numbers[k] for k, code in enumerate(self._code) if code == ca.OP_CONST}
         self._shared: dict[bytes, int] = {}
         self._negatives: dict[int, int] = {}
         self._operations: list[Operation] = []
@@ -91,78 +98,144 @@ class _Form:
     def arrangement(self) -> Arrangement:
         arguments, results = {}, []
         angles: dict[int, tuple[list[int], list[int]]] = {}
-        within = self._within()
+        sums = self._sums()
+        for k, terms in self._without_differences(sums).items():
+            self._write(k, terms)
         for k, (code, (a, b)) in enumerate(zip(self._code, self._operands, strict=True)):
             if code == ca.OP_INPUT:
                 arguments[k] = self._places[k]
-            elif code == ca.OP_CONST:
-                self._constants[k] = self._numbers[k]
             elif code == ca.OP_OUTPUT:
                 results.append((*self._places[k], a))
             elif code in (ca.OP_SIN, ca.OP_COS):
                 angles.setdefault(a, ([], []))[code == ca.OP_COS].append(k)
-            elif code not in _JOINED:
+            elif code not in (*_JOINED, ca.OP_CONST):
                 operands = (self._one, a) if code == ca.OP_INV else (a, b) if code in BINARY else (a,)
                 self._add(ca.OP_DIV if code == ca.OP_INV else code, operands, k)
-            elif k not in within:
-                self._add(SUMS[0], self._sum(k, within), k)
         for angle, wanted in angles.items():
             for pair in zip_longest(*wanted):
                 made = tuple(self._new() if k is None else k for k in pair)
                 self._operations.append(Operation(_NUMBER[SINE_COSINE], (angle,), made))
-        return Arrangement(arguments, self._constants, in_runs(_together(self._operations, results)), results)
+        return Arrangement(arguments, self._constants, in_runs(self._operations), results)
 
-    def _within(self) -> dict[int, int]:
-        """Products that become part of the sum or difference that uses them, and which factor is negated (or -1)."""
-        found, factors, differences = {}, Counter(), []
-        for code, (a, b) in zip(self._code, self._operands, strict=True):
-            if code == ca.OP_ADD and (self._single(a) or self._single(b)):
-                found[a if self._single(a) else b] = -1
-            elif code == ca.OP_SUB and self._single(b):
-                differences.append(b)
-                factors.update(set(self._factors(b)))
-        for product in differences:
-            factor = max(self._factors(product), key=lambda i: (self._code[i] == ca.OP_CONST, factors[i]))
-            if factors[factor] > 1 or self._code[factor] == ca.OP_CONST:
-                found[product] = factor
+    # Sums ----------------------------------------------------------------------------------------------------------
+
+    def _sums(self) -> dict[int, list[_Term]]:
+        """The summands of each sum, in the order in which they are added.
+
+        Sums that only begin another one, and products that only one sum has, are part of that one.
+        """
+        found: dict[int, list[_Term]] = {}
+        for k, (code, (a, b)) in enumerate(zip(self._code, self._operands, strict=True)):
+            if code in _PRODUCTS:
+                found[k] = [_Term(False, a, a if code == ca.OP_SQ else b)]
+            elif code in (ca.OP_ADD, ca.OP_SUB):
+                found[k] = self._joined(found, a, b, code == ca.OP_SUB)
+            elif code in _JOINED:
+                found[k] = [_Term(code == ca.OP_NEG, a)] * (2 if code == ca.OP_TWICE else 1)
         return found
 
-    def _sum(self, k: int, within: dict[int, int]) -> tuple[int, int, int]:
-        """c, a and b of a sum, a difference or a product."""
-        code, (a, b) = self._code[k], self._operands[k]
-        if code in _PRODUCTS:
-            return self._nothing, *self._factors(k)
-        if code == ca.OP_ADD:
-            product, other = (a, b) if a in within else (b, a)
-            if product in within:
-                return other, *self._factors(product)
-            # What is used here alone can be part of this operation.
-            first, second = (a, b) if self._uses[a] == 1 else (b, a)
-            return first, second, self._one
-        if code == ca.OP_SUB:
-            if b not in within:
-                return a, b, self._minus_one
-            factor = within[b]
-            x, y = self._factors(b)
-            return a, self._negative(factor), y if factor == x else x
-        if code == ca.OP_TWICE:
-            return a, a, self._one
-        return self._nothing, a, self._minus_one if code == ca.OP_NEG else self._one
+    def _joined(self, found: dict[int, list[_Term]], a: int, b: int, difference: bool) -> list[_Term]:
+        """The summands of a + b or a - b; what becomes part of it is no longer a sum of its own."""
+        ways = [(a, b, difference, False)]
+        if not difference or self._is_product(found, b):  # a - b = -b + a
+            ways.append((b, a, False, difference))
+        single = [x for x in (a, b) if self._uses[x] == 1]
 
-    def _single(self, k: int) -> bool:
-        return self._code[k] in _PRODUCTS and self._uses[k] == 1
+        def gain(way: tuple[int, int, bool, bool]) -> tuple[bool, bool, int]:
+            first, second, *_ = way
+            begins = first in single and first in found
+            return self._is_product(found, second), begins, len(found[first]) if begins else 0
 
-    def _factors(self, k: int) -> tuple[int, int]:
-        a, b = self._operands[k]
-        return a, a if self._code[k] == ca.OP_SQ else b
+        first, second, minus, turned = max(ways, key=gain)
+        _, begins, _ = gain((first, second, minus, turned))
+        terms = found.pop(first) if begins else [_Term(False, first)]
+        if turned:
+            terms = [terms[0]._replace(negative=True)]
+        last = found.pop(second)[0] if self._is_product(found, second) else _Term(False, second)
+        return [*terms, last._replace(negative=minus)]
+
+    def _is_product(self, found: dict[int, list[_Term]], k: int) -> bool:
+        """Whether a value is a product that is used once."""
+        return self._uses[k] == 1 and self._code[k] in _PRODUCTS and k in found
+
+    def _without_differences(self, sums: dict[int, list[_Term]]) -> dict[int, list[_Term]]:
+        """The same, of products that are subtracted one factor negated instead: few factors, which many have in
+        common."""
+        left = {
+            (k, i): x for k, terms in sums.items() for i, x in enumerate(terms) if x.negative and x.second is not None
+        }
+        of: dict[int, dict[tuple[int, int], None]] = defaultdict(dict)
+        for place, term in left.items():
+            for factor in {term.first, term.second}:
+                of[factor][place] = None
+        # Constants cost nothing; of others, those first that most products have.
+        heap = [(x not in self._constants, -len(places), x) for x, places in of.items()]
+        heapify(heap)
+        made = {k: list(terms) for k, terms in sums.items()}
+        while left:
+            rank, count, factor = heappop(heap)
+            places = [place for place in of[factor] if place in left]
+            if len(places) != -count:
+                heappush(heap, (rank, -len(places), factor))
+                continue
+            for k, i in places:
+                term = left.pop((k, i))
+                other = term.second if term.first == factor else term.first
+                made[k][i] = _Term(False, self._negative(factor), other)
+        return made
+
+    def _write(self, k: int, terms: list[_Term]) -> None:
+        """A sum as operations."""
+        *before, (kind, operands) = self._parts(terms)
+        made: int | None = None
+        for each, operands_of_it in before:
+            value = self._new()
+            self._add(each, operands_of_it if made is None else (made, *operands_of_it), value)
+            made = value
+        self._add(kind, operands if made is None else (made, *operands), k)
+
+    def _parts(self, terms: list[_Term]) -> Iterator[tuple[str, tuple[int, ...]]]:
+        """Kinds and operands of what a sum is made of; each part begins with what the one before it gives."""
+        first, rest = terms[0], terms[1:]
+        if not rest:
+            yield self._alone(first)
+            return
+        begin: tuple[int, ...] = (first.first,)
+        if first.second is not None and rest[0] == rest[0]._replace(negative=False, second=None):
+            begin, rest = (rest[0].first,), [first, *rest[1:]]
+        elif first.second is not None:
+            yield "products", (*self._factors(first), *self._factors(rest[0]))
+            begin, rest = (), rest[1:]
+        elif first.negative:
+            begin, rest = (self._nothing,), terms
+        while rest:
+            count = next(n for n in (4, 2, 1) if n <= len(rest))
+            part, rest = rest[:count], rest[count:]
+            if count == 1 and part[0].second is None:
+                yield "minus" if part[0].negative else "plus", (*begin, part[0].first)
+            else:
+                yield f"sum{count}", (*begin, *(x for term in part for x in self._factors(term)))
+            begin = ()
+
+    def _alone(self, term: _Term) -> tuple[str, tuple[int, ...]]:
+        if term.second is not None:
+            return "product", (term.first, term.second)
+        return ("negative", (term.first,)) if term.negative else ("plus", (term.first, self._nothing))
+
+    def _factors(self, term: _Term) -> tuple[int, int]:
+        if term.second is None:
+            return term.first, self._minus_one if term.negative else self._one
+        return term.first, term.second
+
+    # Values --------------------------------------------------------------------------------------------------------
 
     def _negative(self, k: int) -> int:
         if k not in self._negatives:
-            if self._code[k] == ca.OP_CONST:
-                self._negatives[k] = self._constant(-self._numbers[k])
+            if k in self._constants:
+                self._negatives[k] = self._constant(-self._constants[k])
             else:
                 self._negatives[k] = self._new()
-                self._add(SUMS[0], (self._nothing, k, self._minus_one), self._negatives[k])
+                self._add("negative", (k,), self._negatives[k])
         return self._negatives[k]
 
     def _add(self, kind: str | int, operands: tuple[int, ...], made: int) -> None:
@@ -180,59 +253,34 @@ class _Form:
         return self._shared[bits]
 
 
-def _together(operations: list[Operation], results: list[tuple[int, int, int]]) -> list[Operation]:
-    """The same operations, where a sum that only another one begins with is part of that one."""
-    uses = Counter(x for operation in operations for x in operation.operands)
-    uses.update(value for _, _, value in results)
-    longer: dict[int, Operation] = {}
-    kept: list[Operation] = []
-    for operation in operations:  # in an order in which operands are made first
-        begin = longer.get(operation.operands[0]) if operation.kind < len(SUMS) else None
-        if begin and uses[operation.operands[0]] == 1:
-            products = *begin.operands[1:], *operation.operands[1:]
-            if len(products) <= 2 * len(SUMS):
-                kind, operands = len(products) // 2 - 1, (begin.operands[0], *products)
-                operation = Operation(kind, operands, operation.made)
-                del longer[begin.made[0]]
-        if operation.kind < len(SUMS):
-            longer[operation.made[0]] = operation
-        else:
-            kept.append(operation)
-    return [*kept, *longer.values()]
-
-
 def in_runs(operations: list[Operation]) -> list[list[Operation]]:
     """The same operations, each after those that make its operands, in few runs of equal ones.
 
-    Of the operations that are ready, a run takes those first on which the longest chain waits. It ends where another
-    kind has one that is far more urgent; that kind follows.
+    The next run is of the kind that has an operation on which the longest sequence of other kinds waits, and takes all
+    of its kind that are ready.
     """
     users, missing = _users(operations)
-    heights = _heights(operations, users)
-    ready: list[list[tuple[int, int]]] = [[] for _ in KINDS]
+    urgency = _urgency(operations, users, missing)
+    ready: list[list[tuple[int, int, int]]] = [[] for _ in KINDS]
 
     def add(i: int) -> None:
-        heappush(ready[operations[i].kind], (-heights[i], i))
+        heappush(ready[operations[i].kind], (*urgency[i], i))
 
     for i, count in enumerate(missing):
         if not count:
             add(i)
     runs = []
     while any(ready):
-        first = [kind for kind in range(_URGENT) if ready[kind]]
-        kind = min(first, key=lambda k: ready[k][0]) if first else next(k for k in range(len(KINDS)) if ready[k])
-        waiting, run = ready[kind], []
+        waiting = min(filter(None, ready), key=lambda each: each[0])
+        run: list[Operation] = []
         runs.append(run)
         while waiting:
-            _, i = heappop(waiting)
+            i = heappop(waiting)[-1]
             run.append(operations[i])
             for user in users[i]:
                 missing[user] -= 1
                 if not missing[user]:
                     add(user)
-            others = (ready[k][0][0] for k in first if k != kind and ready[k])
-            if waiting and min(others, default=0) < waiting[0][0] - _PATIENCE:
-                break
     return runs
 
 
@@ -248,18 +296,18 @@ def _users(operations: list[Operation]) -> tuple[list[list[int]], list[int]]:
     return users, missing
 
 
-def _heights(operations: list[Operation], users: list[list[int]]) -> list[int]:
-    """Cycles from the beginning of each operation to the end of the longest chain that waits for it."""
-    heights: list[int] = [-1] * len(operations)
-    for begin in range(len(operations)):
-        stack = [begin]
-        while stack:
-            i = stack[-1]
-            left = [j for j in users[i] if heights[j] < 0]
-            if left:
-                stack += left
-                continue
-            stack.pop()
-            cycles = _CYCLES.get(KINDS[operations[i].kind], _CYCLES[SUMS[0]])
-            heights[i] = cycles + max((heights[j] for j in users[i]), default=0)
-    return heights
+def _urgency(operations: list[Operation], users: list[list[int]], missing: list[int]) -> list[tuple[int, int]]:
+    """Of each operation, below zero: how often the kind changes after it at least, and cycles from its beginning to the
+    end of the longest chain that waits for it."""
+    order, left = [i for i, count in enumerate(missing) if not count], missing.copy()
+    for i in order:  # which grows
+        for user in users[i]:
+            left[user] -= 1
+            if not left[user]:
+                order.append(user)
+    found = [(0, 0)] * len(operations)
+    for i in reversed(order):
+        kind, after = operations[i].kind, [(found[j], operations[j].kind) for j in users[i]]
+        changes = min((x[0] - (other != kind) for x, other in after), default=0)
+        found[i] = changes, min((x[1] for x, _ in after), default=0) - _CYCLES.get(KINDS[kind], 14)
+    return found

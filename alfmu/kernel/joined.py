@@ -19,10 +19,13 @@ LONGEST = 40000
 """Instructions up to which calls are joined; the programs of a larger scene stay calls of small functions."""
 
 
-def joined(equations: Equations, programs: Iterable[str]) -> Equations:
-    """The same equations, the calls of these programs joined as far as choices, loops and routines let them be."""
+def joined(equations: Equations, programs: Iterable[str], handed: Iterable[str] = ()) -> Equations:
+    """The same equations, the calls of these programs joined as far as choices, loops and routines let them be.
+
+    `handed` are values that they give to other programs, beside the fields of the memory.
+    """
     e = equations
-    joining, fields = _Joining(e), set(Layout(e).fields)
+    joining, fields = _Joining(e), {*Layout(e).fields, *handed}
     kernel: dict[str, Program] = dict(e.kernel)
     for name in programs:
         if name in kernel:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from .arrangement import KINDS, SUMS, Arrangement, Operation, arranged, in_runs
+from .arrangement import KINDS, Arrangement, Operation, arranged, in_runs
 from .places import line
 from .repeat import Repeat, pieces, repeats
 from .stream import CONSTANT, INPUT, NOTHING, VALUE, Instructions, Operations
@@ -218,7 +218,7 @@ class _Writing:
                 continue
             gather()
             nothing, one = map(self._constants.place, (-0.0, 1.0))
-            self._words += [EACH_KIND, count, KINDS.index(SUMS[0]), nothing, 0, first, step, one, 0]
+            self._words += [EACH_KIND, count, KINDS.index("sum1"), nothing, 0, first, step, one, 0]
         gather()
         self._end += len(places)
         return self._end - len(places)

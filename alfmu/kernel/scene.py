@@ -34,12 +34,14 @@ CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm)
 def operations_header() -> str:
     """operations.h: what operations compute from a, b and c, in C."""
     lines = ["/* What operations of a scene compute; generated from alfmu/kernel/scene.py. */", ""]
+    named = set(KINDS) - {ca.OP_DIV}
     for name, table in (("BINARY_OPERATIONS", BINARY), ("UNARY_OPERATIONS", UNARY)):
-        rows = [f"    X({KINDS.index(each)}, {text.format('a', 'b')})" for each, text in table.items() if each in KINDS]
+        rows = [f"    X({KINDS.index(each)}, {text.format('a', 'b')})" for each, text in table.items() if each in named]
         lines += [f"#define {name}(X) \\", *(f"{row} \\" for row in rows[:-1]), rows[-1], ""]
     counts = ", ".join(str(OPERANDS[kind]) for kind in KINDS)
     lines += [
         *(f"#define {name.upper()}_KIND {KINDS.index(name)}" for name in SUMS),
+        f"#define OVER_KIND {KINDS.index(ca.OP_DIV)}",
         f"#define SINE_COSINE_KIND {KINDS.index(SINE_COSINE)}",
         f"#define KIND_COUNT {len(KINDS)}",
         f"#define LOOP_KIND {LOOP_KIND}",
@@ -52,7 +54,7 @@ def operations_header() -> str:
     return "\n".join([*lines, ""])
 
 
-OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | {kind: 3 + 2 * i for i, kind in enumerate(SUMS)}
+OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | SUMS
 """How many operands operations of a kind have."""
 
 

@@ -3,7 +3,8 @@
 The tiers of `alfmu.kernel.trace` stay as they are. After them comes a patient one, whose loops stop on convergence:
 `move` and `move_on_branch` lead to the end of a step, `close` brings it back to the constraints, `instant_patient` and
 `limit_patient` read. `impact` makes the velocity consistent, `sensitivity` and `limit_sensitivity` derive what is read
-by the inputs. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an `instant` of their own, and `keep`
+by the inputs. `instant_quick` reads by as few iterations as a quick step makes, and `onward` is one that goes on with
+what was read. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an `instant` of their own, and `keep`
 ends a step without projections.
 """
 
@@ -17,7 +18,7 @@ import casadi as ca
 from casadi import SX
 
 from ..equations import Equations
-from ..equations.evaluation import with_functions
+from ..equations.evaluation import symbols, with_functions
 from ..equations.interface import variables_of
 from ..method import formulations as method
 from ..method import singular as branch
@@ -26,10 +27,10 @@ from ..method.singular import DOUBLINGS
 from .alternatives import OWN, Alternatives, alternatives
 from .form import Call, Choice, Loop, Plan, Program, Routine, called, rewritten
 from .memory import SEEN
-from .symbolic import MATRICES, Watch, lengths_of
-from .trace import CAREFUL, NO_NAMES, Calls, spaced
+from .symbolic import MATRICES, ROUND_OFF, Watch, lengths_of
+from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
 
-__all__ = ["beginning", "passed", "standalone"]
+__all__ = ["READ", "beginning", "passed", "standalone"]
 
 
 def passed(equations: Equations) -> dict[str, int]:
@@ -49,6 +50,10 @@ def standalone(equations: Equations) -> Equations:
     tracer = _Patient(e)
     kernel = {name: tracer.extrapolated(program) for name, program in e.kernel.items() if name not in _APART}
     kernel |= {name: program for name, program in e.kernel.items() if name in _APART}
+    if tracer.reads_quickly():
+        kernel["instant_quick"] = tracer.instant_quick()
+        if not tracer.timed():
+            kernel["onward"] = tracer.onward(kernel["quick"])
     if "reach" in kernel:
         kernel["reach"] = Program((Choice("within", zero=kernel["reach"].steps),))
     if e.l:
@@ -105,6 +110,9 @@ def beginning(equations: Equations) -> Equations:
 _APART = ("instant", "limit", "reach")
 """Programs at a communication point."""
 
+READ = ("read_a", "read_power", "read_watch")
+"""What `instant_quick` hands to `onward`: the evaluation that a quick step at this instant would begin with."""
+
 
 class _Patient(Alternatives):
     """Programs with loops that stop on convergence; `most` is a number of the instance."""
@@ -122,6 +130,51 @@ class _Patient(Alternatives):
         calls = Calls(self, plan)
         self._moved(calls)
         return Program(calls.steps, plan)
+
+    def reads_quickly(self) -> bool:
+        """Whether what is read at an instant needs no more multiplier iterations than a quick step, and steps are those
+        of RK4, whose first evaluation it is."""
+        e = self.e
+        quick, read = e.kernel["quick"].plan, any(x == "a0" for x in _made(e.kernel["instant"]))
+        return "method" not in e.kernel and not self.order and read and bool(quick and quick.quick)
+
+    def timed(self) -> bool:
+        """Whether the equations of motion depend on time itself."""
+        e, x = self.e, symbols(self.e)
+        known = x["q"], x["v"], x["u"], x["p"], x["t"]
+        terms = ca.vertcat(*(ca.vec(ca.densify(each)) for each in (*e.dynamics(*known), e.power(*known))))
+        return any(ca.which_depends(terms, x["t"], 1, True))
+
+    def instant_quick(self) -> Program:
+        """What `instant` gives, by the evaluation that a quick step begins with, where its iterations leave nothing but
+        round-off; READ for `onward`."""
+        plan = self.e.kernel["quick"].plan
+        calls, careful = Calls(self, plan), Calls(self, replace(plan, weighted=True))
+
+        def told(D: SX, watch: SX) -> SX:
+            near, margin = careful.scene.margin(D)
+            return Watch.of(watch)._replace(near=near, margin=margin).vector()
+
+        self._unpacked(calls)
+        Tracer.evaluation(self, calls, "0")
+        calls("handed_on", "a0 power0 watch0", spaced(READ), lambda *x: x)
+        careful("margin_told", "k D watch0", "watch0", told)
+        calls.made += careful.made
+        if self.redundant:
+            Tracer._least(self, calls, "lam0")
+        known = "z u p k C xi a0 lam0 watch0 singular"
+        calls("seen_quickly", known, "seen", lambda *x: calls.scene.seen(plan, *x, limit=ROUND_OFF))
+        return Program(calls.steps, plan)
+
+    def onward(self, quick: Program) -> Program:
+        """A quick step from an instant that has been read: its first evaluation is taken from there."""
+        first = next(k for k, step in enumerate(quick.steps) if "rate1" in step.results)
+        given = dict(zip(("a1", "power1", "watch1"), READ, strict=True))
+        rest = rewritten(
+            quick.steps[first:], lambda x: (replace(x, arguments=tuple(given.get(y, y) for y in x.arguments)),)
+        )
+        begin = [step for step in quick.steps[:first] if "v1" in step.results]
+        return replace(quick, steps=(*begin, *rest))
 
     def close(self, plan: Plan) -> Program:
         """S5: q and v after `move`, brought back to the constraints, and the state that they make."""
@@ -343,6 +396,11 @@ class _Patient(Alternatives):
         again("least_again", f"k C D L {lam} least_z", "least_z least_norm more", scene.least_again)
         self._repeat(calls, "more", CORRECTIONS, again)
         calls("least_end", "least_norm", lam, lambda lam: lam)
+
+
+def _made(program: Program) -> Iterator[str]:
+    """Names of all that a program without choices makes."""
+    return (name for step in program.steps for name in step.results)
 
 
 def _inputs_moved(step: Call | Routine) -> Iterator[Call | Routine]:

@@ -92,11 +92,11 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
     alike = {
         "t tz tl tn step arrival power powern work pivot here zone zonen spacing stretched near slow singular error": 1,
-        "renew before passes size most patient again projects within floor": 1,
+        "read_power renew before passes size most patient again projects within floor": 1,
         "left stabilisation": 2,
-        "watch watched watchl watchn dwatch": len(Watch._fields),
+        "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
         "q qz ql qn v vz vl vn a al an da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
-        "round_off": n,
+        "round_off read_a": n,
         "lam laml lamn dlam dlaml force Phi Cv stabilised least_norm": l,
         "du inputs": inputs,
         "past": memory_size(inputs),
@@ -240,16 +240,17 @@ class Scene:
         found, _, change = self.iterated((M, C, M @ a, xi), (D, L), *self._at_rest(), plan.iterations)
         return found, Watch(ca.sumsqr(change), ca.sumsqr(found), ca.mmin(D), *self.margin(D)).vector()
 
-    def unconverged(self, plan: Plan, evaluations: list[Watch]) -> SX:
-        """Number of checks of the multiplier iteration that fail."""
+    def unconverged(self, plan: Plan, evaluations: list[Watch], limit: SX | float | None = None) -> SX:
+        """Number of checks of the multiplier iteration that fail; `limit` is what may be left where they are few, the
+        tolerance unless given."""
         if not self.e.l:
             return SX(0)
         change, size = sum(x.change for x in evaluations), evaluations[0].size
         if not plan.quick:
             return 1 - (change <= self.settings.tolerance**2 * sum(x.size for x in evaluations) + _TINY)
         # Each of m iterations gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
-        m = plan.iterations
-        return 1 - (change <= self.settings.tolerance ** (2 * (m - 1) / m) * size + _TINY)
+        m, limit = plan.iterations, self.settings.tolerance if limit is None else limit
+        return 1 - (change <= limit ** (2 * (m - 1) / m) * size + _TINY)
 
     def gaining(self, watch: SX, before: SX) -> tuple[SX, SX]:
         """Whether multiplier iterations that have not converged still gain, and the last change."""
@@ -561,8 +562,12 @@ class Scene:
         lam: SX | None = None,
         watch: SX | None = None,
         singular: SX | float = 0.0,
+        limit: float | None = None,
     ) -> SX:
-        """What a user can read, monitors, and `memory.SEEN`; without a, lam and watch where nobody reads of them."""
+        """What a user can read, monitors, and `memory.SEEN`; without a, lam and watch where nobody reads of them.
+
+        `limit` is that of `unconverged`.
+        """
         e, p, layout = self.e, self.p, Layout(self.e)
         q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
         if watch is None:
@@ -581,7 +586,7 @@ class Scene:
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
         seen, near = Watch.of(watch), SX(0)
-        trouble = self.unconverged(plan, [seen]) + 1 - (seen.pivot > 0)
+        trouble = self.unconverged(plan, [seen], limit) + 1 - (seen.pivot > 0)
         if e.l:
             near = self.settings.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)

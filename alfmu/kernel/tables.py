@@ -36,7 +36,7 @@ from .form import Call, Choice, Factor, LeastNorm, Loop, Routine, Step, called
 from .joined import joined
 from .memory import TIERS, Layout
 from .scene import CALLS, Code, Constants, Writer, code
-from .standalone import beginning, passed, standalone
+from .standalone import READ, beginning, passed, standalone
 from .symbolic import ROUND_OFF, Watch
 from .trace import CAREFUL
 
@@ -52,7 +52,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 7
+VERSION = 8
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -89,7 +89,7 @@ FUNCTIONS = {
 PROGRAMS = {
     **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
     **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful", "short_step": "short"},
-    **_same("short_beside"),
+    **_same("short_beside onward instant_quick"),
     **_same("instant_patient limit_patient keep"),
     **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
 }
@@ -172,7 +172,7 @@ REALS: dict[str, Number] = {
 NODE_COST = 6
 """Evaluations that a node of an implicit step costs, with its tangents and passes of Newton's method."""
 
-HOT = ("quick", "instant", "method", "short")
+HOT = ("quick", "onward", "instant", "instant_quick", "method", "short")
 """Programs whose calls are joined: they run in every step."""
 
 
@@ -243,7 +243,7 @@ def layout_header() -> str:
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    return _ordered(joined(standalone(equations), HOT))
+    return _ordered(joined(standalone(equations), HOT, READ))
 
 
 def _ordered(e: Equations) -> Equations:

@@ -29,6 +29,7 @@
 enum {
     PATIENT_STEPS,
     READS,
+    QUICK_READS, /* those by the few iterations of a quick step */
     UNCONVERGED,
     POSITION_ERROR,
     VELOCITY_ERROR,
@@ -199,6 +200,9 @@ typedef struct Instance {
     /* Beside them. */
     double *workspace, *before, *scratch, *registers, *spare, *past_before, *dense;
     Flags flags_before;
+    double *read_at; /* q, v and inputs where outputs were read last */
+    int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
+    long shared;     /* evaluations that served what was read and a step, since the motion began */
     int within; /* whether the next step goes on in a communication step that began before */
     long left;  /* internal steps that this communication step may still take */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */

@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define FORMAT 5
+#define FORMAT 6
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
@@ -112,7 +112,7 @@ Instance *instance_new(const Scene *s)
         + 4 * (size_t)(s->inputs + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
-            + (size_t)s->past_size + least_norm_work(s->dense, s->dense),
+            + (size_t)s->past_size + least_norm_work(s->dense, s->dense) + 2 * (size_t)s->n + (size_t)s->inputs,
         sizeof *numbers);
     if (!numbers) {
         free(i);
@@ -127,6 +127,7 @@ Instance *instance_new(const Scene *s)
     i->spare = i->registers + s->registers;
     i->past_before = i->spare + s->spare;
     i->dense = i->past_before + s->past_size;
+    i->read_at = i->dense + least_norm_work(s->dense, s->dense);
     memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *numbers);
     instance_reset(i);
     return i;
@@ -725,6 +726,7 @@ static void go_back(Instance *i)
 {
     memcpy(i->numbers, i->before, i->count * sizeof *i->numbers);
     i->flags = i->flags_before;
+    i->onward = 0; /* Something else may have been read. */
 }
 
 /* What the Boolean inputs ask for put in force at this instant. */
@@ -920,6 +922,7 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     /* A motion slower than this is none. */
     i->counts[ENERGY_SCALE] = fabs(kinetic_energy_at(i, SLOW_MOTION)) + DBL_MIN;
     i->flags.warned = i->warns = 0;
+    i->shared = 0;
 }
 
 static Outcome started(Instance *i)
@@ -1245,6 +1248,7 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
     Outcome outcome = DONE;
     memcpy(begin, z, size);
     memcpy(before, pace, count * sizeof *pace);
+    i->onward = 0;
     z[s->time] = start;
     if (s->reach >= 0)
         run(i, s->reach);

@@ -41,7 +41,7 @@ _FREE = 1e-7
 """Rate of a start value, or of a coordinate, over that of a motion [1]: below it the motion does not change it."""
 
 _COUNTED = (
-    *("patient_steps", "reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
+    *("patient_steps", "reads", "quick_reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
     *("energy_error", "energy_start", "balance", "energy_scale", "step_error", "run_error", "at_rest"),
 )
 """What the library counts beside the tally of the kernel, in its order."""
@@ -471,16 +471,17 @@ class Instance:
             c.multiplier_iterations += evaluations * program.plan.iterations
             c.projection_iterations += 2 * tried * program.plan.corrections
         c.patient = patient
-        reads = int(counted["reads"])
-        c.evaluations += reads
-        c.multiplier_iterations += reads * kernel["instant"].plan.iterations
+        reads, quick, shared = (int(counted[name]) for name in ("reads", "quick_reads", "shared"))
+        c.evaluations += reads - shared
+        c.multiplier_iterations += (reads - quick) * kernel["instant"].plan.iterations
+        c.multiplier_iterations += (quick - shared) * kernel["quick"].plan.iterations
         c.unconverged = int(counted["unconverged"])
         return c
 
     def _counted(self) -> dict[str, float]:
-        raw = np.empty(len(_COUNTED) + len(TALLY))
+        raw = np.empty(len(_COUNTED) + len(TALLY) + 1)
         self._scene.library.alfmu_counts(self._unit.address, raw.ctypes.data)
-        return dict(zip(_COUNTED, raw.tolist(), strict=False))
+        return {**dict(zip(_COUNTED, raw.tolist(), strict=False)), "shared": raw[-1]}
 
     def save(self) -> bytes:
         """The complete state, from which `restore` continues to the last bit."""

@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 7
+#define SCENE_VERSION 8
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -271,6 +271,8 @@
     X(method_careful) \
     X(short_step) \
     X(short_beside) \
+    X(onward) \
+    X(instant_quick) \
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \
@@ -312,6 +314,8 @@
     X(method_careful) \
     X(short_step) \
     X(short_beside) \
+    X(onward) \
+    X(instant_quick) \
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \

@@ -251,6 +251,7 @@ API void alfmu_counts(const Instance *i, double *counts)
 {
     memcpy(counts, i->counts, COUNTED * sizeof *counts);
     memcpy(counts + COUNTED, i->m + i->scene->tally, TALLY * sizeof *counts);
+    counts[COUNTED + TALLY] = (double)i->shared;
 }
 
 #if !defined(__wasm__) /* a page runs step by step, and has no clock of C */

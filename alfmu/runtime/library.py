@@ -9,7 +9,7 @@ import ctypes
 import sys
 from collections.abc import Callable, Sequence
 from ctypes import POINTER, c_char_p, c_double, c_int, c_long, c_size_t, c_void_p
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 __all__ = ["BRAKES", "DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD", "Scene", "Unit", "library"]
@@ -159,12 +159,15 @@ class Unit:
         if not self.address:
             raise MemoryError("there is no memory for an instance")
         address = self.address
-        self._step, self._read, self._get = c.alfmu_step, c.alfmu_read, c.alfmu_get
+        self.step: Callable[[float, float], int] = partial(c.alfmu_step, address)
+        """A communication step from a start with a length [s]; its outcome."""
+        self._read, self._get = c.alfmu_read, c.alfmu_get
         self._outputs = (c_double * (len(scene.names) - scene.first_output))()
         self._place = ctypes.addressof(self._outputs)
         self._many: dict[tuple[int, ...], tuple[ctypes.Array[c_int], ctypes.Array[c_double]]] = {}
         self._address = address
-        self._warns = c_int.from_address(c.alfmu_warns(address))
+        self.warns: c_int = c_int.from_address(c.alfmu_warns(address))
+        """Whether there is a warning that nobody has read yet."""
 
     def __del__(self) -> None:
         if getattr(self, "address", None):
@@ -177,9 +180,9 @@ class Unit:
 
     def warning(self) -> str:
         """What the host should know and nobody has read yet, empty where there is nothing."""
-        if not self._warns.value:
+        if not self.warns.value:
             return ""
-        self._warns.value = 0
+        self.warns.value = 0
         return self.scene.library.alfmu_warning(self.address).decode(errors="replace")
 
     @property
@@ -229,9 +232,6 @@ class Unit:
 
     def initialize(self) -> int:
         return self.scene.library.alfmu_initialize(self.address)
-
-    def step(self, start: float, h: float) -> int:
-        return self._step(self._address, start, h)
 
     def read(self) -> int:
         """Compute all outputs; `outputs` has them."""
