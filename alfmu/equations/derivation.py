@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -29,6 +29,7 @@ from ..model.mechanism import (
     AnyMarker,
     Body,
     Constraint,
+    Coordinate,
     Joint,
     Lock,
     Marker,
@@ -334,11 +335,13 @@ def derive(mechanism: Mechanism) -> Equations:
     coordinate can close, an expression with a foreign symbol.
     """
     m = mechanism
-    if not m.coordinates:
-        raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate")
-    q, v, a = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qva")
+    if not m.coordinates and not m.states:
+        raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate, or a state")
+    coordinates = m.coordinates or (_rest(),)
+    q, v, a = (stack([getattr(c, letter) for c in coordinates]) for letter in "qva")
     locks = [closure for closure in m.closures if isinstance(closure, Lock)]
-    u, p = stack([i.symbol for i in m.inputs]), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
+    inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])
+    u, p = ca.vertcat(inputs, x), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
     s, t = stack([x.symbol for x in m.starts]), m.time
 
     plain = Kinematics(m)
@@ -369,6 +372,8 @@ def derive(mechanism: Mechanism) -> Equations:
         f_applied[place[key_of(coordinate)]] += expression
     f = f_applied - ca.gradient(V, q)
 
+    if not m.coordinates:
+        M = ca.SX.eye(1)
     C = ca.jacobian(Phi, q)
     _check_held_or_heavy(m, plain, M, C)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
@@ -405,16 +410,19 @@ def derive(mechanism: Mechanism) -> Equations:
         outputs.append(
             Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}")
         )
+    values += [state.symbol for state in m.states]
+    states = [Variable(x.name, x.unit, x.start, description=x.description, nominal=x.nominal) for x in m.states]
+    outputs += states
     values += [o.expression for o in m.outputs]
     outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
     y = stack(values)
-    instant = _depends_on_any(y, ca.vertcat(a, lam, u))
+    instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
 
-    guess = _guess(m)
+    guess = _guess(coordinates)
     sdot = ca.SX.sym("sdot", len(m.starts))
     tied, ties = _ties(m)
-    passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if m.inputs else f_applied
+    passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if u.numel() else f_applied
 
     symbols = {"q": q, "v": v, "a": a, "lam": lam, "u": u, "p": p, "t": t, "s": s, "sdot": sdot}
     expressions = {
@@ -431,6 +439,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "potential_energy": V,
         "input_power": ca.dot(f_applied - passive, v),
         "other_power": ca.dot(passive, v),
+        "state_rates": _state_rates(m),
         "readings": y,
         "guess": guess,
         "guess_rate": ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape),
@@ -440,7 +449,7 @@ def derive(mechanism: Mechanism) -> Equations:
     equations = Equations(
         name=m.name,
         description=m.description,
-        coordinates=[Variable(c.name, c.unit) for c in m.coordinates],
+        coordinates=[Variable(c.name, c.unit) for c in coordinates],
         parameters=[Variable(x.name, x.unit, x.default, x.minimum, x.maximum, x.description) for x in m.parameters],
         starts=[Variable(f"start.{x.name}", x.unit, x.value, description=x.description) for x in m.starts],
         start_rates=[
@@ -449,6 +458,8 @@ def derive(mechanism: Mechanism) -> Equations:
         ],
         tied=tied,
         inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
+        states=states,
+        resting=not m.coordinates,
         outputs=outputs,
         rows=rows,
         lengths=[i for i, row in enumerate(rows) if row.name in {body.unit_length for body in m.spatial_bodies}],
@@ -465,6 +476,22 @@ def derive(mechanism: Mechanism) -> Equations:
     )
     _check_names(m, equations)
     return evaluable(equations)
+
+
+def _rest() -> Coordinate:
+    """The coordinate of a mechanism that has none, and states alone: of a mass of 1 that no force moves."""
+    return Coordinate("rest", *(ca.SX.sym(f"rest_{letter}") for letter in "qva"), "m", 0.0)
+
+
+def _state_rates(m: Mechanism) -> ca.SX:
+    """Time derivatives of the states; DeclarationError where one is not declared."""
+    for state in m.states:
+        if state.rate is None:
+            raise DeclarationError(
+                f"{m.name}: the state {state.name} has no rate{m.declared_at(state.name)}; give one, in state() or in "
+                "derivative()"
+            )
+    return stack([state.rate for state in m.states])
 
 
 def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:
@@ -872,10 +899,10 @@ def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
     return values, outputs
 
 
-def _guess(m: Mechanism) -> ca.SX:
+def _guess(coordinates: Sequence[Coordinate]) -> ca.SX:
     """Guesses of the coordinates in parameters and start values alone."""
     resolved: dict[int, ca.SX] = {}
-    for c in m.coordinates:
+    for c in coordinates:
         guess = symbolic(c.guess)
         before = [symbol for symbol in ca.symvar(guess) if key_of(symbol) in resolved]
         if before:
