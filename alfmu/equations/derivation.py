@@ -40,6 +40,7 @@ from ..model.mechanism import (
     stack,
     symbolic,
 )
+from ..model.relations import Relation
 from ..model.spatial import SpatialJoint, SpatialMarker, angular_velocity
 from ..model.units import rate_of
 from .evaluation import ARGUMENTS, evaluable, shared
@@ -74,7 +75,10 @@ class Frame:
         return _sum(self.x, dx), _sum(self.y, dy)
 
 
-Closing = tuple[AnyJoint | Rigidity | Constraint | Lock, str]
+Closure = AnyJoint | Rigidity | Constraint | Lock | Relation
+"""What constraints close."""
+
+Closing = tuple[Closure, str]
 """One relative displacement that is kept at zero: of what, and in which direction."""
 
 Displacement = dict[str, ca.SX]
@@ -183,14 +187,14 @@ class Kinematics:
             value = self.frame(bodies[1]).angle - self.frame(bodies[0]).angle
         return value, turns and any(self.frame(body).wrapped for body in bodies)
 
-    def gap(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def gap(self, closure: Closure, direction: str) -> ca.SX:
         """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
         if direction == "length":
             square, length = self._apart(closure)
             return ca.sqrt(square + 1e-300) - length
         return self.residual(closure, direction)
 
-    def residual(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def residual(self, closure: Closure, direction: str) -> ca.SX:
         """What a closure keeps at zero along one direction.
 
         For lengths it is zero at the given one, polynomial, and with a multiplier that is the force along the line.
@@ -199,9 +203,11 @@ class Kinematics:
             self.residuals[closure, direction] = self._residual(closure, direction)
         return self.residuals[closure, direction]
 
-    def _residual(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def _residual(self, closure: Closure, direction: str) -> ca.SX:
         if isinstance(closure, Constraint):
             return closure.expression
+        if isinstance(closure, Relation):
+            return closure.residual(self, direction)
         if isinstance(closure, SpatialJoint):
             return closure.residual(direction)
         if isinstance(closure, Lock):
@@ -384,9 +390,14 @@ def derive(mechanism: Mechanism) -> Equations:
     for body in m.bodies:
         if plain.frame(body).wrapped:
             wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
-    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam)
+    relations = _relations(m, closures, lam)
+    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam, relations)
     values += reactions
     outputs += reaction_outputs
+    for relation, own in relations:
+        for suffix, value, unit, text in relation.readings(plain, own):
+            values.append(value)
+            outputs.append(Variable(f"{relation.name}.{suffix}", unit, description=text))
     efforts_of_locks, lock_outputs = _locking(locks, closures, lam)
     values += efforts_of_locks
     outputs += lock_outputs
@@ -518,6 +529,13 @@ def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
     coordinates = {key_of(c.q) for c in m.coordinates}
     held: dict[Joint, tuple[str, ...]] = {}
     for closure in m.closures:
+        if isinstance(closure, Relation):
+            rows = stack([kinematics.residual(closure, direction) for direction in closure.directions])
+            if not any(key_of(symbol) in coordinates for symbol in ca.symvar(rows)):
+                raise DeclarationError(
+                    f"{m.name}: no coordinate moves the bodies of {closure.kind} {closure.name}"
+                    f"{m.declared_at(closure.name)}; give their hinges coordinates"
+                )
         if not isinstance(closure, Joint):
             continue
         zero = []
@@ -569,6 +587,15 @@ def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
                             )
 
 
+def _relations(m: Mechanism, closures: list[Closing], lam: ca.SX) -> list[tuple[Relation, dict[str, ca.SX]]]:
+    """Each relation with its multipliers by direction."""
+    return [
+        (each, {direction: lam[i] for i, (closure, direction) in enumerate(closures) if closure is each})
+        for each in m.closures
+        if isinstance(each, Relation)
+    ]
+
+
 def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Row], list[Closing], ca.SX]:
     """Constraint rows in the order of declaration, what each closes, and the sign of the residual in it.
 
@@ -584,7 +611,7 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
             directions = ("",)
         elif isinstance(closure, Lock):
             directions = ("locked",)
-        elif isinstance(closure, SpatialJoint):
+        elif isinstance(closure, SpatialJoint | Relation):
             directions = closure.directions
         elif isinstance(closure, Joint):
             directions = tuple(k for k in closure.directions if k not in held.get(closure, ()))
@@ -593,7 +620,7 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
                 sign = -1.0
         for direction in directions:
             turning = direction.startswith("rotation")
-            own = isinstance(closure, Constraint | Lock)
+            own = isinstance(closure, Constraint | Lock | Relation)
             unit = closure.unit if own else "rad" if turning else "m"
             rows.append(Row(closure.name, direction, unit))
             closures.append((closure, direction))
@@ -732,6 +759,7 @@ def _reactions(
     a: ca.SX,
     efforts: ca.SX,
     lam: ca.SX,
+    relations: list[tuple[Relation, dict[str, ca.SX]]],
 ) -> tuple[list[ca.SX], list[Variable]]:
     """Reaction of every joint along every direction it suppresses, on the second body from the first."""
     if not m.joints:
@@ -756,6 +784,10 @@ def _reactions(
     )
     symbols = stack([e for j in m.joints for e in eps[j].values()])
     r = ca.substitute(ca.gradient(work, symbols), symbols, ca.SX.zeros(symbols.shape))
+    which = {each: i for i, each in enumerate((j, direction) for j in m.joints for direction in j.directions)}
+    for relation, own in relations:
+        for joint, direction, value in relation.idle(plain, own):
+            r[which[joint, direction]] += value
     outputs = []
     for joint in m.joints:
         for direction in joint.directions:

@@ -25,6 +25,7 @@ from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
 
 if TYPE_CHECKING:
     from ..view.picture import Drawing
+    from .relations import Belt, Gear, Rack, Relation, Rolling
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
 
@@ -409,9 +410,9 @@ class Mechanism:
     """Bodies in space, without the ground."""
     spatial_joints: ClassVar[_Parts[SpatialJoint]] = _Parts()
     """Joints in space."""
-    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock]] = _Parts()
+    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock | Relation]] = _Parts()
     """What is closed by constraints, in the order of its rows."""
-    releases: ClassVar[_Parts[AnyJoint | Constraint]] = _Parts()
+    releases: ClassVar[_Parts[AnyJoint | Constraint | Relation]] = _Parts()
     """What a Boolean input can open."""
     springs: ClassVar[_Parts[Spring]] = _Parts()
     """Springs and dampers."""
@@ -796,6 +797,103 @@ class Mechanism:
     ) -> SpatialJoint:
         """A slider in space: the second marker on an axis through the first, the frames of both bodies parallel."""
         return self._join_in_space(SpatialJoint(name, "prismatic", first, second, self._axes(name, axis, None)))
+
+    # Relations between bodies -----------------------------------------------------------------------------------
+
+    def gear(
+        self,
+        name: str,
+        first: Marker,
+        second: Marker,
+        *,
+        radii: Sequence[Scalar] | None = None,
+        teeth: Sequence[int] | None = None,
+        internal: bool = False,
+        phase: Scalar = 0.0,
+        pressure_angle: Scalar | None = None,
+        carrier: Body | None = None,
+    ) -> Gear:
+        """Two gears in mesh, by the markers of their centres; both turn on a carrier, which is the ground or moves.
+
+        Hinges declared before hold the centres; they tell the carrier, or `carrier` says which body it is. Either
+        `radii`, the pitch radii of both [m], or `teeth`, their numbers of teeth. With `internal` the larger of the two
+        is a ring with teeth inside. `phase` is the angle [rad] of the second from the carrier where the first has none.
+        `pressure_angle` [rad] is 20 degrees if left out, 0 for discs that roll on each other: it moves nothing, and
+        parts the bearings.
+
+        Outputs: `<name>.force` [N] at the pitch circles, positive where it turns the second gear counter-clockwise, and
+        `<name>.separating_force` [N] across them. Raises DeclarationError where hinges or radii do not fit.
+        """
+        from .relations import INVOLUTE, gear
+
+        angle = INVOLUTE if pressure_angle is None else pressure_angle
+        return gear(self, name, first, second, radii, teeth, internal, phase, angle, carrier)
+
+    def belt(
+        self,
+        name: str,
+        first: Marker,
+        second: Marker,
+        *,
+        radii: Sequence[Scalar],
+        crossed: bool = False,
+        pretension: Scalar = 0.0,
+        phase: Scalar = 0.0,
+        carrier: Body | None = None,
+    ) -> Belt:
+        """A belt or chain around two pulleys, by the markers of their centres; it neither slips nor stretches.
+
+        Hinges, `carrier` and `phase` are those of `gear`. `radii` [m] of the pulleys; with `crossed` they turn
+        against each other. `pretension` [N] is the tension of each strand without load: half of the load comes on top
+        of it in one strand, and is taken from it in the other.
+
+        Outputs: `<name>.force` [N], positive where it turns the second pulley counter-clockwise, `<name>.tension.left`
+        and `<name>.tension.right` [N] of the strands that leave the first pulley on the left and right, seen towards
+        the second. A negative tension tells that the belt is slack. Raises DeclarationError where it cannot fit.
+        """
+        from .relations import belt
+
+        return belt(self, name, first, second, radii, crossed, pretension, phase, carrier)
+
+    def rack(
+        self,
+        name: str,
+        pinion: Marker,
+        guide: Joint,
+        *,
+        radius: Scalar,
+        side: str | None = None,
+        phase: Scalar = 0.0,
+        pressure_angle: Scalar | None = None,
+    ) -> Rack:
+        """A pinion, by the marker of its centre, and a rack, by the prismatic joint that guides it.
+
+        A hinge declared before holds the pinion on the first body of the guide; the rack is its second body. `radius`
+        [m] is that of the pitch circle. `side` is where the pinion lies, "left" or "right" of the pitch line seen along
+        the guide; it may be left out where the guide itself runs along the pitch line. `phase` is the pinion's angle
+        [rad] where the rack is at 0, `pressure_angle` that of `gear`.
+
+        Outputs: `<name>.force` [N] on the rack along the guide, `<name>.separating_force` [N] across it.
+        """
+        from .relations import INVOLUTE, rack
+
+        angle = INVOLUTE if pressure_angle is None else pressure_angle
+        return rack(self, name, pinion, guide, radius, side, phase, angle)
+
+    def rolling(
+        self, name: str, line: Marker, wheel: Marker, *, radius: Scalar, axis: Scalar = 0.0, phase: Scalar = 0.0
+    ) -> Rolling:
+        """A wheel, by the marker of its centre, that rolls without slip on a line through a marker of another body.
+
+        The line has the direction `axis` [rad] in its body, and the wheel of `radius` [m] lies to its left. `phase` is
+        the wheel's angle [rad] from the line's body where it stands on the line's marker.
+
+        Outputs: `<name>.normal_force` [N] on the wheel across the line, negative where it would lift off, and
+        `<name>.friction_force` [N] along it, which rolling takes.
+        """
+        from .relations import rolling
+
+        return rolling(self, name, line, wheel, radius, axis, phase)
 
     # Forces -----------------------------------------------------------------------------------------------------
 
