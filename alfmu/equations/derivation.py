@@ -45,6 +45,7 @@ from ..model.spatial import SpatialJoint, SpatialMarker, angular_velocity
 from ..model.units import rate_of
 from .evaluation import ARGUMENTS, evaluable, shared
 from .interface import variables_of
+from .measures import measures
 from .types import Equations, Row, Switch, Variable
 
 __all__ = ["derive"]
@@ -410,6 +411,12 @@ def derive(mechanism: Mechanism) -> Equations:
     traced_values, traced_outputs = _watched(m, plain, q, v)
     values += traced_values
     outputs += traced_outputs
+    measured_values, measured_outputs, angles = measures(m, plain, q, v, a)
+    values += measured_values
+    outputs += measured_outputs
+    for joint in (j for j in m.joints if f"{j.name}.angle" in angles):
+        if plain.frame(joint.first.body).wrapped or plain.frame(joint.second.body).wrapped:
+            wrapped[f"{joint.name}.angle"] = _tied_start(m, angles[f"{joint.name}.angle"])
     values += ca.vertsplit(lam)
     for i, row in enumerate(rows):
         force = "N" if row.unit == "m" else "N.m"  # times the row it is work

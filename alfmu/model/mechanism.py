@@ -19,13 +19,14 @@ import numpy as np
 
 from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
+from .relations import INVOLUTE, Belt, Gear, Rack, Relation, Rolling, belt, gear, rack, rolling
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .units import UNITS, alike, rate_of, unit
 from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
 
 if TYPE_CHECKING:
+    from ..equations.derivation import Kinematics
     from ..view.picture import Drawing
-    from .relations import Belt, Gear, Rack, Relation, Rolling
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
 
@@ -160,6 +161,14 @@ class Marker(Brief):
     x: Scalar
     y: Scalar
 
+    @property
+    def position(self) -> tuple[ca.SX, ca.SX]:
+        """The point (x, y) [m] in ground axes, as expressions in coordinates and parameters.
+
+        Raises DeclarationError where nothing places its body yet.
+        """
+        return self.body._places().place(self)
+
 
 @dataclass(eq=False, repr=False)
 class Body(Brief):
@@ -177,6 +186,25 @@ class Body(Brief):
     pose: tuple[Scalar, Scalar, Scalar] | None = None
     between: tuple[Point | Marker, Point | Marker] | None = None
     placed_by: Joint | None = None
+
+    def __post_init__(self) -> None:
+        self._mechanism: Mechanism | None = None
+
+    @property
+    def angle(self) -> ca.SX:
+        """The angle [rad] of its frame in ground axes, as an expression in coordinates and parameters.
+
+        Of a bar between two points it is known within a turn. Raises DeclarationError where nothing places it yet.
+        """
+        return self._places().frame(self).angle
+
+    def _places(self) -> Kinematics:
+        """Where all bodies of its mechanism are, as it is declared by now."""
+        from ..equations.derivation import Kinematics
+
+        if self._mechanism is None:
+            raise DeclarationError(f"{self.name} belongs to no mechanism; make bodies by body() and bar()")
+        return Kinematics(self._mechanism)
 
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0) -> Marker:
         """The point (x, y) [m] of the body's frame."""
@@ -266,6 +294,7 @@ class Spring(Brief):
     stiffness: Scalar
     damping: Scalar
     rest: Scalar
+    name: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -336,6 +365,7 @@ class Experiment:
 
 _Part = TypeVar("_Part")
 _Form = TypeVar("_Form", str, bytes)
+_Related = TypeVar("_Related", bound=Relation)
 
 
 class _Parts(Generic[_Part]):
@@ -428,6 +458,8 @@ class Mechanism:
     """Coordinates and generalised forces along them."""
     watched: ClassVar[_Parts[Watched]] = _Parts()
     """Points of bodies that are watched."""
+    measured: ClassVar[_Parts[AnyJoint | Spring]] = _Parts()
+    """Joints and springs that are measured, beside springs with names."""
     drawn_joints: ClassVar[_Parts[DrawnJoint]] = _Parts()
     """Joints that pictures show of a mechanism whose bodies are energies alone."""
     drawn_bars: ClassVar[_Parts[DrawnBar]] = _Parts()
@@ -436,6 +468,7 @@ class Mechanism:
     documentation: str = field(default="", init=False)
     options: dict[str, Any] = field(default_factory=dict, init=False)
     compliant: bool = field(default=False, init=False)
+    measures_all: bool = field(default=False, init=False)
 
     def __repr__(self) -> str:
         sizes = {"coordinate": len(self.coordinates), "input": len(self.inputs)}
@@ -455,6 +488,7 @@ class Mechanism:
         self.ground: Body = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
         origin, upright = ca.SX.zeros(3), ca.SX([1, 0, 0, 0])
         self.spatial_ground: SpatialBody = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
+        self.ground._mechanism = self
         self.time: ca.SX = ca.SX.sym("time")
         self._names: dict[str, str] = {}
         self._lines: dict[str, tuple[str, int]] = {}
@@ -571,7 +605,11 @@ class Mechanism:
         return symbol
 
     def rate(self, coordinate: ca.SX) -> ca.SX:
-        """The velocity symbol of a coordinate, for kinetic energies and forces at the general level."""
+        """The velocity of a coordinate, or the rate of an expression in coordinates declared before: for kinetic
+        energies, forces and outputs."""
+        if isinstance(coordinate, ca.SX) and coordinate.is_scalar() and not coordinate.is_symbolic():
+            x = symbolic(self._quantity("what rate() is asked of", coordinate, "1", PLACE))
+            return ca.jtimes(x, stack([c.q for c in self.coordinates]), stack([c.v for c in self.coordinates]))
         return self._coordinate(coordinate).v
 
     def acceleration(self, coordinate: ca.SX) -> ca.SX:
@@ -608,6 +646,61 @@ class Mechanism:
     def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
         """Former name of `watch`."""
         self.watch(name, marker, description)
+
+    def measure(self, *of: AnyJoint | Spring | str) -> None:
+        """Outputs of joints and springs, or their names; of all that there are where none is given.
+
+        A hinge `A` has `A.angle` [rad], `A.angular_velocity` and `A.angular_acceleration`, a slider `guide` has
+        `guide.displacement` [m], `guide.velocity` and `guide.acceleration`: of the second body from the first. A spring
+        `S` has `S.elongation`, `S.elongation_rate` and `S.force` [N], positive in tension, or `S.torque` [N.m]. One
+        without a name is called after its joint (`A.spring`), between points by its number (`spring1`).
+
+        Raises DeclarationError where something is neither a spring nor a joint with one free motion.
+        """
+        if not of:
+            self.measures_all = True
+        springs = dict(self._springs())
+        for each in of:
+            if isinstance(each, Spring) or each in springs:
+                spring = each if isinstance(each, Spring) else springs[str(each)]
+                if not any(spring is known for known in self.springs):
+                    raise DeclarationError(f"{self.name}: measure() is given a spring of another mechanism")
+                Mechanism.measured.of(self).append(spring)
+                continue
+            names = [*springs, *(j.name for j in (*self.joints, *self.spatial_joints))]
+            if (each if isinstance(each, str) else getattr(each, "name", None)) not in names:
+                called = each if isinstance(each, str) else getattr(each, "name", shown(each))
+                raise DeclarationError(
+                    f"{self.name} has no joint or spring {called} to measure; {there_is(called, names)}"
+                )
+            joint = self._joint(each)
+            self._free(joint, "measure()")
+            Mechanism.measured.of(self).append(joint)
+
+    def measured_joints(self) -> list[AnyJoint]:
+        """Joints whose motion is an output on request, once each; hinges in space have theirs anyway."""
+        joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
+        return [
+            joint
+            for joint in joints
+            if joint.kind in ("revolute", "prismatic")
+            and (self.measures_all or any(joint is each for each in self.measured))
+            and not (isinstance(joint, SpatialJoint) and joint.kind == "revolute")
+        ]
+
+    def measured_springs(self) -> list[tuple[str, Spring]]:
+        """Springs that are measured, with the names of their outputs."""
+        asked = [id(each) for each in self.measured]
+        return [(name, s) for name, s in self._springs() if s.name or self.measures_all or id(s) in asked]
+
+    def _springs(self) -> list[tuple[str, Spring]]:
+        """All springs, by their own names or by those that `measure` gives them."""
+        named: dict[str, Spring] = {}
+        for i, spring in enumerate(self.springs, 1):
+            joint = spring.between if isinstance(spring.between, AnyJoint) else None
+            name = spring.name or (f"{joint.name}.spring" if joint else f"spring{i}")
+            named[f"{name}{i}" if name in named else name] = spring
+        return list(named.items())
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
@@ -824,10 +917,11 @@ class Mechanism:
         Outputs: `<name>.force` [N] at the pitch circles, positive where it turns the second gear counter-clockwise, and
         `<name>.separating_force` [N] across them. Raises DeclarationError where hinges or radii do not fit.
         """
-        from .relations import INVOLUTE, gear
-
+        self._own((first, second), f"gear {name}", Marker)
+        if carrier is not None:
+            self._body(carrier, f"gear {name}")
         angle = INVOLUTE if pressure_angle is None else pressure_angle
-        return gear(self, name, first, second, radii, teeth, internal, phase, angle, carrier)
+        return self._relate(gear(self, name, first, second, radii, teeth, internal, phase, angle, carrier))
 
     def belt(
         self,
@@ -851,9 +945,10 @@ class Mechanism:
         and `<name>.tension.right` [N] of the strands that leave the first pulley on the left and right, seen towards
         the second. A negative tension tells that the belt is slack. Raises DeclarationError where it cannot fit.
         """
-        from .relations import belt
-
-        return belt(self, name, first, second, radii, crossed, pretension, phase, carrier)
+        self._own((first, second), f"belt {name}", Marker)
+        if carrier is not None:
+            self._body(carrier, f"belt {name}")
+        return self._relate(belt(self, name, first, second, radii, crossed, pretension, phase, carrier))
 
     def rack(
         self,
@@ -875,10 +970,10 @@ class Mechanism:
 
         Outputs: `<name>.force` [N] on the rack along the guide, `<name>.separating_force` [N] across it.
         """
-        from .relations import INVOLUTE, rack
-
+        self._own((pinion,), f"rack {name}", Marker)
+        self._free(guide, f"rack {name}")
         angle = INVOLUTE if pressure_angle is None else pressure_angle
-        return rack(self, name, pinion, guide, radius, side, phase, angle)
+        return self._relate(rack(self, name, pinion, guide, radius, side, phase, angle))
 
     def rolling(
         self, name: str, line: Marker, wheel: Marker, *, radius: Scalar, axis: Scalar = 0.0, phase: Scalar = 0.0
@@ -891,9 +986,8 @@ class Mechanism:
         Outputs: `<name>.normal_force` [N] on the wheel across the line, negative where it would lift off, and
         `<name>.friction_force` [N] along it, which rolling takes.
         """
-        from .relations import rolling
-
-        return rolling(self, name, line, wheel, radius, axis, phase)
+        self._own((line, wheel), f"rolling {name}", Marker)
+        return self._relate(rolling(self, name, line, wheel, radius, axis, phase))
 
     # Forces -----------------------------------------------------------------------------------------------------
 
@@ -923,11 +1017,13 @@ class Mechanism:
         stiffness: Scalar = 0.0,
         damping: Scalar = 0.0,
         rest: Scalar = 0.0,
-    ) -> None:
+        name: str = "",
+    ) -> Spring:
         """A linear spring-damper: torsional on a revolute joint, along the guide on a prismatic one, or between points.
 
         stiffness [N.m/rad or N/m], damping [N.m.s/rad or N.s/m], rest angle or length [rad or m]. Points may belong to
         bodies in space; the angle of a spatial hinge is known within a turn, so that its spring should stay within one.
+        With a `name` its elongation and force are outputs (see `measure`).
         """
         if isinstance(between, AnyJoint):
             along, what = self._free(between, "spring_damper()"), f"the spring at {between.name}"
@@ -944,7 +1040,10 @@ class Mechanism:
         stiffness = self._quantity(f"the stiffness of {what}", stiffness, f"{EFFORTS[along]}/{along}", PLACE)
         damping = self._quantity(f"the damping of {what}", damping, f"{EFFORTS[along]}.s/{along}", EFFORT)
         rest = self._quantity(f"the rest of {what}", rest, along, PLACE)
-        Mechanism.springs.of(self).append(Spring(between, stiffness, damping, rest))
+        if name:
+            self._claim(name, "1", "a spring")
+        Mechanism.springs.of(self).append(Spring(between, stiffness, damping, rest, name))
+        return self.springs[-1]
 
     def friction(self, joint: AnyJoint, coefficient: Scalar) -> None:
         """Viscous friction in a joint [N.m.s/rad or N.s/m]."""
@@ -1154,10 +1253,16 @@ class Mechanism:
     def _is_start(self, symbol: Scalar) -> bool:
         return isinstance(self._by_symbol.get(key_of(symbol)), Start)
 
+    def _relate(self, relation: _Related) -> _Related:
+        self._claim(relation.name, "1", f"a {relation.kind}")
+        Mechanism.closures.of(self).append(relation)
+        return relation
+
     def _add(self, body: Body) -> Body:
         self._claim(body.name, "1", "a body")
         Mechanism.bodies.of(self).append(body)
         self._owned.add(body)
+        body._mechanism = self
         return body
 
     def _join(self, joint: Joint) -> Joint:
@@ -1301,6 +1406,12 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: {what} is {count}; give {wanted}")
         entries = zip(_entries(values), units, strict=True)
         return tuple(self._quantity(what, value, unit, may) for value, unit in entries)
+
+    def _constant(self, what: str, value: Any, unit: str) -> Scalar:
+        return self._quantity(what, value, unit, CONSTANT)
+
+    def _constant_length(self, what: str, value: Any) -> Scalar:
+        return self._length(what, value, CONSTANT)
 
     def _plain(self, what: str, value: Any) -> float:
         """A number, where no expression will do."""

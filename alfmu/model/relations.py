@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol
 
 import casadi as ca
 
 from .errors import DeclarationError
-from .mechanism import CONSTANT, Body, Joint, Marker, Mechanism, Scalar, symbolic
 from .words import Brief, in_words, shown
 
 __all__ = ["Belt", "Gear", "Pair", "Places", "Rack", "Relation", "Rolling", "belt", "gear", "rack", "rolling"]
@@ -29,6 +28,52 @@ _FIT = 1e-6
 _SAME = 1e-9
 """Distance of two points of a body that are meant to be one [m]."""
 
+Scalar = float | ca.SX
+
+
+class Body(Protocol):
+    """`mechanism.Body`."""
+
+    name: str
+
+
+class Marker(Protocol):
+    """`mechanism.Marker`."""
+
+    @property
+    def body(self) -> Body: ...
+    @property
+    def x(self) -> Scalar: ...
+    @property
+    def y(self) -> Scalar: ...
+
+
+class Joint(Protocol):
+    """`mechanism.Joint`."""
+
+    name: str
+    kind: str
+    axis: Scalar
+    offset: Scalar
+
+    @property
+    def first(self) -> Marker: ...
+    @property
+    def second(self) -> Marker: ...
+
+
+class Mechanism(Protocol):
+    """What declarations ask of a `mechanism.Mechanism`: its joints, and the checks of numbers."""
+
+    name: str
+
+    @property
+    def joints(self) -> Sequence[Joint]: ...
+    def _at_defaults(self, what: str, value: Scalar) -> float: ...
+    def _constant(self, what: str, value: Any, unit: str) -> Scalar: ...
+    def _constant_length(self, what: str, value: Any) -> Scalar: ...
+
+
 Reading = tuple[str, ca.SX, str, str]
 """An output of a relation: what follows its name, expression, unit, description."""
 
@@ -39,7 +84,7 @@ Way = tuple[tuple[Joint, int], ...]
 class Places(Protocol):
     """Where bodies and points are, as expressions: `equations.derivation.Kinematics`."""
 
-    mechanism: Mechanism
+    mechanism: Any
 
     def frame(self, body: Body) -> Any: ...
     def place(self, at: Marker) -> tuple[ca.SX, ca.SX]: ...
@@ -340,8 +385,8 @@ def gear(
             )
     angle = _toothed(m, what, pressure_angle)
     signed = own[0], -own[1] if internal else own[1]
-    phase = m._quantity(f"the phase of {what}", phase, "rad", CONSTANT)
-    return _declare(m, Gear(name, first, second, carrier, ways, across, distance, signed, phase, angle))
+    phase = m._constant(f"the phase of {what}", phase, "rad")
+    return Gear(name, first, second, carrier, ways, across, distance, signed, phase, angle)
 
 
 def belt(
@@ -366,12 +411,12 @@ def belt(
             f"{r2:g} m take {taken:g} m, and their centres are {apart:g} m apart; make the pulleys smaller or their "
             "distance larger"
         )
-    tension = m._quantity(f"the pretension of {what}", pretension, "N", CONSTANT)
+    tension = m._constant(f"the pretension of {what}", pretension, "N")
     if (at := m._at_defaults(f"the pretension of {what}", tension)) < 0:
         raise DeclarationError(f"{m.name}: the pretension of {what} is {at:g} N; it must not be negative")
     signed = own[0], own[1] if crossed else -own[1]
-    phase = m._quantity(f"the phase of {what}", phase, "rad", CONSTANT)
-    return _declare(m, Belt(name, first, second, carrier, ways, across, distance, signed, phase, tension))
+    phase = m._constant(f"the phase of {what}", phase, "rad")
+    return Belt(name, first, second, carrier, ways, across, distance, signed, phase, tension)
 
 
 def rack(
@@ -386,9 +431,7 @@ def rack(
 ) -> Rack:
     """See `Mechanism.rack`."""
     what = f"rack {name}"
-    m._own((pinion,), what, Marker)
-    m._free(guide, what)
-    if not isinstance(guide, Joint) or guide.kind != "prismatic":
+    if guide.kind != "prismatic":
         raise DeclarationError(
             f"{m.name}: {what} needs the guide of the rack, as prismatic() returns it, not {guide.name}"
         )
@@ -398,7 +441,7 @@ def rack(
             f"{m.name}: the pinion of {what} is {pinion.body.name}, which {guide.name} joins; give another"
         )
     way, held = _way(m, what, pinion, carrier)
-    radius = m._length(f"the radius of {what}", radius, CONSTANT)
+    radius = m._constant_length(f"the radius of {what}", radius)
     if side not in (None, "left", "right"):
         raise DeclarationError(f"{m.name}: the side of {what} is {shown(side)}; give 'left' or 'right'")
     if side is None:
@@ -414,8 +457,8 @@ def rack(
             )
         side = "left" if left > 0 else "right"
     angle = _toothed(m, what, pressure_angle)
-    phase = m._quantity(f"the phase of {what}", phase, "rad", CONSTANT)
-    return _declare(m, Rack(name, pinion, guide, way, held, radius, 1 if side == "left" else -1, phase, angle))
+    phase = m._constant(f"the phase of {what}", phase, "rad")
+    return Rack(name, pinion, guide, way, held, radius, 1 if side == "left" else -1, phase, angle)
 
 
 def rolling(
@@ -423,23 +466,12 @@ def rolling(
 ) -> Rolling:
     """See `Mechanism.rolling`."""
     what = f"rolling {name}"
-    m._own((line, wheel), what, Marker)
     if line.body is wheel.body:
         raise DeclarationError(f"{m.name}: {what} rolls {wheel.body.name} on itself; give a line of another body")
-    radius = m._length(f"the radius of {what}", radius, CONSTANT)
-    axis = m._quantity(f"the axis of {what}", axis, "rad", CONSTANT)
-    phase = m._quantity(f"the phase of {what}", phase, "rad", CONSTANT)
-    return _declare(m, Rolling(name, line, wheel, direction(axis), radius, phase))
-
-
-_Declared = TypeVar("_Declared", bound=Relation)
-
-
-def _declare(m: Mechanism, relation: _Declared) -> _Declared:
-    """Enter a relation among what is closed by constraints."""
-    m._claim(relation.name, "1", f"a {relation.kind}")
-    Mechanism.closures.of(m).append(relation)
-    return relation
+    radius = m._constant_length(f"the radius of {what}", radius)
+    axis = m._constant(f"the axis of {what}", axis, "rad")
+    phase = m._constant(f"the phase of {what}", phase, "rad")
+    return Rolling(name, line, wheel, direction(axis), radius, phase)
 
 
 def _both(m: Mechanism, what: str, values: Any) -> Sequence[Any]:
@@ -451,7 +483,7 @@ def _both(m: Mechanism, what: str, values: Any) -> Sequence[Any]:
 def _toothed(m: Mechanism, what: str, pressure_angle: Scalar) -> Scalar:
     """A pressure angle that teeth can have."""
     of = f"the pressure angle of {what}"
-    angle = m._quantity(of, pressure_angle, "rad", CONSTANT)
+    angle = m._constant(of, pressure_angle, "rad")
     if not 0 <= (at := m._at_defaults(of, angle)) < math.pi / 2:
         raise DeclarationError(
             f"{m.name}: {of} is {at:g} rad; give one from 0 to below pi/2 (20 degrees are {INVOLUTE:.4f})"
@@ -461,9 +493,10 @@ def _toothed(m: Mechanism, what: str, pressure_angle: Scalar) -> Scalar:
 
 def _rims(m: Mechanism, what: str, radii: Any) -> tuple[Sequence[Scalar], float, float]:
     """Two radii, and what they are at the defaults of the parameters."""
-    own = m._vector(f"the radii of {what}", radii, ("m", "m"), CONSTANT)
-    named = [(f"the {which} radius of {what}", r) for which, r in zip(("first", "second"), own, strict=True)]
-    first, second = (m._at_defaults(of, m._length(of, r, CONSTANT)) for of, r in named)
+    given = _both(m, f"the radii of {what}", radii)
+    named = [(f"the {which} radius of {what}", r) for which, r in zip(("first", "second"), given, strict=True)]
+    own = [m._constant_length(*each) for each in named]
+    first, second = (m._at_defaults(of, r) for (of, _), r in zip(named, own, strict=True))
     return own, first, second
 
 
@@ -471,14 +504,12 @@ def _centres(
     m: Mechanism, what: str, first: Marker, second: Marker, carrier: Body | None
 ) -> tuple[Body, tuple[Way, Way], tuple[Scalar, Scalar], Scalar]:
     """The carrier of two wheels, the hinges between it and them, the way from centre to centre and its length."""
-    m._own((first, second), what, Marker)
     wheels = (first.body, second.body)
     if wheels[0] is wheels[1]:
         raise DeclarationError(f"{m.name}: {what} joins {wheels[0].name} to itself; give wheels of two bodies")
     reached = [_reached(m, at) for at in (first, second)]
     common = [body for body in reached[0] if body in reached[1] and body not in wheels]
     if carrier is not None:
-        m._body(carrier, what)
         if carrier in wheels:
             raise DeclarationError(
                 f"{m.name}: the carrier of {what} is {carrier.name}, one of its wheels; leave it out"
@@ -552,7 +583,7 @@ def _reached(m: Mechanism, centre: Marker) -> dict[Body, tuple[Way, Marker]]:
 
 def _at(one: Marker, other: Marker) -> bool:
     """Whether two markers of a body are at one place."""
-    apart = [symbolic(a) - symbolic(b) for a, b in ((one.x, other.x), (one.y, other.y))]
+    apart = [ca.SX(a) - ca.SX(b) for a, b in ((one.x, other.x), (one.y, other.y))]
     return all(x.is_zero() or (x.is_constant() and abs(float(x)) < _SAME) for x in apart)
 
 
@@ -579,7 +610,7 @@ def _gap(places: Places, way: Way) -> tuple[ca.SX, ca.SX]:
 
 
 def _nothing(value: Scalar) -> bool:
-    return symbolic(value).is_zero()
+    return ca.SX(value).is_zero()
 
 
 def direction(angle: Scalar) -> tuple[Scalar, Scalar]:
