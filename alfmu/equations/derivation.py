@@ -42,6 +42,7 @@ from ..model.mechanism import (
 )
 from ..model.relations import Relation
 from ..model.spatial import SpatialJoint, SpatialMarker, angular_velocity
+from ..model.stops import EndStop
 from ..model.units import rate_of
 from .evaluation import ARGUMENTS, evaluable, shared
 from .interface import variables_of
@@ -425,6 +426,14 @@ def derive(mechanism: Mechanism) -> Equations:
         )
     values += [o.expression for o in m.outputs]
     outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
+    for stop in m.end_stops:
+        x = _limited(plain, stop)
+        what, unit = ("force", "N") if stop.unit == "m" else ("torque", "N.m")
+        values += [stop.penetration(x), stop.effort(x, ca.jtimes(x, q, v))]
+        outputs.append(
+            Variable(f"{stop.name}.penetration", stop.unit, description=f"how far {stop.limited} is in {stop.name}")
+        )
+        outputs.append(Variable(f"{stop.name}.{what}", unit, description=f"{what} of {stop.name} on {stop.limited}"))
     y = stack(values)
     instant = _depends_on_any(y, ca.vertcat(a, lam, u))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
@@ -715,7 +724,10 @@ def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
     gx, gy, _ = m.gravity_vector
     centers = [kinematics.center(body) for body in m.bodies]
     x, y = (stack([center[k] for center in centers]) for k in (0, 1))
-    V = sum(m.potential, ca.SX(0)) - ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
+    V = sum(m.potential, ca.SX(0))
+    for stop in m.end_stops:
+        V += stop.energy(_limited(kinematics, stop))
+    V -= ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
     for body in m.spatial_bodies:
         V -= body.mass * ca.dot(stack(m.gravity_vector), body.position)
     for spring in m.springs:
@@ -727,13 +739,27 @@ def _elongation(kinematics: Kinematics, between: AnyJoint | tuple[AnyMarker, Any
     return kinematics.free(between) if isinstance(between, AnyJoint) else kinematics.distance(between)
 
 
+def _limited(kinematics: Kinematics, stop: EndStop) -> ca.SX:
+    """The displacement that a stop limits."""
+    if isinstance(stop.of, ca.SX):
+        return stop.of
+    if isinstance(stop.of, Joint) and stop.unit == "rad":
+        for body in (stop.of.first.body, stop.of.second.body):
+            if kinematics.frame(body).wrapped:
+                raise DeclarationError(
+                    f"{kinematics.mechanism.name}: end stop {stop.name} needs the angle of {body.name}, which is known "
+                    "within a turn only, as two points place it; place it by a pose, or by a joint with a coordinate"
+                )
+    return _elongation(kinematics, stop.of)
+
+
 def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
     """Displacements along which the efforts of drives, loads and dampers act, in that order."""
     paths: list[Scalar] = [kinematics.free(drive.joint) for drive in m.drives]
     for load in m.loads:
         paths += [*kinematics.place(load.at), kinematics.frame(load.at.body).angle]
     paths += [_elongation(kinematics, s.between) for s in m.springs if not symbolic(s.damping).is_zero()]
-    return paths
+    return paths + [_limited(kinematics, stop) for stop in m.end_stops]
 
 
 def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -745,6 +771,8 @@ def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
     rates = ca.jtimes(paths, q, v) if paths.numel() else paths
     dampers = [s for s in m.springs if not symbolic(s.damping).is_zero()]
     efforts += [-s.damping * rates[len(efforts) + i] for i, s in enumerate(dampers)]
+    stops = range(len(efforts), len(efforts) + len(m.end_stops))
+    efforts += [stop.losses(paths[i], rates[i]) for i, stop in zip(stops, m.end_stops, strict=True)]
     return paths, stack(efforts)
 
 

@@ -21,6 +21,7 @@ from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, us
 from .errors import DeclarationError
 from .relations import INVOLUTE, Belt, Gear, Rack, Relation, Rolling, belt, gear, rack, rolling
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
+from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, rate_of, unit
 from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
 
@@ -448,6 +449,8 @@ class Mechanism:
     """Springs and dampers."""
     drives: ClassVar[_Parts[Drive]] = _Parts()
     """Efforts along joints."""
+    end_stops: ClassVar[_Parts[EndStop]] = _Parts()
+    """Limit stops."""
     loads: ClassVar[_Parts[Load]] = _Parts()
     """Forces and torques from the ground."""
     kinetic: ClassVar[_Parts[ca.SX]] = _Parts()
@@ -1045,6 +1048,95 @@ class Mechanism:
         Mechanism.springs.of(self).append(Spring(between, stiffness, damping, rest, name))
         return self.springs[-1]
 
+    def end_stop(
+        self,
+        name: str,
+        of: AnyJoint | tuple[AnyMarker, AnyMarker] | ca.SX,
+        *,
+        upper: Scalar | None = None,
+        lower: Scalar | None = None,
+        stiffness: Scalar,
+        onset: Scalar = ONSET,
+        dissipation: Scalar | None = None,
+        restitution: Scalar | None = None,
+        creep: Scalar = CREEP,
+        unit: str = "m",
+    ) -> EndStop:
+        """A limit stop: it pushes a displacement back beyond `upper`, below `lower`, or both, and never pulls.
+
+        It acts on the free motion of a joint, on the distance of two markers, or on an expression in coordinates in
+        `unit`, m or rad. `stiffness` [N/m or N.m/rad] is full beyond a penetration of `onset` [m or rad], up to which
+        it rises smoothly. Energy is lost by `dissipation` [s/m or s/rad], in proportion to the push and its rate, or by
+        a coefficient of `restitution` from 0 to 1, the speed after a blow over that before; with neither, none is. With
+        a restitution, `creep` [m/s or rad/s] is the rate about zero in which the push goes from one to the other.
+
+        Outputs: `<name>.penetration` [m or rad] and `<name>.force` [N] or `<name>.torque` [N.m] along the displacement.
+        Raises DeclarationError where there is no limit, or numbers that no stop can have.
+        """
+        what = f"end stop {name}"
+        if isinstance(of, AnyJoint):
+            along = self._free(of, what)
+        elif isinstance(of, tuple | list):
+            along = "m"
+            if len(of) != 2:
+                raise DeclarationError(f"{self.name}: {what} is between {len(of)} points; give two markers")
+            self._own(of, what)
+            if isinstance(of[0], Marker) != isinstance(of[1], Marker):
+                raise DeclarationError(f"{self.name}: {what} joins a point in the plane to one in space; take one kind")
+        else:
+            along = unit
+            if unit not in EFFORTS:
+                raise DeclarationError(f"{self.name}: {what} is in {shown(unit)}; give m or rad")
+            of = self._of_coordinates(what, of, unit)
+        limits = [
+            (which, x if x is None else self._quantity(f"the {which} limit of {what}", x, along, PLACE))
+            for which, x in (("upper", upper), ("lower", lower))
+        ]
+        (_, high), (_, low) = limits
+        if high is None and low is None:
+            raise DeclarationError(f"{self.name}: {what} has no limit; give upper=, lower= or both, in {along}")
+        if not any(isinstance(x, ca.SX) and self._moves(x) for _, x in limits):
+            at = [x if x is None else self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits]
+            if None not in at and not at[0] > at[1]:
+                raise DeclarationError(
+                    f"{self.name}: {what} has the upper limit {at[0]:g} and the lower limit {at[1]:g}"
+                )
+            turn = isinstance(of, SpatialJoint) and along == "rad"
+            for x in at:
+                if turn and x is not None and abs(x) >= math.pi:
+                    raise DeclarationError(
+                        f"{self.name}: {what} is at {x:g} rad, and the angle of {of.name} is known from -pi to pi only"
+                    )
+        if dissipation is not None and restitution is not None:
+            raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")
+        effort = f"{EFFORTS[along]}/{along}"
+
+        def positive(which: str, value: Scalar, unit: str, least: float | None, most: float = math.inf) -> Scalar:
+            """A constant above zero, or in a range where `least` is given."""
+            value = self._constant(f"the {which} of {what}", value, unit)
+            x = self._at_defaults(f"the {which} of {what}", value)
+            if not (x > 0 if least is None else least <= x <= most):
+                needed = "above zero" if least is None else f"from {least:g} to {most:g}"
+                raise DeclarationError(f"{self.name}: the {which} of {what} is {x:g} {unit}; it must be {needed}")
+            return value
+
+        stop = EndStop(
+            name,
+            tuple(of) if isinstance(of, list) else of,
+            along,
+            high,
+            low,
+            positive("stiffness", stiffness, effort, 0.0),
+            positive("onset", onset, along, None),
+            None if dissipation is None else positive("dissipation", dissipation, "s/m" if along == "m" else "s", 0.0),
+            None if restitution is None else positive("restitution", restitution, "1", 0.0, 1.0),
+            positive("creep", creep, rate_of(along), None),
+        )
+        self._claim(f"{name}.penetration", along, "an output")
+        self._claim(f"{name}.{'force' if along == 'm' else 'torque'}", EFFORTS[along], "an output")
+        Mechanism.end_stops.of(self).append(stop)
+        return stop
+
     def friction(self, joint: AnyJoint, coefficient: Scalar) -> None:
         """Viscous friction in a joint [N.m.s/rad or N.s/m]."""
         self.spring_damper(joint, damping=coefficient)
@@ -1428,9 +1520,13 @@ class Mechanism:
         """What a constraint or a lock keeps: an expression that moves."""
         self._displacement(what, unit)
         value = symbolic(self._quantity(what, expression, unit, PLACE))
-        if not any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(value)):
+        if not self._moves(value):
             raise DeclarationError(f"{self.name}: {what} depends on no coordinate, so that no motion can keep it")
         return value
+
+    def _moves(self, value: Scalar) -> bool:
+        """Whether a quantity depends on coordinates."""
+        return any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(value))
 
     def _mass(self, name: str, mass: Any, what: str = "mass", unit: str = "kg") -> Scalar:
         what = f"the {what} of {name}"
@@ -1447,8 +1543,7 @@ class Mechanism:
 
     def _length(self, what: str, length: Any, may: Collection[str]) -> Scalar:
         length = self._quantity(what, length, "m", may)
-        moves = any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(length))
-        if not moves and not (value := self._at_defaults(what, length)) > 0:
+        if not self._moves(length) and not (value := self._at_defaults(what, length)) > 0:
             raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
         perhaps_millimetres(f"{self.name}: {what}", length)
         return length
