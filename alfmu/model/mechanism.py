@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, 
 import casadi as ca
 import numpy as np
 
+from .cams import Cam, Profile, cam
 from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
 from .relations import INVOLUTE, Belt, Gear, Rack, Relation, Rolling, belt, gear, rack, rolling
@@ -992,6 +993,45 @@ class Mechanism:
         self._own((line, wheel), f"rolling {name}", Marker)
         return self._relate(rolling(self, name, line, wheel, radius, axis, phase))
 
+    def cam(
+        self,
+        name: str,
+        cam_centre: Marker,
+        follower: Marker,
+        *,
+        outline: Profile | None = None,
+        distance: Profile | None = None,
+        roller: Scalar | None = None,
+        face: Scalar | None = None,
+    ) -> Cam:
+        """A cam that turns about the marker of its centre, and a follower that stays on it, wherever joints lead it.
+
+        The follower has a `roller` of that radius [m] about its marker (0: an edge), or a flat `face` through its
+        marker: the direction [rad] square to the face in the follower's frame, away from the cam.
+
+        The curve is an `outline`, the cam's radius [m] over the polar angle in its frame, or a `distance` [m] from the
+        cam's centre to the roller's centre (the pitch curve), or to the face, over the direction in the cam's frame in
+        which the roller lies or the face's normal points. It is a function of the angle from 0 to 2 pi [rad], made of
+        CasADi's functions and parameters, or points: (x, y) [m] of an outline, (angle, length) [rad, m] of a distance,
+        with a periodic cubic spline through them. An outline adds the coordinate `<name>_contact`, without mass, unless
+        the roller is an edge; bodies must have been placed before.
+
+        Outputs: `<name>.force` [N] between both, negative where the follower would lift off, and the place of contact
+        `<name>.contact.x`, `.y` [m]. Raises DeclarationError where a curve does not close, or no follower fits it.
+        """
+        what = f"cam {name}"
+        self._own((cam_centre, follower), what, Marker)
+        defaults = stack([x.symbol for x in self.parameters]), ca.DM([x.default for x in self.parameters])
+        found = cam(self, name, cam_centre, follower, outline, distance, roller, face, defaults)
+        if outline is not None and not (roller is not None and ca.SX(roller).is_zero()):
+            (x1, y1), (x2, y2) = cam_centre.position, follower.position
+            if found.face is not None:
+                guess = follower.body.angle + found.face[0] - cam_centre.body.angle
+            else:
+                guess = ca.atan2(y2 - y1, x2 - x1) - cam_centre.body.angle
+            found.contact = self.coordinate(f"{name}_contact", "rad", start=guess)
+        return self._relate(found)
+
     # Forces -----------------------------------------------------------------------------------------------------
 
     def drive(self, joint: AnyJoint, effort: Scalar) -> None:
@@ -1499,8 +1539,15 @@ class Mechanism:
         entries = zip(_entries(values), units, strict=True)
         return tuple(self._quantity(what, value, unit, may) for value, unit in entries)
 
-    def _constant(self, what: str, value: Any, unit: str) -> Scalar:
-        return self._quantity(what, value, unit, CONSTANT)
+    def _constant(self, what: str, value: Any, unit: str, *arguments: ca.SX) -> Scalar:
+        """A quantity that only parameters change, and arguments of a function."""
+        for symbol in arguments:
+            self._stands_for(symbol, CONSTANT[0], f"the argument {symbol}", "1")
+        try:
+            return self._quantity(what, value, unit, CONSTANT)
+        finally:
+            for symbol in arguments:
+                del self._symbols[key_of(symbol)]
 
     def _constant_length(self, what: str, value: Any) -> Scalar:
         return self._length(what, value, CONSTANT)
