@@ -607,8 +607,7 @@ def _relations(m: Mechanism, closures: list[Closing], lam: ca.SX) -> list[tuple[
     """Each relation with its multipliers by direction."""
     return [
         (each, {direction: lam[i] for i, (closure, direction) in enumerate(closures) if closure is each})
-        for each in m.closures
-        if isinstance(each, Relation)
+        for each in m.relations()
     ]
 
 

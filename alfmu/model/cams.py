@@ -1,8 +1,8 @@
 """Cams and their followers: curves around a cam, and the constraints of a roller or a flat face on one.
 
 A curve gives a length over a direction in the cam's frame: the radius R(u) of the *outline* at the polar angle u, or
-the *distance* D of the follower, of its roller's centre (the pitch curve) or of its face (the support function), over the
-direction in which it lies. With the roller's centre at c from the cam's, the face's normal m, both seen in the cam's
+the *distance* D of the follower, of its roller's centre (the pitch curve) or of its face (the support function), over
+the direction in which it lies. With the roller's centre at c from the cam's, the face's normal m, both seen in its
 frame, in polar form c = d (cos phi, sin phi), m = (cos psi, sin psi), and the face at h = m . c,
 
     distance, roller    Phi = d - D(phi)                        distance, face      Phi = h - D(psi)
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from .errors import DeclarationError
-from .relations import Marker, Mechanism, Places, Reading, Relation, direction
+from .relations import Marker, Mechanism, Places, Reading, Relation, Rim, circle, direction
 from .words import Brief, shown
 
 __all__ = ["Cam", "Curve", "cam", "curve"]
@@ -36,6 +36,9 @@ Scalar = float | ca.SX
 
 _LOOK = 720
 """Directions in which a curve is checked [1]: twice a degree."""
+
+_DRAWN = 120
+"""Sides of a cam in pictures [1]: three degrees each."""
 
 _CLOSED = 1e-6
 """Share of its size by which a curve may fail to close after a turn, and its slope per radian [1]."""
@@ -134,6 +137,26 @@ class Cam(Relation):
             ("contact.x", x, "m", where.format("x")),
             ("contact.y", y, "m", where.format("y")),
         ]
+
+    def rims(self) -> list[Rim]:
+        x0, y0, points = self.first.x, self.first.y, []
+        for k in range(_DRAWN + 1):
+            turn = 2 * math.pi * k / _DRAWN
+            (R, slope), c, s = self.curve.at(ca.SX(turn)), math.cos(turn), math.sin(turn)
+            if self.contact is not None or (self.roller is not None and ca.SX(self.roller).is_zero()):
+                points.append((x0 + R * c, y0 + R * s))
+            elif self.face is not None:
+                points.append((x0 + R * c - slope * s, y0 + R * s + slope * c))
+            else:
+                back = self.roller / ca.sqrt(R**2 + slope**2)
+                points.append((x0 + R * c - back * (R * c + slope * s), y0 + R * s - back * (R * s - slope * c)))
+        rims = [Rim(self.first.body, tuple(points), filled=True)]
+        if self.face is not None:
+            _, c, s = self.face
+            half = 0.6 * self.curve.at(ca.SX(0))[0]
+            x, y = self.second.x, self.second.y
+            return [*rims, Rim(self.second.body, tuple((x - side * half * s, y + side * half * c) for side in (-1, 1)))]
+        return rims if ca.SX(self.roller).is_zero() else [*rims, circle(self.second, self.roller, spoke=False)]
 
     def _seen(self, places: Places) -> tuple[ca.SX, ca.SX]:
         """Of a face its distance and the direction of its normal in the cam's frame, of a roller its centre, in the

@@ -1032,6 +1032,10 @@ class Mechanism:
             found.contact = self.coordinate(f"{name}_contact", "rad", start=guess)
         return self._relate(found)
 
+    def relations(self) -> list[Relation]:
+        """Gears, belts, racks, rolling wheels and cams, in the order of their declaration."""
+        return [each for each in self.closures if isinstance(each, Relation)]
+
     # Forces -----------------------------------------------------------------------------------------------------
 
     def drive(self, joint: AnyJoint, effort: Scalar) -> None:

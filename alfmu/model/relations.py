@@ -35,6 +35,7 @@ class Body(Protocol):
     """`mechanism.Body`."""
 
     name: str
+    center: tuple[Scalar, Scalar]
 
 
 class Marker(Protocol):
@@ -55,6 +56,7 @@ class Joint(Protocol):
     kind: str
     axis: Scalar
     offset: Scalar
+    angle: Scalar
 
     @property
     def first(self) -> Marker: ...
@@ -76,6 +78,22 @@ class Mechanism(Protocol):
 
 Reading = tuple[str, ca.SX, str, str]
 """An output of a relation: what follows its name, expression, unit, description."""
+
+_ROUND = 72
+"""Sides of a circle in pictures [1]: five degrees each, which is round at the size of a screen."""
+
+_RUN = 4
+"""Half the length that pictures show of a rack or a line, in radii of what runs on it [1]."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rim(Brief):
+    """A line that pictures show on a body: points (x, y) [m] of its frame; `filled` where it goes around a disc."""
+
+    body: Body
+    points: tuple[tuple[Scalar, Scalar], ...]
+    filled: bool = False
+
 
 Way = tuple[tuple[Joint, int], ...]
 """Joints on the way from the carrier to a body, each with 1 where its second body is the one that is further away."""
@@ -116,6 +134,10 @@ class Relation(Brief):
         """What forces that do no work add to reactions: of which joint, along which direction, how much."""
         return []
 
+    def rims(self) -> list[Rim]:
+        """What pictures show of it."""
+        return []
+
 
 @dataclass(eq=False, repr=False)
 class Pair(Relation):
@@ -152,6 +174,9 @@ class Pair(Relation):
             row -= (R1 + R2) / self.distance * (ex * gap[1] - ey * gap[0])
         return row
 
+    def rims(self) -> list[Rim]:
+        return [circle(at, abs(R)) for at, R in zip((self.first, self.second), self.radii, strict=True)]
+
     def line(self, places: Places) -> tuple[ca.SX, ca.SX]:
         """Direction from the first centre to the second in ground axes."""
         return places.frame(self.carrier).turn(*(x / self.distance for x in self.across))
@@ -181,6 +206,12 @@ class Gear(Pair):
     kind: ClassVar[str] = "gear"
 
     pressure_angle: Scalar
+    ring: int
+    """Which of the two has its teeth inside; -1 for none."""
+
+    def rims(self) -> list[Rim]:
+        both = zip((self.first, self.second), self.radii, strict=True)
+        return [circle(at, abs(R), spoke=i != self.ring) for i, (at, R) in enumerate(both)]
 
     def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
         pair = f"on {self.second.body.name} from {self.first.body.name}"
@@ -210,6 +241,21 @@ class Belt(Pair):
     kind: ClassVar[str] = "belt"
 
     pretension: Scalar
+    start: Marker
+    """The first centre on the carrier."""
+
+    def rims(self) -> list[Rim]:
+        R1, R2 = self.radii
+        ex, ey = (x / self.distance for x in self.across)
+        sine = (R1 + R2) / self.distance
+        cosine = ca.sqrt(1 - sine**2)
+        strands = []
+        for hand in (1, -1):
+            nx, ny = sine * ex - hand * cosine * ey, sine * ey + hand * cosine * ex
+            x, y = self.start.x, self.start.y
+            ends = (x + R1 * nx, y + R1 * ny), (x + self.across[0] - R2 * nx, y + self.across[1] - R2 * ny)
+            strands.append(Rim(self.carrier, ends))
+        return super().rims() + strands
 
     def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
         names = f"{self.first.body.name} to {self.second.body.name}"
@@ -272,6 +318,18 @@ class Rack(Relation):
             said = f"force {pair} across {self.guide.name}, which parts them"
             readings.append(("separating_force", self.separating(multipliers), "N", said))
         return readings
+
+    def rims(self) -> list[Rim]:
+        # The pitch line on the rack, as the guide's line through its marker, put beside the pinion at the start.
+        bar, run = self.guide.second, _RUN * self.radius
+        lean = self.guide.axis - self.guide.angle
+        dx, dy = self.held.x - self.guide.first.x, self.held.y - self.guide.first.y
+        ux, uy = direction(self.guide.axis)
+        up = ux * dy - uy * dx - self.guide.offset - self.side * self.radius
+        cx, cy = direction(lean)
+        x, y = bar.x - cy * up, bar.y + cx * up
+        ends = ((x - run * cx, y - run * cy), (x + run * cx, y + run * cy))
+        return [circle(self.pinion, self.radius), Rim(bar.body, ends)]
 
     def separating(self, multipliers: dict[str, ca.SX]) -> ca.SX:
         """Force across the pitch line [N]."""
@@ -340,6 +398,18 @@ class Rolling(Relation):
             ),
         ]
 
+    def rims(self) -> list[Rim]:
+        run, (cx, cy) = _RUN * self.radius, self.axis
+        ends = [(self.line.x + side * run * cx, self.line.y + side * run * cy) for side in (-1, 1)]
+        return [circle(self.wheel, self.radius), Rim(self.line.body, tuple(ends))]
+
+
+def circle(centre: Marker, radius: Scalar, spoke: bool = True) -> Rim:
+    """A circle about a marker, with a spoke that shows how it turns."""
+    turns = [2 * math.pi * k / _ROUND for k in range(_ROUND + 1)]
+    points = [(centre.x + radius * math.cos(t), centre.y + radius * math.sin(t)) for t in turns]
+    return Rim(centre.body, ((centre.x, centre.y), *points) if spoke else tuple(points))
+
 
 # Declaration ------------------------------------------------------------------------------------------------------
 
@@ -358,7 +428,7 @@ def gear(
 ) -> Gear:
     """See `Mechanism.gear`."""
     what = f"gear {name}"
-    carrier, ways, across, distance = _centres(m, what, first, second, carrier)
+    carrier, ways, across, distance, _ = _centres(m, what, first, second, carrier)
     apart = m._at_defaults(f"the distance of the centres of {what}", distance)
     if (radii is None) == (teeth is None):
         raise DeclarationError(
@@ -386,7 +456,9 @@ def gear(
     angle = _toothed(m, what, pressure_angle)
     signed = own[0], -own[1] if internal else own[1]
     phase = m._constant(f"the phase of {what}", phase, "rad")
-    return Gear(name, first, second, carrier, ways, across, distance, signed, phase, angle)
+    sizes = [m._at_defaults(f"a radius of {what}", r) for r in own]
+    ring = int(sizes[1] > sizes[0]) if internal else -1
+    return Gear(name, first, second, carrier, ways, across, distance, signed, phase, angle, ring)
 
 
 def belt(
@@ -402,7 +474,7 @@ def belt(
 ) -> Belt:
     """See `Mechanism.belt`."""
     what = f"belt {name}"
-    carrier, ways, across, distance = _centres(m, what, first, second, carrier)
+    carrier, ways, across, distance, start = _centres(m, what, first, second, carrier)
     apart = m._at_defaults(f"the distance of the centres of {what}", distance)
     own, r1, r2 = _rims(m, what, radii)
     if (taken := r1 + r2 if crossed else abs(r1 - r2)) >= apart:
@@ -416,7 +488,7 @@ def belt(
         raise DeclarationError(f"{m.name}: the pretension of {what} is {at:g} N; it must not be negative")
     signed = own[0], own[1] if crossed else -own[1]
     phase = m._constant(f"the phase of {what}", phase, "rad")
-    return Belt(name, first, second, carrier, ways, across, distance, signed, phase, tension)
+    return Belt(name, first, second, carrier, ways, across, distance, signed, phase, tension, start)
 
 
 def rack(
@@ -502,8 +574,8 @@ def _rims(m: Mechanism, what: str, radii: Any) -> tuple[Sequence[Scalar], float,
 
 def _centres(
     m: Mechanism, what: str, first: Marker, second: Marker, carrier: Body | None
-) -> tuple[Body, tuple[Way, Way], tuple[Scalar, Scalar], Scalar]:
-    """The carrier of two wheels, the hinges between it and them, the way from centre to centre and its length."""
+) -> tuple[Body, tuple[Way, Way], tuple[Scalar, Scalar], Scalar, Marker]:
+    """The carrier of two wheels, hinges between it and them, the way from centre to centre, its length, its start."""
     wheels = (first.body, second.body)
     if wheels[0] is wheels[1]:
         raise DeclarationError(f"{m.name}: {what} joins {wheels[0].name} to itself; give wheels of two bodies")
@@ -538,7 +610,7 @@ def _centres(
             f"that {what} cannot join them; check the markers"
         )
     distance = ca.sqrt(across[0] ** 2 + across[1] ** 2) if any(isinstance(x, ca.SX) for x in across) else apart
-    return carrier, (way1, way2), across, distance
+    return carrier, (way1, way2), across, distance, at1
 
 
 def _way(m: Mechanism, what: str, at: Marker, carrier: Body) -> tuple[Way, Marker]:
