@@ -359,11 +359,17 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
         type=_names,
         help="joints that Boolean inputs JOINT.released can open while running, as E,F",
     )
+    sub.add_argument(
+        "--measure",
+        metavar="all|NAMES",
+        type=_names,
+        help="joints and springs whose relative motion, elongation and force are outputs, as B,C or all",
+    )
 
 
 def _changed(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
     """A recipe with what the command line says of its scene."""
-    of_scene = ("outputs", "freeze", "lock", "release", "compliances")
+    of_scene = ("outputs", "freeze", "lock", "release", "measure", "compliances")
     own = {name: getattr(chosen, name, None) for name in of_scene}
     return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
 
@@ -628,6 +634,7 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
                 chosen.freeze,
                 chosen.lock,
                 chosen.release,
+                chosen.measure,
                 chosen.compliances,
             )
         ):
@@ -699,7 +706,7 @@ def _scene_options(chosen: argparse.Namespace) -> list[str]:
         for key, value in getattr(chosen, name)
         for text in (f"--{name}", f"{key}={value}")
     ]
-    for name in ("outputs", "freeze", "lock", "release"):
+    for name in ("outputs", "freeze", "lock", "release", "measure"):
         if (names := getattr(chosen, name)) is not None:
             said += [f"--{name}", ",".join(names)]
     if chosen.compliances is not None:

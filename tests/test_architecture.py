@@ -31,10 +31,10 @@ ROOMS: dict[str, set[str]] = {
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 
-LATE: dict[str, set[str]] = {"model": {"result", "view"}, "result": {"view"}, "simulation": {"fmi"}}
-"""Room -> the rooms above it that it imports when it is asked to, or for types alone: `Mechanism.draw()`, the result
-that an error has, `result.plot()`, the film of a result, an FMU that `simulate` is given. Never where a module is
-imported."""
+LATE: dict[str, set[str]] = {"model": {"equations", "result", "view"}, "result": {"view"}, "simulation": {"fmi"}}
+"""Room -> the rooms above it that it imports when it is asked to, or for types alone: `Mechanism.draw()`,
+`Marker.position`, the result that an error has, `result.plot()`, the film of a result, an FMU that `simulate` is given.
+Never where a module is imported."""
 
 
 def modules() -> dict[str, Path]:

@@ -5,7 +5,6 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from alfmu.catalogue.mechanisms.end_stop import contact
 from oracles import ode
 from oracles.end_stop import EndStop
 from oracles.free_body import Balance
@@ -13,6 +12,7 @@ from scenes import derived, readings, started
 
 import alfmu
 from alfmu.fmi.drive import Fmu, validate
+from alfmu.model.stops import contact
 from alfmu.simulation import prepared, run
 
 PLAIN = EndStop()

@@ -41,10 +41,13 @@ from ..model.mechanism import (
     stack,
     symbolic,
 )
+from ..model.relations import Relation
 from ..model.spatial import SpatialJoint, SpatialMarker, angular_velocity
+from ..model.stops import EndStop
 from ..model.units import rate_of
 from .evaluation import ARGUMENTS, evaluable, shared
 from .interface import variables_of
+from .measures import measures
 from .types import Equations, Row, Switch, Variable
 
 __all__ = ["derive"]
@@ -75,7 +78,10 @@ class Frame:
         return _sum(self.x, dx), _sum(self.y, dy)
 
 
-Closing = tuple[AnyJoint | Rigidity | Constraint | Lock, str]
+Closure = AnyJoint | Rigidity | Constraint | Lock | Relation
+"""What constraints close."""
+
+Closing = tuple[Closure, str]
 """One relative displacement that is kept at zero: of what, and in which direction."""
 
 Displacement = dict[str, ca.SX]
@@ -184,14 +190,14 @@ class Kinematics:
             value = self.frame(bodies[1]).angle - self.frame(bodies[0]).angle
         return value, turns and any(self.frame(body).wrapped for body in bodies)
 
-    def gap(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def gap(self, closure: Closure, direction: str) -> ca.SX:
         """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
         if direction == "length":
             square, length = self._apart(closure)
             return ca.sqrt(square + 1e-300) - length
         return self.residual(closure, direction)
 
-    def residual(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def residual(self, closure: Closure, direction: str) -> ca.SX:
         """What a closure keeps at zero along one direction.
 
         For lengths it is zero at the given one, polynomial, and with a multiplier that is the force along the line.
@@ -200,9 +206,11 @@ class Kinematics:
             self.residuals[closure, direction] = self._residual(closure, direction)
         return self.residuals[closure, direction]
 
-    def _residual(self, closure: AnyJoint | Rigidity | Constraint | Lock, direction: str) -> ca.SX:
+    def _residual(self, closure: Closure, direction: str) -> ca.SX:
         if isinstance(closure, Constraint):
             return closure.expression
+        if isinstance(closure, Relation):
+            return closure.residual(self, direction)
         if isinstance(closure, SpatialJoint):
             return closure.residual(direction)
         if isinstance(closure, Lock):
@@ -389,9 +397,14 @@ def derive(mechanism: Mechanism) -> Equations:
     for body in m.bodies:
         if plain.frame(body).wrapped:
             wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
-    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam)
+    relations = _relations(m, closures, lam)
+    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam, relations)
     values += reactions
     outputs += reaction_outputs
+    for relation, own in relations:
+        for suffix, value, unit, text in relation.readings(plain, own):
+            values.append(value)
+            outputs.append(Variable(f"{relation.name}.{suffix}", unit, description=text))
     efforts_of_locks, lock_outputs = _locking(locks, closures, lam)
     values += efforts_of_locks
     outputs += lock_outputs
@@ -404,6 +417,12 @@ def derive(mechanism: Mechanism) -> Equations:
     traced_values, traced_outputs = _watched(m, plain, q, v)
     values += traced_values
     outputs += traced_outputs
+    measured_values, measured_outputs, angles = measures(m, plain, q, v, a)
+    values += measured_values
+    outputs += measured_outputs
+    for joint in (j for j in m.joints if f"{j.name}.angle" in angles):
+        if plain.frame(joint.first.body).wrapped or plain.frame(joint.second.body).wrapped:
+            wrapped[f"{joint.name}.angle"] = _tied_start(m, angles[f"{joint.name}.angle"])
     values += ca.vertsplit(lam)
     for i, row in enumerate(rows):
         force = "N" if row.unit == "m" else "N.m"  # times the row it is work
@@ -415,6 +434,14 @@ def derive(mechanism: Mechanism) -> Equations:
     outputs += states
     values += [o.expression for o in m.outputs]
     outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
+    for stop in m.end_stops:
+        x = _limited(plain, stop)
+        what, unit = ("force", "N") if stop.unit == "m" else ("torque", "N.m")
+        values += [stop.penetration(x), stop.effort(x, ca.jtimes(x, q, v))]
+        outputs.append(
+            Variable(f"{stop.name}.penetration", stop.unit, description=f"how far {stop.limited} is in {stop.name}")
+        )
+        outputs.append(Variable(f"{stop.name}.{what}", unit, description=f"{what} of {stop.name} on {stop.limited}"))
     y = stack(values)
     instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
@@ -545,6 +572,13 @@ def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
     coordinates = {key_of(c.q) for c in m.coordinates}
     held: dict[Joint, tuple[str, ...]] = {}
     for closure in m.closures:
+        if isinstance(closure, Relation):
+            rows = stack([kinematics.residual(closure, direction) for direction in closure.directions])
+            if not any(key_of(symbol) in coordinates for symbol in ca.symvar(rows)):
+                raise DeclarationError(
+                    f"{m.name}: no coordinate moves the bodies of {closure.kind} {closure.name}"
+                    f"{m.declared_at(closure.name)}; give their hinges coordinates"
+                )
         if not isinstance(closure, Joint):
             continue
         zero = []
@@ -596,6 +630,14 @@ def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
                             )
 
 
+def _relations(m: Mechanism, closures: list[Closing], lam: ca.SX) -> list[tuple[Relation, dict[str, ca.SX]]]:
+    """Each relation with its multipliers by direction."""
+    return [
+        (each, {direction: lam[i] for i, (closure, direction) in enumerate(closures) if closure is each})
+        for each in m.relations()
+    ]
+
+
 def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Row], list[Closing], ca.SX]:
     """Constraint rows in the order of declaration, what each closes, and the sign of the residual in it.
 
@@ -611,7 +653,7 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
             directions = ("",)
         elif isinstance(closure, Lock):
             directions = ("locked",)
-        elif isinstance(closure, SpatialJoint):
+        elif isinstance(closure, SpatialJoint | Relation):
             directions = closure.directions
         elif isinstance(closure, Joint):
             directions = tuple(k for k in closure.directions if k not in held.get(closure, ()))
@@ -620,7 +662,7 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
                 sign = -1.0
         for direction in directions:
             turning = direction.startswith("rotation")
-            own = isinstance(closure, Constraint | Lock)
+            own = isinstance(closure, Constraint | Lock | Relation)
             unit = closure.unit if own else "rad" if turning else "m"
             rows.append(Row(closure.name, direction, unit))
             closures.append((closure, direction))
@@ -708,7 +750,10 @@ def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
     gx, gy, _ = m.gravity_vector
     centers = [kinematics.center(body) for body in m.bodies]
     x, y = (stack([center[k] for center in centers]) for k in (0, 1))
-    V = sum(m.potential, ca.SX(0)) - ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
+    V = sum(m.potential, ca.SX(0))
+    for stop in m.end_stops:
+        V += stop.energy(_limited(kinematics, stop))
+    V -= ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
     for body in m.spatial_bodies:
         V -= body.mass * ca.dot(stack(m.gravity_vector), body.position)
     for spring in m.springs:
@@ -720,13 +765,27 @@ def _elongation(kinematics: Kinematics, between: AnyJoint | tuple[AnyMarker, Any
     return kinematics.free(between) if isinstance(between, AnyJoint) else kinematics.distance(between)
 
 
+def _limited(kinematics: Kinematics, stop: EndStop) -> ca.SX:
+    """The displacement that a stop limits."""
+    if isinstance(stop.of, ca.SX):
+        return stop.of
+    if isinstance(stop.of, Joint) and stop.unit == "rad":
+        for body in (stop.of.first.body, stop.of.second.body):
+            if kinematics.frame(body).wrapped:
+                raise DeclarationError(
+                    f"{kinematics.mechanism.name}: end stop {stop.name} needs the angle of {body.name}, which is known "
+                    "within a turn only, as two points place it; place it by a pose, or by a joint with a coordinate"
+                )
+    return _elongation(kinematics, stop.of)
+
+
 def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
     """Displacements along which the efforts of drives, loads and dampers act, in that order."""
     paths: list[Scalar] = [kinematics.free(drive.joint) for drive in m.drives]
     for load in m.loads:
         paths += [*kinematics.place(load.at), kinematics.frame(load.at.body).angle]
     paths += [_elongation(kinematics, s.between) for s in m.springs if not symbolic(s.damping).is_zero()]
-    return paths
+    return paths + [_limited(kinematics, stop) for stop in m.end_stops]
 
 
 def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
@@ -738,6 +797,8 @@ def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
     rates = ca.jtimes(paths, q, v) if paths.numel() else paths
     dampers = [s for s in m.springs if not symbolic(s.damping).is_zero()]
     efforts += [-s.damping * rates[len(efforts) + i] for i, s in enumerate(dampers)]
+    stops = range(len(efforts), len(efforts) + len(m.end_stops))
+    efforts += [stop.losses(paths[i], rates[i]) for i, stop in zip(stops, m.end_stops, strict=True)]
     return paths, stack(efforts)
 
 
@@ -759,6 +820,7 @@ def _reactions(
     a: ca.SX,
     efforts: ca.SX,
     lam: ca.SX,
+    relations: list[tuple[Relation, dict[str, ca.SX]]],
 ) -> tuple[list[ca.SX], list[Variable]]:
     """Reaction of every joint along every direction it suppresses, on the second body from the first."""
     if not m.joints:
@@ -783,6 +845,10 @@ def _reactions(
     )
     symbols = stack([e for j in m.joints for e in eps[j].values()])
     r = ca.substitute(ca.gradient(work, symbols), symbols, ca.SX.zeros(symbols.shape))
+    which = {each: i for i, each in enumerate((j, direction) for j in m.joints for direction in j.directions)}
+    for relation, own in relations:
+        for joint, direction, value in relation.idle(plain, own):
+            r[which[joint, direction]] += value
     outputs = []
     for joint in m.joints:
         for direction in joint.directions:

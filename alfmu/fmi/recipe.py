@@ -56,7 +56,7 @@ def _one_of(*known: object) -> tuple[Callable[[object], bool], str]:
     return lambda value: any(type(value) is type(each) and value == each for each in known), text
 
 
-_LISTS = ("lock", "release", "outputs", "freeze", "platforms")
+_LISTS = ("lock", "release", "measure", "outputs", "freeze", "platforms")
 """Fields that are lists of names; one name stands for a list of one."""
 
 _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
@@ -70,7 +70,7 @@ _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
         lambda x: _dictionary(x) and all(isinstance(value, (Real, str)) for value in x.values()),
         "a dictionary from names to numbers or texts",
     ),
-    **dict.fromkeys(("lock", "release", "platforms"), (_names, "a list of names")),
+    **dict.fromkeys(("lock", "release", "measure", "platforms"), (_names, "a list of names")),
     **dict.fromkeys(("outputs", "freeze"), (lambda x: x is None or _names(x), "a list of names, or None")),
     **dict.fromkeys(("compliances", "reference"), _one_of(True, False)),
     **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
@@ -101,6 +101,8 @@ class Recipe(Brief):
     """Joints that Boolean inputs can stop."""
     release: Sequence[str] = ()
     """Joints that Boolean inputs can open."""
+    measure: Sequence[str] = ()
+    """Joints and springs that get outputs of their motion and effort, `["all"]` for every one."""
     compliances: bool = False
     """Whether each constraint has a compliance as a parameter."""
     parameters: Mapping[str, float | str] = field(default_factory=dict)
@@ -186,12 +188,12 @@ class Recipe(Brief):
         return replace(self, mechanism=where, name=self.name or path.stem)
 
     def declared(self) -> Mechanism:
-        """The mechanism with its options, locks, releases and compliances, by the name of the model."""
+        """The mechanism with its options, locks, releases, measures and compliances, by the name of the model."""
         from ..model.registry import load
 
         mechanism = load(self.mechanism, **self.options)
         if mechanism is self.mechanism:
-            if self.lock or self.release or self.compliances:
+            if self.lock or self.release or self.compliances or self.measure:
                 raise InputError(f"{self}: the mechanism is declared already; give it locks and compliances itself")
             mechanism = copy(mechanism)
         for joint in self.lock:
@@ -200,6 +202,8 @@ class Recipe(Brief):
             mechanism.release(joint)
         if self.compliances:
             mechanism.compliances()
+        if self.measure:
+            mechanism.measure(*(self.measure if list(self.measure) != ["all"] else ()))
         mechanism.name = self.name or mechanism.name
         given = {"stop_time": self.stop_time, "communication_step": self.communication_step}
         own: dict[str, Any] = {name: value for name, value in given.items() if value is not None}

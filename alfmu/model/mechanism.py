@@ -17,13 +17,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, 
 import casadi as ca
 import numpy as np
 
+from .cams import Cam, Profile, cam
 from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
+from .relations import INVOLUTE, Belt, Gear, Rack, Relation, Rolling, belt, gear, rack, rolling
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
+from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, is_rate, rate_of, unit
 from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
 
 if TYPE_CHECKING:
+    from ..equations.derivation import Kinematics
     from ..view.picture import Drawing
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
@@ -173,6 +177,14 @@ class Marker(Brief):
     x: Scalar
     y: Scalar
 
+    @property
+    def position(self) -> tuple[ca.SX, ca.SX]:
+        """The point (x, y) [m] in ground axes, as expressions in coordinates and parameters.
+
+        Raises DeclarationError where nothing places its body yet.
+        """
+        return self.body._places().place(self)
+
 
 @dataclass(eq=False, repr=False)
 class Body(Brief):
@@ -190,6 +202,25 @@ class Body(Brief):
     pose: tuple[Scalar, Scalar, Scalar] | None = None
     between: tuple[Point | Marker, Point | Marker] | None = None
     placed_by: Joint | None = None
+
+    def __post_init__(self) -> None:
+        self._mechanism: Mechanism | None = None
+
+    @property
+    def angle(self) -> ca.SX:
+        """The angle [rad] of its frame in ground axes, as an expression in coordinates and parameters.
+
+        Of a bar between two points it is known within a turn. Raises DeclarationError where nothing places it yet.
+        """
+        return self._places().frame(self).angle
+
+    def _places(self) -> Kinematics:
+        """Where all bodies of its mechanism are, as it is declared by now."""
+        from ..equations.derivation import Kinematics
+
+        if self._mechanism is None:
+            raise DeclarationError(f"{self.name} belongs to no mechanism; make bodies by body() and bar()")
+        return Kinematics(self._mechanism)
 
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0) -> Marker:
         """The point (x, y) [m] of the body's frame."""
@@ -279,6 +310,7 @@ class Spring(Brief):
     stiffness: Scalar
     damping: Scalar
     rest: Scalar
+    name: str = ""
 
 
 @dataclass(frozen=True, repr=False)
@@ -349,6 +381,7 @@ class Experiment:
 
 _Part = TypeVar("_Part")
 _Form = TypeVar("_Form", str, bytes)
+_Related = TypeVar("_Related", bound=Relation)
 
 
 class _Parts(Generic[_Part]):
@@ -425,14 +458,16 @@ class Mechanism:
     """Bodies in space, without the ground."""
     spatial_joints: ClassVar[_Parts[SpatialJoint]] = _Parts()
     """Joints in space."""
-    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock]] = _Parts()
+    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock | Relation]] = _Parts()
     """What is closed by constraints, in the order of its rows."""
-    releases: ClassVar[_Parts[AnyJoint | Constraint]] = _Parts()
+    releases: ClassVar[_Parts[AnyJoint | Constraint | Relation]] = _Parts()
     """What a Boolean input can open."""
     springs: ClassVar[_Parts[Spring]] = _Parts()
     """Springs and dampers."""
     drives: ClassVar[_Parts[Drive]] = _Parts()
     """Efforts along joints."""
+    end_stops: ClassVar[_Parts[EndStop]] = _Parts()
+    """Limit stops."""
     loads: ClassVar[_Parts[Load]] = _Parts()
     """Forces and torques from the ground."""
     kinetic: ClassVar[_Parts[ca.SX]] = _Parts()
@@ -443,6 +478,8 @@ class Mechanism:
     """Coordinates and generalised forces along them."""
     watched: ClassVar[_Parts[Watched]] = _Parts()
     """Points of bodies that are watched."""
+    measured: ClassVar[_Parts[AnyJoint | Spring]] = _Parts()
+    """Joints and springs that are measured, beside springs with names."""
     drawn_joints: ClassVar[_Parts[DrawnJoint]] = _Parts()
     """Joints that pictures show of a mechanism whose bodies are energies alone."""
     drawn_bars: ClassVar[_Parts[DrawnBar]] = _Parts()
@@ -451,6 +488,7 @@ class Mechanism:
     documentation: str = field(default="", init=False)
     options: dict[str, Any] = field(default_factory=dict, init=False)
     compliant: bool = field(default=False, init=False)
+    measures_all: bool = field(default=False, init=False)
 
     def __repr__(self) -> str:
         sizes = {"coordinate": len(self.coordinates), "state": len(self.states), "input": len(self.inputs)}
@@ -470,6 +508,7 @@ class Mechanism:
         self.ground: Body = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
         origin, upright = ca.SX.zeros(3), ca.SX([1, 0, 0, 0])
         self.spatial_ground: SpatialBody = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
+        self.ground._mechanism = self
         self.time: ca.SX = ca.SX.sym("time")
         self._names: dict[str, str] = {}
         self._lines: dict[str, tuple[str, int]] = {}
@@ -586,7 +625,11 @@ class Mechanism:
         return symbol
 
     def rate(self, coordinate: ca.SX) -> ca.SX:
-        """The velocity symbol of a coordinate, for kinetic energies and forces at the general level."""
+        """The velocity of a coordinate, or the rate of an expression in coordinates declared before: for kinetic
+        energies, forces and outputs."""
+        if isinstance(coordinate, ca.SX) and coordinate.is_scalar() and not coordinate.is_symbolic():
+            x = symbolic(self._quantity("what rate() is asked of", coordinate, "1", PLACE))
+            return ca.jtimes(x, stack([c.q for c in self.coordinates]), stack([c.v for c in self.coordinates]))
         return self._coordinate(coordinate).v
 
     def acceleration(self, coordinate: ca.SX) -> ca.SX:
@@ -688,6 +731,61 @@ class Mechanism:
     def trace(self, name: str, marker: AnyMarker, description: str = "") -> None:
         """Former name of `watch`."""
         self.watch(name, marker, description)
+
+    def measure(self, *of: AnyJoint | Spring | str) -> None:
+        """Outputs of joints and springs, or their names; of all that there are where none is given.
+
+        A hinge `A` has `A.angle` [rad], `A.angular_velocity` and `A.angular_acceleration`, a slider `guide` has
+        `guide.displacement` [m], `guide.velocity` and `guide.acceleration`: of the second body from the first. A spring
+        `S` has `S.elongation`, `S.elongation_rate` and `S.force` [N], positive in tension, or `S.torque` [N.m]. One
+        without a name is called after its joint (`A.spring`), between points by its number (`spring1`).
+
+        Raises DeclarationError where something is neither a spring nor a joint with one free motion.
+        """
+        if not of:
+            self.measures_all = True
+        springs = dict(self._springs())
+        for each in of:
+            if isinstance(each, Spring) or each in springs:
+                spring = each if isinstance(each, Spring) else springs[str(each)]
+                if not any(spring is known for known in self.springs):
+                    raise DeclarationError(f"{self.name}: measure() is given a spring of another mechanism")
+                Mechanism.measured.of(self).append(spring)
+                continue
+            names = [*springs, *(j.name for j in (*self.joints, *self.spatial_joints))]
+            if (each if isinstance(each, str) else getattr(each, "name", None)) not in names:
+                called = each if isinstance(each, str) else getattr(each, "name", shown(each))
+                raise DeclarationError(
+                    f"{self.name} has no joint or spring {called} to measure; {there_is(called, names)}"
+                )
+            joint = self._joint(each)
+            self._free(joint, "measure()")
+            Mechanism.measured.of(self).append(joint)
+
+    def measured_joints(self) -> list[AnyJoint]:
+        """Joints whose motion is an output on request, once each; hinges in space have theirs anyway."""
+        joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
+        return [
+            joint
+            for joint in joints
+            if joint.kind in ("revolute", "prismatic")
+            and (self.measures_all or any(joint is each for each in self.measured))
+            and not (isinstance(joint, SpatialJoint) and joint.kind == "revolute")
+        ]
+
+    def measured_springs(self) -> list[tuple[str, Spring]]:
+        """Springs that are measured, with the names of their outputs."""
+        asked = [id(each) for each in self.measured]
+        return [(name, s) for name, s in self._springs() if s.name or self.measures_all or id(s) in asked]
+
+    def _springs(self) -> list[tuple[str, Spring]]:
+        """All springs, by their own names or by those that `measure` gives them."""
+        named: dict[str, Spring] = {}
+        for i, spring in enumerate(self.springs, 1):
+            joint = spring.between if isinstance(spring.between, AnyJoint) else None
+            name = spring.name or (f"{joint.name}.spring" if joint else f"spring{i}")
+            named[f"{name}{i}" if name in named else name] = spring
+        return list(named.items())
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
@@ -878,6 +976,147 @@ class Mechanism:
         """A slider in space: the second marker on an axis through the first, the frames of both bodies parallel."""
         return self._join_in_space(SpatialJoint(name, "prismatic", first, second, self._axes(name, axis, None)))
 
+    # Relations between bodies -----------------------------------------------------------------------------------
+
+    def gear(
+        self,
+        name: str,
+        first: Marker,
+        second: Marker,
+        *,
+        radii: Sequence[Scalar] | None = None,
+        teeth: Sequence[int] | None = None,
+        internal: bool = False,
+        phase: Scalar = 0.0,
+        pressure_angle: Scalar | None = None,
+        carrier: Body | None = None,
+    ) -> Gear:
+        """Two gears in mesh, by the markers of their centres; both turn on a carrier, which is the ground or moves.
+
+        Hinges declared before hold the centres; they tell the carrier, or `carrier` says which body it is. Either
+        `radii`, the pitch radii of both [m], or `teeth`, their numbers of teeth. With `internal` the larger of the two
+        is a ring with teeth inside. `phase` is the angle [rad] of the second from the carrier where the first has none.
+        `pressure_angle` [rad] is 20 degrees if left out, 0 for discs that roll on each other: it moves nothing, and
+        parts the bearings.
+
+        Outputs: `<name>.force` [N] at the pitch circles, positive where it turns the second gear counter-clockwise, and
+        `<name>.separating_force` [N] across them. Raises DeclarationError where hinges or radii do not fit.
+        """
+        self._own((first, second), f"gear {name}", Marker)
+        if carrier is not None:
+            self._body(carrier, f"gear {name}")
+        angle = INVOLUTE if pressure_angle is None else pressure_angle
+        return self._relate(gear(self, name, first, second, radii, teeth, internal, phase, angle, carrier))
+
+    def belt(
+        self,
+        name: str,
+        first: Marker,
+        second: Marker,
+        *,
+        radii: Sequence[Scalar],
+        crossed: bool = False,
+        pretension: Scalar = 0.0,
+        phase: Scalar = 0.0,
+        carrier: Body | None = None,
+    ) -> Belt:
+        """A belt or chain around two pulleys, by the markers of their centres; it neither slips nor stretches.
+
+        Hinges, `carrier` and `phase` are those of `gear`. `radii` [m] of the pulleys; with `crossed` they turn
+        against each other. `pretension` [N] is the tension of each strand without load: half of the load comes on top
+        of it in one strand, and is taken from it in the other.
+
+        Outputs: `<name>.force` [N], positive where it turns the second pulley counter-clockwise, `<name>.tension.left`
+        and `<name>.tension.right` [N] of the strands that leave the first pulley on the left and right, seen towards
+        the second. A negative tension tells that the belt is slack. Raises DeclarationError where it cannot fit.
+        """
+        self._own((first, second), f"belt {name}", Marker)
+        if carrier is not None:
+            self._body(carrier, f"belt {name}")
+        return self._relate(belt(self, name, first, second, radii, crossed, pretension, phase, carrier))
+
+    def rack(
+        self,
+        name: str,
+        pinion: Marker,
+        guide: Joint,
+        *,
+        radius: Scalar,
+        side: str | None = None,
+        phase: Scalar = 0.0,
+        pressure_angle: Scalar | None = None,
+    ) -> Rack:
+        """A pinion, by the marker of its centre, and a rack, by the prismatic joint that guides it.
+
+        A hinge declared before holds the pinion on the first body of the guide; the rack is its second body. `radius`
+        [m] is that of the pitch circle. `side` is where the pinion lies, "left" or "right" of the pitch line seen along
+        the guide; it may be left out where the guide itself runs along the pitch line. `phase` is the pinion's angle
+        [rad] where the rack is at 0, `pressure_angle` that of `gear`.
+
+        Outputs: `<name>.force` [N] on the rack along the guide, `<name>.separating_force` [N] across it.
+        """
+        self._own((pinion,), f"rack {name}", Marker)
+        self._free(guide, f"rack {name}")
+        angle = INVOLUTE if pressure_angle is None else pressure_angle
+        return self._relate(rack(self, name, pinion, guide, radius, side, phase, angle))
+
+    def rolling(
+        self, name: str, line: Marker, wheel: Marker, *, radius: Scalar, axis: Scalar = 0.0, phase: Scalar = 0.0
+    ) -> Rolling:
+        """A wheel, by the marker of its centre, that rolls without slip on a line through a marker of another body.
+
+        The line has the direction `axis` [rad] in its body, and the wheel of `radius` [m] lies to its left. `phase` is
+        the wheel's angle [rad] from the line's body where it stands on the line's marker.
+
+        Outputs: `<name>.normal_force` [N] on the wheel across the line, negative where it would lift off, and
+        `<name>.friction_force` [N] along it, which rolling takes.
+        """
+        self._own((line, wheel), f"rolling {name}", Marker)
+        return self._relate(rolling(self, name, line, wheel, radius, axis, phase))
+
+    def cam(
+        self,
+        name: str,
+        cam_centre: Marker,
+        follower: Marker,
+        *,
+        outline: Profile | None = None,
+        distance: Profile | None = None,
+        roller: Scalar | None = None,
+        face: Scalar | None = None,
+    ) -> Cam:
+        """A cam that turns about the marker of its centre, and a follower that stays on it, wherever joints lead it.
+
+        The follower has a `roller` of that radius [m] about its marker (0: an edge), or a flat `face` through its
+        marker: the direction [rad] square to the face in the follower's frame, away from the cam.
+
+        The curve is an `outline`, the cam's radius [m] over the polar angle in its frame, or a `distance` [m] from the
+        cam's centre to the roller's centre (the pitch curve), or to the face, over the direction in the cam's frame in
+        which the roller lies or the face's normal points. It is a function of the angle from 0 to 2 pi [rad], made of
+        CasADi's functions and parameters, or points: (x, y) [m] of an outline, (angle, length) [rad, m] of a distance,
+        with a periodic cubic spline through them. An outline adds the coordinate `<name>_contact`, without mass, unless
+        the roller is an edge; bodies must have been placed before.
+
+        Outputs: `<name>.force` [N] between both, negative where the follower would lift off, and the place of contact
+        `<name>.contact.x`, `.y` [m]. Raises DeclarationError where a curve does not close, or no follower fits it.
+        """
+        what = f"cam {name}"
+        self._own((cam_centre, follower), what, Marker)
+        defaults = stack([x.symbol for x in self.parameters]), ca.DM([x.default for x in self.parameters])
+        found = cam(self, name, cam_centre, follower, outline, distance, roller, face, defaults)
+        if outline is not None and not (roller is not None and ca.SX(roller).is_zero()):
+            (x1, y1), (x2, y2) = cam_centre.position, follower.position
+            if found.face is not None:
+                guess = follower.body.angle + found.face[0] - cam_centre.body.angle
+            else:
+                guess = ca.atan2(y2 - y1, x2 - x1) - cam_centre.body.angle
+            found.contact = self.coordinate(f"{name}_contact", "rad", start=guess)
+        return self._relate(found)
+
+    def relations(self) -> list[Relation]:
+        """Gears, belts, racks, rolling wheels and cams, in the order of their declaration."""
+        return [each for each in self.closures if isinstance(each, Relation)]
+
     # Forces -----------------------------------------------------------------------------------------------------
 
     def drive(self, joint: AnyJoint, effort: Scalar) -> None:
@@ -906,11 +1145,13 @@ class Mechanism:
         stiffness: Scalar = 0.0,
         damping: Scalar = 0.0,
         rest: Scalar = 0.0,
-    ) -> None:
+        name: str = "",
+    ) -> Spring:
         """A linear spring-damper: torsional on a revolute joint, along the guide on a prismatic one, or between points.
 
         stiffness [N.m/rad or N/m], damping [N.m.s/rad or N.s/m], rest angle or length [rad or m]. Points may belong to
         bodies in space; the angle of a spatial hinge is known within a turn, so that its spring should stay within one.
+        With a `name` its elongation and force are outputs (see `measure`).
         """
         if isinstance(between, AnyJoint):
             along, what = self._free(between, "spring_damper()"), f"the spring at {between.name}"
@@ -927,7 +1168,99 @@ class Mechanism:
         stiffness = self._quantity(f"the stiffness of {what}", stiffness, f"{EFFORTS[along]}/{along}", PLACE)
         damping = self._quantity(f"the damping of {what}", damping, f"{EFFORTS[along]}.s/{along}", EFFORT)
         rest = self._quantity(f"the rest of {what}", rest, along, PLACE)
-        Mechanism.springs.of(self).append(Spring(between, stiffness, damping, rest))
+        if name:
+            self._claim(name, "1", "a spring")
+        Mechanism.springs.of(self).append(Spring(between, stiffness, damping, rest, name))
+        return self.springs[-1]
+
+    def end_stop(
+        self,
+        name: str,
+        of: AnyJoint | tuple[AnyMarker, AnyMarker] | ca.SX,
+        *,
+        upper: Scalar | None = None,
+        lower: Scalar | None = None,
+        stiffness: Scalar,
+        onset: Scalar = ONSET,
+        dissipation: Scalar | None = None,
+        restitution: Scalar | None = None,
+        creep: Scalar = CREEP,
+        unit: str = "m",
+    ) -> EndStop:
+        """A limit stop: it pushes a displacement back beyond `upper`, below `lower`, or both, and never pulls.
+
+        It acts on the free motion of a joint, on the distance of two markers, or on an expression in coordinates in
+        `unit`, m or rad. `stiffness` [N/m or N.m/rad] is full beyond a penetration of `onset` [m or rad], up to which
+        it rises smoothly. Energy is lost by `dissipation` [s/m or s/rad], in proportion to the push and its rate, or by
+        a coefficient of `restitution` from 0 to 1, the speed after a blow over that before; with neither, none is. With
+        a restitution, `creep` [m/s or rad/s] is the rate about zero in which the push goes from one to the other.
+
+        Outputs: `<name>.penetration` [m or rad] and `<name>.force` [N] or `<name>.torque` [N.m] along the displacement.
+        Raises DeclarationError where there is no limit, or numbers that no stop can have.
+        """
+        what = f"end stop {name}"
+        if isinstance(of, AnyJoint):
+            along = self._free(of, what)
+        elif isinstance(of, tuple | list):
+            along = "m"
+            if len(of) != 2:
+                raise DeclarationError(f"{self.name}: {what} is between {len(of)} points; give two markers")
+            self._own(of, what)
+            if isinstance(of[0], Marker) != isinstance(of[1], Marker):
+                raise DeclarationError(f"{self.name}: {what} joins a point in the plane to one in space; take one kind")
+        else:
+            along = unit
+            if unit not in EFFORTS:
+                raise DeclarationError(f"{self.name}: {what} is in {shown(unit)}; give m or rad")
+            of = self._of_coordinates(what, of, unit)
+        limits = [
+            (which, x if x is None else self._quantity(f"the {which} limit of {what}", x, along, PLACE))
+            for which, x in (("upper", upper), ("lower", lower))
+        ]
+        (_, high), (_, low) = limits
+        if high is None and low is None:
+            raise DeclarationError(f"{self.name}: {what} has no limit; give upper=, lower= or both, in {along}")
+        if not any(isinstance(x, ca.SX) and self._moves(x) for _, x in limits):
+            at = [x if x is None else self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits]
+            if None not in at and not at[0] > at[1]:
+                raise DeclarationError(
+                    f"{self.name}: {what} has the upper limit {at[0]:g} and the lower limit {at[1]:g}"
+                )
+            turn = isinstance(of, SpatialJoint) and along == "rad"
+            for x in at:
+                if turn and x is not None and abs(x) >= math.pi:
+                    raise DeclarationError(
+                        f"{self.name}: {what} is at {x:g} rad, and the angle of {of.name} is known from -pi to pi only"
+                    )
+        if dissipation is not None and restitution is not None:
+            raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")
+        effort = f"{EFFORTS[along]}/{along}"
+
+        def positive(which: str, value: Scalar, unit: str, least: float | None, most: float = math.inf) -> Scalar:
+            """A constant above zero, or in a range where `least` is given."""
+            value = self._constant(f"the {which} of {what}", value, unit)
+            x = self._at_defaults(f"the {which} of {what}", value)
+            if not (x > 0 if least is None else least <= x <= most):
+                needed = "above zero" if least is None else f"from {least:g} to {most:g}"
+                raise DeclarationError(f"{self.name}: the {which} of {what} is {x:g} {unit}; it must be {needed}")
+            return value
+
+        stop = EndStop(
+            name,
+            tuple(of) if isinstance(of, list) else of,
+            along,
+            high,
+            low,
+            positive("stiffness", stiffness, effort, 0.0),
+            positive("onset", onset, along, None),
+            None if dissipation is None else positive("dissipation", dissipation, "s/m" if along == "m" else "s", 0.0),
+            None if restitution is None else positive("restitution", restitution, "1", 0.0, 1.0),
+            positive("creep", creep, rate_of(along), None),
+        )
+        self._claim(f"{name}.penetration", along, "an output")
+        self._claim(f"{name}.{'force' if along == 'm' else 'torque'}", EFFORTS[along], "an output")
+        Mechanism.end_stops.of(self).append(stop)
+        return stop
 
     def friction(self, joint: AnyJoint, coefficient: Scalar) -> None:
         """Viscous friction in a joint [N.m.s/rad or N.s/m]."""
@@ -1137,10 +1470,16 @@ class Mechanism:
     def _is_start(self, symbol: Scalar) -> bool:
         return isinstance(self._by_symbol.get(key_of(symbol)), Start)
 
+    def _relate(self, relation: _Related) -> _Related:
+        self._claim(relation.name, "1", f"a {relation.kind}")
+        Mechanism.closures.of(self).append(relation)
+        return relation
+
     def _add(self, body: Body) -> Body:
         self._claim(body.name, "1", "a body")
         Mechanism.bodies.of(self).append(body)
         self._owned.add(body)
+        body._mechanism = self
         return body
 
     def _join(self, joint: Joint) -> Joint:
@@ -1285,6 +1624,19 @@ class Mechanism:
         entries = zip(_entries(values), units, strict=True)
         return tuple(self._quantity(what, value, unit, may) for value, unit in entries)
 
+    def _constant(self, what: str, value: Any, unit: str, *arguments: ca.SX) -> Scalar:
+        """A quantity that only parameters change, and arguments of a function."""
+        for symbol in arguments:
+            self._stands_for(symbol, CONSTANT[0], f"the argument {symbol}", "1")
+        try:
+            return self._quantity(what, value, unit, CONSTANT)
+        finally:
+            for symbol in arguments:
+                del self._symbols[key_of(symbol)]
+
+    def _constant_length(self, what: str, value: Any) -> Scalar:
+        return self._length(what, value, CONSTANT)
+
     def _plain(self, what: str, value: Any) -> float:
         """A number, where no expression will do."""
         value = number(f"{self.name}: {what}", value)
@@ -1300,9 +1652,13 @@ class Mechanism:
         """What a constraint or a lock keeps: an expression that moves."""
         self._displacement(what, unit)
         value = symbolic(self._quantity(what, expression, unit, PLACE))
-        if not any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(value)):
+        if not self._moves(value):
             raise DeclarationError(f"{self.name}: {what} depends on no coordinate, so that no motion can keep it")
         return value
+
+    def _moves(self, value: Scalar) -> bool:
+        """Whether a quantity depends on coordinates."""
+        return any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(value))
 
     def _mass(self, name: str, mass: Any, what: str = "mass", unit: str = "kg") -> Scalar:
         what = f"the {what} of {name}"
@@ -1319,8 +1675,7 @@ class Mechanism:
 
     def _length(self, what: str, length: Any, may: Collection[str]) -> Scalar:
         length = self._quantity(what, length, "m", may)
-        moves = any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(length))
-        if not moves and not (value := self._at_defaults(what, length)) > 0:
+        if not self._moves(length) and not (value := self._at_defaults(what, length)) > 0:
             raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
         perhaps_millimetres(f"{self.name}: {what}", length)
         return length

@@ -12,27 +12,32 @@ from .shapes import GROUND, Shapes, Space
 
 __all__ = ["as_data", "from_data"]
 
+_LATER = ("rims",)
+"""Fields that drawings may lack, where there is nothing in them."""
+
 LARGEST = 1e9
 """Numbers in a drawing [m, rad], at most: what is further away cannot be seen."""
 
 
 def as_data(shapes: Shapes) -> dict[str, Any]:
     """Shapes as dictionaries, lists, texts and numbers, for JSON."""
-    return asdict(shapes)
+    return {name: value for name, value in asdict(shapes).items() if name not in _LATER or value}
 
 
 def from_data(data: object) -> Shapes:
     """The shapes that `as_data` gave; ValueError, with the place, where data from anywhere is something else."""
-    shapes = _read(Shapes, data, "drawing")
+    shapes = _read(Shapes, {**dict.fromkeys(_LATER, ()), **data} if isinstance(data, dict) else data, "drawing")
     frames = {GROUND, *(link.name for link in shapes.links), *shapes.dots}
     if len(frames) != 1 + len(shapes.links) + len(shapes.dots):
         raise ValueError("drawing has two bodies or points of one name")
     if not all(link.points for link in shapes.links):
         raise ValueError("drawing has a body without points")
     pairs = [(x.first, x.second) for x in (*shapes.joints, *shapes.ties)] + [(g.base, g.rider) for g in shapes.guides]
-    for at in (each for pair in pairs for each in pair):
-        if at.body not in frames:
-            raise ValueError(f"drawing has no body {at.body!r}")
+    for body in (*(each.body for pair in pairs for each in pair), *(rim.body for rim in shapes.rims)):
+        if body not in frames:
+            raise ValueError(f"drawing has no body {body!r}")
+    if not all(rim.points for rim in shapes.rims):
+        raise ValueError("drawing has a rim without points")
     if shapes.space:
         _check_space(shapes.space)
     return shapes

@@ -396,6 +396,18 @@ def _in_the_plane(drawn: _Drawn, e: Equations, looked: Result) -> _Drawn | None:
         "guides": [guide(g) for g in shapes.guides],
         "ties": [_pair(tie, place) | {"name": tie.name, "kind": tie.kind} for tie in shapes.ties],
         "dots": [{"name": dot, "columns": [f"{dot}.{q}" for q in "xy"]} for dot in shapes.dots],
+        "rims": [
+            {
+                "body": rim.body.name,
+                "filled": rim.filled,
+                "points": [
+                    [drawn.number(ca.SX(a) - ca.SX(c)) for a, c in zip(point, rim.body.center, strict=True)]
+                    for point in rim.points
+                ],
+            }
+            for relation in m.relations()
+            for rim in relation.rims()
+        ],
         "low": view.low,
         "high": view.high,
         "travel": view.travel,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..model.errors import InputError
-from .shapes import GROUND, ORIGIN, Anchor, Guide, Link, Shapes, Tie
+from .shapes import GROUND, ORIGIN, Anchor, Guide, Link, Rim, Shapes, Tie
 from .surface import (
     COLORS,
     FAINT,
@@ -66,6 +66,7 @@ def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> View:
         if not all(np.isfinite(q).all() for q in pose):
             raise InputError(f"{shapes.name}: the place of {name} is not finite all the time, so it cannot be drawn")
     points = [place_of(poses, Anchor(link.name, *p)) for link in shapes.links for p in link.points]
+    points += [place_of(poses, Anchor(rim.body, *p)) for rim in shapes.rims for p in rim.points]
     points += [place_of(poses, at) for at in _supports(shapes)]
     points += [poses[dot][:2] for dot in shapes.dots]
     xs, ys = (np.concatenate([np.ravel(p[k]) for p in points] or [[0.0]]) for k in (0, 1))
@@ -167,7 +168,10 @@ def scene_of(shapes: Shapes, view: View, size: Size) -> Scene:
     colors = {name: COLORS[i % len(COLORS)] for i, name in enumerate(names)}
     back = [pen.grid(), pen.marks()]
     back += [pen.support(at, legs) for at, legs in _supports(shapes).items()]
-    front = [pen.link(link, colors[link.name]) for link in shapes.links]
+    rims = [(rim.filled, pen.rim(rim, colors.get(rim.body, STEEL))) for rim in shapes.rims]
+    front = [part for filled, part in rims if filled]
+    front += [pen.link(link, colors[link.name]) for link in shapes.links]
+    front += [part for filled, part in rims if not filled]
     for guide, travel in guides:
         (back if guide.base.body == GROUND else front).extend(pen.guide(guide, travel, colors[guide.rider.body]))
     front += [pen.tie(tie) for tie in shapes.ties]
@@ -287,6 +291,12 @@ class _Pen:
         return [rails, Part((guide.rider,), self._outlined(corners, 4 * u, color, True), guide.block)]
 
     # What moves
+
+    def rim(self, rim: Rim, color: str) -> Part:
+        """The line of a gear, a pulley or a rack, or a disc such as a cam."""
+        points = [(x * self.scale, y * self.scale) for x, y in rim.points]
+        width = (2 if rim.filled else 4) * self.unit
+        return Part((Anchor(rim.body, 0.0, 0.0),), tuple(self._outlined(points, width, color, rim.filled)))
 
     def link(self, link: Link, color: str) -> Part:
         """A bar or plate through the points of a body, the mass at the end of an arm, nothing for a mere block."""

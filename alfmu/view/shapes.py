@@ -87,6 +87,15 @@ class Tie:
     second: Anchor
 
 
+@dataclass(frozen=True)
+class Rim:
+    """A line on a body, from its centre of mass [m]: of a gear, a pulley, a rack; of a cam it is filled."""
+
+    body: str
+    points: tuple[Vector, ...]
+    filled: bool
+
+
 # In space ---------------------------------------------------------------------------------------------------------
 
 
@@ -191,6 +200,7 @@ class Shapes:
     ties: tuple[Tie, ...] = ()
     dots: tuple[str, ...] = ()
     space: Space | None = None
+    rims: tuple[Rim, ...] = ()
 
     @property
     def columns(self) -> list[str]:
@@ -216,7 +226,7 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) 
     places = [o.name for o in m.outputs if o.unit == "m"]
     places += [f"{point.name}.{axis}" for point in m.watched for axis in point.axes]
     dots = tuple(name[:-2] for name in places if name.endswith(".x") and f"{name[:-2]}.y" in places)
-    plane = Shapes(m.name, m.description, *_in_plane(m, number), dots)
+    plane = Shapes(m.name, m.description, *_in_plane(m, number), dots, rims=tuple(_rims(m, number)))
     if m.spatial_bodies or m.drawn_joints or any(f"{dot}.z" in places for dot in dots):
         return Shapes(m.name, m.description, space=_in_space(m, number, plane, places))
     return plane
@@ -265,6 +275,15 @@ def _in_plane(
             points.append((0.0, 0.0))
         links.append(Link(body.name, kind, tuple(points)))
     return tuple(links), joints, guides, tuple(ties)
+
+
+def _rims(m: Mechanism, number: Callable[[Scalar], float]) -> Iterator[Rim]:
+    """What relations show of themselves."""
+    for relation in m.relations():
+        for rim in relation.rims():
+            x, y = (number(c) for c in rim.body.center)
+            points = tuple((round(number(a) - x, 12), round(number(b) - y, 12)) for a, b in rim.points)
+            yield Rim(rim.body.name, points, rim.filled)
 
 
 def _pins(

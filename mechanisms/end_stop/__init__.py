@@ -65,22 +65,5 @@ def end_stop() -> Mechanism:
     m.drive(guide, m.input("ram.force", "N", description="force on the ram along the guide"))
     m.gravity(0.0, -g)
 
-    energy, push = contact(s - stop, stiffness, onset)
-    loss = push * dissipation * m.rate(s)
-    m.potential_energy(energy)
-    m.generalized_force(s, -loss)
-    m.output("stop.penetration", ca.fmax(s - stop, 0), "m", "penetration of the ram into the stop")
-    m.output("stop.force", -push - loss, "N", "force on the ram from the stop, along the guide")
+    m.end_stop("stop", guide, upper=stop, stiffness=stiffness, onset=onset, dissipation=dissipation)
     return m
-
-
-def contact(penetration: ca.SX, stiffness: ca.SX, onset: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Energy [J] and push [N] of a spring whose stiffness rises from 0 to the given one over the first `onset` [m].
-
-    With z = penetration/onset between 0 and 1 the stiffness is k (10 z^3 - 15 z^4 + 6 z^5), and constant beyond.
-    """
-    z = ca.fmin(ca.fmax(penetration / onset, 0), 1)
-    beyond = ca.fmax(penetration - onset, 0)
-    push = onset * (5 / 2 * z**4 - 3 * z**5 + z**6) + beyond
-    energy = onset**2 * (z**5 / 2 - z**6 / 2 + z**7 / 7) + onset * beyond / 2 + beyond**2 / 2
-    return stiffness * energy, stiffness * push

@@ -132,6 +132,7 @@ class Plane extends Canvas {
     const ends = (of) => ({ ...of, first: at(of.first), second: at(of.second) });
     this.links = this.about.links.map((link) => ({ ...link, points: link.points.map(([x, y]) => [numbers[x], numbers[y]]) }));
     for (const link of this.links) link.hull = hull(link.points);
+    this.rims = this.about.rims.map((rim) => ({ ...rim, points: rim.points.map(([x, y]) => [numbers[x], numbers[y]]) }));
     this.guides = this.about.guides.map((g) => ({ ...g, base: at(g.base), rider: at(g.rider), axis: numbers[g.axis],
       block: g.block === null ? null : numbers[g.block] }));
     this.ties = this.about.ties.map(ends);
@@ -155,6 +156,7 @@ class Plane extends Canvas {
   fit(frames) {
     const at = (a) => placed(METRES, frames, a);
     const points = this.links.flatMap((link) => link.points.map(([x, y]) => at({ body: link.name, x, y })));
+    points.push(...this.rims.flatMap(({ body, points }) => points.map(([x, y]) => at({ body, x, y }))));
     points.push(...this.supports.map(at), ...this.about.dots.map(({ name }) => at({ body: name, x: 0, y: 0 })));
     for (const p of points) {
       for (const k of [0, 1]) {
@@ -219,7 +221,8 @@ class Plane extends Canvas {
   // What plane.py makes of the same shapes (`scene_of`), by the same rules in the same order.
   scene() {
     const back = [this.grid(), this.marks(), ...this.supports.map((at) => this.support(at))];
-    const front = this.links.map((link) => this.link(link));
+    const rims = (filled) => this.rims.filter((rim) => rim.filled === filled).map((rim) => this.wheel(rim));
+    const front = [...rims(true), ...this.links.map((link) => this.link(link)), ...rims(false)];
     this.guides.forEach((guide, i) => (guide.base.body === "ground" ? back : front).push(...this.guide(guide, this.travel[i])));
     front.push(...this.ties.map((tie) => this.tied(tie)), ...this.knots.map((knot) => this.knot(knot)));
     const dots = this.about.dots.map(({ name }) => ({ body: name, x: 0, y: 0 }));
@@ -295,6 +298,12 @@ class Plane extends Canvas {
     if (guide.block === null) return [rails];
     const x = 24 * u, y = half - 2 * u, corners = [[-x, -y], [x, -y], [x, y], [-x, y]];
     return [rails, part([guide.rider], this.outlined(corners, 4 * u, this.colors[guide.rider.body], true), guide.block)];
+  }
+
+  wheel({ body, points, filled }) {
+    const ink = body === "ground" ? this.ink : undefined, color = this.colors[body] || this.color("steel");
+    const line = points.map(([x, y]) => [x * this.scale, y * this.scale]);
+    return part([{ body, x: 0, y: 0 }], this.outlined(line, (filled ? 2 : 4) * this.unit, color, filled, ink));
   }
 
   link(link) {

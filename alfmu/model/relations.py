@@ -1,0 +1,695 @@
+"""What joins the motions of several bodies by one relation: gears, racks, belts, rolling wheels.
+
+A relation is closed by constraints, as a loop is. Each row is the relative displacement of two bodies where they touch,
+written in the places of the bodies themselves, so that its multiplier is the force there and the reactions of all
+bearings follow from it. Centres are held by hinges; while these hold, the rows are linear in the angles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import casadi as ca
+
+from .errors import DeclarationError
+from .words import Brief, in_words, shown
+
+__all__ = ["Belt", "Gear", "Pair", "Places", "Rack", "Relation", "Rolling", "belt", "gear", "rack", "rolling"]
+
+INVOLUTE = math.radians(20)
+"""Pressure angle of gears where none is given [rad]: that of ISO 53."""
+
+_FIT = 1e-6
+"""Share of the distance of two centres by which pitch radii may miss it [1]: numbers are typed with six digits."""
+
+_SAME = 1e-9
+"""Distance of two points of a body that are meant to be one [m]."""
+
+Scalar = float | ca.SX
+
+
+class Body(Protocol):
+    """`mechanism.Body`."""
+
+    name: str
+    center: tuple[Scalar, Scalar]
+
+
+class Marker(Protocol):
+    """`mechanism.Marker`."""
+
+    @property
+    def body(self) -> Body: ...
+    @property
+    def x(self) -> Scalar: ...
+    @property
+    def y(self) -> Scalar: ...
+
+
+class Joint(Protocol):
+    """`mechanism.Joint`."""
+
+    name: str
+    kind: str
+    axis: Scalar
+    offset: Scalar
+    angle: Scalar
+
+    @property
+    def first(self) -> Marker: ...
+    @property
+    def second(self) -> Marker: ...
+
+
+class Mechanism(Protocol):
+    """What declarations ask of a `mechanism.Mechanism`: its joints, and the checks of numbers."""
+
+    name: str
+
+    @property
+    def joints(self) -> Sequence[Joint]: ...
+    def _at_defaults(self, what: str, value: Scalar) -> float: ...
+    def _constant(self, what: str, value: Any, unit: str, *arguments: ca.SX) -> Scalar: ...
+    def _constant_length(self, what: str, value: Any) -> Scalar: ...
+
+
+Reading = tuple[str, ca.SX, str, str]
+"""An output of a relation: what follows its name, expression, unit, description."""
+
+_ROUND = 72
+"""Sides of a circle in pictures [1]: five degrees each, which is round at the size of a screen."""
+
+_RUN = 4
+"""Half the length that pictures show of a rack or a line, in radii of what runs on it [1]."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Rim(Brief):
+    """A line that pictures show on a body: points (x, y) [m] of its frame; `filled` where it goes around a disc."""
+
+    body: Body
+    points: tuple[tuple[Scalar, Scalar], ...]
+    filled: bool = False
+
+
+Way = tuple[tuple[Joint, int], ...]
+"""Joints on the way from the carrier to a body, each with 1 where its second body is the one that is further away."""
+
+
+class Places(Protocol):
+    """Where bodies and points are, as expressions: `equations.derivation.Kinematics`."""
+
+    mechanism: Any
+
+    def frame(self, body: Body) -> Any: ...
+    def place(self, at: Marker) -> tuple[ca.SX, ca.SX]: ...
+    def free(self, joint: Joint) -> ca.SX: ...
+    def axes(self, joint: Joint) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]: ...
+    def residual(self, closure: Joint, direction: str) -> ca.SX: ...
+
+
+@dataclass(eq=False, repr=False)
+class Relation(Brief):
+    """Constraints between bodies that are no joint; `kind` is what messages call it."""
+
+    kind: ClassVar[str] = ""
+    directions: ClassVar[tuple[str, ...]] = ()
+    """Names of its rows."""
+    unit: ClassVar[str] = "m"
+
+    name: str
+
+    def residual(self, places: Places, direction: str) -> ca.SX:
+        """What the relation keeps at zero [m]."""
+        raise NotImplementedError
+
+    def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
+        """What a user can read of it."""
+        raise NotImplementedError
+
+    def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
+        """What forces that do no work add to reactions: of which joint, along which direction, how much."""
+        return []
+
+    def rims(self) -> list[Rim]:
+        """What pictures show of it."""
+        return []
+
+
+@dataclass(eq=False, repr=False)
+class Pair(Relation):
+    """Two wheels on a carrier whose rims move alike: gears, or pulleys with a belt.
+
+    With the angles th of both from the carrier, signed radii R (negative where both turn the same way), and the vector
+    of ground axes e from the first centre to the second, t = e turned by +90 degrees,
+
+        Phi = R1 th1 + R2 (th2 - phase) - (R1 + R2)/distance t . (gap2 - gap1),
+
+    where a gap is how far a bearing is open: nothing where a coordinate keeps it closed.
+    """
+
+    directions: ClassVar[tuple[str, ...]] = ("rim",)
+
+    first: Marker
+    second: Marker
+    carrier: Body
+    ways: tuple[Way, Way]
+    across: tuple[Scalar, Scalar]
+    """From the first centre to the second, in the carrier's frame [m]."""
+    distance: Scalar
+    radii: tuple[Scalar, Scalar]
+    """Signed: the first is positive, the second where the wheels turn against each other [m]."""
+    phase: Scalar
+
+    def residual(self, places: Places, direction: str) -> ca.SX:
+        first, second = (_turn(self, places, at.body, self.carrier) for at in (self.first, self.second))
+        R1, R2 = self.radii
+        row = R1 * first + R2 * (second - self.phase)
+        gap = [b - a for a, b in zip(*(_gap(places, way) for way in self.ways), strict=True)]
+        if not all(x.is_zero() for x in gap):
+            ex, ey = self.line(places)
+            row -= (R1 + R2) / self.distance * (ex * gap[1] - ey * gap[0])
+        return row
+
+    def rims(self) -> list[Rim]:
+        return [circle(at, abs(R)) for at, R in zip((self.first, self.second), self.radii, strict=True)]
+
+    def line(self, places: Places) -> tuple[ca.SX, ca.SX]:
+        """Direction from the first centre to the second in ground axes."""
+        return places.frame(self.carrier).turn(*(x / self.distance for x in self.across))
+
+    def driving(self, multipliers: dict[str, ca.SX]) -> ca.SX:
+        """Force at the rim of the second wheel, positive where it turns it counter-clockwise [N]."""
+        R2 = self.radii[1]
+        return -multipliers["rim"] * (ca.sign(R2) if isinstance(R2, ca.SX) else math.copysign(1.0, R2))
+
+    def pushed(self, places: Places, force: ca.SX) -> list[tuple[Joint, str, ca.SX]]:
+        """Reactions to a force that pushes the centres apart [N]."""
+        if force.is_zero():
+            return []
+        e = self.line(places)
+        return [
+            (joint, direction, side * sign * force * x)
+            for way, side in zip(self.ways, (1, -1), strict=True)
+            for joint, sign in way
+            for direction, x in zip("xy", e, strict=True)
+        ]
+
+
+@dataclass(eq=False, repr=False)
+class Gear(Pair):
+    """Two gears in mesh, or rolling discs."""
+
+    kind: ClassVar[str] = "gear"
+
+    pressure_angle: Scalar
+    ring: int
+    """Which of the two has its teeth inside; -1 for none."""
+
+    def rims(self) -> list[Rim]:
+        both = zip((self.first, self.second), self.radii, strict=True)
+        return [circle(at, abs(R), spoke=i != self.ring) for i, (at, R) in enumerate(both)]
+
+    def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
+        pair = f"on {self.second.body.name} from {self.first.body.name}"
+        said = f"force {pair} along the pitch circles, positive where it turns {self.second.body.name} to the left"
+        readings: list[Reading] = [("force", self.driving(multipliers), "N", said)]
+        if not _nothing(self.pressure_angle):
+            apart = self.separating(multipliers)
+            readings.append(
+                ("separating_force", apart, "N", f"force {pair} across the pitch circles, which parts them")
+            )
+        return readings
+
+    def separating(self, multipliers: dict[str, ca.SX]) -> ca.SX:
+        """Force across the pitch circles: the flank in contact is the one that pushes [N]."""
+        return ca.fabs(multipliers["rim"]) * ca.tan(self.pressure_angle)
+
+    def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
+        # A ring that is the second of the two is pushed the other way: its teeth point at its centre.
+        R1, R2 = self.radii
+        return self.pushed(places, self.separating(multipliers) * (R1 + R2) / self.distance)
+
+
+@dataclass(eq=False, repr=False)
+class Belt(Pair):
+    """Two pulleys with a belt or chain around both that does not slip."""
+
+    kind: ClassVar[str] = "belt"
+
+    pretension: Scalar
+    start: Marker
+    """The first centre on the carrier."""
+
+    def rims(self) -> list[Rim]:
+        R1, R2 = self.radii
+        ex, ey = (x / self.distance for x in self.across)
+        sine = (R1 + R2) / self.distance
+        cosine = ca.sqrt(1 - sine**2)
+        strands = []
+        for hand in (1, -1):
+            nx, ny = sine * ex - hand * cosine * ey, sine * ey + hand * cosine * ex
+            x, y = self.start.x, self.start.y
+            ends = (x + R1 * nx, y + R1 * ny), (x + self.across[0] - R2 * nx, y + self.across[1] - R2 * ny)
+            strands.append(Rim(self.carrier, ends))
+        return super().rims() + strands
+
+    def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
+        names = f"{self.first.body.name} to {self.second.body.name}"
+        pair = f"on {self.second.body.name} from {self.first.body.name}"
+        said = f"force {pair} by the belt, positive where it turns {self.second.body.name} to the left"
+        half = multipliers["rim"] / 2
+        strand = f"tension of the strand that leaves {self.first.body.name} on the {{}} side of the way from {names}"
+        return [
+            ("force", self.driving(multipliers), "N", said),
+            ("tension.left", self.pretension + half, "N", strand.format("left")),
+            ("tension.right", self.pretension - half, "N", strand.format("right")),
+        ]
+
+    def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
+        R1, R2 = self.radii
+        slope = (R1 + R2) / self.distance
+        return self.pushed(places, ca.SX(-2 * self.pretension) * ca.sqrt(1 - slope**2))
+
+
+@dataclass(eq=False, repr=False)
+class Rack(Relation):
+    """A pinion and a rack in a guide on the pinion's carrier.
+
+    With the place s of the rack along the guide's direction u, the pinion's angle th from the carrier, the side of the
+    pitch line on which the pinion lies (1 for left),
+
+        Phi = s - side radius (th - phase) - u . gap - h turn,
+
+    where `gap` is how far the pinion's bearing is open, `turn` how far the rack is turned in its guide, and h how far
+    the pitch line lies to the left of the joint's point on the rack.
+    """
+
+    kind: ClassVar[str] = "rack"
+    directions: ClassVar[tuple[str, ...]] = ("teeth",)
+
+    pinion: Marker
+    guide: Joint
+    way: Way
+    held: Marker
+    """The pinion's centre on the carrier."""
+    radius: Scalar
+    side: int
+    phase: Scalar
+    pressure_angle: Scalar
+
+    def residual(self, places: Places, direction: str) -> ca.SX:
+        angle = _turn(self, places, self.pinion.body, self.guide.first.body)
+        row = places.free(self.guide) - self.side * self.radius * (angle - self.phase)
+        ux, uy, _, _ = places.axes(self.guide)
+        gx, gy = _gap(places, self.way)
+        if not (gx.is_zero() and gy.is_zero()):
+            row -= ux * gx + uy * gy
+        turned = places.residual(self.guide, "rotation")
+        return row if turned.is_zero() else row - self._arm(places)[1] * turned
+
+    def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
+        pair = f"on {self.guide.second.body.name} from {self.pinion.body.name}"
+        readings: list[Reading] = [("force", -multipliers["teeth"], "N", f"force {pair} along {self.guide.name}")]
+        if not _nothing(self.pressure_angle):
+            said = f"force {pair} across {self.guide.name}, which parts them"
+            readings.append(("separating_force", self.separating(multipliers), "N", said))
+        return readings
+
+    def rims(self) -> list[Rim]:
+        # The pitch line on the rack, as the guide's line through its marker, put beside the pinion at the start.
+        bar, run = self.guide.second, _RUN * self.radius
+        lean = self.guide.axis - self.guide.angle
+        dx, dy = self.held.x - self.guide.first.x, self.held.y - self.guide.first.y
+        ux, uy = direction(self.guide.axis)
+        up = ux * dy - uy * dx - self.guide.offset - self.side * self.radius
+        cx, cy = direction(lean)
+        x, y = bar.x - cy * up, bar.y + cx * up
+        ends = ((x - run * cx, y - run * cy), (x + run * cx, y + run * cy))
+        return [circle(self.pinion, self.radius), Rim(bar.body, ends)]
+
+    def separating(self, multipliers: dict[str, ca.SX]) -> ca.SX:
+        """Force across the pitch line [N]."""
+        return ca.fabs(multipliers["teeth"]) * ca.tan(self.pressure_angle)
+
+    def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
+        force = self.side * self.separating(multipliers)  # on the pinion, along the left normal of the guide
+        if force.is_zero():
+            return []
+        _, _, nx, ny = places.axes(self.guide)
+        along, _ = self._arm(places)
+        added = [(self.guide, "normal", force), (self.guide, "rotation", force * along)]
+        for joint, sign in self.way:
+            added += [(joint, "x", -sign * force * nx), (joint, "y", -sign * force * ny)]
+        return added
+
+    def _arm(self, places: Places) -> tuple[ca.SX, ca.SX]:
+        """The pitch point from the joint's point on the rack: along the guide and to its left [m]."""
+        (x, y), (x2, y2) = places.place(self.held), places.place(self.guide.second)
+        ux, uy, nx, ny = places.axes(self.guide)
+        dx, dy = x - x2, y - y2
+        return ux * dx + uy * dy, nx * dx + ny * dy - self.side * self.radius
+
+
+@dataclass(eq=False, repr=False)
+class Rolling(Relation):
+    """A wheel that rolls on a line of another body without slip and does not leave it.
+
+    With the centre (s, h) along the line and to its left, and the wheel's angle th from the line,
+
+        Phi_normal = h - radius,   Phi_rolling = s + radius (th - phase).
+    """
+
+    kind: ClassVar[str] = "rolling"
+    directions: ClassVar[tuple[str, ...]] = ("normal", "rolling")
+
+    line: Marker
+    wheel: Marker
+    axis: tuple[Scalar, Scalar]
+    """Cosine and sine of the direction of the line in its body."""
+    radius: Scalar
+    phase: Scalar
+
+    def residual(self, places: Places, direction: str) -> ca.SX:
+        (x1, y1), (x2, y2) = places.place(self.line), places.place(self.wheel)
+        ux, uy = places.frame(self.line.body).turn(*self.axis)
+        if direction == "normal":
+            return ux * (y2 - y1) - uy * (x2 - x1) - self.radius
+        angle = _turn(self, places, self.wheel.body, self.line.body)
+        return ux * (x2 - x1) + uy * (y2 - y1) + self.radius * (angle - self.phase)
+
+    def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
+        pair = f"on {self.wheel.body.name} from {self.line.body.name}"
+        return [
+            (
+                "normal_force",
+                -multipliers["normal"],
+                "N",
+                f"force {pair} across the line, negative where it would lift",
+            ),
+            (
+                "friction_force",
+                -multipliers["rolling"],
+                "N",
+                f"force {pair} along the line, which keeps it from slipping",
+            ),
+        ]
+
+    def rims(self) -> list[Rim]:
+        run, (cx, cy) = _RUN * self.radius, self.axis
+        ends = [(self.line.x + side * run * cx, self.line.y + side * run * cy) for side in (-1, 1)]
+        return [circle(self.wheel, self.radius), Rim(self.line.body, tuple(ends))]
+
+
+def circle(centre: Marker, radius: Scalar, spoke: bool = True) -> Rim:
+    """A circle about a marker, with a spoke that shows how it turns."""
+    turns = [2 * math.pi * k / _ROUND for k in range(_ROUND + 1)]
+    points = [(centre.x + radius * math.cos(t), centre.y + radius * math.sin(t)) for t in turns]
+    return Rim(centre.body, ((centre.x, centre.y), *points) if spoke else tuple(points))
+
+
+# Declaration ------------------------------------------------------------------------------------------------------
+
+
+def gear(
+    m: Mechanism,
+    name: str,
+    first: Marker,
+    second: Marker,
+    radii: Sequence[Scalar] | None,
+    teeth: Sequence[int] | None,
+    internal: bool,
+    phase: Scalar,
+    pressure_angle: Scalar,
+    carrier: Body | None,
+) -> Gear:
+    """See `Mechanism.gear`."""
+    what = f"gear {name}"
+    carrier, ways, across, distance, _ = _centres(m, what, first, second, carrier)
+    apart = m._at_defaults(f"the distance of the centres of {what}", distance)
+    if (radii is None) == (teeth is None):
+        raise DeclarationError(
+            f"{m.name}: {what} has {'neither radii nor' if radii is None else 'both radii and'} teeth; give one of them"
+        )
+    if teeth is not None:
+        numbers = _both(m, f"the teeth of {what}", teeth)
+        if not all(isinstance(z, int) and not isinstance(z, bool) and z > 0 for z in numbers):
+            raise DeclarationError(f"{m.name}: the teeth of {what} are {shown(tuple(numbers))}; give two whole numbers")
+        first_teeth, second_teeth = numbers
+        if internal and first_teeth == second_teeth:
+            raise DeclarationError(f"{m.name}: {what} has {first_teeth} teeth inside and outside; the ring needs more")
+        sum_of_both = abs(first_teeth - second_teeth) if internal else first_teeth + second_teeth
+        own = tuple(distance * z / sum_of_both for z in numbers)
+    else:
+        own, r1, r2 = _rims(m, what, radii)
+        wanted = abs(r1 - r2) if internal else r1 + r2
+        if abs(wanted - apart) > _FIT * apart:
+            sign, how = ("-", "differ by") if internal else ("+", "sum up to")
+            raise DeclarationError(
+                f"{m.name}: the pitch radii {r1:g} m and {r2:g} m of {what} {how} {wanted:g} m, and its centres are "
+                f"{apart:g} m apart on {carrier.name}; change the radii (r1 {sign} r2 is the distance), or give "
+                "teeth=, from which they follow"
+            )
+    angle = _toothed(m, what, pressure_angle)
+    signed = own[0], -own[1] if internal else own[1]
+    phase = m._constant(f"the phase of {what}", phase, "rad")
+    sizes = [m._at_defaults(f"a radius of {what}", r) for r in own]
+    ring = int(sizes[1] > sizes[0]) if internal else -1
+    return Gear(name, first, second, carrier, ways, across, distance, signed, phase, angle, ring)
+
+
+def belt(
+    m: Mechanism,
+    name: str,
+    first: Marker,
+    second: Marker,
+    radii: Sequence[Scalar],
+    crossed: bool,
+    pretension: Scalar,
+    phase: Scalar,
+    carrier: Body | None,
+) -> Belt:
+    """See `Mechanism.belt`."""
+    what = f"belt {name}"
+    carrier, ways, across, distance, start = _centres(m, what, first, second, carrier)
+    apart = m._at_defaults(f"the distance of the centres of {what}", distance)
+    own, r1, r2 = _rims(m, what, radii)
+    if (taken := r1 + r2 if crossed else abs(r1 - r2)) >= apart:
+        raise DeclarationError(
+            f"{m.name}: no {'crossed ' * crossed}belt fits around the pulleys of {what}: their radii {r1:g} m and "
+            f"{r2:g} m take {taken:g} m, and their centres are {apart:g} m apart; make the pulleys smaller or their "
+            "distance larger"
+        )
+    tension = m._constant(f"the pretension of {what}", pretension, "N")
+    if (at := m._at_defaults(f"the pretension of {what}", tension)) < 0:
+        raise DeclarationError(f"{m.name}: the pretension of {what} is {at:g} N; it must not be negative")
+    signed = own[0], own[1] if crossed else -own[1]
+    phase = m._constant(f"the phase of {what}", phase, "rad")
+    return Belt(name, first, second, carrier, ways, across, distance, signed, phase, tension, start)
+
+
+def rack(
+    m: Mechanism,
+    name: str,
+    pinion: Marker,
+    guide: Joint,
+    radius: Scalar,
+    side: str | None,
+    phase: Scalar,
+    pressure_angle: Scalar,
+) -> Rack:
+    """See `Mechanism.rack`."""
+    what = f"rack {name}"
+    if guide.kind != "prismatic":
+        raise DeclarationError(
+            f"{m.name}: {what} needs the guide of the rack, as prismatic() returns it, not {guide.name}"
+        )
+    carrier = guide.first.body
+    if pinion.body in (carrier, guide.second.body):
+        raise DeclarationError(
+            f"{m.name}: the pinion of {what} is {pinion.body.name}, which {guide.name} joins; give another"
+        )
+    way, held = _way(m, what, pinion, carrier)
+    radius = m._constant_length(f"the radius of {what}", radius)
+    if side not in (None, "left", "right"):
+        raise DeclarationError(f"{m.name}: the side of {what} is {shown(side)}; give 'left' or 'right'")
+    if side is None:
+        # The centre from the first marker of the guide, in the axes of the carrier.
+        dx, dy = (m._at_defaults(what, b - a) for a, b in ((guide.first.x, held.x), (guide.first.y, held.y)))
+        axis, offset = m._at_defaults(what, guide.axis), m._at_defaults(what, guide.offset)
+        left, r = math.cos(axis) * dy - math.sin(axis) * dx - offset, m._at_defaults(what, radius)
+        if abs(abs(left) - r) > _FIT * r:
+            raise DeclarationError(
+                f"{m.name}: {guide.name} passes the centre of {pinion.body.name} at {abs(left):g} m, and the radius of "
+                f"{what} is {r:g} m, so that its side is not known; say by side= whether the pinion lies to the 'left' "
+                "or the 'right' of the pitch line, seen along the guide"
+            )
+        side = "left" if left > 0 else "right"
+    angle = _toothed(m, what, pressure_angle)
+    phase = m._constant(f"the phase of {what}", phase, "rad")
+    return Rack(name, pinion, guide, way, held, radius, 1 if side == "left" else -1, phase, angle)
+
+
+def rolling(
+    m: Mechanism, name: str, line: Marker, wheel: Marker, radius: Scalar, axis: Scalar, phase: Scalar
+) -> Rolling:
+    """See `Mechanism.rolling`."""
+    what = f"rolling {name}"
+    if line.body is wheel.body:
+        raise DeclarationError(f"{m.name}: {what} rolls {wheel.body.name} on itself; give a line of another body")
+    radius = m._constant_length(f"the radius of {what}", radius)
+    axis = m._constant(f"the axis of {what}", axis, "rad")
+    phase = m._constant(f"the phase of {what}", phase, "rad")
+    return Rolling(name, line, wheel, direction(axis), radius, phase)
+
+
+def _both(m: Mechanism, what: str, values: Any) -> Sequence[Any]:
+    if not isinstance(values, Sequence) or isinstance(values, str | bytes) or len(values) != 2:
+        raise DeclarationError(f"{m.name}: {what} are {shown(values)}; give two")
+    return values
+
+
+def _toothed(m: Mechanism, what: str, pressure_angle: Scalar) -> Scalar:
+    """A pressure angle that teeth can have."""
+    of = f"the pressure angle of {what}"
+    angle = m._constant(of, pressure_angle, "rad")
+    if not 0 <= (at := m._at_defaults(of, angle)) < math.pi / 2:
+        raise DeclarationError(
+            f"{m.name}: {of} is {at:g} rad; give one from 0 to below pi/2 (20 degrees are {INVOLUTE:.4f})"
+        )
+    return angle
+
+
+def _rims(m: Mechanism, what: str, radii: Any) -> tuple[Sequence[Scalar], float, float]:
+    """Two radii, and what they are at the defaults of the parameters."""
+    given = _both(m, f"the radii of {what}", radii)
+    named = [(f"the {which} radius of {what}", r) for which, r in zip(("first", "second"), given, strict=True)]
+    own = [m._constant_length(*each) for each in named]
+    first, second = (m._at_defaults(of, r) for (of, _), r in zip(named, own, strict=True))
+    return own, first, second
+
+
+def _centres(
+    m: Mechanism, what: str, first: Marker, second: Marker, carrier: Body | None
+) -> tuple[Body, tuple[Way, Way], tuple[Scalar, Scalar], Scalar, Marker]:
+    """The carrier of two wheels, hinges between it and them, the way from centre to centre, its length, its start."""
+    wheels = (first.body, second.body)
+    if wheels[0] is wheels[1]:
+        raise DeclarationError(f"{m.name}: {what} joins {wheels[0].name} to itself; give wheels of two bodies")
+    reached = [_reached(m, at) for at in (first, second)]
+    common = [body for body in reached[0] if body in reached[1] and body not in wheels]
+    if carrier is not None:
+        if carrier in wheels:
+            raise DeclarationError(
+                f"{m.name}: the carrier of {what} is {carrier.name}, one of its wheels; leave it out"
+            )
+        for at, known in zip((first, second), reached, strict=True):
+            if carrier not in known:
+                raise DeclarationError(_unheld(m, what, at, [carrier.name]))
+    elif len(common) != 1:
+        if common:
+            names = in_words([body.name for body in common])
+            raise DeclarationError(
+                f"{m.name}: the wheels of {what} have their centres on {names}; say carrier=, which one"
+            )
+        names = [in_words([body.name for body in known if body not in wheels] or ["nothing"]) for known in reached]
+        raise DeclarationError(
+            f"{m.name}: {what} finds no body that carries both wheels: hinges hold the centre of {wheels[0].name} on "
+            f"{names[0]} and that of {wheels[1].name} on {names[1]}; declare the hinges before, at the centres"
+        )
+    carrier = carrier or common[0]
+    (way1, at1), (way2, at2) = (known[carrier] for known in reached)
+    across = at2.x - at1.x, at2.y - at1.y
+    apart = math.hypot(*(m._at_defaults(f"the centres of {what}", x) for x in across))
+    if apart < _SAME:
+        raise DeclarationError(
+            f"{m.name}: the centres of {wheels[0].name} and {wheels[1].name} are at one place of {carrier.name}, so "
+            f"that {what} cannot join them; check the markers"
+        )
+    distance = ca.sqrt(across[0] ** 2 + across[1] ** 2) if any(isinstance(x, ca.SX) for x in across) else apart
+    return carrier, (way1, way2), across, distance, at1
+
+
+def _way(m: Mechanism, what: str, at: Marker, carrier: Body) -> tuple[Way, Marker]:
+    """The hinges from a carrier to a centre, and the centre on the carrier."""
+    reached = _reached(m, at)
+    if carrier not in reached:
+        raise DeclarationError(_unheld(m, what, at, [carrier.name]))
+    return reached[carrier]
+
+
+def _unheld(m: Mechanism, what: str, at: Marker, carriers: Sequence[str]) -> str:
+    return (
+        f"{m.name}: no hinge holds the centre of {at.body.name} that {what} uses on {in_words(carriers)}; declare the "
+        f"hinge before, with a marker at ({shown_place(at)}) of {at.body.name}"
+    )
+
+
+def shown_place(at: Marker) -> str:
+    """The place of a marker as messages show it."""
+    return ", ".join("..." if isinstance(x, ca.SX) else f"{x:g}" for x in (at.x, at.y))
+
+
+def _reached(m: Mechanism, centre: Marker) -> dict[Body, tuple[Way, Marker]]:
+    """Bodies on which hinges and welds hold a point: the joints from there to the point, and the marker there."""
+    found: dict[Body, tuple[Way, Marker]] = {centre.body: ((), centre)}
+    pending = [centre]
+    while pending:
+        here = pending.pop(0)
+        way, _ = found[here.body]
+        for joint in m.joints:
+            for own, other, sign in ((joint.second, joint.first, 1), (joint.first, joint.second, -1)):
+                if (
+                    joint.kind in ("revolute", "weld")
+                    and own.body is here.body
+                    and other.body not in found
+                    and _at(own, here)
+                ):
+                    found[other.body] = ((joint, sign), *way), other
+                    pending.append(other)
+    return found
+
+
+def _at(one: Marker, other: Marker) -> bool:
+    """Whether two markers of a body are at one place."""
+    apart = [ca.SX(a) - ca.SX(b) for a, b in ((one.x, other.x), (one.y, other.y))]
+    return all(x.is_zero() or (x.is_constant() and abs(float(x)) < _SAME) for x in apart)
+
+
+def _turn(relation: Relation, places: Places, body: Body, carrier: Body) -> ca.SX:
+    """The angle of a body from its carrier, counted over turns."""
+    frames = [places.frame(each) for each in (body, carrier)]
+    for each, frame in zip((body, carrier), frames, strict=True):
+        if frame.wrapped:
+            raise DeclarationError(
+                f"{places.mechanism.name}: {relation.kind} {relation.name} counts the turns of {each.name}, whose "
+                "angle is known within a turn only, as two points place it; place it by a pose, or by a joint with a "
+                "coordinate"
+            )
+    return frames[0].angle - frames[1].angle
+
+
+def _gap(places: Places, way: Way) -> tuple[ca.SX, ca.SX]:
+    """How far the joints of a way are open [m]."""
+    x, y = ca.SX(0), ca.SX(0)
+    for joint, sign in way:
+        (x1, y1), (x2, y2) = places.place(joint.first), places.place(joint.second)
+        x, y = x + sign * (x2 - x1), y + sign * (y2 - y1)
+    return x, y
+
+
+def _nothing(value: Scalar) -> bool:
+    return ca.SX(value).is_zero()
+
+
+def direction(angle: Scalar) -> tuple[Scalar, Scalar]:
+    """Cosine and sine of an angle, exact at right angles."""
+    if isinstance(angle, ca.SX):
+        return ca.cos(angle), ca.sin(angle)
+    quarters = angle / (math.pi / 2)
+    if quarters == round(quarters):
+        return tuple((1.0, 0.0, -1.0, 0.0)[(round(quarters) - k) % 4] for k in (0, 1))
+    return math.cos(angle), math.sin(angle)

@@ -1,0 +1,106 @@
+"""Limit stops: what pushes a displacement back where it goes too far, and never pulls.
+
+With the penetration x, its rate x', and z = x/onset limited to [0, 1], a stop pushes with p(x) (1 + loss), where
+
+    p(x) = stiffness (onset (5/2 z^4 - 3 z^5 + z^6) + max(x - onset, 0)),
+
+so that the stiffness rises smoothly from nothing to its full value: three continuous derivatives, with which methods of
+fourth order keep their order. The loss is in proportion to the rate (Hunt and Crossley),
+
+    loss = dissipation x',
+
+or it leaves a share of the energy that is the square of a coefficient of restitution, whatever the speed and the mass,
+
+    loss = -(1 - restitution^2) (1 - tanh(x'/creep))/2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from .words import Brief
+
+__all__ = ["CREEP", "ONSET", "EndStop", "contact"]
+
+Scalar = float | ca.SX
+
+ONSET = 1e-3
+"""Penetration over which a stop stiffens where none is given [m or rad]: some tenths of what rubber gives way."""
+
+CREEP = 1e-3
+"""Rate between pushing in and back where none is given [m/s or rad/s]: far below that of any blow."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EndStop(Brief):
+    """A one-sided stop at an upper limit, at a lower one, or at both; `of` is what it limits."""
+
+    name: str
+    of: Any
+    """A joint, two markers, or an expression in coordinates."""
+    unit: str
+    upper: Scalar | None
+    lower: Scalar | None
+    stiffness: Scalar
+    onset: Scalar
+    dissipation: Scalar | None
+    restitution: Scalar | None
+    creep: Scalar
+
+    @property
+    def limited(self) -> str:
+        """What it limits, in words."""
+        if isinstance(self.of, tuple):
+            return f"the distance of {self.of[0].body.name} and {self.of[1].body.name}"
+        return "what it limits" if isinstance(self.of, ca.SX) else f"{self.of.second.body.name} in {self.of.name}"
+
+    def penetrations(self, x: ca.SX) -> Sequence[tuple[ca.SX, int]]:
+        """How far a displacement is in the stop at each limit, with the sign in which that grows with it."""
+        upper = [(x - self.upper, 1)] if self.upper is not None else []
+        return upper + ([(self.lower - x, -1)] if self.lower is not None else [])
+
+    def energy(self, x: ca.SX) -> ca.SX:
+        """What is stored at a displacement [J]."""
+        return sum((contact(depth, self.stiffness, self.onset)[0] for depth, _ in self.penetrations(x)), ca.SX(0))
+
+    def losses(self, x: ca.SX, rate: ca.SX) -> ca.SX:
+        """The part of the effort along a displacement that takes energy [N or N.m]."""
+        total = ca.SX(0)
+        for depth, sign in self.penetrations(x):
+            _, push = contact(depth, self.stiffness, self.onset)
+            total -= sign * self._loss(push, sign * rate)
+        return total
+
+    def effort(self, x: ca.SX, rate: ca.SX) -> ca.SX:
+        """The effort along a displacement [N or N.m]."""
+        total = ca.SX(0)
+        for depth, sign in self.penetrations(x):
+            _, push = contact(depth, self.stiffness, self.onset)
+            total += sign * (-push - self._loss(push, sign * rate))
+        return total
+
+    def penetration(self, x: ca.SX) -> ca.SX:
+        """How far a displacement is in the stop, 0 where it is not [m or rad]."""
+        depth = [depth for depth, _ in self.penetrations(x)]
+        return ca.fmax(depth[0] if len(depth) == 1 else ca.fmax(*depth), 0)
+
+    def _loss(self, push: ca.SX, rate: ca.SX) -> ca.SX:
+        if self.restitution is not None:
+            return push * (-(1 - self.restitution**2) / 2) * (1 - ca.tanh(rate / self.creep))
+        return ca.SX(0) if self.dissipation is None else push * self.dissipation * rate
+
+
+def contact(penetration: ca.SX, stiffness: Scalar, onset: Scalar) -> tuple[ca.SX, ca.SX]:
+    """Energy [J] and push [N] of a spring whose stiffness rises from 0 to the given one over the first `onset` [m].
+
+    With z = penetration/onset between 0 and 1 the stiffness is k (10 z^3 - 15 z^4 + 6 z^5), and constant beyond.
+    """
+    z = ca.fmin(ca.fmax(penetration / onset, 0), 1)
+    beyond = ca.fmax(penetration - onset, 0)
+    push = onset * (5 / 2 * z**4 - 3 * z**5 + z**6) + beyond
+    energy = onset**2 * (z**5 / 2 - z**6 / 2 + z**7 / 7) + onset * beyond / 2 + beyond**2 / 2
+    return stiffness * energy, stiffness * push
