@@ -133,10 +133,11 @@ class _Patient(Alternatives):
 
     def reads_quickly(self) -> bool:
         """Whether what is read at an instant needs no more multiplier iterations than a quick step, and steps are those
-        of RK4, whose first evaluation it is."""
+        of RK4, whose first evaluation it is, and take no rates of further states from there."""
         e = self.e
         quick, read = e.kernel["quick"].plan, any(x == "a0" for x in _made(e.kernel["instant"]))
-        return "method" not in e.kernel and not self.order and read and bool(quick and quick.quick)
+        plain = "method" not in e.kernel and not self.order and not e.states
+        return plain and read and bool(quick and quick.quick)
 
     def timed(self) -> bool:
         """Whether the equations of motion depend on time itself."""
