@@ -21,8 +21,6 @@ from xml.etree import ElementTree as ET
 from pythonfmu.builder import FmuBuilder
 
 from ..equations import Equations
-from ..equations.derivation import derive
-from ..equations.specialisation import specialised
 from ..files import atomic, scratch
 from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
@@ -31,7 +29,8 @@ from ..model.mechanism import Mechanism
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
-from ..simulation import prepared, with_defaults
+from ..runtime.reuse import chosen, derived
+from ..simulation import prepared
 from ..view.picture import model_png
 from . import native
 from .description import (
@@ -92,7 +91,7 @@ def export(
     own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
     recipe = load(mechanism).changed(**own, kernel=kernel, kind=kind, platforms=platforms, fmi=fmi)
     declared = recipe.declared()
-    derived, equations = _scene(recipe, declared)
+    every, equations = _scene(recipe, declared)
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
         path = path / f"{equations.name}.fmu"
@@ -101,7 +100,7 @@ def export(
 
     version = importlib.metadata.version("alfmu")
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith("solver.")}
-    picture = model_png(declared, posed, equations=derived)
+    picture = model_png(declared, posed, equations=every)
     results = reference_results(equations) if recipe.reference else {}
     if recipe.kind == "native":
         _archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
@@ -183,12 +182,12 @@ def packed_scene(
     kernel: str | None,
 ) -> tuple[Equations, Equations]:
     """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `export`."""
-    derived = derive(declared)
-    equations = specialised(with_defaults(derived, parameters or {}), outputs, freeze)
+    every = derived(declared)
+    equations = chosen(every, parameters or {}, outputs, freeze)
     native.checked(equations)
     equations = prepared(equations, kernel or DEFAULT)
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing
-    return derived, equations
+    return every, equations
 
 
 def _native(

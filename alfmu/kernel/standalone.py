@@ -120,7 +120,7 @@ class _Patient(Alternatives):
     def __init__(self, equations: Equations):
         super().__init__(equations)
         used = {name for program in equations.kernel.values() for name in called(program)}
-        self.functions = {name: equations.functions[name] for name in used}
+        self.functions, self.shapes = {name: equations.functions[name] for name in used}, {}
         self.redundant = any(name in ("least", "distribute") for name in self.functions)
 
     # Programs ------------------------------------------------------------------------------------------------------

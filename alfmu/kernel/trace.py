@@ -101,6 +101,8 @@ class Tracer:
     def __init__(self, equations: Equations):
         self.e, self.layout = equations, Layout(equations)
         self.functions: dict[str, ca.Function] = {}
+        self.shapes: dict[str, tuple[list[int], int]] = {}
+        """Lengths of the arguments of each function, and how many results it has, as far as they were asked for."""
         self.lengths = lengths_of(equations)
         """Of the values that functions take, by name."""
         self.order = int(equations.solver.get("input_order", 0)) if equations.inputs else 0
@@ -448,8 +450,9 @@ class Calls:
             # In a large scene little is left to share, and the search takes longer than all the rest.
             make = shared if e.n <= DENSE else ca.Function
             functions[name] = make(name, [scene.symbol(x) for x in call.arguments], [ca.densify(x) for x in values])
-        known = functions[name]
-        lengths = [scene.length(x) for x in call.arguments]
-        if lengths != [known.numel_in(i) for i in range(known.n_in())] or known.n_out() != len(call.results):
+        if name not in self._tracer.shapes:
+            known = functions[name]
+            self._tracer.shapes[name] = [known.numel_in(i) for i in range(known.n_in())], known.n_out()
+        if ([scene.length(x) for x in call.arguments], len(call.results)) != self._tracer.shapes[name]:
             raise ValueError(f"{e.name}: two functions are called {name}")
         self.made.append(call)

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.specialisation import ALL, specialised
+from ..kernel import DEFAULT
 from ..model.content import content
 from ..model.mechanism import Mechanism
 from ..model.settings import Settings
@@ -18,7 +19,7 @@ from .prepare import decided, prepared, with_defaults
 
 _Made = TypeVar("_Made")
 
-__all__ = ["derived", "ready"]
+__all__ = ["chosen", "derived", "ready"]
 
 _MOST = 8
 """Mechanisms whose equations are kept, and scenes of each: the latest."""
@@ -62,6 +63,21 @@ def ready(
     key = (*asked, kernel, method, e.chosen, *sorted(folded.items()))
     scenes = equations.programs.setdefault("ready", OrderedDict())
     return _kept(scenes, key, lambda: prepared(specialised(e, outputs, freeze), kernel), _MOST), own
+
+
+def chosen(
+    equations: Equations,
+    values: Mapping[str, float | str],
+    outputs: Sequence[str] | None,
+    freeze: Sequence[str] | None,
+) -> Equations:
+    """The equations with these defaults and outputs alone, the same for the same: they are traced once."""
+    if not values:
+        return ready(equations, {}, outputs, freeze, DEFAULT)[0]
+    asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
+    known = equations.programs.setdefault("chosen", OrderedDict())
+    key = (*asked, *sorted(values.items()))
+    return _kept(known, key, lambda: specialised(with_defaults(equations, values), outputs, freeze), _MOST)
 
 
 def _decided(equations: Equations, values: Mapping[str, float | str]) -> tuple[str, str]:

@@ -30,6 +30,7 @@ from ..model.words import there_is
 from ..result import Result
 from ..runtime import Instance
 from ..runtime.probe import Probe
+from ..runtime.reuse import derived
 from ..simulation import Progress, simulate, with_defaults
 from . import plane, space
 from .pages import page
@@ -203,7 +204,8 @@ def drawing(
     shapes = geometry(mechanism, parameters)
     if at:
         return _drawing_at(mechanism, shapes, at, parameters or {}, size)
-    equations = with_defaults(equations or derive(mechanism), parameters or {})
+    every = equations or derived(mechanism)
+    equations = with_defaults(every, parameters or {})
     columns = _start(shapes, equations)
     caption = "" if columns else f"{mechanism.name} declares no bodies and no points"
     angle = next((start for start in equations.starts if start.unit == "rad"), None)
@@ -218,7 +220,7 @@ def drawing(
     if dots:
         stop_time = min(equations.stop_time, 500 * equations.step_size)
         with suppress(AlfmuError):
-            result = simulate(equations, stop_time, equations.step_size, outputs=shapes.columns)
+            result = simulate(every, stop_time, equations.step_size, parameters=parameters)
             covered = {name: np.append(result[name], columns[name]) for name in shapes.columns}
             trails = {dot: _path(result, shapes, dot) for dot in dots}
     return Drawing(shapes, columns, view_of(shapes, covered), trails, caption, size)
