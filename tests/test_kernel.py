@@ -125,6 +125,59 @@ def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps, 
     assert np.array_equal(one.state, many.state)
 
 
+@pytest.mark.parametrize("kernel", ["vm", "compiled"])
+@pytest.mark.parametrize("start", [{}, {"start.angle": -1.5, "start.angular_velocity": 2.0}])
+def test_what_is_read_at_a_communication_point_serves_the_next_step(start, kernel):
+    """A step begins with the evaluation that was read where nothing has changed since, and with the same numbers where
+    it is made anew: after a state was restored, or an input set; where inputs differ, with other ones."""
+    e = prepared(derived("five_bar"), kernel)
+    plain, restored, again, other = (alfmu.Instance(e) for _ in range(4))
+    name = plain.input_variables[0].name
+    for instance in (plain, restored, again, other):
+        for variable, value in start.items():
+            instance.set(variable, value)
+        instance.initialize()
+        instance.read()
+    for k in range(60):
+        restored.restore(restored.save())
+        again.set(name, again.get(name))
+        other.set(name, 1e-9 * (k + 1))
+        for instance in (plain, restored, again, other):
+            instance.step(e.step_size)
+        assert restored.memory["z"].tobytes() == plain.memory["z"].tobytes() == again.memory["z"].tobytes(), k
+        assert restored.read().tobytes() == plain.read().tobytes() == again.read().tobytes(), k
+    assert not np.array_equal(other.q, plain.q)
+    assert np.allclose(other.q, plain.q, rtol=0, atol=1e-6)
+    shared = restored.counters.evaluations - plain.counters.evaluations
+    if start:
+        assert plain.counters.evaluations == 4 * 60 + 1
+        assert shared == 60
+    assert shared > 40
+
+
+@pytest.mark.parametrize("changed", ["q", "u"])
+def test_a_state_that_was_written_since_it_was_read_is_evaluated_anew(changed):
+    """Positions and inputs that a caller writes into the memory count at the next step."""
+    e = prepared(derived("five_bar"))
+    found = []
+    for reads in (True, False):
+        instance = alfmu.Instance(e)
+        instance.set("start.angle", 1.2)
+        instance.initialize()
+        state = instance.save()
+        if reads:
+            instance.read()
+        else:
+            instance.restore(state)
+        if changed == "q":
+            instance.q[:] *= 1 + 1e-9
+        else:
+            instance.memory["u"][:] = 0.5
+        instance.step(e.step_size)
+        found.append(instance.memory["z"].tobytes())
+    assert found[0] == found[1]
+
+
 def test_what_the_unrolled_loops_cannot_do_is_done_by_loops_that_converge():
     """A penalty of 100 masses needs more iterations than were unrolled: the numbers of the oracle."""
     parameters = {"solver.penalty": 100.0, "solver.max_iterations": 50, "start.angle": 0.4}

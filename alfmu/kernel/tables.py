@@ -76,6 +76,7 @@ HANDED = {
     "impulse": "impulses",
     **_same(" ".join(f"{name}{i}" for name in ("watch", "q", "v") for i in (1, 2, 3, 4))),
     "watch0": "watch0",
+    "read_watch": "read_watch",
 }
 """What the runtime and programs hand to each other, by its name in C."""
 

@@ -243,6 +243,7 @@
     X(v3) \
     X(v4) \
     X(watch0) \
+    X(read_watch) \
     X(dynamics) \
     X(constraints) \
     X(energy) \

@@ -877,7 +877,7 @@ static void memory(Reader *r)
           {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
           {s->watch4, WATCH}, {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n},
           {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->dy, s->readings},
-          {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}};
+          {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}};
     if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS))
         spoil(r, "its memory has %d numbers", s->size);
     if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->near != s->time + 4)

@@ -35,12 +35,13 @@ long advance(Instance *i, long steps, double dt)
     m[s->dt] = dt;
     for (done = 0; done < steps && !ended(i); done++) {
         int tier = m[s->control + CONTROL_TIER] != 0.0;
+        const int onward = done == 0 && tier == 0 && read_here(i);
+        /* So near a singular position a quick step would only be found out. */
+        if (onward && s->branch_step >= 0 && m[s->k + SETTINGS_CONTINUES] != 0.0
+            && i->workspace[s->read_watch + WATCH_NEAR] != 0.0)
+            tier = 2;
         for (;;) {
-            if (tier == 0 && done == 0 && read_here(i)) {
-                i->shared++;
-                run(i, s->onward);
-            } else
-                run(i, tiers[tier]);
+            run(i, onward && tier == 0 ? s->onward : tiers[tier]);
             if (after[s->trouble] == 0.0)
                 break;
             /* Near a singular position no step but that on the branch can be good. */
@@ -52,6 +53,7 @@ long advance(Instance *i, long steps, double dt)
         }
         memcpy(m + s->z, after, state_length(s) * sizeof *m);
         m[s->tally + tier] += 1.0;
+        i->shared += onward && tier == 0;
         if (tier == 2)
             m[s->tally + TALLY_LIMITS] += after[s->near];
     }

@@ -538,7 +538,7 @@ def _ties(e: Equations, tied: Sequence[int]) -> str:
 
 
 _JAVASCRIPT = """const { sqrt, exp, log, expm1, log1p, sin, cos, tan, asin, acos, atan, sinh, cosh, tanh, asinh, acosh,
-    atanh, pow, atan2, hypot, floor, ceil, abs: fabs, min: fmin, max: fmax } = Math;
+    atanh, pow, atan2, hypot, floor, ceil, abs: fabs } = Math;
 """
 
 
