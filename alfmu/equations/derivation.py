@@ -338,7 +338,8 @@ def derive(mechanism: Mechanism) -> Equations:
         raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate")
     q, v, a = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qva")
     locks = [closure for closure in m.closures if isinstance(closure, Lock)]
-    u, p = stack([i.symbol for i in m.inputs]), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
+    inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])
+    u, p = ca.vertcat(inputs, x), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
     s, t = stack([x.symbol for x in m.starts]), m.time
 
     plain = Kinematics(m)
@@ -405,16 +406,19 @@ def derive(mechanism: Mechanism) -> Equations:
         outputs.append(
             Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}")
         )
+    values += [state.symbol for state in m.states]
+    states = [Variable(x.name, x.unit, x.start, description=x.description, nominal=x.nominal) for x in m.states]
+    outputs += states
     values += [o.expression for o in m.outputs]
     outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
     y = stack(values)
-    instant = _depends_on_any(y, ca.vertcat(a, lam, u))
+    instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
 
     guess = _guess(m)
     sdot = ca.SX.sym("sdot", len(m.starts))
     tied, ties = _ties(m)
-    passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if m.inputs else f_applied
+    passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if u.numel() else f_applied
 
     symbols = {"q": q, "v": v, "a": a, "lam": lam, "u": u, "p": p, "t": t, "s": s, "sdot": sdot}
     expressions = {
@@ -431,6 +435,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "potential_energy": V,
         "input_power": ca.dot(f_applied - passive, v),
         "other_power": ca.dot(passive, v),
+        "state_rates": _state_rates(m),
         "readings": y,
         "guess": guess,
         "guess_rate": ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape),
@@ -449,6 +454,7 @@ def derive(mechanism: Mechanism) -> Equations:
         ],
         tied=tied,
         inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
+        states=states,
         outputs=outputs,
         rows=rows,
         lengths=[i for i, row in enumerate(rows) if row.name in {body.unit_length for body in m.spatial_bodies}],
@@ -465,6 +471,17 @@ def derive(mechanism: Mechanism) -> Equations:
     )
     _check_names(m, equations)
     return evaluable(equations)
+
+
+def _state_rates(m: Mechanism) -> ca.SX:
+    """Time derivatives of the states; DeclarationError where one is not declared."""
+    for state in m.states:
+        if state.rate is None:
+            raise DeclarationError(
+                f"{m.name}: the state {state.name} has no rate{m.declared_at(state.name)}; give one, in state() or in "
+                "derivative()"
+            )
+    return stack([state.rate for state in m.states])
 
 
 def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:

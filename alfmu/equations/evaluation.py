@@ -37,6 +37,7 @@ ARGUMENTS = {
         "potential_energy": "q p",
         "input_power": "q v u p t",
         "other_power": "q v p t",
+        "state_rates": "q v u p t",
         "readings": "q v a lam u p t",
         "guess": "p s",
         "guess_rate": "p s sdot",
@@ -55,6 +56,7 @@ EVALUATED = {
     "closure": 2,
     "guesses": 0,
     "displacements": 0,
+    "state_rates": 0,
     "tangents": 4,
 }
 """Functions that run with numbers outside the kernel, and how many of their results are matrices."""
@@ -67,7 +69,7 @@ def symbols(equations: Equations) -> dict[str, ca.SX]:
         "v": equations.n,
         "a": equations.n,
         "lam": equations.l,
-        "u": len(equations.inputs),
+        "u": equations.driven,
         "p": len(equations.parameters) + len(equations.held),
         "t": 1,
         "s": len(equations.starts),
@@ -98,6 +100,8 @@ def evaluable(equations: Equations) -> Equations:
         "guesses": ([p, s, sdot], [e.guess(p, s), e.guess_rate(p, s, sdot)]),
     }
     functions = {"readings": e.readings}
+    if e.states:
+        functions["state_rates"] = e.state_rates
     if e.held:
         functions["displacements"] = e.displacements
     for name, (arguments, values) in results.items():
@@ -168,7 +172,7 @@ def with_tangents(equations: Equations) -> Equations:
     """The same equations with what implicit methods need: derivatives of what (4) and (3) lack at fixed a and lam.
 
     tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n), Xq, Xv (l, n), Rt (n,) by q, v and t of R = F - M a - C' lam and
-    X = xi - C a.
+    X = xi - C a; where there are states x, also Rx (n, x) of R, and Gq, Gv, Gx of their rates.
     """
     if "tangents" in equations.signatures:
         return equations
@@ -177,4 +181,8 @@ def with_tangents(equations: Equations) -> Equations:
     R = e.f(q, v, u, p, t) - e.d(q, v, p) - e.M(q, p) @ a - e.C(q, p).T @ lam
     X = e.xi(q, v, p) - e.C(q, p) @ a
     values = [ca.jacobian(R, q), ca.jacobian(R, v), ca.jacobian(X, q), ca.jacobian(X, v), ca.jacobian(R, t)]
+    if e.states:
+        rates, inputs = e.state_rates(q, v, u, p, t), len(e.inputs)
+        values += [ca.jacobian(R, u)[:, inputs:], ca.jacobian(rates, q), ca.jacobian(rates, v)]
+        values.append(ca.jacobian(rates, u)[:, inputs:])
     return with_functions(e, {"tangents": shared("tangents", [q, v, a, lam, u, p, t], list(map(ca.densify, values)))})

@@ -150,7 +150,7 @@ class Interface:
     """The variables of a scene by causality; value references count through them in this order."""
 
     parameters: list[Variable]
-    """Parameters of the mechanism, start values, start rates, compliances, numbers of the solver."""
+    """Parameters of the mechanism, start values, start rates, compliances, starts of states, numbers of the solver."""
     choices: list[Variable]
     """Solver variables that are text."""
     inputs: list[Variable]
@@ -185,12 +185,17 @@ def variables_of(equations: Equations, settings: Settings | None = None) -> Inte
     e, given = equations, settings or default_settings(equations)
     solver = [replace(v, start=_default(given, v.name)) for v in SOLVER_VARIABLES]
     return Interface(
-        [*e.parameters, *e.starts, *e.start_rates, *e.compliances, *solver],
+        [*e.parameters, *e.starts, *e.start_rates, *e.compliances, *state_starts(e), *solver],
         choices({name: getattr(given, setting(name)) for name in CHOICES}),
         [*e.inputs],
         [Variable(s.name, "1", float(s.start), description=s.description, type="Boolean") for s in e.switches],
         [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors), *events(e)],
     )
+
+
+def state_starts(equations: Equations) -> list[Variable]:
+    """The parameters that give states their values at the start."""
+    return [replace(v, name=f"start.{v.name}", description=f"{v.name} at the start") for v in equations.states]
 
 
 def setting(name: str) -> str:

@@ -36,6 +36,8 @@ class Variable(Brief):
     """FMI type: Real, Integer, Boolean or String."""
     instant: bool = False
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
+    nominal: float | None = None
+    """What a large value is, where one is declared."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -76,7 +78,7 @@ class Mobility:
 
 _TUPLES = (
     *("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs", "rows"),
-    *("compliances", "switches"),
+    *("compliances", "switches", "states"),
 )
 """Fields of equations that users read."""
 
@@ -85,8 +87,8 @@ _TUPLES = (
 class Equations:
     """The equations that `alfmu.derive` found of a mechanism with n coordinates and l constraints.
 
-    `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs), p (parameters), s (start values)
-    and t (s); the name of each is the paper's letter or the quantity:
+    `functions` holds CasADi functions of q (n,), v (n,), a (n,), lam (l,), u (inputs, and behind them the states x),
+    p (parameters), s (start values) and t (s); the name of each is the paper's letter or the quantity:
 
     ===============================  ======================================================  ======================
     M(q, p)                          mass matrix (n, n)                                      kinetic energy v'Mv/2
@@ -100,8 +102,9 @@ class Equations:
     gaps_matrix(q, p)                its derivative (l, n)
     kinetic_energy(q, v, p)          J
     potential_energy(q, p)           J
-    input_power(q, v, u, p, t)       power of the inputs, W
+    input_power(q, v, u, p, t)       power of the inputs and states, W
     other_power(q, v, p, t)          power of dampers and loads, W
+    state_rates(q, v, u, p, t)       time derivatives of the states
     readings(q, v, a, lam, u, p, t)  everything a user can read, in the order of `outputs`
     guess(p, s)                      start of the position assembly (n,)
     guess_rate(p, s, sdot)           its time derivative (n,)
@@ -163,6 +166,8 @@ class Equations:
     """Boolean inputs that change the topology."""
     held: list[str] = field(default_factory=list)
     """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them."""
+    states: Sequence[Variable] = ()
+    """Quantities of first-order equations that are integrated with the motion; `start` is their value at the start."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""
@@ -189,6 +194,11 @@ class Equations:
     def l(self) -> int:  # noqa: E743 - the paper's letter
         """Number of constraints."""
         return len(self.rows)
+
+    @property
+    def driven(self) -> int:
+        """Length of u: inputs, and behind them states."""
+        return len(self.inputs) + len(self.states)
 
     @property
     def turns(self) -> bool:

@@ -137,7 +137,7 @@ class _Step:
 
     def end(self, watches: Sequence[str], order: int, kept: Sequence[str] = ()) -> None:
         """The state after the step and what step control remembers; `kept` is the history and what is new of it."""
-        names = ["z", "pace", "arrival", "q", "v", "work", "p", "k", "error", *watches]
+        names = [*"z pace arrival q v work".split(), *self.tracer.states, "p", "k", "error", *watches]
         if self.e.l:
             names += ["pivot", "left"]
         if self.plan.branch or self.by_constraints:
@@ -187,19 +187,19 @@ class _Explicit(_Step):
         settled: list[str] = []
 
         def settle(y: SX) -> SX:
-            after = y[:n], y[n : 2 * n], y[2 * n]
-            calls(f"{self.mark}_sum", spaced("z step", rates), "q v work", lambda *_: after)
+            after = y[:n], y[n : 2 * n], *self.tracer.parted(y[2 * n :])
+            names = ["q", "v", "work", *self.tracer.states]
+            calls(f"{self.mark}_sum", spaced("z step", rates), spaced(names), lambda *_: after)
             self.project()
-            settled.extend(["q", "v", "work"])
+            settled.extend(names)
             return ca.vertcat(*map(scene.symbol, settled))
 
         rate = self.tracer.rate(calls, f"{self.mark}_stage", rates, settled, "step")
-        start = ca.vertcat(z[: 2 * n], z[layout.work])
-        _, [error], _ = explicit(rule, rate, z[layout.time], start, dt, None, settle)
+        _, [error], _ = explicit(rule, rate, z[layout.time], self.tracer.begun(z), dt, None, settle)
         for i in range(len(rates) * self.by_constraints):
             calls("irregular", f"q{i + 1} p k", f"zone{i + 1}", scene.irregular)
         q, v = scene.symbol("q"), scene.symbol("v")
-        known = spaced("z step", rates, "q v p k")
+        known = spaced("z step", rates, "q v", self.tracer.states, "p k")
         if not self.plan.gaining:
             least = None
         else:
@@ -209,7 +209,8 @@ class _Explicit(_Step):
         if allowed:
             share = getattr(scene.settings, allowed)
             error, least = error / share, None if least is None else least / share
-        calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error, least))
+        states = (scene.symbol("x"), error[2 * n + 1 :]) if self.e.states else ()
+        calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error, least, *states))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return Program(calls.steps, self.plan, rule.name, len(rates))
 
@@ -225,27 +226,61 @@ class _Explicit(_Step):
 
 
 class _Implicit(_Step):
-    """What methods with Newton's method have."""
+    """What methods with Newton's method have.
+
+    States count behind the velocities, as those of masses of 1, and their rates behind the accelerations: `side` of
+    them in all. What such masses have moved by is nowhere asked for.
+    """
+
+    def __init__(self, tracer: Tracer, plan: Plan, mark: str = "method", name: str = ""):
+        super().__init__(tracer, plan, mark, name)
+        self.moved = SX(len(self.e.states), 1)
+        self.side = self.e.n + len(self.e.states)
+        alike = "guess dq dv change w after_w dx rates_of begun"
+        tracer.lengths |= dict.fromkeys(alike.split(), self.side)
 
     def inputs(self, i: str) -> str:
-        """Name of the inputs at a place."""
-        return f"u{i}" if self.tracer.order else "u"
+        """Name of the inputs at a place, with the states there."""
+        return f"given{i}" if self.e.states else f"u{i}" if self.tracer.order else "u"
+
+    def at(self, z: SX) -> tuple[SX, SX]:
+        """Positions and velocities of z, with the states."""
+        n, layout = self.e.n, self.layout
+        return ca.vertcat(z[:n], self.moved), ca.vertcat(z[n : 2 * n], z[layout.states : layout.time])
+
+    def parted(self, q: SX, v: SX) -> tuple[SX, ...]:
+        """q and v, and the states where there are any."""
+        n = self.e.n
+        return (q[:n], v[:n], v[n:]) if self.e.states else (q, v)
+
+    def named(self, names: str, i: str) -> str:
+        """Names of values with i in them, and that of the states there."""
+        return spaced([f"{x}{i}" for x in (*names.split(), *self.tracer.states)])
 
     def start(self) -> None:
         """An evaluation where the step begins."""
-        n, time = self.e.n, self.layout.time
-        self.calls("unpack_method", "z", "t0 q0 v0", lambda z: (z[time], z[:n], z[n : 2 * n]))
+        time = self.layout.time
+        results = self.named("t q v", "0")
+        self.calls("unpack_method", "z", results, lambda z: (z[time], *self.parted(*self.at(z))))
         self.evaluate(self.calls, "0")
 
     def evaluate(self, calls: Calls, i: str) -> None:
-        """a, lam, power and watch of a place, with the inputs at its time."""
-        self.tracer.evaluation(calls, i, {"u": self.tracer.inputs(calls, i)})
+        """a, lam, power and watch of a place, with the inputs at its time; the rates of all behind a."""
+        u = self.tracer.inputs(calls, i)
+        self.tracer.evaluation(calls, i, {"u": u})
+        if self.e.states:
+            calls.made.append(Call("state_rates", (f"q{i}", f"v{i}", u, "p", f"t{i}"), (f"xdot{i}",)))
+            calls("rates_of", f"a{i} xdot{i}", f"rates_of{i}", ca.vertcat)
+
+    def rates_of(self, i: str) -> str:
+        """The name of the accelerations of a place, and of the rates of states behind them."""
+        return f"rates_of{i}" if self.e.states else f"a{i}"
 
     def factor(self, calls: Calls, weights: str, parts: Sequence[str], to: str, count: int) -> None:
-        calls.made.append(Factor((weights, *parts), (to, f"{to}_order"), self.e.n, count))
+        calls.made.append(Factor((weights, *parts), (to, f"{to}_order"), self.side, count))
 
     def solve(self, calls: Calls, factors: str, right: Sequence[str], to: str) -> None:
-        calls.made.append(Solve((factors, f"{factors}_order", *right), (to,), self.e.n, len(right)))
+        calls.made.append(Solve((factors, f"{factors}_order", *right), (to,), self.side, len(right)))
 
 
 class _Collocation(_Implicit):
@@ -254,11 +289,11 @@ class _Collocation(_Implicit):
     def __init__(self, tracer: Tracer, plan: Plan, rule: Collocation):
         super().__init__(tracer, plan)
         self.rule, self.nodes = rule, [str(i + 1) for i in range(len(rule.nodes))]
-        self.count = self.e.n * len(rule.nodes)
+        self.count = self.side * len(rule.nodes)
         tracer.lengths |= dict.fromkeys(("history", "rates", "changes"), self.count)
 
     def program(self) -> Program:
-        n, rule, calls, s = self.e.n, self.rule, self.calls, len(self.nodes)
+        side, rule, calls, s = self.side, self.rule, self.calls, len(self.nodes)
         self.begin()
         self.start()
         self.stiff(calls, "0")
@@ -267,10 +302,10 @@ class _Collocation(_Implicit):
 
         def guess(pace: SX, dt: SX, history: SX, a0: SX) -> tuple[SX, SX]:
             last = pace[PACE.index("last")]
-            there = ca.vertcat(*continued(rule, ca.vertsplit(history, n), dt / last))
+            there = ca.vertcat(*continued(rule, ca.vertsplit(history, side), dt / last))
             return ca.if_else(last, there, ca.repmat(a0, s)), SX(1)
 
-        calls("guess_rates", "pace step history a0", "rates renew", guess)
+        calls("guess_rates", f"pace step history {self.rates_of('0')}", "rates renew", guess)
         outer, again = calls.inside(), calls.inside()
         self._pass(outer, fresh=True)
         self._pass(again, fresh=False)
@@ -290,26 +325,26 @@ class _Collocation(_Implicit):
         calls("stiffness", f"t{i} q{i} v{i} a{i} lam{i} {self.inputs(i)} p k M C", f"H{i} Q{i} V{i}", found)
 
     def _place(self, calls: Calls, i: str) -> None:
-        """Time, q and v at a node, and the acceleration that they were found with."""
-        n, number, rule = self.e.n, int(i) - 1, self.rule
+        """Time, q and v at a node, and the acceleration that they were found with; with states and their rates."""
+        number, rule = int(i) - 1, self.rule
 
         def found(z: SX, dt: SX, rates: SX) -> tuple[SX, ...]:
-            each = ca.vertsplit(rates, n)
-            q, v = implicit.at_node(rule, number, dt, z[:n], z[n : 2 * n], each)
-            return z[self.layout.time] + rule.nodes[number] * dt, q, v, each[number]
+            each = ca.vertsplit(rates, self.side)
+            known = self.parted(*implicit.at_node(rule, number, dt, *self.at(z), each))
+            return z[self.layout.time] + rule.nodes[number] * dt, *known, each[number]
 
-        calls(f"node{i}", "z step rates", f"t{i} q{i} v{i} guess{i}", found)
+        calls(f"node{i}", "z step rates", spaced(self.named("t q v", i), f"guess{i}"), found)
 
     def _pass(self, calls: Calls, fresh: bool) -> None:
         """A pass of Newton's method: accelerations at all nodes, and what they change."""
-        n = self.e.n
+        side = self.side
         for i in self.nodes:
             self._place(calls, i)
             self.evaluate(calls, i)
             if fresh:
                 self.stiff(calls, i)
-            known = f"a{i} guess{i} H{i}"
-            calls("lacking", known, f"lacking{i}", lambda a, guess, H: ca.reshape(H, n, n) @ (a - guess))
+            known = f"{self.rates_of(i)} guess{i} H{i}"
+            calls("lacking", known, f"lacking{i}", lambda a, guess, H: ca.reshape(H, side, side) @ (a - guess))
         if fresh:
 
             def weights(dt: SX) -> tuple[SX, SX]:
@@ -322,9 +357,12 @@ class _Collocation(_Implicit):
 
     def _passed(self, z: SX, step: SX, rates: SX, changes: SX, before: SX, passes: SX) -> tuple[SX, ...]:
         """Rates, whether to go on, whether tangents have to be renewed, the change, passes."""
-        n, parts = self.e.n, ca.vertsplit(changes, self.e.n)
+        n, layout, parts = self.e.n, self.layout, ca.vertsplit(changes, self.side)
         allowed = self.scene.allowed(ca.fabs(z[: 2 * n]))
-        sizes = [step * combined(row, parts) for row in self.rule.matrix], parts
+        if self.e.states:
+            allowed = ca.vertcat(allowed, self.scene.allowed_states(ca.fabs(z[layout.states : layout.time])))
+        # What q changes by, and behind it what v and the states do.
+        sizes = [step * combined(row, parts)[:n] for row in self.rule.matrix], parts
         change = ca.mmax(ca.vertcat(*(ca.fabs(step * ca.vertcat(*x) / allowed) for x in zip(*sizes, strict=True))))
         finite = ca.sumsqr(changes) < math.inf
         converged, worth = newton(change, before, ca.if_else)
@@ -333,7 +371,7 @@ class _Collocation(_Implicit):
 
     def _sum(self) -> None:
         """q, v and work after the step."""
-        n, rule, powers = self.e.n, self.rule, []
+        rule, powers = self.rule, []
         if self.e.works:
             for i in self.nodes:
                 self._place(self.calls, i)
@@ -341,37 +379,39 @@ class _Collocation(_Implicit):
                 self.calls.made.append(Call("power", known, (f"power{i}",)))
             powers = [f"power{i}" for i in self.nodes]
 
-        def found(z: SX, dt: SX, rates: SX, *powers: SX) -> tuple[SX, SX, SX]:
-            q, v = implicit.at_node(rule, -1, dt, z[:n], z[n : 2 * n], ca.vertsplit(rates, n))
+        def found(z: SX, dt: SX, rates: SX, *powers: SX) -> tuple[SX, ...]:
+            q, v, *x = self.parted(*implicit.at_node(rule, -1, dt, *self.at(z), ca.vertsplit(rates, self.side)))
             work = z[self.layout.work]
-            return q, v, work + dt * combined(rule.matrix[-1], list(powers)) if powers else work
+            return q, v, work + dt * combined(rule.matrix[-1], list(powers)) if powers else work, *x
 
-        self.calls("method_sum", spaced("z step rates", powers), "q v work", found)
+        self.calls("method_sum", spaced("z step rates", powers), spaced("q v work", self.tracer.states), found)
 
     def _judge(self) -> None:
         """The error of the step, filtered twice as in `alfmu.method.stepping.collocation_error`."""
-        n, rule, calls, scene = self.e.n, self.rule, self.calls, self.scene
+        n, side, rule, calls, scene = self.e.n, self.side, self.rule, self.calls, self.scene
 
         def first(z: SX, dt: SX, rates: SX, a0: SX) -> list[SX]:
-            q0, v0, each = z[:n], z[n : 2 * n], ca.vertsplit(rates, n)
+            (q0, v0), each = self.at(z), ca.vertsplit(rates, side)
             velocities = [implicit.at_node(rule, i, dt, q0, v0, each)[1] for i in range(len(each))]
             begins = (v0, velocities), (a0, each)
             return [dt * (rule.gamma * begin + combined(rule.errors, x)) for begin, x in begins]
 
         def filtering(dt: SX, H: SX, Q: SX, dq: SX, dv: SX) -> SX:
-            return ca.reshape(H, n, n) @ dv + rule.gamma * dt * (ca.reshape(Q, n, n) @ dq)
+            return ca.reshape(H, side, side) @ dv + rule.gamma * dt * (ca.reshape(Q, side, side) @ dq)
 
-        def size(z: SX, q: SX, v: SX, dq: SX, dv: SX, renew: SX) -> tuple[SX, SX]:
-            size, floor = scene.error_size(z, q, v, ca.vertcat(dq, dv))
+        def size(z: SX, q: SX, v: SX, *known: SX) -> tuple[SX, SX]:
+            *x, dq, dv, renew = known
+            states = (None, *x, dv[n:]) if x else ()
+            size, floor = scene.error_size(z, q, v, ca.vertcat(dq[:n], dv[:n]), *states)
             return ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf), floor
 
-        calls("estimate", "z step rates a0", "dq dv", first)
+        calls("estimate", f"z step rates {self.rates_of('0')}", "dq dv", first)
         for _ in range(2):
             calls("filtering", "step H0 Q0 dq dv", "estimate", filtering)
             self.solve(calls, "filtered", ["estimate"], "dv")
             calls("moving", "step dq dv", "dq", lambda dt, dq, dv: dq + rule.gamma * dt * dv)
         self.project()
-        calls("method_error", "z q v dq dv renew p k", "error floor", size)
+        calls("method_error", spaced("z q v", self.tracer.states, "dq dv renew p k"), "error floor", size)
 
 
 class _Newmark(_Implicit):
@@ -382,11 +422,11 @@ class _Newmark(_Implicit):
 
     def __init__(self, tracer: Tracer, plan: Plan, rule: implicit.Newmark):
         super().__init__(tracer, plan)
-        self.rule, self.count = rule, 2 * self.e.n + self.e.l
+        self.rule, self.count = rule, 2 * self.side + self.e.l
         tracer.lengths |= dict.fromkeys(("history", "kept"), self.count)
 
     def program(self) -> Program:
-        n, l, calls = self.e.n, self.e.l, self.calls
+        n, l, calls = self.side, self.e.l, self.calls
         self.begin()
         self.start()
 
@@ -394,7 +434,7 @@ class _Newmark(_Implicit):
             begun = ca.if_else(pace[PACE.index("last")], history, ca.vertcat(a0, a0, lam0))
             return *ca.vertsplit(begun, [0, n, 2 * n, 2 * n + l]), SX.zeros(n), SX(1)
 
-        calls("start", "pace history a0 lam0", "a w force change go", start)
+        calls("start", f"pace history {self.rates_of('0')} lam0", "begun w force change go", start)
         again = calls.inside()
         self._pass(again)
         calls.made.append(Loop("go", NEWMARK_PASSES, again.steps))
@@ -408,12 +448,12 @@ class _Newmark(_Implicit):
 
     def _moved(self, calls: Calls) -> None:
         """Time, q, v and the accelerations of the rule after the step."""
-        n = self.e.n
 
         def found(z: SX, dt: SX, w: SX, a: SX, change: SX) -> tuple[SX, ...]:
-            return z[self.layout.time] + dt, *implicit.moved(self.rule, dt, z[:n], z[n : 2 * n], w, a, change)
+            q, v, after = implicit.moved(self.rule, dt, *self.at(z), w, a, change)
+            return z[self.layout.time] + dt, *self.parted(q, v), after
 
-        calls("moved", "z step w a change", "t1 q1 v1 after_w", found)
+        calls("moved", "z step w begun change", spaced(self.named("t q v", "1"), "after_w"), found)
 
     def _pass(self, calls: Calls) -> None:
         """A pass of Newton's method, with new tangents."""
@@ -425,7 +465,7 @@ class _Newmark(_Implicit):
             *tangents, C, Phi, right = scene.positions(rule, dt, t, q, v, a + change, lam, u)
             return [*(ca.vec(ca.densify(x)) for x in tangents), C, Phi, right]
 
-        calls("positions", f"t1 q1 v1 a change force {u} p k step", "H Rq Rv rows Phi right", found)
+        calls("positions", f"t1 q1 v1 begun change force {u} p k step", "H Rq Rv rows Phi right", found)
         calls("weights", "step", "weights", lambda dt: _flat(implicit.position_weights(rule, dt)))
         self.factor(calls, "weights", ["H", "Rq", "Rv"], "factors", 1)
         self.solve(calls, "factors", ["right"], "dq")
@@ -433,12 +473,16 @@ class _Newmark(_Implicit):
 
     def _passed(self, z: SX, dt: SX, C: SX, Phi: SX, dq: SX, change: SX, lam: SX, passes: SX) -> tuple[SX, ...]:
         """The change of accelerations, multipliers, whether to go on, how much that changed, passes."""
-        n, l = self.e.n, self.e.l
+        n, l, layout = self.e.n, self.e.l, self.layout
         _, by_a = implicit.changes(self.rule, dt)
-        size = ca.mmax(ca.fabs(dq) / ca.fmax(ca.fabs(z[:n]), 1))
+        size = ca.mmax(ca.fabs(dq[:n]) / ca.fmax(ca.fabs(z[:n]), 1))
+        if self.e.states:  # What their masses moved by is that over the step.
+            nominal = ca.DM([v.nominal for v in self.e.states])
+            x = ca.fmax(ca.fabs(z[layout.states : layout.time]), nominal)
+            size = ca.fmax(size, ca.mmax(ca.fabs(dq[n:]) / (dt * x)))
         size = ca.if_else(ca.sumsqr(dq) < math.inf, size, math.inf)
         if l:
-            lam = lam + by_a * (self.scene.weights @ (Phi + ca.reshape(C, l, n) @ dq))
+            lam = lam + by_a * (self.scene.weights @ (Phi + ca.reshape(C, l, n) @ dq[:n]))
         go = ca.logic_and(size > implicit.CONVERGED, size < math.inf)
         return change + by_a * dq, lam, go, size, passes + 1
 
@@ -448,11 +492,12 @@ class _Newmark(_Implicit):
 
         def right(*known: SX) -> SX:
             *known, C = known
-            return method.project(ca.reshape(C, l, n), weights, lambda b: b, residue(*known))
+            right = method.project(ca.reshape(C, l, n), weights, lambda b: b, residue(*known))
+            return ca.vertcat(right, self.moved)
 
         self.calls(name, f"{known} rows p k", "right", right)
         self.solve(self.calls, "factors", ["right"], "dx")
-        self.calls("corrected", f"{what} dx", what, lambda x, dx: x + dx)
+        self.calls("corrected", f"{what} dx", what, lambda x, dx: x + dx[:n])
 
     def _settled(self) -> None:
         """q, v, the accelerations that the next step begins with, work, and what tells whether all that was enough."""
@@ -463,9 +508,9 @@ class _Newmark(_Implicit):
             power, (_, pivot, left) = scene.power(t, q, v, u), scene.settled(q, v, 0)
             return (q, v, power, pivot, left) if l else (q, v, power)
 
-        def nearest(t: SX, q: SX, v: SX, a: SX, change: SX, w: SX, lam: SX, u: SX) -> tuple[SX, SX]:
-            found, watch = scene.nearest(plan, t, q, v, u, a + change)
-            return ca.vertcat(found, w, lam), watch
+        def nearest(t: SX, q: SX, v: SX, a: SX, change: SX, w: SX, lam: SX, u: SX, *rates: SX) -> tuple[SX, SX]:
+            found, watch = scene.nearest(plan, t, q, v, u, (a + change)[: self.e.n])
+            return ca.vertcat(found, *rates, w, lam), watch
 
         def summed(z: SX, dt: SX, power0: SX, power1: SX, size: SX) -> tuple[SX, SX, SX]:
             work = z[self.layout.work] + dt / 2 * (power0 + power1)
@@ -474,7 +519,12 @@ class _Newmark(_Implicit):
 
         calls("arrived", f"t1 q1 v1 {u} p k", "q v power1" + " pivot left" * bool(l), arrived)
         # Of all accelerations that keep the constraints, the nearest in the metric of M.
-        calls("nearest", f"t1 q1 v1 a change after_w force {u} p k", "kept watch1", nearest)
+        rates = ""
+        if self.e.states:
+            rates = "xdot1"
+            calls.made.append(Call("state_rates", ("q1", "v1", u, "p", "t1"), (rates,)))
+            calls("states_after", "x1", "x", lambda x: x)
+        calls("nearest", spaced(f"t1 q1 v1 begun change after_w force {u}", rates, "p k"), "kept watch1", nearest)
         calls("method_sum", "z step power0 power1 size", "work error floor", summed)
 
 

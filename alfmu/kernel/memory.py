@@ -66,8 +66,8 @@ class Layout:
     """Where things stand in the one array of doubles of an instance; every name maps to (offset, length).
 
     ========  ==========================================================================================
-    z         state: q, v, unwrapped angles, work, time, and from the last step: trouble (number of checks
-              that failed), change (of accelerations in the last iteration, squared over their size; of a step
+    z         state: q, v, unwrapped angles, work, states x, time, and from the last step: trouble (number of
+              checks that failed), change (of accelerations in the last iteration, squared over their size; of a step
               with error control its error over the tolerance), pivot
               (smallest of the augmented mass over alpha), near (stages too near a singular position; in a
               step on the branch those in which a limit was taken)
@@ -94,7 +94,8 @@ class Layout:
         self.l: int = e.l
         self.angles: int = len(e.wrapped)
         self.work: int = 2 * e.n + self.angles
-        self.time: int = self.work + 1
+        self.states: int = self.work + 1
+        self.time: int = self.states + len(e.states)
         self.trouble: int = self.time + 1
         self.change: int = self.trouble + 1
         self.pivot: int = self.change + 1

@@ -144,7 +144,7 @@ class _Patient(Alternatives):
 
     def impact(self, plan: Plan) -> Program:
         """The velocity after constraints came into force, the impulses of all, and the energy that was lost."""
-        e, calls, nothing = self.e, Calls(self, plan), SX(len(self.e.inputs), 1)
+        e, calls, nothing = self.e, Calls(self, plan), SX(self.e.driven, 1)
         scene = calls.scene
 
         def begun(z: SX) -> list[SX]:
@@ -166,8 +166,9 @@ class _Patient(Alternatives):
         """How outputs change with the inputs in the direction `du`: accelerations and multipliers by one more solve."""
         calls = Calls(self, plan)
         self._unpacked(calls)
-        self.evaluation(calls, "0")
-        self._forced(calls, "t0", "0")
+        u = self.here(calls)
+        self.evaluation(calls, "0", {"u": u})
+        self._forced(calls, "t0", "0", u)
         self._changed(calls, "a0 lam0 da0 dlam0")
         return Program(calls.steps)
 
@@ -176,11 +177,12 @@ class _Patient(Alternatives):
         calls, count = Calls(self, plan), len(branch.READ_MEAN)
         scene = calls.scene
         self._unpacked_limit(calls)
+        u = self.here(calls)
         self._read_places(calls, [f"place{j}" for j in range(count)])
         for j in range(count):
-            self._beside(calls, f"place{j}", str(j))
-            self._forced(calls, "tz", str(j))
-        self.evaluation(calls, "l", {"tl": "tz", "ql": "qz", "vl": "vz"})
+            self._beside(calls, f"place{j}", str(j), u)
+            self._forced(calls, "tz", str(j), u)
+        self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
 
         def derived(*known: SX) -> tuple[SX, ...]:
             values, watches, changes = known[: 2 * count], known[2 * count : 3 * count + 1], known[3 * count + 1 :]
@@ -195,17 +197,20 @@ class _Patient(Alternatives):
         self._changed(calls, "al laml dal dlaml")
         return Program(calls.steps)
 
-    def _forced(self, calls: Calls, time: str, i: str) -> None:
-        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam of least norm."""
+    def _forced(self, calls: Calls, time: str, i: str, given: str) -> None:
+        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam of least norm.
+
+        `given` is the name of the inputs, and of the states behind them, which stay as they are.
+        """
         e, scene = self.e, calls.scene
 
         def forces(t: SX, q: SX, v: SX, u: SX, du: SX) -> tuple[SX, ...]:
-            F = ca.jtimes(scene.terms(t, q, v, u)[2], u, du)
+            F = ca.jtimes(scene.terms(t, q, v, u)[2], u, ca.vertcat(du, SX(len(e.states), 1)))
             return F, *(SX(size, 1) for size in (e.l, e.n, e.l, len(Watch._fields)))
 
         if self.redundant:
             self._least(calls, f"lam{i}")
-        calls("forced", f"{time} q0 v0 u p k du", f"F xi da{i} dlam{i} dwatch", forces)
+        calls("forced", f"{time} q0 v0 {given} p k du", f"F xi da{i} dlam{i} dwatch", forces)
         self._iterate(calls, f"da{i}", f"dlam{i}", "dwatch")
         if self.redundant:
             self._least(calls, f"dlam{i}")
@@ -216,7 +221,7 @@ class _Patient(Alternatives):
 
         def reading(z: SX, u: SX, du: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
             t, q, v = self._position(z)
-            y = e.readings(q, v, a, lam / scene.scale, u, scene.p, t)
+            y = e.readings(q, v, a, lam / scene.scale, scene.given(z, u), scene.p, t)
             return ca.jtimes(y, ca.vertcat(a, lam, u), ca.vertcat(da, dlam, du))
 
         calls("sensitivity", f"z u p k du {found}", "dy", reading)

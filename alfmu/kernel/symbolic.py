@@ -102,8 +102,10 @@ def lengths_of(equations: Equations) -> dict[str, int]:
         "past": memory_size(inputs),
         "soft": found["k"],
         "slopes": 1 + inputs,
-        "rate": 2 * n + 1,
-        "H Q": n * n,
+        "rate": 2 * n + 1 + len(e.states),
+        "x xdot": len(e.states),
+        "given known": e.driven,
+        "H Q": (n + len(e.states)) ** 2,
         "rows": l * n,
         "system_solution": n + l,
     }
@@ -282,18 +284,40 @@ class Scene:
 
     # Implicit methods ----------------------------------------------------------------------------------------------
 
+    def given(self, z: SX, u: SX) -> SX:
+        """Inputs, and behind them the states of z: what the equations call u."""
+        layout = Layout(self.e)
+        return ca.vertcat(u, z[layout.states : layout.time]) if self.e.states else u
+
     def stiffness(self, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX, M: SX, C: SX) -> tuple[SX, SX, SX]:
-        """H, Q, V of `alfmu.method.implicit.stiffness`."""
+        """H, Q, V of `alfmu.method.implicit.stiffness`; states count behind v, as velocities of masses of 1."""
         tangents = self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)
         Rq, Rv, Xq, Xv = map(ca.sparsify, tangents[:4])
-        return implicit.stiffness(self.augmented_mass(M, C), C, self.weights, self.scale * Rq, self.scale * Rv, Xq, Xv)
+        H = self.augmented_mass(M, C)
+        found = implicit.stiffness(H, C, self.weights, self.scale * Rq, self.scale * Rv, Xq, Xv)
+        return self.beside_states(*found, *map(ca.sparsify, tangents[5:])) if self.e.states else found
+
+    def beside_states(self, H: SX, Q: SX, V: SX, Rx: SX, Gq: SX, Gv: SX, Gx: SX) -> tuple[SX, SX, SX]:
+        """The same matrices with rows and columns for states, which are no displacements."""
+        n, count, s = self.e.n, len(self.e.states), self.scale
+        Q = ca.blockcat([[Q, SX(n, count)], [s * Gq, SX(count, count)]])
+        return ca.diagcat(H, s * SX.eye(count)), Q, ca.blockcat([[V, s * Rx], [s * Gv, s * Gx]])
 
     def positions(self, rule: Newmark, dt: SX, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX) -> tuple[SX, ...]:
-        """H, Rq, Rv, C (by columns), Phi and the right-hand side of `method.implicit.position_step`."""
+        """H, Rq, Rv, C (by columns), Phi and the right-hand side of `method.implicit.position_step`.
+
+        Behind the accelerations a are the rates of states, as in `stiffness`.
+        """
         M, C, F, _ = self.terms(t, q, v, u)
         Phi = self.e.Phi(q, self.p)
-        Rq, Rv = (self.scale * ca.sparsify(x) for x in self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)[:2])
-        R = F - M @ a - C.T @ lam
+        a, rates = (a[: self.e.n], a[self.e.n :]) if self.e.states else (a, None)
+        tangents = self.e.tangents(q, v, a, lam / self.scale, u, self.p, t)
+        Rq, Rv = (self.scale * ca.sparsify(x) for x in tangents[:2])
+        R, H, rows = F - M @ a - C.T @ lam, self.augmented_mass(M, C), ca.vec(ca.densify(C))
+        if rates is not None:
+            R = ca.vertcat(R, self.scale * (self.e.state_rates(q, v, u, self.p, t) - rates))
+            H, Rq, Rv = self.beside_states(H, Rq, Rv, *map(ca.sparsify, tangents[5:]))
+            M, C = ca.diagcat(M, self.scale * SX.eye(rates.numel())), ca.horzcat(C, SX(self.e.l, rates.numel()))
         right: list[SX] = []
 
         def divide(A: SX, b: SX) -> SX:
@@ -301,7 +325,7 @@ class Scene:
             return b
 
         implicit.position_step(M, C, Phi, R, Rq, Rv, self.weights, rule, dt, divide)
-        return self.augmented_mass(M, C), Rq, Rv, ca.vec(ca.densify(C)), Phi, *right
+        return H, Rq, Rv, rows, Phi, *right
 
     # Multipliers where constraints are redundant -------------------------------------------------------------------
 
@@ -488,9 +512,16 @@ class Scene:
         """Whether q and v with these residues (squared) do not."""
         return 1 - self._within(left[0], q) * self._within(left[1], v)
 
-    def error_size(self, z: SX, q: SX, v: SX, error: SX, least: SX | None = None) -> tuple[SX, SX]:
+    def error_size(
+        self, z: SX, q: SX, v: SX, error: SX, least: SX | None = None, x: SX | None = None, change: SX | None = None
+    ) -> tuple[SX, SX]:
         """Largest error of the constrained state beyond `least` (2 n), which is none, over the tolerance or over that
-        where it is more; and `least` over the tolerance at most."""
+        where it is more; and `least` over the tolerance at most. `x` are the states and `change` their error."""
+        if x is not None:
+            layout = Layout(self.e)
+            size, floor = self.error_size(z, q, v, error, least)
+            larger = ca.fmax(ca.fabs(z[layout.states : layout.time]), ca.fabs(x))
+            return ca.fmax(size, ca.mmax(ca.fabs(change) / self.allowed_states(larger))), floor
         n = self.e.n
         parts = error[:n], error[n : 2 * n]
         if self.e.l:
@@ -519,6 +550,11 @@ class Scene:
                 larger[i] = ca.fmin(larger[i], 1)
         return self.settings.absolute + self.settings.relative * ca.vertcat(*larger)
 
+    def allowed_states(self, sizes: SX) -> SX:
+        """Tolerance of states of given sizes."""
+        nominal = ca.DM([v.nominal for v in self.e.states])
+        return self.settings.absolute * nominal + self.settings.relative * sizes
+
     def closed(self, plan: Plan, names: Iterable[str]) -> SX:
         """The state after a step from these values; its `trouble` counts failed checks, each a comparison that NaN
         fails."""
@@ -541,12 +577,15 @@ class Scene:
                 trouble += 1 - self._within(residue, x)
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
+        x = known.get("x", SX(0, 1))
+        if e.states:
+            trouble += 1 - (ca.sumsqr(x) < math.inf)
         turned = (q - z[: e.n])[[i for i, c in enumerate(e.coordinates) if c.unit == "rad"]]
         trouble += 1 - (ca.sumsqr(turned) <= TURN**2)
         change = known.get("error", sum(x.change for x in evaluations) / (evaluations[0].size + _TINY))
         angles = self._unwrapped(q, z[2 * e.n : layout.work])
         arrival = known["arrival"] if "arrival" in known else z[layout.time] + known["dt"]
-        return ca.vertcat(q, v, angles, work, arrival, z[layout.trouble] + trouble, change, pivot, near)
+        return ca.vertcat(q, v, angles, work, x, arrival, z[layout.trouble] + trouble, change, pivot, near)
 
     # What is read --------------------------------------------------------------------------------------------------
 
@@ -567,7 +606,7 @@ class Scene:
         q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
         if watch is None:
             a, lam = self._at_rest()
-        readings = e.readings(q, v, a, lam / self.scale, u, p, t)
+        readings = e.readings(q, v, a, lam / self.scale, self.given(z, u), p, t)
         names = {o.name: i for i, o in enumerate(e.outputs)}
         for name, angle in zip(e.wrapped, ca.vertsplit(self._unwrapped(q, angles)), strict=False):
             readings[names[name]] = angle
@@ -639,7 +678,7 @@ class Scene:
         e, q = self.e, SX.sym("q", self.e.n)
         if e.n > DENSE:
             return {}
-        M, C, _, _ = self.terms(SX(0), q, q, SX.zeros(len(e.inputs)))
+        M, C, _, _ = self.terms(SX(0), q, q, SX.zeros(e.driven))
         H = method.augmented_mass(M, C, self.weights)
         entries = ca.vertcat(*H.nonzeros())
         still = ca.substitute(entries, q, SX.zeros(e.n))

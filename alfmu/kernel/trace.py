@@ -118,7 +118,7 @@ class Tracer:
         """An internal step of RK4 with projection."""
         calls = Calls(self, plan)
         rates = self._moved(calls)
-        closing = ["z", "dt", "q", "v", "work", "p", "k", *(f"watch{i + 1}" for i in range(len(rates)))]
+        closing = [*"z dt q v work".split(), *self.states, "p", "k", *(f"watch{i + 1}" for i in range(len(rates)))]
         if self.e.l:
             (self._projected if plan.corrections > 1 else self.correct)(calls)
             closing += ["pivot", "left"]
@@ -133,9 +133,24 @@ class Tracer:
         n, layout, rates = self.e.n, self.layout, []
         z, dt = map(calls.scene.symbol, ("z", "dt"))
         rate = self.rate(calls, "stage", rates)
-        y = rk4(rate, z[layout.time], ca.vertcat(z[: 2 * n], z[layout.work]), dt)
-        calls("sum", spaced("z dt", rates), "q v work", lambda *_: (y[:n], y[n : 2 * n], y[2 * n]))
+        y = rk4(rate, z[layout.time], self.begun(z), dt)
+        after = y[:n], y[n : 2 * n], *self.parted(y[2 * n :])
+        calls("sum", spaced("z dt", rates), spaced("q v work", self.states), lambda *_: after)
         return rates
+
+    @property
+    def states(self) -> list[str]:
+        """The name of the states, where there are any."""
+        return ["x"] * bool(self.e.states)
+
+    def begun(self, z: SX) -> SX:
+        """q, v, work and states: what is integrated."""
+        n, layout = self.e.n, self.layout
+        return ca.vertcat(z[: 2 * n], z[layout.work : layout.time])
+
+    def parted(self, rest: SX) -> tuple[SX, ...]:
+        """Work, and the states where there are any, from what is integrated beside q and v."""
+        return (rest[0], rest[1:]) if self.e.states else (rest[0],)
 
     def correct(self, calls: Calls) -> None:
         """q and v after one correction (10) of both, and what tells whether that was enough."""
@@ -170,13 +185,24 @@ class Tracer:
         return Program(calls.steps)
 
     def inputs(self, calls: Calls, i: str) -> str:
-        """Name of the inputs at a stage: held over the communication step, or extrapolated to t with i in its name."""
-        if not self.order:
+        """Name of the inputs at a stage: held over the communication step, or extrapolated to t with i in its name; with
+        the states of the stage behind them where there are any."""
+        u = "u"
+        if self.order:
+            u = f"u{i}"
+            calls("inputs", f"past t{i}", u, lambda past, t: extrapolated(*self._kept(past), t, self.order, ca.if_else))
+        if not self.e.states:
+            return u
+        # The time tells where inputs that have derivatives are asked for (`alfmu.kernel.standalone`).
+        calls("given", f"t{i} {u} x{i}", f"given{i}", lambda t, u, x: ca.vertcat(u, x))
+        return f"given{i}"
+
+    def here(self, calls: Calls) -> str:
+        """Name of the inputs at a communication point, with the states there."""
+        if not self.e.states:
             return "u"
-        calls(
-            "inputs", f"past t{i}", f"u{i}", lambda past, t: extrapolated(*self._kept(past), t, self.order, ca.if_else)
-        )
-        return f"u{i}"
+        calls("known", "z u", "known", calls.scene.given)
+        return "known"
 
     def _kept(self, past: SX) -> tuple[SX, list[SX], list[SX]]:
         first = ca.vertsplit(past[: 1 + KEPT])
@@ -191,7 +217,7 @@ class Tracer:
             calls("seen", "z u p k", "seen", lambda z, u: calls.scene.seen(plan, z, u))
             return Program(calls.steps, plan)
         self._unpacked(calls)
-        self.evaluation(calls, "0")
+        self.evaluation(calls, "0", {"u": self.here(calls)})
         if redundant:
             self._least(calls, "lam0")
         self._seen(calls, "a0 lam0 watch0")
@@ -202,12 +228,13 @@ class Tracer:
         calls, count = Calls(self, plan), range(len(branch.READ_MEAN))
         places = [f"place{j}" for j in count]
         self._unpacked_limit(calls)
+        u = self.here(calls)
         self._read_places(calls, places)
         for j in count:
-            self._beside(calls, places[j], str(j))
+            self._beside(calls, places[j], str(j), u)
             if redundant:
                 self._least(calls, f"lam{j}")
-        self.evaluation(calls, "l", {"tl": "tz", "ql": "qz", "vl": "vz"}, 1)
+        self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"}, 1)
         found = [f"{name}{j}" for name in ("a", "lam", "watch") for j in count]
         calls("limits", spaced(found, "watchl"), "al laml watchl singular", calls.scene.limits)
         self._seen(calls, "al laml watchl")
@@ -239,24 +266,30 @@ class Tracer:
 
         def found(t: SX, y: SX) -> SX:
             i = len(rates) + 1
-            stage = t, y[:n], y[n : 2 * n]
-            calls(f"{name}{i}", spaced("z", length, rates, settled), f"t{i} q{i} v{i}", lambda *_: stage)
+            stage = t, y[:n], y[n : 2 * n], *self.parted(y[2 * n :])[1:]
+            results = f"t{i} q{i} v{i}" + f" x{i}" * bool(self.e.states)
+            calls(f"{name}{i}", spaced("z", length, rates, settled), results, lambda *_: stage)
             u = self.inputs(calls, str(i))
             if calls.plan.branch:
                 self._on_branch(calls, str(i), u, length, i == 1)
             else:
                 self.evaluation(calls, str(i), {"u": u})
-            calls("rate", f"v{i} a{i} power{i}", f"rate{i}", ca.vertcat)
+            known = f"v{i} a{i} power{i}"
+            if self.e.states:
+                calls.made.append(Call("state_rates", (f"q{i}", f"v{i}", u, "p", f"t{i}"), (f"xdot{i}",)))
+                known += f" xdot{i}"
+            calls("rate", known, f"rate{i}", ca.vertcat)
             rates.append(f"rate{i}")
             return calls.scene.symbol(rates[-1])
 
         return found
 
-    def _beside(self, calls: Calls, place: str, j: str) -> None:
-        """An evaluation at a place from which a limit is read; j is part of the names of its results."""
+    def _beside(self, calls: Calls, place: str, j: str, u: str) -> None:
+        """An evaluation at a place from which a limit is read; j is part of the names of its results, u the name of the
+        inputs."""
         self.place(calls, place, "placed")
         self._brought(calls, place, "placed", "vz")
-        self.evaluation(calls, j, {f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"})
+        self.evaluation(calls, j, {"u": u, f"t{j}": "tz", f"q{j}": "q0", f"v{j}": "v0"})
 
     def _read_places(self, calls: Calls, places: list[str], length: str = "dt") -> None:
         """The places from which a limit is read; `length` is what their spacing is measured by."""

@@ -20,7 +20,7 @@ import numpy as np
 from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
-from .units import UNITS, alike, rate_of, unit
+from .units import UNITS, alike, is_rate, rate_of, unit
 from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
 
 if TYPE_CHECKING:
@@ -53,9 +53,10 @@ CONSTANT = ("parameters",)
 PLACE = (*CONSTANT, "coordinates")
 GUESS = (*PLACE, "start values")
 MOTION = (*PLACE, "rates")
-EFFORT = (*MOTION, "inputs", "time")
+EFFORT = (*MOTION, "inputs", "states", "time")
 READING = (*EFFORT, "accelerations")
-"""What a number of a declaration may depend on: a mass, a place, a guess, an energy, a force, an output."""
+"""What a number of a declaration may depend on: a mass, a place, a guess, an energy, a force or the rate of a state, an
+output."""
 
 EFFORTS = {"rad": "N.m", "m": "N"}
 """Unit of the effort along a displacement."""
@@ -116,6 +117,19 @@ class Input(Brief):
     symbol: ca.SX
     unit: str
     start: float
+    description: str
+
+
+@dataclass(frozen=True, repr=False)
+class State(Brief):
+    """A quantity of a first-order equation that is integrated with the motion; its rate may be given later."""
+
+    name: str
+    symbol: ca.SX
+    unit: str
+    start: float
+    rate: ca.SX | None
+    nominal: float
     description: str
 
 
@@ -399,6 +413,8 @@ class Mechanism:
     """The dependent coordinates q, in their order."""
     inputs: ClassVar[_Parts[Input]] = _Parts()
     """What the environment sets."""
+    states: ClassVar[_Parts[State]] = _Parts()
+    """First-order equations beside the motion."""
     outputs: ClassVar[_Parts[Output]] = _Parts()
     """Results of the user's own."""
     bodies: ClassVar[_Parts[Body]] = _Parts()
@@ -437,7 +453,7 @@ class Mechanism:
     compliant: bool = field(default=False, init=False)
 
     def __repr__(self) -> str:
-        sizes = {"coordinate": len(self.coordinates), "input": len(self.inputs)}
+        sizes = {"coordinate": len(self.coordinates), "state": len(self.states), "input": len(self.inputs)}
         sizes["body"] = len(self.bodies) + len(self.spatial_bodies)
         sizes["joint"] = len(self.joints) + len(self.spatial_joints)
         said = [counted(size, of) for of, size in sizes.items() if size]
@@ -586,8 +602,73 @@ class Mechanism:
         )
         return self._stands_for(symbol, "inputs", f"the input {name}", unit)
 
+    def state(
+        self,
+        name: str,
+        unit: str,
+        rate: Scalar | None = None,
+        *,
+        start: float = 0.0,
+        nominal: float = 1.0,
+        description: str = "",
+    ) -> ca.SX:
+        """A quantity of a first-order equation that is integrated with the motion: a current, an integral of a
+        controller, a filtered signal, the filling of a vessel. Returns its symbol, for forces, rates and outputs.
+
+        `rate` is its time derivative [unit/s]: an expression in parameters, coordinates, rates, inputs, states and
+        time. Where it takes the state itself, or one that is declared later, `derivative` gives it instead. `start` is
+        its value [unit] at the start, which the parameter `start.<name>` changes. `nominal` [unit] is what a large
+        value of it is: an error below `solver.absolute_tolerance` of it does not count. The output `<name>` shows it.
+        Raises DeclarationError where the name is taken, or a number or the unit makes no sense.
+        """
+        symbol = self._claim(name, unit, "a state")
+        self._claim(f"start.{name}", unit, "a start value")
+        start, nominal = self._plain(f"start.{name}", start), self._plain(f"the nominal value of {name}", nominal)
+        if not nominal > 0:
+            raise DeclarationError(
+                f"{self.name}: the nominal value of {name} is {nominal:g} {unit}; give what a large value of it is, "
+                "above zero"
+            )
+        text(f"{self.name}: the description of {name}", description)
+        Mechanism.states.of(self).append(State(name, symbol, unit, start, None, nominal, description))
+        self._stands_for(symbol, "states", f"the state {name}", unit)
+        if rate is not None:
+            self.derivative(symbol, rate)
+        return symbol
+
+    def derivative(self, state: ca.SX, rate: Scalar) -> None:
+        """Give a state its rate, where it was declared without one: an expression as `state` takes it::
+
+            i = m.state("motor.current", "A")
+            m.derivative(i, (voltage - resistance * i - constant * m.rate(angle)) / inductance)
+
+        Raises DeclarationError where the symbol is no state of this mechanism, or has a rate already.
+        """
+        place = next((k for k, x in enumerate(self.states) if key_of(x.symbol) == key_of(state)), None)
+        if place is None:
+            given = state if isinstance(state, ca.SX) else shown(state)
+            raise DeclarationError(
+                f"{self.name}: {given} is not a state of this mechanism; give the symbol that state() returned"
+            )
+        found = self.states[place]
+        if found.rate is not None:
+            raise DeclarationError(
+                f"{self.name}: the state {found.name} has a rate already{self.declared_at(found.name)}; give one, in "
+                "state() or in derivative()"
+            )
+        what = f"the rate of {found.name}"
+        expression = symbolic(self._quantity(what, rate, "1", EFFORT))
+        own = self._symbols[key_of(expression)].unit if expression.is_symbolic() else "1"
+        if own != "1" and not is_rate(own, found.unit):
+            raise DeclarationError(
+                f"{self.name}: {what} is in {found.unit} per second, and "
+                f"{self._symbols[key_of(expression)].text} in {own}; give one in {found.unit} per second"
+            )
+        Mechanism.states.of(self)[place] = replace(found, rate=expression)
+
     def output(self, name: str, expression: Scalar, unit: str = "1", description: str = "") -> None:
-        """A result in `unit` of the user's own: an expression in coordinates, rates, accelerations, inputs, time."""
+        """A result in `unit` of the user's own: an expression in coordinates, rates, accelerations, inputs, states,
+        time."""
         self._claim(name, unit, "an output")
         text(f"{self.name}: the description of {name}", description)
         expression = symbolic(self._quantity(f"output {name}", expression, unit, READING))
@@ -807,7 +888,7 @@ class Mechanism:
         )
 
     def force(self, at: Marker, x: Scalar = 0.0, y: Scalar = 0.0) -> None:
-        """A force [N] in ground axes at a point of a body: an input, a constant, or any expression."""
+        """A force [N] in ground axes at a point of a body: an input, a state, a constant, or any expression."""
         self._own((at,), "force()", Marker)
         force = self._vector(f"the force on {at.body.name}", (x, y), ("N",) * 2, EFFORT)
         Mechanism.loads.of(self).append(Load(at, force, 0.0))
@@ -946,7 +1027,7 @@ class Mechanism:
         Mechanism.potential.of(self).append(symbolic(self._quantity("a potential energy", expression, "J", PLACE)))
 
     def generalized_force(self, coordinate: ca.SX, expression: Scalar) -> None:
-        """A generalised force along a coordinate: any expression in coordinates, rates, inputs and time."""
+        """A generalised force along a coordinate: any expression in coordinates, rates, inputs, states and time."""
         along = self._coordinate(coordinate)
         what = f"the generalised force along {along.name}"
         expression = self._quantity(what, expression, EFFORTS.get(along.unit, "1"), EFFORT)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from .errors import DeclarationError
 from .words import in_words, nearest, shown
 
-__all__ = ["UNITS", "Unit", "alike", "rate_of", "unit"]
+__all__ = ["UNITS", "Unit", "alike", "is_rate", "rate_of", "unit"]
 
 
 @dataclass(frozen=True)
@@ -50,6 +50,24 @@ UNITS: dict[str, Unit] = {
         Unit("W", {"kg": 1, "m": 2, "s": -3}),
         Unit("m2", {"m": 2}),
         Unit("kg/m3", {"kg": 1, "m": -3}),
+        Unit("m3", {"m": 3}, {"l": 1e3}),
+        Unit("m3/s", {"m": 3, "s": -1}),
+        Unit("kg/s", {"kg": 1, "s": -1}),
+        Unit("Pa/s", {"kg": 1, "m": -1, "s": -3}),
+        Unit("A", {"A": 1}, {"mA": 1e3}),
+        Unit("A/s", {"A": 1, "s": -1}),
+        Unit("C", {"A": 1, "s": 1}),
+        Unit("V", {"kg": 1, "m": 2, "s": -3, "A": -1}),
+        Unit("V/s", {"kg": 1, "m": 2, "s": -4, "A": -1}),
+        Unit("Ohm", {"kg": 1, "m": 2, "s": -3, "A": -2}),
+        Unit("H", {"kg": 1, "m": 2, "s": -2, "A": -2}, {"mH": 1e3}),
+        Unit("F", {"kg": -1, "m": -2, "s": 4, "A": 2}),
+        Unit("N.m/A", {"kg": 1, "m": 2, "s": -2, "A": -1}),
+        Unit("V.s/rad", {"kg": 1, "m": 2, "s": -2, "A": -1, "rad": -1}),
+        Unit("K", {"K": 1}),
+        Unit("K/s", {"K": 1, "s": -1}),
+        Unit("J/K", {"kg": 1, "m": 2, "s": -2, "K": -1}),
+        Unit("W/K", {"kg": 1, "m": 2, "s": -3, "K": -1}),
     )
 }
 
@@ -73,6 +91,13 @@ def alike(one: str, other: str) -> bool:
     """Whether two units measure the same; an angle counts as a number."""
     first, second = ({k: x for k, x in unit(name).exponents.items() if k != "rad"} for name in (one, other))
     return first == second
+
+
+def is_rate(one: str, other: str) -> bool:
+    """Whether the first unit measures the time derivative of what the second one does; an angle counts as a number."""
+    first, second = ({k: x for k, x in unit(name).exponents.items() if k != "rad"} for name in (one, other))
+    second["s"] = second.get("s", 0) - 1
+    return first == {k: x for k, x in second.items() if x}
 
 
 def rate_of(name: str) -> str:

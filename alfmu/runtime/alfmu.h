@@ -114,7 +114,7 @@ typedef struct {
     SCENE_REALS(NUMBER)
 #undef NUMBER
     /* Variables in the order of their references: parameters, choices, inputs, switches, outputs. The first parameters
-       are those of the mechanism, then start values, start rates, compliances, the solver's. */
+       are those of the mechanism, then start values, start rates, compliances, states at the start, the solver's. */
     const Variable *variables;
     const Choice *choice;
     const Switch *switched;
@@ -146,6 +146,9 @@ void scene_free(Scene *s);
 int scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity);
 int settings_length(const Scene *s);
 size_t state_length(const Scene *s);
+/* Quantities of first-order equations, and the length of what the equations call u: inputs, and behind them states. */
+int states_of(const Scene *s);
+int driven_by(const Scene *s);
 
 /* CRC-32 of bytes that follow others; it begins with CHECK_BEGIN, and its complement is the check sum. */
 #define CHECK_BEGIN 0xffffffffu

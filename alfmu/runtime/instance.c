@@ -109,7 +109,7 @@ Instance *instance_new(const Scene *s)
     /* Matrices of the start that singular values are found of are dense, others sparse. */
     i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
         + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
-        + 4 * (size_t)(s->inputs + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
+        + 4 * (size_t)(driven_by(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
             + (size_t)s->past_size + least_norm_work(s->dense, s->dense),
@@ -489,16 +489,24 @@ static Outcome check_converged(Instance *i, const double *watch, double t)
         remedy(i));
 }
 
+/* Quantities of first-order equations now. */
+static double *states(const Instance *i)
+{
+    return field(i, i->scene->z) + i->scene->work + 1;
+}
+
 /* DONE where accelerations can be computed at q, v; `pivot` is the smallest of what was factorised there. */
 static Outcome explained(Instance *i, const double *q, const double *v, double t, double pivot)
 {
     const Scene *s = i->scene;
     const size_t used = i->used;
     double *M = take(i, (size_t)s->mass.entries), *C = take(i, (size_t)s->constraint.entries);
-    double *F = take(i, (size_t)s->n), *xi = take(i, (size_t)s->l);
-    const double *x[] = {q, v, field(i, s->u), field(i, s->p), &t};
+    double *F = take(i, (size_t)s->n), *xi = take(i, (size_t)s->l), *u = take(i, (size_t)driven_by(s));
+    const double *x[] = {q, v, u, field(i, s->p), &t};
     double *y[] = {M, C, F, xi};
     Outcome outcome = DONE;
+    memcpy(u, field(i, s->u), (size_t)s->inputs * sizeof *u);
+    memcpy(u + s->inputs, states(i), (size_t)states_of(s) * sizeof *u);
     call(i, s->dynamics, x, y);
     if (!isfinite(largest(M, s->mass.entries)) || !isfinite(largest(F, s->n)) || !isfinite(largest(xi, s->l)))
         outcome = say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; reduce solver.step_size",
@@ -908,6 +916,7 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     memcpy(z + s->n, v, (size_t)s->n * sizeof *v);
     for (int k = 0; k < s->angles; k++)
         z[2 * s->n + k] = s->angle_starts[k] < 0 ? 0.0 : i->values[s->own + s->angle_starts[k]];
+    memcpy(states(i), i->values + s->own + 2 * s->starts + s->compliances, (size_t)states_of(s) * sizeof *z);
     z[s->time] = time;
     memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
     *i->lost = 0.0;
@@ -1136,6 +1145,8 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
         run(i, s->keep);
         watch_gaps(i);
     }
+    if (outcome == DONE && !isfinite(norm(after + s->work + 1, states_of(s))))
+        outcome = say(i, FAILED, "%s, t = %.6g s: a state is not finite; reduce solver.step_size", s->name, t);
     for (int k = 0; k < 4 && outcome == DONE; k++)
         outcome = check_converged(i, w + watch[k], t);
     if (outcome != DONE)

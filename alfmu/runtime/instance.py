@@ -124,6 +124,16 @@ class Instance:
         return self.memory["u"]
 
     @property
+    def states(self) -> NDArray[np.float64]:
+        """Quantities of first-order equations (`Mechanism.state`), in the order of their declaration, a view."""
+        return self.state[self.layout.states : self.layout.time]
+
+    @property
+    def driven(self) -> NDArray[np.float64]:
+        """Inputs, and behind them states: what the equations call u."""
+        return np.concatenate([self.inputs, self.states]) if self.equations.states else self.inputs
+
+    @property
     def work(self) -> float:
         """Work of inputs, loads and dampers since the start [J]."""
         return float(self.state[self.layout.work])
@@ -271,7 +281,7 @@ class Instance:
         s = self.values[len(e.parameters) :][: len(e.starts)]
         guess = np.array(e.functions["guess"](p, s)).ravel()
         places = [
-            np.array(e.functions["readings"](q, v, v, np.zeros(e.l), np.zeros(len(e.inputs)), p, 0.0)).ravel()
+            np.array(e.functions["readings"](q, v, v, np.zeros(e.l), np.zeros(e.driven), p, 0.0)).ravel()
             for q in (guess, self._start)
         ]
         square: dict[str, float] = {}

@@ -145,6 +145,7 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
         field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
         for field in ("parameters", "starts", "start_rates", "compliances", "inputs")
     }
+    changed["states"] = [replace(v, start=float(values.get(f"start.{v.name}", v.start))) for v in equations.states]
     changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]
     e, before = replace(equations, **changed, solver={**equations.solver, **own}), default_settings(equations)
     same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)

@@ -103,7 +103,8 @@ class Probe:
         field = {name: memory[begin : begin + size] for name, (begin, size) in layout.fields.items()}
         z, k = field["z"], field["k"]
         time = z[layout.time : layout.time + 1]
-        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": field["u"], "p": field["p"], "t": time}
+        u = np.concatenate([field["u"], z[layout.states : layout.time]])
+        numbers = {"q": z[: e.n], "v": z[e.n : 2 * e.n], "u": u, "p": field["p"], "t": time}
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
         brakes = bool(library.alfmu_brakes(unit.address))
@@ -138,7 +139,7 @@ class Probe:
 
     @np.errstate(all="ignore")
     def spectrum(self) -> NDArray[np.float64]:
-        """Eigenvalues [1/s] of small motions about the start, none where they are not finite.
+        """Eigenvalues [1/s] of small motions about the start and of its states, none where they are not finite.
 
         Of equations that have tangents.
         """
@@ -152,13 +153,23 @@ class Probe:
         a, lam, _, _ = method.residual(M, F, C, xi, alpha, solve, np.zeros(n), np.zeros(l), most, done)
         lam = method.minimum_norm(C, alpha, solve, lam, method.CORRECTIONS, done)
         q, v, u, p, t = (self.numbers[letter] for letter in "qvupt")
-        Rq, Rv, Xq, Xv, _ = map(np.array, e.functions["tangents"](q, v, a, lam, u, p, t))
-        zeros = np.zeros((n, 2 * n)), np.zeros((l, 2 * n))
-        both = implicit.tangent(M, C, alpha, solve, np.hstack([Rq, Rv]), np.hstack([Xq, Xv]), zeros, most, done)
+        Rq, Rv, Xq, Xv, _, *others = map(np.array, e.functions["tangents"](q, v, a, lam, u, p, t))
+        count = len(e.states)
+        Rx, Gq, Gv, Gx = others or (np.zeros(shape) for shape in ((n, 0), (0, n), (0, n), (0, 0)))
+        zeros = np.zeros((n, 2 * n + count)), np.zeros((l, 2 * n + count))
+        R, X = np.hstack([Rq, Rv, Rx]), np.hstack([Xq, Xv, np.zeros((l, count))])
+        both = implicit.tangent(M, C, alpha, solve, R, X, zeros, most, done)
         T, S = implicit.return_map(C, alpha, solve, Xv, np.eye(n), _RETURNS)
-        aq, av = implicit.on_branch(both[:, :n], both[:, n:], T, S)
+        (aq, av), ax = implicit.on_branch(both[:, :n], both[:, n : 2 * n], T, S), both[:, 2 * n :]
+        Gq, Gv = implicit.on_branch(Gq, Gv, T, S)
         # Displacements that the constraints keep, alone: T projects on them.
-        motions = np.block([[np.zeros((n, n)), T], [T @ aq, T @ av]])
+        motions = np.block(
+            [
+                [np.zeros((n, n)), T, np.zeros((n, count))],
+                [T @ aq, T @ av, T @ ax],
+                [Gq, Gv, Gx],
+            ]
+        )
         return np.linalg.eigvals(motions) if np.isfinite(motions).all() else np.array([])
 
     def _dynamics(self) -> tuple[Any, Any, NDArray[np.float64], NDArray[np.float64], Any, method.Solve]:

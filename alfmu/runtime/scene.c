@@ -196,11 +196,13 @@ static void numbers(Reader *r)
 #undef COUNTED
     if (r->bad)
         return;
-    if (s->own + 2 * s->starts + s->compliances + s->solver != s->parameters || s->n < 1
+    if (!between(s->work, 0, 1 << 25) || !between(s->time, s->work + 1, s->work + (1 << 22)))
+        spoil(r, "its state contradicts itself");
+    else if (s->own + 2 * s->starts + s->compliances + states_of(s) + s->solver != s->parameters || s->n < 1
         || (s->compliances != 0 && s->compliances != s->l) || s->event_count > s->outputs)
         spoil(r, "its counts contradict each other");
 #define REFERENCE(name) \
-    if (!between(s->name, s->own + 2 * s->starts + s->compliances, s->parameters)) \
+    if (!r->bad && !between(s->name, s->own + 2 * s->starts + s->compliances + states_of(s), s->parameters)) \
         spoil(r, #name " has the reference %d", s->name);
     SCENE_REFERENCES(REFERENCE)
 #undef REFERENCE
@@ -693,7 +695,7 @@ static void functions(Reader *r)
         function(r, made + k);
     s->functions = made;
     s->function_count = (int)count;
-    shaped(r, "dynamics", s->dynamics, 1, 5, 4, n, n, s->inputs, P, 1, s->mass.entries, s->constraint.entries, n, l);
+    shaped(r, "dynamics", s->dynamics, 1, 5, 4, n, n, driven_by(s), P, 1, s->mass.entries, s->constraint.entries, n, l);
     shaped(r, "constraints", s->constraints, 1, 3, 4, n, n, P, s->mass.entries, s->constraint.entries, l, l);
     shaped(r, "energy", s->energy, 1, 3, 2, n, n, P, 1, 1);
     shaped(r, "closure", s->closure, 1, 3, 4, n, P, s->starts, s->gaps.entries, s->tie_rows.entries, l, ties);
@@ -847,14 +849,25 @@ int settings_length(const Scene *s)
 
 size_t state_length(const Scene *s)
 {
-    return (size_t)s->work + 6;
+    return (size_t)s->near + 1;
+}
+
+/* They stand between the work and the time. */
+int states_of(const Scene *s)
+{
+    return s->time - s->work - 1;
+}
+
+int driven_by(const Scene *s)
+{
+    return s->inputs + states_of(s);
 }
 
 /* Whether what the runtime itself reads and writes is within the memory. */
 static void memory(Reader *r)
 {
     const Scene *s = r->scene;
-    const int state = 2 * s->n + s->angles + 6;
+    const int states = states_of(s), state = 2 * s->n + s->angles + states + 6;
     const struct {
         int place, length;
     } fields[] = {{s->z, state}, {s->after, state}, {s->begin, state}, {s->u, s->inputs}, {s->p, s->own + s->held},
@@ -867,7 +880,7 @@ static void memory(Reader *r)
           {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}};
     if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS))
         spoil(r, "its memory has %d numbers", s->size);
-    if (s->work != 2 * s->n + s->angles || s->time != s->work + 1 || s->trouble != s->work + 2 || s->near != s->work + 5)
+    if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->near != s->time + 4)
         spoil(r, "its state contradicts itself");
     if (!between(s->monitor_position, -1, s->outputs - s->event_count)
         || !between(s->monitor_velocity, -1, s->outputs - s->event_count)

@@ -409,7 +409,7 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
     const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
     const double *rate = starts(i) + s->starts;
     double *left = take(i, count), *made = take(i, count), *dv = take(i, n), *weights = take(i, l);
-    double *F = take(i, n), *zeros = take(i, (size_t)s->inputs + 1), *M = take(i, (size_t)s->mass.entries);
+    double *F = take(i, n), *zeros = take(i, (size_t)driven_by(s) + 1), *M = take(i, (size_t)s->mass.entries);
     double lost = 0.0, most;
     const double zero = 0.0;
     Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
@@ -433,7 +433,7 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
     {
         const double *x[] = {q, v, zeros, field(i, s->p), &zero};
         double *y[] = {M, J.constraints.values, F, left};
-        memset(zeros, 0, ((size_t)s->inputs + 1) * sizeof *zeros);
+        memset(zeros, 0, ((size_t)driven_by(s) + 1) * sizeof *zeros);
         call(i, s->dynamics, x, y);
     }
     weigh_rows(J.constraints, weights);
