@@ -57,7 +57,7 @@ class Instance(runtime.Instance):
     def _take(self, equations: Equations) -> None:
         super()._take(equations)
         e, arrays = self.equations, ArrayFunctions(self.equations)
-        names = ("dynamics", "constraints", "power", "energy", "readings")
+        names = ["dynamics", "constraints", "power", "energy", "readings", *["state_rates"] * bool(e.states)]
         self._functions = {name: ArrayFunction(arrays, name, e.signatures[name]) for name in names}
         self._turns = np.array([c.unit == "rad" for c in e.coordinates])
         self._seen: tuple = (None, None, None)
@@ -130,6 +130,10 @@ class Instance(runtime.Instance):
     def power(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> float:
         """Power [W] of inputs, loads and dampers."""
         return float(self._values("power", q, v, u, self.memory["p"], t)[0][0]) if self.equations.works else 0.0
+
+    def state_rates(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> NDArray:
+        """Time derivatives of the states."""
+        return self._values("state_rates", q, v, u, self.memory["p"], t)[0] if self.equations.states else u[:0]
 
     def energy(self, q: NDArray, v: NDArray) -> float:
         """Kinetic and potential energy [J]."""
@@ -422,24 +426,27 @@ class Instance(runtime.Instance):
         read = self._seen[2] if start == self.time and self._seen[0] == self._key() else None
 
         def rate(t: float, y: NDArray, on_branch: bool = False) -> NDArray:
-            (q, v, _), u = np.split(y, [n, 2 * n]), self._past.at(t, self.order) if self._past else self.inputs
+            (q, v, _, x), u = np.split(y, parts), self._past.at(t, self.order) if self._past else self.inputs
+            u = np.concatenate([u, x])
             if on_branch:
                 a = self.accelerations_on_branch(q, v, u, t, branch.SPACING * dt)[0]
             else:
                 self._near = self._near or (self.continues and self.margin(q)[0])
                 a = self.accelerations(q, v, u, t)[0] if read is None or t > start else read
-            return np.concatenate([v, a, [self.power(q, v, u, t)]])
+            return np.concatenate([v, a, [self.power(q, v, u, t)], self.state_rates(q, v, u, t)])
 
+        parts = [n, 2 * n, 2 * n + 1]
         self.hold(self.q)
         self._unfinished = 0.0
-        begin, unconverged, self._near = np.concatenate([self.q, self.v, [self.work]]), c.unconverged, False
+        begin, unconverged = np.concatenate([self.q, self.v, [self.work], self.states]), c.unconverged
+        self._near = False
         y = rk4(rate, start, begin, dt)
         if self._near:
             c.unconverged, self._unfinished = unconverged, 0.0
             y = rk4(lambda t, y: rate(t, y, on_branch=True), start, begin, dt)
         if not np.isfinite(y).all():
             raise self._error(StepError, t, "the state is not finite")
-        q, v, work = np.split(y, [n, 2 * n])
+        q, v, work, x = np.split(y, parts)
         if self.settings.projects:
             self._check_length(np.abs(q - self.q), q, t)
             q, v, position, velocity = self.project(q, v, t, self._near)
@@ -448,8 +455,8 @@ class Instance(runtime.Instance):
         self._check_converged(t)
         c.steps += 1
         c.position_error, c.velocity_error = max(c.position_error, position), max(c.velocity_error, velocity)
-        self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.inputs, t))
-        self.q[:], self.v[:], self.state[self.layout.work], self.time = q, v, work[0], t
+        self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.driven, t))
+        self.q[:], self.v[:], self.states[:], self.state[self.layout.work], self.time = q, v, x, work[0], t
 
     def _check_length(self, moved: NDArray, q: NDArray, t: float) -> None:
         """StepError where a step to q that moved the coordinates so far (n,) is too long to mean anything."""
@@ -496,7 +503,7 @@ class Instance(runtime.Instance):
             a, lam, used, left, singular = self._now()
             self._check_converged(self.time)
             q, v, e = self.q, self.v, self.equations
-            y = self._unwrap(self.readings(q, v, a, lam, self.inputs, self.time))
+            y = self._unwrap(self.readings(q, v, a, lam, self.driven, self.time))
             values = *self.residues(q, v), self.energy(q, v), self.work, self._step_error
             values = *values, used, self.margin(q)[1] ** 0.5, singular
             seen = {monitor.name: float(x) for monitor, x in zip(MONITORS, values, strict=True)}
@@ -508,7 +515,7 @@ class Instance(runtime.Instance):
 
     def _key(self) -> bytes:
         """What readings depend on."""
-        return b"".join(x.tobytes() for x in (self.q, self.v, self.inputs, self.penalty, self.state[-1:]))
+        return b"".join(x.tobytes() for x in (self.q, self.v, self.driven, self.penalty, self.state[-1:]))
 
     @np.errstate(all="ignore")
     def _now(self) -> tuple[NDArray, NDArray, int, NDArray, int]:
@@ -517,7 +524,7 @@ class Instance(runtime.Instance):
         The last result is 0 where it is not; where it is, 1 where lam has a limit, 2 where it has a pole, of which the
         finite part is given at the position itself.
         """
-        q, v, u, t = self.q, self.v, self.inputs, self.time
+        q, v, u, t = self.q, self.v, self.driven, self.time
         if self.continues and self.margin(q)[1] ** 0.5 < branch.READ_ZONE * branch.READ_DISTANCE:
             _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
             with suppress(OpenError, ZeroDivisionError):  # The motion may end before the places: then as it is here.

@@ -166,7 +166,7 @@ def test_a_step_is_that_of_the_oracle(name, given, method, bound):
         kernel.step(length)
         assert kernel.counters.steps == made + 1
         adaptive.place(t, y[: layout.n], y[layout.n : 2 * layout.n], y[layout.work])
-        q, v, work, _, _, error = adaptive.step(length)
+        q, v, _, work, _, _, error = adaptive.step(length)
         found = np.concatenate([kernel.q, kernel.v, [kernel.work]])
         expected = np.concatenate([q, v, [work]])
         assert np.abs(found - expected).max() <= bound * (1 + np.abs(expected).max())

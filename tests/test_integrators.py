@@ -326,7 +326,7 @@ def test_tangents_are_the_derivatives_of_the_accelerations(name):
     a = adaptive(name, RADAU9, 1e-6, {"start.angle": 0.7})
     a.advance(0.2)
     q, v, o = a.q, a.v, a.oracle
-    _, aq, av, _, (C, solve, Xv) = a.tangent(q, v, 0.2)
+    _, aq, av, _, _, (C, solve, Xv) = a.tangent(q, v, a.x, 0.2)
     n = len(q)
     T, S = implicit.return_map(C, o.alpha, solve, Xv, np.eye(n), 4)
     by_q, by_v = implicit.on_branch(aq, av, T, S)

@@ -137,7 +137,7 @@ class _Step:
 
     def end(self, watches: Sequence[str], order: int, kept: Sequence[str] = ()) -> None:
         """The state after the step and what step control remembers; `kept` is the history and what is new of it."""
-        names = [*"z pace arrival q v work".split(), *self.tracer.states, "p", "k", "error", *watches]
+        names = ["z", "pace", "arrival", "q", "v", "work", *self.tracer.states, "p", "k", "error", *watches]
         if self.e.l:
             names += ["pivot", "left"]
         if self.plan.branch or self.by_constraints:

@@ -118,7 +118,8 @@ class Tracer:
         """An internal step of RK4 with projection."""
         calls = Calls(self, plan)
         rates = self._moved(calls)
-        closing = [*"z dt q v work".split(), *self.states, "p", "k", *(f"watch{i + 1}" for i in range(len(rates)))]
+        known = ["z", "dt", "q", "v", "work", *self.states, "p", "k"]
+        closing = [*known, *(f"watch{i + 1}" for i in range(len(rates)))]
         if self.e.l:
             (self._projected if plan.corrections > 1 else self.correct)(calls)
             closing += ["pivot", "left"]
@@ -185,8 +186,8 @@ class Tracer:
         return Program(calls.steps)
 
     def inputs(self, calls: Calls, i: str) -> str:
-        """Name of the inputs at a stage: held over the communication step, or extrapolated to t with i in its name; with
-        the states of the stage behind them where there are any."""
+        """Name of the inputs at a stage: held over the communication step, or extrapolated to t with i in its name;
+        with the states of the stage behind them where there are any."""
         u = "u"
         if self.order:
             u = f"u{i}"

@@ -419,7 +419,7 @@ class Instance:
     def shared(self) -> list[str]:
         """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
         found, place = self._mobility()
-        numbers = {"q": self.q, "u": self.inputs, "p": self.memory["p"], "t": self.state[-1:]}
+        numbers = {"q": self.q, "u": self.driven, "p": self.memory["p"], "t": self.state[-1:]}
         return shared(self.equations, numbers, self.penalty > 0, place, self.equations.n - found.freedom)
 
     @property

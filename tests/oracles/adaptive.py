@@ -97,7 +97,8 @@ class Adaptive:
         if not isinstance(rule, Explicit):
             vm = ArrayFunctions(with_tangents(oracle.equations))
             self._tangents = ArrayFunction(vm, "tangents", vm.equations.signatures["tangents"])
-        self.place(oracle.time, oracle.q, oracle.v, oracle.work)
+        self.place(oracle.time, oracle.q, oracle.v, oracle.work, oracle.states)
+        self._nominal = np.array([v.nominal for v in oracle.equations.states])
         units = [c.unit for c in oracle.equations.coordinates]
         self._turning = np.array([unit == "rad" for unit in units] + [False] * len(units))
 
@@ -106,12 +107,13 @@ class Adaptive:
         if self.of_one_length:
             self.fixed = h / max(1, math.ceil(h / self.oracle.settings.step_size * (1 - 1e-12)))
         self.past.reach(self.t, self.oracle.inputs)
-        self.place(self.t, self.q, self.v, self.work)
+        self.place(self.t, self.q, self.v, self.work, self.x)
         self.advance(self.t + h)
 
-    def place(self, t: float, q: NDArray, v: NDArray, work: float) -> None:
-        """Begin at t with q, v (n,) and the work done so far [J]; inputs may have jumped."""
+    def place(self, t: float, q: NDArray, v: NDArray, work: float, x: NDArray | None = None) -> None:
+        """Begin at t with q, v (n,), the work done so far [J] and states x; inputs may have jumped."""
         self.t, self.q, self.v, self.work = t, q.copy(), v.copy(), work
+        self.x = self.oracle.states.copy() if x is None else x.copy()
         self._first: NDArray | None = None
         self._k: Any = None
 
@@ -138,7 +140,7 @@ class Adaptive:
             raise StepError(f"{name}, t = {self.t:.6g} s: the step failed{self._why}; reduce solver.step_size")
         self._error = found[-1] if found else np.inf
         if self.fixed or self.control.judge(dt, self._error):
-            self.q, self.v, self.work, self._first, self._k, _ = found
+            self.q, self.v, self.x, self.work, self._first, self._k, _ = found
             self.t = end if landed else self.t + dt
             self.counts["steps"] += 1
             taken()
@@ -146,7 +148,7 @@ class Adaptive:
             self.counts["refused"] += 1
 
     def step(self, dt: float) -> tuple | None:
-        """q, v, work, what the next step can use again, and the error over the tolerance; None where none is found."""
+        """q, v, x, work, what the next step can use again, the error over the tolerance; None where none is found."""
         self._why = ""
         self.oracle.hold(self.q)
         make = {Explicit: self._explicit, Collocation: self._collocation, implicit.Newmark: self._newmark}
@@ -163,12 +165,20 @@ class Adaptive:
     # Rates and tangents ----------------------------------------------------------------------------------------
 
     def _rate(self, t: float, y: NDArray, beside: bool, dt: float) -> NDArray:
-        """Rate of q, v and work."""
-        q, v = self._parts(y)
-        return np.concatenate([v, self._acceleration(t, q, v, beside, dt), [self._power(t, q, v)]])
+        """Rate of q, v, x and work."""
+        q, v, x = self._parts(y)
+        a, rates = self._acceleration(t, q, v, x, beside, dt), self._state_rates(t, q, v, x)
+        return np.concatenate([v, a, rates, [self._power(t, q, v, x)]])
 
-    def _acceleration(self, t: float, q: NDArray, v: NDArray, beside: bool, dt: float) -> NDArray:
-        oracle, u = self.oracle, self.inputs(t)
+    def _driven(self, t: float, x: NDArray) -> NDArray:
+        """Inputs at t, and behind them the states."""
+        return np.concatenate([self.inputs(t), x])
+
+    def _state_rates(self, t: float, q: NDArray, v: NDArray, x: NDArray) -> NDArray:
+        return self.oracle.state_rates(q, v, self._driven(t, x), t)
+
+    def _acceleration(self, t: float, q: NDArray, v: NDArray, x: NDArray, beside: bool, dt: float) -> NDArray:
+        oracle, u = self.oracle, self._driven(t, x)
         if not beside:
             self._check_near(q)
             return oracle.accelerations(q, v, u, t)[0]
@@ -176,8 +186,8 @@ class Adaptive:
         found = {k: oracle.accelerations(*place, u, t)[0] for k, place in places.items()}
         return found[0] if 0 in found else branch.mean(found)
 
-    def _power(self, t: float, q: NDArray, v: NDArray) -> float:
-        return self.oracle.power(q, v, self.inputs(t), t)
+    def _power(self, t: float, q: NDArray, v: NDArray, x: NDArray) -> float:
+        return self.oracle.power(q, v, self._driven(t, x), t)
 
     def _check_near(self, q: NDArray) -> None:
         o = self.oracle
@@ -194,25 +204,38 @@ class Adaptive:
         return {k: o.reached(q + k * spacing * v, v, t) for k in branch.READ_MEAN}
 
     def _linearised(self, t: float, y: NDArray, beside: bool, dt: float) -> tuple[NDArray, tuple[NDArray, NDArray]]:
-        """The rate of q and v, and the derivatives of a by both."""
-        q, v = self._parts(y)
+        """The rate of q, v and x, and the derivatives of a and of the rates of x by displacements and by v with x.
+
+        States are those of displacements that nothing asks for: theirs are zero.
+        """
+        q, v, x = self._parts(y)
         if not beside:
             self._check_near(q)
-            a, aq, av, _, _ = self.tangent(q, v, t)
-            return np.concatenate([v, a]), (aq, av)
-        found = {}
-        for k, (there, w) in self._places(q, v, branch.LONG_SPACING * dt, t).items():
-            a, aq, av, _, (C, solve, Xv) = self.tangent(there, w, t)
-            T, S = implicit.return_map(C, self.oracle.alpha, solve, Xv, np.eye(len(q)), RETURNS)
-            found[k] = a, *implicit.on_branch(aq, av, T, S)
-        a, *tangents = found[0] if 0 in found else (branch.mean({k: x[i] for k, x in found.items()}) for i in range(3))
-        return np.concatenate([v, a]), tuple(tangents)
+            a, aq, av, ax, _, _ = self.tangent(q, v, x, t)
+        else:
+            found = {}
+            for k, (there, w) in self._places(q, v, branch.LONG_SPACING * dt, t).items():
+                a, aq, av, ax, _, (C, solve, Xv) = self.tangent(there, w, x, t)
+                T, S = implicit.return_map(C, self.oracle.alpha, solve, Xv, np.eye(len(q)), RETURNS)
+                found[k] = a, *implicit.on_branch(aq, av, T, S), ax
+            limit = found[0] if 0 in found else (branch.mean({k: x[i] for k, x in found.items()}) for i in range(4))
+            a, aq, av, ax = limit
+        *_, Gq, Gv, Gx = self._tangents_at(q, v, a, np.zeros(self.oracle.equations.l), self._driven(t, x), t)
+        nothing = np.zeros((len(q), len(x))), np.zeros((len(x), len(x)))
+        by_places = np.block([[aq, nothing[0]], [Gq, nothing[1]]])
+        by_rates = np.block([[av, ax], [Gv, Gx]])
+        return np.concatenate([v, a, self._state_rates(t, q, v, x)]), (by_places, by_rates)
 
-    def tangent(self, q: NDArray, v: NDArray, t: float) -> tuple:
-        """a, its derivatives by q, v and t, and C, what solves with H, and the derivative of xi by v."""
-        o, n, u = self.oracle, len(q), self.inputs(t)
+    def _tangents_at(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> list[NDArray]:
+        """Rq, Rv, Xq, Xv, Rt, and Rx, Gq, Gv, Gx, empty ones where there are no states."""
+        found, n = [x.copy() for x in self._tangents(q, v, a, lam, u, self.oracle.memory["p"], t)], len(q)
+        return found if len(found) > 5 else [*found, *map(np.zeros, ((n, 0), (0, n), (0, n), (0, 0)))]
+
+    def tangent(self, q: NDArray, v: NDArray, x: NDArray, t: float) -> tuple:
+        """a, its derivatives by q, v, x and t, and C, what solves with H, and the derivative of xi by v."""
+        o, n, u = self.oracle, len(q), self._driven(t, x)
         a, lam, _, _ = o.accelerations(q, v, u, t)
-        Rq, Rv, Xq, Xv, Rt = (x.copy() for x in self._tangents(q, v, a, lam, u, o.memory["p"], t))
+        Rq, Rv, Xq, Xv, Rt, Rx, *_ = self._tangents_at(q, v, a, lam, u, t)
         M, C, _, _ = (x.copy() for x in o.dynamics(q, v, u, t))
         solve = o.inverse(method.augmented_mass(M, C, o.alpha))
         limit = o.settings.tolerance * 100
@@ -221,10 +244,10 @@ class Adaptive:
             return np.abs(change).max() <= limit * np.abs(value).max()
 
         l = len(C)
-        zeros = np.zeros((n, 2 * n + 1)), np.zeros((l, 2 * n + 1))
-        R, X = np.column_stack([Rq, Rv, Rt]), np.column_stack([Xq, Xv, np.zeros(l)])
+        zeros = np.zeros((n, 2 * n + 1 + len(x))), np.zeros((l, 2 * n + 1 + len(x)))
+        R, X = np.column_stack([Rq, Rv, Rt, Rx]), np.column_stack([Xq, Xv, np.zeros(l), np.zeros((l, len(x)))])
         both = implicit.tangent(M, C, o.alpha, solve, R, X, zeros, o.settings.max_iterations, done)
-        return a, both[:, :n], both[:, n : 2 * n], both[:, 2 * n], (C, solve, Xv)
+        return a, both[:, :n], both[:, n : 2 * n], both[:, 2 * n + 1 :], both[:, 2 * n], (C, solve, Xv)
 
     # Methods ---------------------------------------------------------------------------------------------------
 
@@ -232,7 +255,7 @@ class Adaptive:
         """The state after a step, projected where the formulation does so."""
         if not np.isfinite(y).all():
             raise StepError("the state is not finite")
-        q, v = self._parts(y)
+        q, v, _ = self._parts(y)
         if self.oracle.settings.projects:
             q, v, _, _ = self.oracle.project(q, v, t)
         return np.concatenate([q, v, y[2 * len(q) :]])
@@ -241,7 +264,7 @@ class Adaptive:
         def rate(t: float, y: NDArray) -> NDArray:
             return self._rate(t, y, beside, dt)
 
-        y = np.concatenate([self.q, self.v, [self.work]])
+        y = np.concatenate([self.q, self.v, self.x, [self.work]])
         first = None if beside else self._first
         rule = rule_beside(self.rule) if beside and not self.fixed else self.rule
         after, errors, last = explicit(rule, rate, self.t, y, dt, first, lambda y: self._settled(y, self.t + dt))
@@ -249,15 +272,15 @@ class Adaptive:
         return *self._parts(after), float(after[-1]), None if beside else last, None, size
 
     def _collocation(self, dt: float, beside: bool) -> tuple:
-        rule, n = self.rule, len(self.q)
-        y = np.concatenate([self.q, self.v])
+        rule, n, count = self.rule, len(self.q), len(self.x)
+        y = np.concatenate([self.q, self.v, self.x])
         scale = self._scale(y, y)
 
         def correct(tangents: list, residues: list[NDArray]) -> list[NDArray]:
             self.counts["newton"] += 1
-            parts = [(r[:n], r[n:]) for r in residues]
-            found = implicit.corrected(rule, dt, tangents, parts, np.eye(n), _joined, np.split, np.linalg.solve)
-            return [np.concatenate(x) for x in found]
+            parts = [(np.concatenate([r[:n], np.zeros(count)]), r[n:]) for r in residues]
+            found = implicit.corrected(rule, dt, tangents, parts, np.eye(n + count), _joined, np.split, np.linalg.solve)
+            return [np.concatenate([dq[:n], dv]) for dq, dv in found]
 
         changed: list[float] = []
 
@@ -287,6 +310,12 @@ class Adaptive:
         after = self._settled(after, self.t + dt)
         return *self._parts(after), work, None, (k, dt), self._size(y, after, error)
 
+    def _extended(self, M: NDArray, C: NDArray, R: NDArray, rates: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """M, C and R with rows and columns for states, which count as velocities of masses of 1."""
+        count = len(self.x)
+        mass = np.block([[M, np.zeros((len(M), count))], [np.zeros((count, len(M))), np.eye(count)]])
+        return mass, np.hstack([C, np.zeros((len(C), count))]), np.concatenate([R, rates])
+
     def _newmark(self, dt: float, beside: bool) -> tuple:
         """The index-3 form: Newton's method on positions and multipliers, then projections of velocities and of a.
 
@@ -295,19 +324,27 @@ class Adaptive:
         """
         o, rule, t = self.oracle, self.rule, self.t + dt
         if self._k is None:
-            a, lam, _, _ = o.accelerations(self.q, self.v, self.inputs(self.t), self.t)
+            a, lam, _, _ = o.accelerations(self.q, self.v, self._driven(self.t, self.x), self.t)
+            a = np.concatenate([a, self._state_rates(self.t, self.q, self.v, self.x)])
             self._k = a, a, lam
         a0, w0, lam = self._k
+        n, count = len(self.q), len(self.x)
         by_v, by_a = implicit.changes(rule, dt)
-        change, scale, u = np.zeros_like(a0), np.maximum(np.abs(self.q), 1.0), self.inputs(t)
+        change = np.zeros_like(a0)
+        scale = np.concatenate([np.maximum(np.abs(self.q), 1.0), dt * np.maximum(np.abs(self.x), self._nominal)])
+        begin = np.concatenate([self.q, np.zeros(count)]), np.concatenate([self.v, self.x])
         for i in range(2 * NEWTON):
             self.counts["newton"] += 1
-            q, v, _ = implicit.moved(rule, dt, self.q, self.v, w0, a0, change)
-            a = a0 + change
-            M, C, F, _ = (x.copy() for x in o.dynamics(q, v, u, t))
+            q, v, _ = implicit.moved(rule, dt, *begin, w0, a0, change)
+            (q, v, x), (a, rates) = (q[:n], v[:n], v[n:]), np.split(a0 + change, [n])
+            u = self._driven(t, x)
+            M, C, F, _ = (each.copy() for each in o.dynamics(q, v, u, t))
             Phi = o.constraints(q, v)[2].copy()
-            Rq, Rv, _, _, _ = self._tangents(q, v, a, lam, u, o.memory["p"], t)
+            Rq, Rv, _, _, _, Rx, Gq, Gv, Gx = self._tangents_at(q, v, a, lam, u, t)
+            Rq = np.block([[Rq, np.zeros((n, count))], [Gq, np.zeros((count, count))]])
+            Rv = np.block([[Rv, Rx], [Gv, Gx]])
             R = F - M @ a - C.T @ lam
+            M, C, R = self._extended(M, C, R, self._state_rates(t, q, v, x) - rates)
             dq, dlam = implicit.position_step(M, C, Phi, R, Rq, Rv, o.alpha, rule, dt, np.linalg.solve)
             change, lam = change + by_a * dq, lam + dlam
             size = float(np.abs(dq / scale).max())
@@ -315,16 +352,17 @@ class Adaptive:
                 break
             if i + 1 == 2 * NEWTON or not size < 1e12:
                 raise StepError(f"Newton's method leaves a change of {size:.1e}")
-        q, v, w = implicit.moved(rule, dt, self.q, self.v, w0, a0, change)
+        q, v, w = implicit.moved(rule, dt, *begin, w0, a0, change)
+        q, v, x = q[:n], v[:n], v[n:]
         inertia = M - (by_v / by_a) * Rv - Rq / by_a
         solve = o.inverse(inertia + C.T @ o.alpha @ C)
         for _ in range(RETURNS):
-            q = q + method.project(C, o.alpha, solve, o.constraints(q, v)[2])
-            v = v + method.project(C, o.alpha, solve, o.constraints(q, v)[3])
-        M, C, _, xi = (x.copy() for x in o.dynamics(q, v, u, t))
-        a = self._nearest(M, C, a0 + change, xi)
-        power = self._power(self.t, self.q, self.v) + self._power(t, q, v)
-        return q, v, self.work + dt / 2 * power, None, (a, w, lam), 0.0
+            q = q + method.project(C, o.alpha, solve, o.constraints(q, v)[2])[:n]
+            v = v + method.project(C, o.alpha, solve, o.constraints(q, v)[3])[:n]
+        M, C, _, xi = (each.copy() for each in o.dynamics(q, v, self._driven(t, x), t))
+        a = np.concatenate([self._nearest(M, C, (a0 + change)[:n], xi), self._state_rates(t, q, v, x)])
+        power = self._power(self.t, self.q, self.v, self.x) + self._power(t, q, v, x)
+        return q, v, x, self.work + dt / 2 * power, None, (a, w, lam), 0.0
 
     def _nearest(self, M: NDArray, C: NDArray, a: NDArray, xi: NDArray) -> NDArray:
         """Accelerations (n,) that keep the constraints, the nearest to a in the metric of M."""
@@ -333,30 +371,37 @@ class Adaptive:
         return o.iterated(method.residual, M, M @ a, C, xi, solve)[0]
 
     def _solver(self, tangents: tuple[NDArray, NDArray]) -> Callable[[float, NDArray], NDArray]:
-        n = len(self.q)
+        n, count = len(self.q), len(self.x)
 
         def solve(s: float, r: NDArray) -> NDArray:
-            return np.concatenate(implicit.solved(s, *tangents, r[:n], r[n:], np.eye(n), np.linalg.solve))
+            places = np.concatenate([r[:n], np.zeros(count)])
+            dq, dv = implicit.solved(s, *tangents, places, r[n:], np.eye(n + count), np.linalg.solve)
+            return np.concatenate([dq[:n], dv])
 
         return solve
 
-    def _parts(self, y: NDArray) -> tuple[NDArray, NDArray]:
+    def _parts(self, y: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         n = len(self.q)
-        return y[:n], y[n : 2 * n]
+        return y[:n], y[n : 2 * n], y[2 * n : 2 * n + len(self.x)]
 
     def _scale(self, y: NDArray, after: NDArray) -> NDArray:
-        """Tolerance of each entry of q and v; whole turns do not make an angle any less exact."""
-        larger = np.maximum(np.abs(y), np.abs(after))[: len(self._turning)]
-        return self.absolute + self.relative * np.where(self._turning, np.minimum(larger, 1.0), larger)
+        """Tolerance of each entry of q, v and x; whole turns do not make an angle any less exact."""
+        sizes, count = np.maximum(np.abs(y), np.abs(after)), len(self._turning)
+        larger = np.where(self._turning, np.minimum(sizes[:count], 1.0), sizes[:count])
+        states = sizes[count : count + len(self.x)]
+        return np.concatenate(
+            [self.absolute + self.relative * larger, self.absolute * self._nominal + self.relative * states]
+        )
 
     def _size(self, y: NDArray, after: NDArray, error: NDArray) -> float:
-        """Error of the constrained state over the tolerance."""
+        """Error of the constrained state and of x over the tolerance."""
         if self.fixed:
             return 0.0
-        o, (q, v) = self.oracle, self._parts(after)
+        o, (q, v, _) = self.oracle, self._parts(after)
         M, C, _, _ = o.constraints(q, v)
         solve = o.inverse(method.augmented_mass(M, C, o.alpha))
-        parts = [branch.tangential(C, o.alpha, solve, x) for x in self._parts(error)]
+        *parts, change = self._parts(error)
+        parts = [*(branch.tangential(C, o.alpha, solve, x) for x in parts), change]
         return float(np.abs(np.concatenate(parts) / self._scale(y, after)).max())
 
 
