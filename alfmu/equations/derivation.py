@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -29,6 +29,7 @@ from ..model.mechanism import (
     AnyMarker,
     Body,
     Constraint,
+    Coordinate,
     Joint,
     Lock,
     Marker,
@@ -334,9 +335,10 @@ def derive(mechanism: Mechanism) -> Equations:
     coordinate can close, an expression with a foreign symbol.
     """
     m = mechanism
-    if not m.coordinates:
-        raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate")
-    q, v, a = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qva")
+    if not m.coordinates and not m.states:
+        raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate, or a state")
+    coordinates = m.coordinates or (_rest(),)
+    q, v, a = (stack([getattr(c, letter) for c in coordinates]) for letter in "qva")
     locks = [closure for closure in m.closures if isinstance(closure, Lock)]
     inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])
     u, p = ca.vertcat(inputs, x), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
@@ -370,6 +372,8 @@ def derive(mechanism: Mechanism) -> Equations:
         f_applied[place[key_of(coordinate)]] += expression
     f = f_applied - ca.gradient(V, q)
 
+    if not m.coordinates:
+        M = ca.SX.eye(1)
     C = ca.jacobian(Phi, q)
     _check_held_or_heavy(m, plain, M, C)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
@@ -415,7 +419,7 @@ def derive(mechanism: Mechanism) -> Equations:
     instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
 
-    guess = _guess(m)
+    guess = _guess(coordinates)
     sdot = ca.SX.sym("sdot", len(m.starts))
     tied, ties = _ties(m)
     passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if u.numel() else f_applied
@@ -445,7 +449,7 @@ def derive(mechanism: Mechanism) -> Equations:
     equations = Equations(
         name=m.name,
         description=m.description,
-        coordinates=[Variable(c.name, c.unit) for c in m.coordinates],
+        coordinates=[Variable(c.name, c.unit) for c in coordinates],
         parameters=[Variable(x.name, x.unit, x.default, x.minimum, x.maximum, x.description) for x in m.parameters],
         starts=[Variable(f"start.{x.name}", x.unit, x.value, description=x.description) for x in m.starts],
         start_rates=[
@@ -471,6 +475,11 @@ def derive(mechanism: Mechanism) -> Equations:
     )
     _check_names(m, equations)
     return evaluable(equations)
+
+
+def _rest() -> Coordinate:
+    """The coordinate of a mechanism that has none, and states alone: of a mass of 1 that no force moves."""
+    return Coordinate("rest", *(ca.SX.sym(f"rest_{letter}") for letter in "qva"), "m", 0.0)
 
 
 def _state_rates(m: Mechanism) -> ca.SX:
@@ -889,10 +898,10 @@ def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
     return values, outputs
 
 
-def _guess(m: Mechanism) -> ca.SX:
+def _guess(coordinates: Sequence[Coordinate]) -> ca.SX:
     """Guesses of the coordinates in parameters and start values alone."""
     resolved: dict[int, ca.SX] = {}
-    for c in m.coordinates:
+    for c in coordinates:
         guess = symbolic(c.guess)
         before = [symbol for symbol in ca.symvar(guess) if key_of(symbol) in resolved]
         if before:

@@ -1,0 +1,63 @@
+"""A controller with proportional and integral part.
+
+With e the difference of what is wanted and what is measured,
+
+    u = K e + z within its limits,      dz/dt = K e / T + (u - K e - z) / T,
+
+so that the integral part z runs on no further than the limits let the output follow (anti-windup by back-calculation).
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from ..model.errors import DeclarationError
+from ..model.mechanism import Mechanism, Scalar
+from .declared import named, quotient
+
+__all__ = ["pi_controller"]
+
+
+def pi_controller(
+    m: Mechanism,
+    name: str,
+    *,
+    wanted: Scalar,
+    measured: Scalar,
+    gain: Scalar,
+    time: Scalar,
+    limit: Scalar | None = None,
+    units: tuple[str, str] = ("rad/s", "V"),
+    start: float = 0.0,
+    nominal: float = 1.0,
+) -> ca.SX:
+    """A PI controller; returns its output, for a motor or a drive.
+
+    `wanted` and `measured` are expressions in the first of `units`; measured are coordinates, rates, states and inputs,
+    and no accelerations. `gain` [second unit over first] and `time` [s] of the integral part are numbers, which become
+    the parameters `<name>.gain` and `<name>.time`, or expressions in parameters. The output stays within `limit` on
+    either side of zero, the parameter `<name>.limit` [second unit]. `start` is the integral part at the start,
+    `nominal` what a large output is (as in `Mechanism.state`).
+
+    Outputs are `<name>.output`, `<name>.error`, and the state `<name>.integral`. Raises DeclarationError where units
+    are no pair of units, or what is given makes no controller.
+    """
+    if not isinstance(units, tuple | list) or len(units) != 2:
+        raise DeclarationError(
+            f'{m.name}: the units of the controller {name} are {units!r}; give two, as ("rad/s", "V"): of what is '
+            "measured, and of the output"
+        )
+    of_error, of_output = units
+    K = named(m, name, "gain", gain, quotient(of_output, of_error), "gain")
+    T = named(m, name, "time", time, "s", "time of the integral part", minimum=1e-9)
+    error = wanted - measured
+    z = m.state(f"{name}.integral", of_output, start=start, nominal=nominal, description=f"integral part of {name}")
+    asked = K * error + z
+    output = asked
+    if limit is not None:
+        most = named(m, name, "limit", limit, of_output, "largest output", minimum=0.0)
+        output = ca.fmax(-most, ca.fmin(most, asked))
+    m.derivative(z, (K * error + output - asked) / T)
+    m.output(f"{name}.error", error, of_error, f"what {name} corrects")
+    m.output(f"{name}.output", output, of_output, f"output of {name}")
+    return ca.SX(output)

@@ -1,0 +1,175 @@
+"""A DC motor with a gearbox, on a joint or alone.
+
+With u the voltage, i the current and w the speed of the rotor,
+
+    L di/dt = u - R i - k w,      T = k i,
+
+and behind a gearbox of ratio r the rotor turns r times as fast as the joint, whose torque is r T.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from ..equations.derivation import Kinematics
+from ..model.errors import DeclarationError
+from ..model.mechanism import Joint, Mechanism, Scalar, stack
+from ..model.words import shown
+from .declared import named
+
+__all__ = ["Gearbox", "Motor", "dc_motor"]
+
+TURNING = 0.1
+"""speed of a rotor [rad/s]: up to about this the loss of a gearbox builds up; well below the speeds of motors, and so
+large that a step passes a change of direction."""
+
+
+@dataclass(frozen=True)
+class Gearbox:
+    """A gearbox between a motor and a joint; a number becomes a parameter of the motor.
+
+    `ratio` is the speed of the motor over that of the joint [1], of a joint that slides that over its velocity [rad/m];
+    below zero it turns the other way round. `efficiency` [1] is the share of the motor's torque that reaches the joint
+    where the motor drives; where the joint drives the motor, the same share reaches the motor. What accelerates the
+    rotor itself is taken to be free of it. `damping` [N.m.s/rad] is the viscous loss at the motor's shaft.
+    """
+
+    ratio: Scalar = 1.0
+    efficiency: Scalar = 1.0
+    damping: Scalar = 0.0
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Quantities of a motor, for outputs and controllers: expressions in the symbols of its mechanism."""
+
+    current: ca.SX
+    """[A]"""
+    torque: ca.SX
+    """On the joint, after the gearbox; without a joint that on the shaft [N.m]. On a joint that slides the force [N]."""
+    speed: ca.SX
+    """Of the rotor against its housing [rad/s]."""
+
+
+def dc_motor(
+    m: Mechanism,
+    name: str,
+    joint: Joint | None = None,
+    *,
+    voltage: Scalar,
+    resistance: Scalar,
+    inductance: Scalar,
+    constant: Scalar,
+    inertia: Scalar = 0.0,
+    gearbox: Gearbox | None = None,
+    speed: Scalar | None = None,
+    current: float = 0.0,
+    nominal: float = 1.0,
+) -> Motor:
+    """A DC motor that turns the second body of a revolute joint from the first, or moves that of a prismatic one.
+
+    `voltage` [V] is any expression: an input, the output of a controller. `resistance` [Ohm], `inductance` [H],
+    `constant` [N.m/A, V.s/rad] and `inertia` [kg.m2] of the rotor are numbers, which become the parameters
+    `<name>.resistance` and so on, or expressions in parameters. An inductance of 0 gives a current without delay.
+    `current` [A] is that at the start, `nominal` [A] what a large one is (as in `Mechanism.state`).
+
+    A rotor with inertia is a body of its own, `<name>.rotor`, in a bearing on the first body: it counts with the square
+    of the gearbox's ratio, and the joints that carry the motor feel it. Without a joint `speed` [rad/s] is that of the
+    shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which then has the inertia.
+
+    Outputs are `<name>.current`, `<name>.torque` and `<name>.voltage`. Raises DeclarationError where what is given
+    makes no motor.
+    """
+    gearbox = gearbox or Gearbox()
+    _check(m, name, joint, speed, inertia, gearbox)
+    R = named(m, name, "resistance", resistance, "Ohm", "resistance", minimum=0.0)
+    k = named(m, name, "constant", constant, "N.m/A", "torque per current, and voltage per speed,")
+    r, efficiency, damping = _geared(m, name, gearbox, joint)
+    w = speed if joint is None else r * _rate(m, joint)
+    w = w if joint is None else ca.SX(w)
+    instant = not isinstance(inductance, ca.SX) and inductance == 0
+    if instant:
+        i = ca.SX((voltage - k * w) / R)
+        m.output(f"{name}.current", i, "A", f"current of {name}")
+    else:
+        L = named(m, name, "inductance", inductance, "H", "inductance", minimum=1e-12)
+        i = m.state(f"{name}.current", "A", start=current, nominal=nominal, description=f"current of {name}")
+        m.derivative(i, (voltage - R * i - k * w) / L)
+    torque = _through(k * i, w, efficiency)
+    if joint is not None:
+        _mounted(m, name, joint, r, torque, inertia, damping)
+    out = torque if joint is None else r * torque
+    sliding = joint is not None and joint.kind == "prismatic"
+    what = f"{'force' if sliding else 'torque'} of {name} on {joint.name if joint else 'its shaft'}"
+    m.output(f"{name}.torque" if not sliding else f"{name}.force", out, "N" if sliding else "N.m", what)
+    m.output(f"{name}.voltage", voltage, "V", f"voltage of {name}")
+    return Motor(i, ca.SX(out), ca.SX(w))
+
+
+def _check(
+    m: Mechanism, name: str, joint: Joint | None, speed: Scalar | None, inertia: Scalar, gearbox: Gearbox
+) -> None:
+    if not isinstance(gearbox, Gearbox):
+        raise DeclarationError(f"{m.name}: the gearbox of {name} is {shown(gearbox)}; give parts.Gearbox(ratio=...)")
+    if (joint is None) == (speed is None):
+        given = "neither" if joint is None else "both"
+        raise DeclarationError(
+            f"{m.name}: the motor {name} takes a joint, or the speed of its shaft, and is given {given}; give one"
+        )
+    if joint is None:
+        if isinstance(inertia, ca.SX) or inertia != 0 or gearbox != Gearbox():
+            raise DeclarationError(
+                f"{m.name}: the motor {name} has no joint, so that no rotor and no gearbox belong to it; give them to "
+                "the mechanism that it drives"
+            )
+    elif not isinstance(joint, Joint) or joint.kind not in ("revolute", "prismatic") or joint not in m.joints:
+        raise DeclarationError(
+            f"{m.name}: the motor {name} is on {joint.name if hasattr(joint, 'name') else shown(joint)}; give it a "
+            "revolute or prismatic joint in the plane, of this mechanism"
+        )
+
+
+def _geared(m: Mechanism, name: str, gearbox: Gearbox, joint: Joint | None) -> tuple[Scalar, Scalar, Scalar]:
+    """Ratio, efficiency and damping, as parameters where they differ from those of no gearbox."""
+    none, ratio, efficiency, damping = Gearbox(), gearbox.ratio, gearbox.efficiency, gearbox.damping
+    if isinstance(ratio, ca.SX) or ratio != none.ratio:
+        ratio = named(m, name, "ratio", ratio, "1", "speed over that of its joint,")
+    if isinstance(efficiency, ca.SX) or efficiency != none.efficiency:
+        efficiency = named(m, name, "efficiency", efficiency, "1", "efficiency of the gearbox", 1e-3, 1.0)
+    if isinstance(damping, ca.SX) or damping != none.damping:
+        damping = named(m, name, "damping", damping, "N.m.s/rad", "viscous loss at the shaft", minimum=0.0)
+    return ratio, efficiency, damping
+
+
+def _rate(m: Mechanism, joint: Joint) -> ca.SX:
+    """Rate of the free displacement of a joint."""
+    q, v = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qv")
+    return ca.jtimes(Kinematics(m).free(joint), q, v)
+
+
+def _through(torque: ca.SX, speed: Scalar, efficiency: Scalar) -> ca.SX:
+    """What passes a gearbox, on the side of the motor: less where the motor drives, more where it is driven."""
+    if not isinstance(efficiency, ca.SX) and efficiency == 1:
+        return torque
+    passed = torque * ca.if_else(torque * speed > 0, efficiency, 1 / efficiency)
+    return torque - ca.fabs(ca.tanh(speed / TURNING)) * (torque - passed)
+
+
+def _mounted(
+    m: Mechanism, name: str, joint: Joint, ratio: Scalar, torque: ca.SX, inertia: Scalar, damping: Scalar
+) -> None:
+    """The torque on the joint, by a rotor in a bearing on the first body where it has inertia."""
+    if not isinstance(inertia, ca.SX) and inertia == 0:
+        m.drive(joint, ratio * torque)
+        if isinstance(damping, ca.SX):
+            m.spring_damper(joint, damping=ratio**2 * damping)
+        return
+    J = named(m, name, "inertia", inertia, "kg.m2", "inertia of the rotor", minimum=0.0)
+    rotor = m.body(f"{name}.rotor", mass=0.0, inertia=J)
+    turned = ratio * Kinematics(m).free(joint)
+    bearing = m.revolute(f"{name}.bearing", joint.first, rotor.at(), coordinate=turned)
+    m.drive(bearing, torque)
+    if isinstance(damping, ca.SX):
+        m.friction(bearing, damping)
