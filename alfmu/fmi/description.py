@@ -234,6 +234,8 @@ def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str],
         kind["unit"] = v.unit
         if display := _display(v.unit):
             kind["displayUnit"] = display
+        if v.nominal is not None:
+            kind["nominal"] = _number(v.nominal)
     if v.type in ("Real", "Integer"):
         kind |= {key: _number(x, v.type) for key, x in (("min", v.minimum), ("max", v.maximum)) if x is not None}
     return head, kind

@@ -48,7 +48,7 @@ class Motor:
     current: ca.SX
     """[A]"""
     torque: ca.SX
-    """On the joint, after the gearbox; without a joint that on the shaft [N.m]. On a joint that slides the force [N]."""
+    """On the joint, after the gearbox [N.m]; without a joint on the shaft; on a joint that slides the force [N]."""
     speed: ca.SX
     """Of the rotor against its housing [rad/s]."""
 

@@ -228,8 +228,10 @@ class Adaptive:
 
     def _tangents_at(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> list[NDArray]:
         """Rq, Rv, Xq, Xv, Rt, and Rx, Gq, Gv, Gx, empty ones where there are no states."""
-        found, n = [x.copy() for x in self._tangents(q, v, a, lam, u, self.oracle.memory["p"], t)], len(q)
-        return found if len(found) > 5 else [*found, *map(np.zeros, ((n, 0), (0, n), (0, n), (0, 0)))]
+        found, n, count = self._tangents(q, v, a, lam, u, self.oracle.memory["p"], t), len(q), len(self.x)
+        shapes, others = ((n, count), (count, n), (count, n), (count, count)), found[5:] or [np.zeros(0)] * 4
+        others = [x.reshape(shape, order="F") for x, shape in zip(others, shapes, strict=True)]
+        return [x.copy() for x in (*found[:5], *others)]
 
     def tangent(self, q: NDArray, v: NDArray, x: NDArray, t: float) -> tuple:
         """a, its derivatives by q, v, x and t, and C, what solves with H, and the derivative of xi by v."""
