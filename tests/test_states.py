@@ -6,7 +6,8 @@ from functools import cache
 import casadi as ca
 import numpy as np
 import pytest
-from fmpy import read_model_description, simulate_fmu
+from fmpy import extract, read_model_description, simulate_fmu
+from fmpy.fmi2 import FMU2Slave
 from oracles.adaptive import by_method
 from oracles.motors import Circuit, crank, linear, parallelogram
 from oracles.parallelogram import Parallelogram
@@ -219,6 +220,19 @@ def test_rk4_is_that_of_the_oracle(given):
     assert bool(given) == bool(vm.counters.patient)
 
 
+def test_what_is_read_at_a_singular_position_is_that_of_the_oracle():
+    """Limits of accelerations and reactions, with a torque that a state makes."""
+    given = {"start__angle": 0.0, "start__angular_velocity": 2.0, "start__motor__current": 3.0}
+    vm, oracle = (begun("five_bar", "rk4", kernel, **given) for kernel in ("vm", "oracle"))
+    assert vm.get("monitor.singular") >= 1
+    without = begun("five_bar", "rk4", **{**given, "start__motor__current": 0.0})
+    name = "link1.angular_acceleration"
+    bar = Parallelogram()
+    assert vm.get(name) - without.get(name) == pytest.approx(MOTOR.k * 3.0 / float(bar.inertia), rel=1e-6)
+    counted = [v.name for v in vm.outputs].index("monitor.iterations")
+    assert np.delete(vm.read(), counted) == pytest.approx(np.delete(oracle.read(), counted), rel=1e-6, abs=1e-6)
+
+
 @pytest.mark.parametrize("formulation", ["classic", "penalty", "dae"])
 def test_other_formulations(formulation):
     given = {"start__angle": START, "solver__step_size": 0.002}
@@ -381,6 +395,40 @@ def test_an_fmu_has_states(kind, fmi, tmp_path):
     table = simulate_fmu(str(path), stop_time=0.1, output_interval=0.01, start_values=given, output=["current"])
     expected = 6.0 - 2.0 * np.exp(-table["time"] / 0.05)
     assert table["current"] == pytest.approx(expected, rel=1e-6)
+
+
+def test_derivatives_of_a_native_fmu(tmp_path):
+    """An input goes on by its derivative inside a step; outputs follow inputs by accelerations, not by states."""
+    m = flywheel()
+    m.drive(m.joints[0], m.input("torque", "N.m"))
+    path = alfmu.export(m, tmp_path / "flywheel.fmu", kind="native", fmi=2)
+    description = read_model_description(str(path))
+    reference = {v.name: v.valueReference for v in description.modelVariables}
+    fmu = FMU2Slave(
+        guid=description.guid,
+        unzipDirectory=extract(str(path)),
+        modelIdentifier=description.coSimulation.modelIdentifier,
+        instanceName="flywheel",
+    )
+    fmu.instantiate()
+    fmu.setReal([reference["voltage"]], [0.0])
+    fmu.setupExperiment(startTime=0.0)
+    fmu.enterInitializationMode()
+    fmu.exitInitializationMode()
+    of = [reference[name] for name in ("wheel.angular_acceleration", "motor.torque")]
+    by_torque = fmu.getDirectionalDerivative(of, [reference["torque"]], [1.0])
+    by_voltage = fmu.getDirectionalDerivative(of, [reference["voltage"]], [1.0])
+    assert list(by_torque) == pytest.approx([1 / 0.2, 0.0], rel=1e-9)
+    assert list(by_voltage) == pytest.approx([0.0, 0.0], abs=1e-12)
+    fmu.setRealInputDerivatives([reference["voltage"]], [1], [100.0])
+    fmu.doStep(0.0, 0.1)
+    R, L, k, J, b = MOTOR.R, MOTOR.L, MOTOR.k, 0.2, 0.03
+    matrix = np.array([[-b / J, k / J, 0], [-k / L, -R / L, 1 / L], [0, 0, 0]])
+    expected = linear(matrix, np.array([0.0, 0.0, 100.0]), np.zeros(3), 0.1)
+    found = fmu.getReal([reference["motor.current"], reference["voltage"]])
+    assert found == pytest.approx(expected[1:], rel=1e-6)
+    fmu.terminate()
+    fmu.freeInstance()
 
 
 # Declarations that make no sense ------------------------------------------------------------------------------------

@@ -211,7 +211,10 @@ class _Patient(Alternatives):
         if self.redundant:
             self._least(calls, f"lam{i}")
         calls("forced", f"{time} q0 v0 {given} p k du", f"F xi da{i} dlam{i} dwatch", forces)
-        self._iterate(calls, f"da{i}", f"dlam{i}", "dwatch")
+        if e.l:
+            self._iterate(calls, f"da{i}", f"dlam{i}", "dwatch")
+        else:  # One solution is exact.
+            self._iterate_once(calls, f"da{i}", f"dlam{i}", "dwatch")
         if self.redundant:
             self._least(calls, f"dlam{i}")
 
