@@ -16,6 +16,7 @@ ROOMS: dict[str, set[str]] = {
     "model": set(),
     "files": {"model"},
     "equations": {"model"},
+    "parts": {"equations", "model"},
     "method": set(),
     "kernel": {"equations", "method", "model"},
     "runtime": {"equations", "files", "kernel", "method", "model"},

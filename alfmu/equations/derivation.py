@@ -459,6 +459,7 @@ def derive(mechanism: Mechanism) -> Equations:
         tied=tied,
         inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
         states=states,
+        resting=not m.coordinates,
         outputs=outputs,
         rows=rows,
         lengths=[i for i, row in enumerate(rows) if row.name in {body.unit_length for body in m.spatial_bodies}],

@@ -27,6 +27,7 @@ __all__ = [
     "every_event",
     "integrator",
     "setting",
+    "state_starts",
     "variables_of",
 ]
 

@@ -168,6 +168,8 @@ class Equations:
     """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them."""
     states: Sequence[Variable] = ()
     """Quantities of first-order equations that are integrated with the motion; `start` is their value at the start."""
+    resting: bool = False
+    """Whether the one coordinate stands for none: of states alone, it never moves."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""

@@ -301,7 +301,7 @@ class Instance:
         one there are branches on which other coordinates move.
         """
         e = self.equations
-        if e.n > DENSE:
+        if e.n > DENSE or e.resting:
             return []
         found, place = self._mobility()
         if found.freedom_here > found.freedom:

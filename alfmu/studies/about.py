@@ -63,6 +63,11 @@ class About:
         return variables_of(self.equations).causal("parameter")
 
     @property
+    def coordinates(self) -> Sequence[Variable]:
+        """The coordinates that are declared."""
+        return () if self.equations.resting else self.equations.coordinates
+
+    @property
     def method(self) -> str:
         """The method of integration, and why where it was chosen."""
         chosen = decided(self.equations)
@@ -83,11 +88,12 @@ class About:
             "description": m.description,
             "sketch": m.sketch.strip("\n"),
             "options": {name: {"value": m.options[name], "choices": each} for name, each in self.options.items()},
-            "coordinates": [{"name": c.name, "unit": c.unit} for c in e.coordinates],
+            "coordinates": [{"name": c.name, "unit": c.unit} for c in self.coordinates],
+            "states": [asdict(v) for v in e.states],
             "constraints": [asdict(row) for row in e.rows],
-            "degrees_of_freedom": size.freedom,
+            "degrees_of_freedom": size.freedom - e.resting,
             "redundant_constraints": size.redundant,
-            "motions_at_start": size.freedom_here,
+            "motions_at_start": size.freedom_here - e.resting,
             "not_unique": self.shared,
             "notes": self.notes,
             **{name: [asdict(v) for v in getattr(self, name)] for name in ("parameters", "inputs", "outputs")},
@@ -145,7 +151,8 @@ def in_short(a: About) -> list[str]:
     own = [v for v in parameters if not v.name.startswith(("start.", *(f"{row.name}.compliance" for row in e.rows)))]
     facts = [
         *_options(a),
-        _fitted(f"coordinates ({e.n})", [f"{c.name} [{c.unit}]" for c in e.coordinates]),
+        _fitted(f"coordinates ({len(a.coordinates)})", [f"{c.name} [{c.unit}]" for c in a.coordinates]),
+        *([_fitted(f"states ({len(e.states)})", [f"{v.name} [{v.unit}]" for v in e.states])] if e.states else []),
         _fitted(f"constraints ({e.l})", [f"{row.name} {row.direction}".strip() for row in e.rows]),
         _freedom(a),
         *([_fitted("not unique, as redundant constraints share a load", a.shared)] if a.shared else []),
@@ -169,9 +176,10 @@ def in_all(a: About) -> list[str]:
     """All of it, in lines."""
     m, e = a.mechanism, a.equations
     lines = [f"{m.name}: {m.description}", "", m.sketch.strip(), "", *_options(a), ""]
-    coordinates = _merged((f"{c.name} [{c.unit}]",) for c in e.coordinates)
+    coordinates, states = (_merged((f"{c.name} [{c.unit}]",) for c in each) for each in (a.coordinates, e.states))
     rows = _merged((f"{r.name} {r.direction}".strip(),) for r in e.rows)
-    lines += [f"coordinates ({e.n}): {', '.join(text for (text,) in coordinates)}"]
+    lines += [f"coordinates ({len(a.coordinates)}): {', '.join(text for (text,) in coordinates) or 'none'}"]
+    lines += [f"states ({len(e.states)}): {', '.join(text for (text,) in states)}"] if e.states else []
     lines += [f"constraints ({e.l}): {', '.join(text for (text,) in rows) or 'none'}", _freedom(a), *a.notes]
     if a.shared:
         each = _merged((name,) for name in a.shared)
@@ -191,9 +199,9 @@ def _options(a: About) -> list[str]:
 
 
 def _freedom(a: About) -> str:
-    size = a.mobility
+    size, rest = a.mobility, a.equations.resting
     here = f", singular at the start: {size.freedom_here} motions possible" * (size.freedom_here > size.freedom)
-    return f"degrees of freedom: {size.freedom}, redundant constraints: {size.redundant}{here}"
+    return f"degrees of freedom: {size.freedom - rest}, redundant constraints: {size.redundant}{here}"
 
 
 def _start(v: Variable) -> str:

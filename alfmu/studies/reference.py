@@ -334,6 +334,8 @@ def reference(instance: Instance, stop: float, effort: Effort = Effort()) -> Ref
     Of the two reductions that counts which reaches further, or where both arrive the placement; the other one, and
     a run of larger tolerance, tell its error.
     """
+    if instance.equations.states:
+        return "it follows the motion of coordinates alone, and this mechanism has states"
     model = _Model(instance)
     placed = _followed(model, _Placement, stop, effort.fine, effort)
     motions = [placed, _followed(model, _NullSpace, stop, effort.fine, effort, placed.stiff)]

@@ -61,12 +61,16 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
     e = equations
     instance = Instance(e, Settings(step_size=e.step_size, formulation="dae"))
     instance.initialize()
-    u, n = instance.inputs, e.n
+    n = e.n
     names = [*(v.name for v in e.outputs), *MONITORS]
-    start, span = np.concatenate([instance.q, instance.v]), (0.0, case.times[-1])
+    start, span = np.concatenate([instance.q, instance.v, instance.states]), (0.0, case.times[-1])
+
+    def parted(y: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        q, v, x = np.split(y, [n, 2 * n])
+        return q, v, np.concatenate([instance.inputs, x])
 
     def read(t: float, y: NDArray) -> NDArray:
-        q, v = y[:n], y[n:]
+        q, v, u = parted(y)
         a, lam, _, _ = instance.accelerations(q, v, u, t)
         return np.concatenate([instance.readings(q, v, a, lam, u, t), instance.residues(q, v), [instance.energy(q, v)]])
 
@@ -77,7 +81,8 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
         def rate(t: float, y: NDArray) -> NDArray:
             if time.perf_counter() - begin > case.limit:
                 raise TimeoutError
-            return np.concatenate([y[n:], instance.accelerations(y[:n], y[n:], u, t)[0]])
+            q, v, u = parted(y)
+            return np.concatenate([v, instance.accelerations(q, v, u, t)[0], instance.state_rates(q, v, u, t)])
 
         table, reached, failure, cut, before = np.empty((0, len(names))), 0, "", False, instance.counters.evaluations
         try:

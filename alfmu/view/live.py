@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations, Variable
-from ..equations.interface import variables_of
+from ..equations.interface import state_starts, variables_of
 from ..files import write
 from ..kernel.stream import BINARY, UNARY
 from ..kernel.tables import packed
@@ -139,6 +139,7 @@ def _about(
         **dict.fromkeys((v.name for v in e.parameters), "parameter"),
         **dict.fromkeys((v.name for v in e.starts), "start"),
         **dict.fromkeys((v.name for v in e.start_rates), "rate"),
+        **dict.fromkeys((v.name for v in state_starts(e)), "start"),
         **dict.fromkeys((v.name for v in e.compliances), "compliance"),
         **dict.fromkeys((v.name for v in found.inputs), "input"),
         **dict.fromkeys((v.name for v in found.switches), "switch"),
