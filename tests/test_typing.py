@@ -25,7 +25,7 @@ from pathlib import Path
 import alfmu
 from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, ExportError, InputError, StepError
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
-from alfmu import WriteError, mechanisms, simulate
+from alfmu import WriteError, mechanisms, parts, simulate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -37,6 +37,10 @@ def pendulum(l: float = 1.0) -> Mechanism:
     tip: Marker = rod.end
     hinge: Joint = m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=angle)
     m.drive(hinge, m.input("torque", "N.m"))
+    x = m.state("x", "V", start=0.0)
+    m.derivative(x, -x)
+    motor: parts.Motor = parts.dc_motor(m, "motor", hinge, voltage=x, resistance=1.0, inductance=0.1, constant=0.1)
+    m.output("power", motor.torque * m.rate(angle), "W")
     m.force(tip, y=1.0)
     m.gravity(0, -9.81)
     m.output("height", mass * l, "m")

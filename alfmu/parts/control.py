@@ -12,7 +12,7 @@ from __future__ import annotations
 import casadi as ca
 
 from ..model.errors import DeclarationError
-from ..model.mechanism import Mechanism, Scalar
+from ..model.mechanism import Mechanism, Scalar, symbolic
 from .declared import named, quotient
 
 __all__ = ["pi_controller"]
@@ -60,4 +60,4 @@ def pi_controller(
     m.derivative(z, (K * error + output - asked) / T)
     m.output(f"{name}.error", error, of_error, f"what {name} corrects")
     m.output(f"{name}.output", output, of_output, f"output of {name}")
-    return ca.SX(output)
+    return symbolic(output)

@@ -15,7 +15,7 @@ import casadi as ca
 
 from ..equations.derivation import Kinematics
 from ..model.errors import DeclarationError
-from ..model.mechanism import Joint, Mechanism, Scalar, stack
+from ..model.mechanism import Joint, Mechanism, Scalar, stack, symbolic
 from ..model.words import shown
 from .declared import named
 
@@ -87,11 +87,10 @@ def dc_motor(
     R = named(m, name, "resistance", resistance, "Ohm", "resistance", minimum=0.0)
     k = named(m, name, "constant", constant, "N.m/A", "torque per current, and voltage per speed,")
     r, efficiency, damping = _geared(m, name, gearbox, joint)
-    w = speed if joint is None else r * _rate(m, joint)
-    w = w if joint is None else ca.SX(w)
+    w = symbolic(0.0 if speed is None else speed) if joint is None else r * _rate(m, joint)
     instant = not isinstance(inductance, ca.SX) and inductance == 0
     if instant:
-        i = ca.SX((voltage - k * w) / R)
+        i = symbolic((voltage - k * w) / R)
         m.output(f"{name}.current", i, "A", f"current of {name}")
     else:
         L = named(m, name, "inductance", inductance, "H", "inductance", minimum=1e-12)
@@ -105,7 +104,7 @@ def dc_motor(
     what = f"{'force' if sliding else 'torque'} of {name} on {joint.name if joint else 'its shaft'}"
     m.output(f"{name}.torque" if not sliding else f"{name}.force", out, "N" if sliding else "N.m", what)
     m.output(f"{name}.voltage", voltage, "V", f"voltage of {name}")
-    return Motor(i, ca.SX(out), ca.SX(w))
+    return Motor(i, symbolic(out), w)
 
 
 def _check(
@@ -149,7 +148,7 @@ def _rate(m: Mechanism, joint: Joint) -> ca.SX:
     return ca.jtimes(Kinematics(m).free(joint), q, v)
 
 
-def _through(torque: ca.SX, speed: Scalar, efficiency: Scalar) -> ca.SX:
+def _through(torque: ca.SX, speed: ca.SX, efficiency: Scalar) -> ca.SX:
     """What passes a gearbox, on the side of the motor: less where the motor drives, more where it is driven."""
     if not isinstance(efficiency, ca.SX) and efficiency == 1:
         return torque
