@@ -65,6 +65,7 @@ KINDS = {
     "A": "current",
     "V": "voltage",
     "Pa": "pressure",
+    "m3/s": "flow",
 }
 """What an axis shows, by unit; in the order of panels."""
 

@@ -71,7 +71,7 @@ panels[-1].set_xlabel("time [s]")
 # %%
 # The press at half its speed.
 
-animate(crank_press(), result.select("*"), "crank_press.gif", fps=20, speed=0.5)
+animate(crank_press(), result, "crank_press.gif", fps=20, speed=0.5)
 
 # %%
 # **Check.** The plate takes the same energy in each stroke, half of its stiffness times the square of its thickness,
