@@ -15,9 +15,11 @@ from scenes import made
 
 import alfmu
 from alfmu import DeclarationError, Mechanism
+from alfmu.fmi.recipe import of
 from alfmu.kernel.memory import PACE
 from alfmu.model.settings import FIXED, METHODS
 from alfmu.simulation import prepared, with_defaults
+from alfmu.studies.about import About, about, in_short
 
 MOTOR = Circuit()
 START = 0.4
@@ -378,6 +380,26 @@ def test_the_nominal_value_is_the_scale_of_small_states(caplog):
     assert filling(1.0) > 1e-3  # its scale is another one then
     assert "the state filling reached" in caplog.text
     assert "nominal value 1 m3; give nominal= in state()" in caplog.text
+
+
+def test_what_there_is_to_know_names_states():
+    """In short, and as data; a mechanism of states alone has no coordinate and no freedom."""
+
+    def known(m: Mechanism) -> About:
+        recipe = of(m)
+        return about(recipe, m, alfmu.derive(m))
+
+    alone = known(circuit())
+    assert "states (1): current [A]" in in_short(alone)
+    assert "coordinates (0): none" in in_short(alone)
+    assert "degrees of freedom: 0, redundant constraints: 0" in in_short(alone)
+    data = alone.as_data()
+    assert (data["coordinates"], data["degrees_of_freedom"]) == ([], 0)
+    assert [(x["name"], x["unit"], x["start"]) for x in data["states"]] == [("current", "A", 2.0)]
+    assert not alone.notes
+    assert "at the start: start.angle = 0 rad, start.angle_rate = 0 rad/s, start.motor.current = 0 A" in in_short(
+        known(flywheel())
+    )
 
 
 # FMUs ---------------------------------------------------------------------------------------------------------------
