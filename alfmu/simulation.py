@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -39,6 +40,12 @@ __all__ = [
 
 MOST = 500_000_000
 """Numbers in a result, at most: 4 GB."""
+
+HIDDEN, NOTHING = 1e-3, 1e-12
+"""Largest values of a state over its nominal value [1]: below the first one a tolerance of 1e-6 leaves errors of a part
+in a thousand, and a run says so; below the second one the state is round-off."""
+
+_LOGGER = logging.getLogger("alfmu")
 
 Progress = Callable[[Iterable[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
@@ -179,7 +186,22 @@ def run(
     if ended is not None:
         ended.result = result if len(values) else None  # type: ignore[attr-defined]
         raise ended
+    if isinstance(unit, Instance) and unit.adapts:
+        _tell_of_small_states(unit, result)
     return result
+
+
+def _tell_of_small_states(unit: Instance, result: Result) -> None:
+    """Warn of states whose nominal value hides their errors."""
+    for v in unit.equations.states:
+        nominal = v.nominal or 1.0
+        largest = float(np.abs(result[v.name]).max()) if v.name in result.names else 0.0
+        if NOTHING * nominal < largest < HIDDEN * nominal:
+            _LOGGER.warning(
+                "%s: the state %s reached %.2g %s at most, and errors are judged by its nominal value %g %s; give "
+                "nominal= in state()",
+                *(unit.name, v.name, largest, v.unit, nominal, v.unit),
+            )
 
 
 def _in_one_call(

@@ -19,6 +19,7 @@ from pathlib import Path
 import fmpy
 
 import alfmu
+from alfmu import parts
 from alfmu.runtime import build
 
 SOURCE = Path(__file__).parents[1] / "tests" / "native_fuzz.c"
@@ -60,12 +61,25 @@ class Case:
 RK4 = {"solver.method": "rk4"}
 """Error control makes a million tries of a step that goes wrong, which is slow where everything is watched."""
 
+
+def motor() -> alfmu.Mechanism:
+    """A slider-crank with a motor and a controller: states beside the motion."""
+    m = alfmu.load("slider_crank", coordinates="joint")
+    voltage = parts.pi_controller(
+        m, "speed", wanted=m.input("wanted", "rad/s"), measured=m.rate(m.coordinates[0].q), gain=1.0, time=0.5
+    )
+    data = {"resistance": 1.0, "inductance": 0.01, "constant": 0.1, "inertia": 1e-3}
+    parts.dc_motor(m, "motor", m.joints[0], voltage=voltage, gearbox=parts.Gearbox(ratio=10.0), **data)
+    return m
+
+
 CASES = {
     "five_bar": Case(lambda: alfmu.load("five_bar"), RK4, share=4),
     "locks": Case(locked, RK4, share=4),
     "extrapolated": Case(lambda: alfmu.load("slider_crank"), {**RK4, "solver.input_order": 2}, share=4),
     "auto": Case(lambda: alfmu.load("four_bar")),
     "explicit": Case(lambda: alfmu.load("four_bar"), {"solver.method": "explicit"}),
+    "states": Case(motor),
     "order8": Case(lambda: alfmu.load("particle_on_circle"), {"solver.method": "order8"}, share=2),
     "stiff": Case(lambda: alfmu.load("flexible_four_bar"), {"solver.method": "stiff"}),
     "trapezoidal": Case(lambda: alfmu.load("particle_on_circle"), {"solver.method": "trapezoidal"}, share=2),

@@ -66,6 +66,12 @@ def toggle_press(n: Names) -> None:
     assert n["result"]["press"].max() > 2e5
 
 
+def crank_press(n: Names) -> None:
+    assert n["strokes"] == 4
+    assert n["result"]["pressed"][-1] == pytest.approx(4 * n["stroke"], rel=1e-2)
+    assert n["unaccounted"] < 1e-6 * n["result"]["supplied"][-1]
+
+
 def quick_return(n: Names) -> None:
     assert n["ratio"] == pytest.approx(n["expected"], rel=1e-3)
 
@@ -119,7 +125,7 @@ CHECKS: dict[str, Callable[[Names], None]] = {
     check.__name__: check
     for check in (
         *(windscreen_wiper, jansen_leg, peaucellier, scissor_lift, excavator, planar_robot, stewart_platform),
-        *(toggle_press, quick_return, valve_train, four_cylinders, pantograph, landing_gear),
+        *(toggle_press, crank_press, quick_return, valve_train, four_cylinders, pantograph, landing_gear),
         *(five_bar, four_bar, slider_crank, bennett, governor),
     )
 }

@@ -15,9 +15,11 @@ from scenes import made
 
 import alfmu
 from alfmu import DeclarationError, Mechanism
+from alfmu.fmi.recipe import of
 from alfmu.kernel.memory import PACE
 from alfmu.model.settings import FIXED, METHODS
 from alfmu.simulation import prepared, with_defaults
+from alfmu.studies.about import About, about, in_short
 
 MOTOR = Circuit()
 START = 0.4
@@ -361,23 +363,43 @@ def test_states_that_decay_quickly():
     assert equations("slider_crank").chosen == ""  # decided by the defaults of each scene
 
 
-def test_the_nominal_value_is_the_scale_of_small_states():
+def test_the_nominal_value_is_the_scale_of_small_states(caplog):
     """A filling of a millionth of a cubic metre is kept to its tolerance where its nominal value says what it is."""
 
     def filling(nominal: float) -> float:
         m = Mechanism("vessel")
         x = m.state("filling", "m3", nominal=nominal)
         m.derivative(x, 1e-6 * ca.cos(40 * m.time) - 5 * x)
-        i = alfmu.Instance(m)
-        i.set("solver.method", "explicit")
-        i.initialize()
-        i.step(2.0)
+        run = alfmu.simulate(m, 2.0, 2.0, parameters={"solver.method": "explicit"})
         w, a, t = 40.0, 5.0, 2.0
         exact = 1e-6 * (a * math.cos(w * t) + w * math.sin(w * t) - a * math.exp(-a * t)) / (a**2 + w**2)
-        return abs(i.get("filling") - exact) / (1e-6 / w)
+        return abs(run["filling"][-1] - exact) / (1e-6 / w)
 
     assert filling(1e-7) < 1e-5
+    assert not caplog.text
     assert filling(1.0) > 1e-3  # its scale is another one then
+    assert "the state filling reached" in caplog.text
+    assert "nominal value 1 m3; give nominal= in state()" in caplog.text
+
+
+def test_what_there_is_to_know_names_states():
+    """In short, and as data; a mechanism of states alone has no coordinate and no freedom."""
+
+    def known(m: Mechanism) -> About:
+        recipe = of(m)
+        return about(recipe, m, alfmu.derive(m))
+
+    alone = known(circuit())
+    assert "states (1): current [A]" in in_short(alone)
+    assert "coordinates (0): none" in in_short(alone)
+    assert "degrees of freedom: 0, redundant constraints: 0" in in_short(alone)
+    data = alone.as_data()
+    assert (data["coordinates"], data["degrees_of_freedom"]) == ([], 0)
+    assert [(x["name"], x["unit"], x["start"]) for x in data["states"]] == [("current", "A", 2.0)]
+    assert not alone.notes
+    assert "at the start: start.angle = 0 rad, start.angle_rate = 0 rad/s, start.motor.current = 0 A" in in_short(
+        known(flywheel())
+    )
 
 
 # FMUs ---------------------------------------------------------------------------------------------------------------

@@ -62,6 +62,10 @@ KINDS = {
     "rad/s2": "angular acceleration",
     "m/s2": "acceleration",
     "W": "power",
+    "A": "current",
+    "V": "voltage",
+    "Pa": "pressure",
+    "m3/s": "flow",
 }
 """What an axis shows, by unit; in the order of panels."""
 
