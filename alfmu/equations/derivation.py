@@ -841,9 +841,8 @@ def _efforts_in_space(
             effort = -spring.stiffness * (path - spring.rest) - spring.damping * ca.jtimes(path, q, v)
             found.append((spring.between, effort))
     for stop in m.end_stops:
-        if not isinstance(stop.of, ca.SX | Joint) and not (
-            isinstance(stop.of, tuple) and isinstance(stop.of[0], Marker)
-        ):
+        first = stop.of[0] if isinstance(stop.of, tuple) else stop.of
+        if isinstance(first, SpatialJoint | SpatialFreedom | SpatialMarker):
             path = _limited(kinematics, stop)
             found.append((stop.of, stop.effort(path, ca.jtimes(path, q, v))))
     return found

@@ -1380,11 +1380,11 @@ class Mechanism:
                 raise DeclarationError(
                     f"{self.name}: {what} has the upper limit {at[0]:g} and the lower limit {at[1]:g}"
                 )
-            turn = isinstance(of, SpatialJoint | SpatialFreedom) and of.wrapped
+            turn = of.name if isinstance(of, SpatialJoint | SpatialFreedom) and of.wrapped else ""
             for x in at:
                 if turn and x is not None and abs(x) >= math.pi:
                     raise DeclarationError(
-                        f"{self.name}: {what} is at {x:g} rad, and the angle of {of.name} is known from -pi to pi only"
+                        f"{self.name}: {what} is at {x:g} rad, and the angle of {turn} is known from -pi to pi only"
                     )
         if dissipation is not None and restitution is not None:
             raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")
