@@ -64,6 +64,8 @@ def pair(kind: str, relative: bool) -> alfmu.Mechanism:
         m.spring_damper(free, stiffness=5.0, damping=0.7, rest=0.1)
     m.friction(hinge, 0.2)
     m.drive(hinge, m.input("K.torque", "N.m"))
+    m.end_stop("knock", hinge, upper=0.2, stiffness=5.0, dissipation=0.1)
+    m.end_stop("reach", (base.at(), tool.at()), upper=0.01, stiffness=3.0)
     m.force(arm.at(0.3, 0.1, 0.0), 1.0, m.input("pull", "N"), 3.0)
     m.force(base.at(0.0, 0.2, 0.1), *ca.vertsplit(base.rotation @ ca.SX([4.0, -2.0, 1.0])))
     m.torque(arm, (0.5, -1.0, 2.0))
@@ -126,7 +128,10 @@ def test_a_tree_and_constraints_agree_and_every_body_balances(seed, kind):
     force, moment = efforts(kind, b, pushed)
     b.joint("J", "base", "arm", ON, force, moment)
     hinge = b.turns["arm"] @ [0, 1, 0]
-    b.joint("K", "arm", "tool", (0, -0.1, 0), turn=(u[0] - 0.2 * v[-1]) * hinge)
+    b.joint("K", "arm", "tool", (0, -0.1, 0), turn=(u[0] - 0.2 * v[-1] + r["knock.torque"]) * hinge)
+    line = b.point("tool", (0, 0, 0)) - b.point("base", (0, 0, 0))
+    b.push("base", "tool", b.point("tool", (0, 0, 0)), r["reach.force"] * line / np.linalg.norm(line))
+    assert min(abs(r["knock.torque"]), abs(r["reach.force"])) > 0.1
     b.spring(("ground", (0, 0, 1)), ("tool", (0.2, 0, 0)), 40.0, 2.0, 0.3)
     b.spring(("base", (0, 0.4, 0)), ("arm", (0, 0, 0.5)), 70.0, 3.0, 0.2)
     b.push("ground", "arm", b.point("arm", (0.3, 0.1, 0.0)), np.array([1.0, u[1], 3.0]), (0.5, -1.0, 2.0))
