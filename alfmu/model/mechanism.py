@@ -763,7 +763,7 @@ class Mechanism:
                     raise DeclarationError(f"{self.name}: measure() is given a spring of another mechanism")
                 Mechanism.measured.of(self).append(spring)
                 continue
-            names = [*springs, *(j.name for j in (*self.joints, *self.spatial_joints))]
+            names = [*springs, *(j.name for j in self.joints), *(j.name for j in self.spatial_joints)]
             if (each if isinstance(each, str) else getattr(each, "name", None)) not in names:
                 called = each if isinstance(each, str) else getattr(each, "name", shown(each))
                 raise DeclarationError(
@@ -1376,7 +1376,7 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: {what} has no limit; give upper=, lower= or both, in {along}")
         if not any(isinstance(x, ca.SX) and self._moves(x) for _, x in limits):
             at = [x if x is None else self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits]
-            if None not in at and not at[0] > at[1]:
+            if at[0] is not None and at[1] is not None and not at[0] > at[1]:
                 raise DeclarationError(
                     f"{self.name}: {what} has the upper limit {at[0]:g} and the lower limit {at[1]:g}"
                 )
