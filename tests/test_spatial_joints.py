@@ -201,6 +201,49 @@ def test_velocities_and_accelerations_are_derivatives(kind):
                 assert now[f"{body}.angular_velocity.{axis}"] == pytest.approx(w, abs=1e-5)
 
 
+def arm_of_all() -> alfmu.Mechanism:
+    """One body on another by every joint whose coordinates are independent, two of them moved by one coordinate."""
+    m = alfmu.Mechanism("arm_of_all")
+    m.gravity(*GRAVITY)
+    c = iter([m.coordinate(f"c{i}", u) for i, u in enumerate(("rad", "m", "rad", "rad", "rad", "m", "m", "rad"))])
+    bodies = [m.spatial_body(f"b{i}", mass=1.0 + i, inertia=INERTIA, relative=True) for i in range(6)]
+    ends = [m.spatial_ground.at(), *(body.at(0.1, 0.2, -0.1) for body in bodies)]
+    on = [body.at(0.02, 0.0, 0.03) for body in bodies]
+    th = next(c)
+    m.spatial_revolute("A", ends[0], on[0], axis=AXIS, coordinate=th)
+    m.cylindrical("B", ends[1], on[1], axis=SECOND, coordinates=(2 * th + 0.3 * ca.sin(th), next(c)))
+    m.universal("C", ends[2], on[2], axis=AXIS, second_axis=ACROSS, coordinates=(next(c), next(c)))
+    m.spatial_screw("D", ends[3], on[3], axis=SECOND, lead=LEAD, coordinate=next(c))
+    m.planar("E", ends[4], on[4], axis=AXIS, coordinates=(next(c), next(c), next(c)))
+    m.spatial_weld("F", ends[5], on[5])
+    return m
+
+
+def test_recursions_are_what_lagrange_gives():
+    """Velocity terms and weights against derivatives of the energies, where coordinates are independent."""
+    e = alfmu.derive(arm_of_all())
+    q, v = ca.SX.sym("q", e.n), ca.SX.sym("v", e.n)
+    nothing = ca.SX(0, 1)
+    T, V = e.kinetic_energy(q, v, nothing), e.potential_energy(q, nothing)
+    momentum = ca.gradient(T, v)
+    d = ca.jtimes(momentum, q, v) - ca.gradient(T, q)
+    lagrange = ca.Function("lagrange", [q, v], [ca.jacobian(momentum, v), d, -ca.gradient(V, q)])
+    random = np.random.default_rng(3)
+    at = random.normal(size=(2, e.n))
+    M, d, f = (np.array(x) for x in lagrange(*at))
+    assert np.array(e.M(at[0], [])) == pytest.approx(M, rel=1e-12, abs=1e-12)
+    assert np.array(e.d(*at, [])) == pytest.approx(d, rel=1e-11, abs=1e-11)
+    assert np.array(e.f(*at, [], [], 0.0)) == pytest.approx(f, rel=1e-12, abs=1e-12)
+    # And the kinetic energy that recursion gives is that of the velocities that are read.
+    r = evaluate(e, *at)
+    total = 0.0
+    for i in range(6):
+        turn = Rotation.from_quat([r[f"b{i}.e{k}"] for k in (1, 2, 3, 0)]).as_matrix()
+        w, speed = (np.array([r[f"b{i}.{x}{k}"] for k in "xyz"]) for x in ("angular_velocity.", "v"))
+        total += (1.0 + i) * speed @ speed / 2 + w @ turn @ np.array(INERTIA) @ turn.T @ w / 2
+    assert total == pytest.approx(float(e.kinetic_energy(*at, [])), rel=1e-12)
+
+
 # What a matrix of inertia is ------------------------------------------------------------------------------------------
 
 
