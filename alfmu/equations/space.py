@@ -23,7 +23,7 @@ from ..model.mechanism import Joint as PlanarJoint
 from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, angular_velocity, spin_matrix
 from .types import Variable
 
-__all__ = ["SpatialMotion", "Wrench", "applied", "outputs", "relative_bodies"]
+__all__ = ["SpatialMotion", "Wrench", "applied", "gravity", "loads", "outputs", "relative_bodies"]
 
 Wrench = tuple[ca.SX, ca.SX]
 """A force (3,) and a moment (3,) about a body's anchor, in ground axes."""

@@ -1521,7 +1521,10 @@ class Mechanism:
         Mechanism.generalized.of(self).append((along.q, expression))
 
     def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
-        """A holonomic constraint Phi(q) = 0 in m, rad or 1, after the joints declared so far."""
+        """A holonomic constraint Phi(q) = 0 in m, rad or 1, after the joints declared so far.
+
+        Its force acts along the coordinates, so that reactions of joints with coordinates do not contain it.
+        """
         self._claim(name, unit, "a constraint")
         Mechanism.closures.of(self).append(
             Constraint(name, self._of_coordinates(f"constraint {name}", expression, unit), unit)
