@@ -191,6 +191,15 @@ def test_a_slider_crank_in_space_moves_as_its_one_equation(tmp_path):
     assert r["motor.angle"] == pytest.approx(exact, abs=1e-6)
     assert r["slider.position"] == pytest.approx([float(place(x)) for x in exact], abs=1e-7)
     assert r["monitor.position_error"].max() < 1e-13
+    last = {name: r[name][-1] for name in r.names}
+    moments = (0.0, 0.5 * LENGTH**2 / 12, 0.5 * LENGTH**2 / 12)
+    bodies = {"crank": (0.4, (2e-3, 1e-3, 1e-3), (0, 0, 0)), "slider": (0.6, (1e-3,) * 3, (0, 0, 0))}
+    b = SpatialBalance(last, bodies | {"rod": (0.5, moments, (-LENGTH / 2, 0, 0))}, (0, 0, -G))
+    b.joint("motor", "ground", "crank", (0, 0, 0), turn=(0.5 - 0.01 * last["motor.angular_velocity"], 0, 0))
+    b.joint("guide", "ground", "slider", (0, 0, 0))
+    b.joint("pin", "slider", "rod", (0, 0, 0))
+    b.joint("ball", "crank", "rod", (-LENGTH, 0, 0))
+    assert b.lack() <= 1e-9
     for kind in ("python", "native"):
         path = alfmu.export(slider_crank(), tmp_path / f"{kind}.fmu", kind=kind)
         assert validate(path) == []
