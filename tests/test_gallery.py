@@ -61,6 +61,13 @@ def spatial_slider_crank(n: Names) -> None:
     assert n["lost"] < 1e-5
 
 
+def bricard(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["alike"] < 1e-9
+    assert n["lost"] < 1e-5
+    assert np.ptp(n["a"]) > 1.0
+
+
 def gyroscope(n: Names) -> None:
     assert n["lost"] < 1e-6
     assert n["usual"] == pytest.approx(n["expected"], rel=0.03)
@@ -131,7 +138,7 @@ CHECKS: dict[str, Callable[[Names], None]] = {
     for check in (
         *(windscreen_wiper, jansen_leg, peaucellier, scissor_lift, excavator, planar_robot, stewart_platform),
         *(toggle_press, quick_return, valve_train, four_cylinders, pantograph, landing_gear),
-        *(five_bar, four_bar, slider_crank, bennett, governor, spatial_slider_crank, gyroscope),
+        *(five_bar, four_bar, slider_crank, bennett, governor, spatial_slider_crank, gyroscope, bricard),
     )
 }
 """What holds of each file of the gallery, by the numbers that it leaves."""
