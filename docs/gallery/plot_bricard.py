@@ -13,9 +13,7 @@ import numpy as np
 from alfmu import Experiment, Mechanism, simulate
 from alfmu.view.picture import animate
 
-EDGES = np.array(
-    [(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0)], float
-)  # of the cube; the ground is the sixth
+EDGES = np.array([(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, -1, 0)], float)  # the ground is the sixth
 AXES = [(0, 1, 0), (0, 0, 1), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 0, 0)]  # of the hinges
 
 # %%
@@ -53,8 +51,8 @@ axes.legend()
 animate(mechanism, result, "bricard.gif", fps=15, speed=1)
 
 # %%
-# **Check.** Hinges of one parity turn alike, and those of the other follow by a closed form: with a and b the angles from
-# the cube, sin b = sin a (1 - sin b).
+# **Check.** Hinges of one parity turn alike, and those of the other follow by a closed form: with a and b the angles
+# from the cube, sin b = sin a (1 - sin b).
 
 a, b = result["H1.angle"], result["H2.angle"]
 deviation = float(np.abs(np.sin(b) - np.sin(a) * (1 - np.sin(b))).max())
