@@ -55,6 +55,24 @@ def planar_robot(n: Names) -> None:
     assert n["tracking"] < 1e-4
 
 
+def spatial_slider_crank(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["turns"] > 3
+    assert n["lost"] < 1e-5
+
+
+def bricard(n: Names) -> None:
+    assert n["deviation"] < 1e-9
+    assert n["alike"] < 1e-9
+    assert n["lost"] < 1e-5
+    assert np.ptp(n["a"]) > 1.0
+
+
+def gyroscope(n: Names) -> None:
+    assert n["lost"] < 1e-6
+    assert n["usual"] == pytest.approx(n["expected"], rel=0.03)
+
+
 def stewart_platform(n: Names) -> None:
     assert n["deviation"] < 1e-9
     assert 0 < n["off"] < 0.005
@@ -126,7 +144,7 @@ CHECKS: dict[str, Callable[[Names], None]] = {
     for check in (
         *(windscreen_wiper, jansen_leg, peaucellier, scissor_lift, excavator, planar_robot, stewart_platform),
         *(toggle_press, crank_press, quick_return, valve_train, four_cylinders, pantograph, landing_gear),
-        *(five_bar, four_bar, slider_crank, bennett, governor),
+        *(five_bar, four_bar, slider_crank, bennett, governor, spatial_slider_crank, gyroscope, bricard),
     )
 }
 """What holds of each file of the gallery, by the numbers that it leaves."""

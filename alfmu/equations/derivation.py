@@ -11,7 +11,8 @@ generalised force that holds eps at zero,
 
     r = X_eps' w a_X + V_eps - s_eps' F + Phi_eps' lambda   at eps = 0,
 
-with a_X the accelerations of X, V the potential, s the displacements along which efforts F act.
+with a_X the accelerations of X, V the potential, s the displacements along which efforts F act. Bodies in space that
+joints place have recursions of their own (`equations.space`).
 """
 
 from __future__ import annotations
@@ -42,9 +43,10 @@ from ..model.mechanism import (
     symbolic,
 )
 from ..model.relations import Relation
-from ..model.spatial import SpatialJoint, SpatialMarker, angular_velocity
+from ..model.spatial import SpatialFreedom, SpatialJoint, SpatialMarker
 from ..model.stops import EndStop
 from ..model.units import rate_of
+from . import space
 from .evaluation import ARGUMENTS, evaluable, shared
 from .interface import variables_of
 from .measures import measures
@@ -162,7 +164,7 @@ class Kinematics:
 
     def free(self, joint: AnyJoint) -> ca.SX:
         """The free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
-        if isinstance(joint, SpatialJoint):
+        if isinstance(joint, SpatialJoint | SpatialFreedom):
             return joint.free
         if joint.kind == "revolute":
             return self.frame(joint.second.body).angle - self.frame(joint.first.body).angle
@@ -180,8 +182,8 @@ class Kinematics:
         """The displacement that a lock keeps, and whether it is an angle known up to whole turns only."""
         if isinstance(lock.of, ca.SX):
             return lock.of, False
-        if isinstance(lock.of, SpatialJoint):
-            return lock.of.free, lock.of.kind == "revolute"
+        if isinstance(lock.of, SpatialJoint | SpatialFreedom):
+            return lock.of.free, lock.of.wrapped
         if isinstance(lock.of, Joint):
             turns = lock.of.kind == "revolute"
             bodies, value = (lock.of.first.body, lock.of.second.body), self.free(lock.of)
@@ -193,6 +195,8 @@ class Kinematics:
     def gap(self, closure: Closure, direction: str) -> ca.SX:
         """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
         if direction == "length":
+            if isinstance(closure, SpatialJoint):
+                return ca.norm_2(closure.second.place - closure.first.place) - closure.length
             square, length = self._apart(closure)
             return ca.sqrt(square + 1e-300) - length
         return self.residual(closure, direction)
@@ -345,6 +349,12 @@ def derive(mechanism: Mechanism) -> Equations:
     m = mechanism
     if not m.coordinates and not m.states:
         raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate, or a state")
+    for body in m.spatial_bodies:
+        if not body.is_placed:
+            raise DeclarationError(
+                f"{m.name}: nothing places {body.name}{m.declared_at(body.name)}, a body in relative coordinates; give "
+                "a joint that ends on it its coordinate"
+            )
     coordinates = m.coordinates or (_rest(),)
     q, v, a = (stack([getattr(c, letter) for c in coordinates]) for letter in "qva")
     locks = [closure for closure in m.closures if isinstance(closure, Lock)]
@@ -358,13 +368,17 @@ def derive(mechanism: Mechanism) -> Equations:
     Phi = signs * stack([plain.residual(*c) for c in closures])
     lam = ca.SX.sym("lam", len(rows))
 
-    X, w = _inertia(m, plain, pivoted=True)
+    X, W = _inertia(m, plain, pivoted=True)
     Xq = ca.jacobian(X, q)
     Xv = ca.jtimes(X, q, v)
     bias = ca.jtimes(Xv, q, v)
-    M = Xq.T @ ca.diag(w) @ Xq
-    d = Xq.T @ (w * bias)
-    T = ca.dot(w * Xv, Xv) / 2
+    M = Xq.T @ W @ Xq
+    d = Xq.T @ (W @ bias)
+    T = ca.dot(W @ Xv, Xv) / 2
+    motion, placed = space.SpatialMotion(m, q, v), space.relative_bodies(m)
+    if placed:
+        carried = motion.mass_matrix(placed)
+        M, d, T = M + carried, d + motion.along(motion.inertial(placed)), T + ca.dot(v, carried @ v) / 2
     if m.kinetic:
         extra = sum(m.kinetic, ca.SX(0))
         momentum = ca.gradient(extra, v)
@@ -375,10 +389,15 @@ def derive(mechanism: Mechanism) -> Equations:
     V = _potential(m, plain)
     paths, efforts = _efforts(m, plain, q, v)
     f_applied = ca.jacobian(paths, q).T @ efforts
+    if m.spatial_loads:
+        f_applied += motion.along(space.loads(m))
     place = {key_of(c.q): i for i, c in enumerate(m.coordinates)}
     for coordinate, expression in m.generalized:
         f_applied[place[key_of(coordinate)]] += expression
     f = f_applied - ca.gradient(V, q)
+    if placed:
+        f += motion.along(space.gravity(m, placed))
+        V -= sum((body.mass * ca.dot(stack(m.gravity_vector), body.position) for body in placed), ca.SX(0))
 
     if not m.coordinates:
         M = ca.SX.eye(1)
@@ -408,12 +427,14 @@ def derive(mechanism: Mechanism) -> Equations:
     efforts_of_locks, lock_outputs = _locking(locks, closures, lam)
     values += efforts_of_locks
     outputs += lock_outputs
-    spatial_values, spatial_outputs = _spatial_outputs(m, q, v, a, closures, lam)
+    efforts_in_space = _efforts_in_space(m, plain, q, v)
+    spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
     values += spatial_values
     outputs += spatial_outputs
     for joint in m.spatial_joints:
-        if joint.kind == "revolute":
-            wrapped[f"{joint.name}.angle"] = _tied_start(m, joint.free)
+        for which in joint.freedoms:
+            if joint.is_wrapped(which):
+                wrapped[f"{joint.name}.{which}"] = _tied_start(m, joint.displacement(which))
     traced_values, traced_outputs = _watched(m, plain, q, v)
     values += traced_values
     outputs += traced_outputs
@@ -489,7 +510,11 @@ def derive(mechanism: Mechanism) -> Equations:
         resting=not m.coordinates,
         outputs=outputs,
         rows=rows,
-        lengths=[i for i, row in enumerate(rows) if row.name in {body.unit_length for body in m.spatial_bodies}],
+        lengths=[
+            i
+            for i, row in enumerate(rows)
+            if row.name in {each.unit_length for each in (*m.spatial_bodies, *m.spatial_joints)}
+        ],
         compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
         held=[lock.name for lock in locks],
@@ -717,7 +742,7 @@ def _switches(m: Mechanism, locks: list[Lock], closures: list[Closing]) -> list[
 
 
 def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
-    """Displacements X and their weights w: places of centres of mass, angles (natural coordinates, space: directions).
+    """Displacements X and their weights W: places of centres of mass, angles (natural coordinates, space: directions).
 
     With `pivoted`, a body that a hinge on the ground places counts by its angle and its inertia about the hinge alone.
     """
@@ -738,15 +763,17 @@ def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tup
             # (ex, ey) is linear in natural coordinates, so that the mass matrix is constant.
             X += [frame.ex, frame.ey] if frame.wrapped else [frame.angle]
             w += [body.inertia, body.inertia] if frame.wrapped else [body.inertia]
-    for body in m.spatial_bodies:
+    blocks = [ca.diag(stack(w))]
+    for body in (body for body in m.spatial_bodies if body.own is not None):
         displacements, weights = body.displacements()
         X += ca.vertsplit(displacements)
-        w += weights
-    return stack(X), stack(w)
+        blocks.append(weights)
+    return stack(X), ca.diagcat(*blocks)
 
 
 def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
-    """Potential energy of gravity, springs and the user's own terms."""
+    """Potential energy of gravity, springs and the user's own terms, but of the weight of bodies that joints in space
+    place."""
     gx, gy, _ = m.gravity_vector
     centers = [kinematics.center(body) for body in m.bodies]
     x, y = (stack([center[k] for center in centers]) for k in (0, 1))
@@ -754,7 +781,7 @@ def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
     for stop in m.end_stops:
         V += stop.energy(_limited(kinematics, stop))
     V -= ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
-    for body in m.spatial_bodies:
+    for body in (body for body in m.spatial_bodies if body.own is not None):
         V -= body.mass * ca.dot(stack(m.gravity_vector), body.position)
     for spring in m.springs:
         V += spring.stiffness * (_elongation(kinematics, spring.between) - spring.rest) ** 2 / 2
@@ -802,6 +829,25 @@ def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
     return paths, stack(efforts)
 
 
+def _efforts_in_space(
+    m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX
+) -> list[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]]:
+    """What drives, springs and stops do along joints in space, and between two points there, second from first."""
+    found = [(drive.joint, symbolic(drive.effort)) for drive in m.drives if not isinstance(drive.joint, Joint)]
+    for spring in m.springs:
+        ends = spring.between if isinstance(spring.between, tuple) else (spring.between.first, spring.between.second)
+        if isinstance(ends[0], SpatialMarker):
+            path = _elongation(kinematics, spring.between)
+            effort = -spring.stiffness * (path - spring.rest) - spring.damping * ca.jtimes(path, q, v)
+            found.append((spring.between, effort))
+    for stop in m.end_stops:
+        first = stop.of[0] if isinstance(stop.of, tuple) else stop.of
+        if isinstance(first, SpatialJoint | SpatialFreedom | SpatialMarker):
+            path = _limited(kinematics, stop)
+            found.append((stop.of, stop.effort(path, ca.jtimes(path, q, v))))
+    return found
+
+
 _REACTIONS = {
     "x": ("force.x", "N", "force along x on {second} from {first}"),
     "y": ("force.y", "N", "force along y on {second} from {first}"),
@@ -835,10 +881,10 @@ def _reactions(
     _, closures, signs = _closures(m, held)
     displaced = stack([eps.get(c, {}).get(direction, 0.0) for c, direction in closures])
     Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
-    X, w = _inertia(m, plain)
+    X, W = _inertia(m, plain)
     aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
     work = (
-        ca.dot(Xe, w * aX)
+        ca.dot(Xe, W @ aX)
         + _potential(m, moved)
         - ca.dot(stack(_paths(m, moved)), efforts)
         + (ca.dot(Phie, lam) if lam.numel() else 0)
@@ -892,59 +938,6 @@ def _body_outputs(
         word = "position" if unit == "m" else "place"
         for name, name_unit, what in ((x, unit, word), (xv, rate, "velocity"), (xa, second, "acceleration")):
             outputs.append(Variable(name, name_unit, description=text.format(what).replace("angular place", "angle")))
-    return values, outputs
-
-
-def _spatial_outputs(
-    m: Mechanism, q: ca.SX, v: ca.SX, a: ca.SX, closures: list[Closing], lam: ca.SX
-) -> tuple[list[ca.SX], list[Variable]]:
-    """Motion of every body in space, free motion and reaction of every joint between such bodies."""
-
-    def rate(x: ca.SX) -> ca.SX:
-        return ca.jtimes(x, q, v) + ca.jtimes(x, v, a)
-
-    values: list[ca.SX] = []
-    outputs: list[Variable] = []
-
-    def add(name: str, vector: ca.SX, unit: str, text: str) -> None:
-        """A number, or a vector by its components; {} stands for the axis in the name, ` along {}` in the text."""
-        for axis, x in zip("xyz", ca.vertsplit(vector), strict=False):
-            values.append(x)
-            outputs.append(Variable(name.format(axis), unit, description=text.format(axis)))
-
-    for body in m.spatial_bodies:
-        b, r, e = body.name, body.position, body.attitude
-        spin = angular_velocity(e, ca.jtimes(e, q, v))
-        add(b + ".{}", r, "m", f"position of the centre of mass of {b} along {{}}")
-        add(b + ".v{}", rate(r), "m/s", f"velocity of the centre of mass of {b} along {{}}")
-        add(b + ".a{}", rate(rate(r)), "m/s2", f"acceleration of the centre of mass of {b} along {{}}")
-        for i, x in enumerate(ca.vertsplit(e)):
-            add(f"{b}.e{i}", x, "1", f"Euler parameter {i} of {b}")
-        add(b + ".angular_velocity.{}", spin, "rad/s", f"angular velocity of {b} along {{}}")
-        add(b + ".angular_acceleration.{}", rate(spin), "rad/s2", f"angular acceleration of {b} along {{}}")
-    sliders = Counter(j.second.body for j in m.spatial_joints if j.kind == "prismatic")
-    for joint in m.spatial_joints:
-        j, pair = joint.name, f"{joint.second.body.name} from {joint.first.body.name}"
-        if joint.kind == "revolute":
-            angle = joint.free
-            add(f"{j}.angle", angle, "rad", f"angle of {pair}")
-            add(f"{j}.angular_velocity", rate(angle), "rad/s", f"rate of {j}.angle")
-            add(f"{j}.angular_acceleration", rate(rate(angle)), "rad/s2", f"second rate of {j}.angle")
-        if joint.kind == "prismatic" and sliders[joint.second.body] == 1:
-            s, b = joint.free, joint.second.body.name
-            add(f"{b}.position", s, "m", f"position of {b} along {j}")
-            add(f"{b}.velocity", rate(s), "m/s", f"velocity of {b} along {j}")
-            add(f"{b}.acceleration", rate(rate(s)), "m/s2", f"acceleration of {b} along {j}")
-        own = {direction: x for (c, direction), x in zip(closures, ca.vertsplit(lam), strict=True) if c is joint}
-        force, moment = joint.reaction(own)
-        add(j + ".force.{}", force, "N", f"force along {{}} on {pair}")
-        if joint.kind != "spherical":
-            add(
-                j + ".moment.{}",
-                moment,
-                "N.m",
-                f"moment along {{}} on {pair}, about the joint's point on {joint.second.body.name}",
-            )
     return values, outputs
 
 

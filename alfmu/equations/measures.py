@@ -50,7 +50,7 @@ def measures(
             angles[of] = x
     for name, spring in m.measured_springs():
         between = spring.between
-        joint_unit = "rad" if isinstance(between, AnyJoint) and between.kind == "revolute" else "m"
+        joint_unit = "rad" if isinstance(between, AnyJoint) and between.kind != "prismatic" else "m"
         x = places.free(between) if isinstance(between, AnyJoint) else places.distance(between)
         rate = ca.jtimes(x, q, v)
         effort = spring.stiffness * (x - spring.rest) + spring.damping * rate

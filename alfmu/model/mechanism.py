@@ -21,7 +21,7 @@ from .cams import Cam, Profile, cam
 from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
 from .relations import INVOLUTE, Belt, Gear, Rack, Relation, Rolling, belt, gear, rack, rolling
-from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
+from .spatial import RELATIVE, SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, Vector
 from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, is_rate, rate_of, unit
 from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
@@ -269,7 +269,7 @@ class Joint(Brief):
 
 
 AnyMarker = Marker | SpatialMarker
-AnyJoint = Joint | SpatialJoint
+AnyJoint = Joint | SpatialJoint | SpatialFreedom
 
 
 @dataclass(frozen=True, repr=False)
@@ -328,6 +328,15 @@ class Load(Brief):
     at: Marker
     force: tuple[Scalar, Scalar]
     torque: Scalar
+
+
+@dataclass(frozen=True, repr=False)
+class SpatialLoad(Brief):
+    """A force and a torque in ground axes at a point of a body in space."""
+
+    at: SpatialMarker
+    force: Vector
+    torque: Vector
 
 
 @dataclass(frozen=True, repr=False)
@@ -470,6 +479,8 @@ class Mechanism:
     """Limit stops."""
     loads: ClassVar[_Parts[Load]] = _Parts()
     """Forces and torques from the ground."""
+    spatial_loads: ClassVar[_Parts[SpatialLoad]] = _Parts()
+    """The same on bodies in space."""
     kinetic: ClassVar[_Parts[ca.SX]] = _Parts()
     """Kinetic energies at the general level."""
     potential: ClassVar[_Parts[ca.SX]] = _Parts()
@@ -507,7 +518,7 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: its experiment is {shown(self.experiment)}; give an Experiment")
         self.ground: Body = Body("ground", 0.0, 0.0, (0.0, 0.0), pose=(0.0, 0.0, 0.0))
         origin, upright = ca.SX.zeros(3), ca.SX([1, 0, 0, 0])
-        self.spatial_ground: SpatialBody = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, origin, upright)
+        self.spatial_ground: SpatialBody = SpatialBody("ground", 0.0, (0.0,) * 3, (0.0,) * 3, (origin, upright))
         self.ground._mechanism = self
         self.time: ca.SX = ca.SX.sym("time")
         self._names: dict[str, str] = {}
@@ -752,7 +763,7 @@ class Mechanism:
                     raise DeclarationError(f"{self.name}: measure() is given a spring of another mechanism")
                 Mechanism.measured.of(self).append(spring)
                 continue
-            names = [*springs, *(j.name for j in (*self.joints, *self.spatial_joints))]
+            names = [*springs, *(j.name for j in self.joints), *(j.name for j in self.spatial_joints)]
             if (each if isinstance(each, str) else getattr(each, "name", None)) not in names:
                 called = each if isinstance(each, str) else getattr(each, "name", shown(each))
                 raise DeclarationError(
@@ -847,38 +858,46 @@ class Mechanism:
         name: str,
         *,
         mass: Scalar,
-        inertia: Vector,
+        inertia: Vector | Sequence[Sequence[Scalar]] | np.ndarray | ca.SX,
         center: Vector = (0.0, 0.0, 0.0),
         position: Vector | ca.SX = (0.0, 0.0, 0.0),
         attitude: Sequence[Scalar] | ca.SX = (1.0, 0.0, 0.0, 0.0),
+        relative: bool = False,
     ) -> SpatialBody:
-        """A rigid body in space: mass [kg], principal moments of inertia about its centre of mass [kg.m2], along the
-        axes of its frame, and the centre of mass in its frame [m].
+        """A rigid body in space: mass [kg], inertia about its centre of mass [kg.m2], the centre of mass in its frame
+        [m].
 
-        It has seven coordinates, `<name>_x` ... `<name>_e3`: the place of the centre of mass and the Euler parameters
-        of the frame, kept at unit length by a constraint. `position` and `attitude` are their guesses at the start, as
-        `start` of `coordinate` is; `spatial.about` and `spatial.product` make Euler parameters from turns. Joints to
-        `spatial_ground` and to other bodies in space are closed by constraints.
+        `inertia` is three principal moments along the axes of the frame, or the matrix (3, 3) of inertia in these axes:
+        moments on its diagonal, products of inertia with a minus sign beside it.
+
+        The body has seven coordinates, `<name>_x` ... `<name>_e3`: the place of the centre of mass and the Euler
+        parameters of the frame, kept at unit length by a constraint. `position` and `attitude` are their guesses at the
+        start, as `start` of `coordinate` is; `spatial.about` and `spatial.product` make Euler parameters from turns.
+        Joints to `spatial_ground` and to other bodies in space are closed by constraints.
+
+        With `relative=True` it has no coordinates of its own: a joint with a `coordinate` places it on another body.
         """
-        inertia = self._vector(f"the inertia of {name}", inertia, ("kg.m2",) * 3, CONSTANT)
-        moments = [self._at_defaults(f"the inertia of {name}", x) for x in inertia]
-        if min(moments) < 0 or 2 * max(moments) > sum(moments) * (1 + 1e-12):
-            raise DeclarationError(
-                f"{self.name}: no body has the principal moments of inertia {moments} that {name} is given; give "
-                "three, none negative and none above the sum of the others"
-            )
+        moments, products = self._spatial_inertia(name, inertia)
         mass, center = self._mass(name, mass), self._vector(f"the center of {name}", center, ("m",) * 3, CONSTANT)
         position = self._vector(f"the position of {name}", position, ("m",) * 3, GUESS)
         attitude = self._vector(f"the attitude of {name}", attitude, ("1",) * 4, GUESS)
         if not any(isinstance(x, ca.SX) or x for x in attitude):
             raise DeclarationError(f"{self.name}: the attitude of {name} is zero; give (1, 0, 0, 0) for no turn")
+        if relative and (position, attitude) != ((0.0,) * 3, (1.0, 0.0, 0.0, 0.0)):
+            raise DeclarationError(
+                f"{self.name}: {name} is relative and has a position or an attitude; give the coordinate of the joint "
+                "that places it a start"
+            )
         self._claim(name, "1", "a body")
-        r = [self.coordinate(f"{name}_{axis}", "m", start=x) for axis, x in zip("xyz", position, strict=True)]
-        e = [self.coordinate(f"{name}_e{i}", "1", start=x) for i, x in enumerate(attitude)]
-        body = SpatialBody(name, mass, inertia, center, stack(r), stack(e))
+        own = None
+        if not relative:
+            r = [self.coordinate(f"{name}_{axis}", "m", start=x) for axis, x in zip("xyz", position, strict=True)]
+            own = stack(r), stack([self.coordinate(f"{name}_e{i}", "1", start=x) for i, x in enumerate(attitude)])
+        body = SpatialBody(name, mass, moments, center, own, products)
         Mechanism.spatial_bodies.of(self).append(body)
         self._owned.add(body)
-        self.constraint(body.unit_length, (ca.sumsqr(body.attitude) - 1) / 2, "1")
+        if own is not None:
+            self.constraint(body.unit_length, (ca.sumsqr(own[1]) - 1) / 2, "1")
         return body
 
     # Joints -----------------------------------------------------------------------------------------------------
@@ -931,14 +950,40 @@ class Mechanism:
         """
         return self._join(Joint(name, "point_on_line", first, second, None, axis, offset))
 
-    def distance(self, name: str, first: Marker, second: Marker, *, length: Scalar) -> Joint:
-        """A massless rod: the markers stay `length` [m] apart."""
-        length = self._length(f"the length of {name}", length, PLACE)
-        return self._join(Joint(name, "distance", first, second, length=length))
+    @overload
+    def distance(self, name: str, first: Marker, second: Marker, *, length: Scalar) -> Joint: ...
+    @overload
+    def distance(self, name: str, first: SpatialMarker, second: SpatialMarker, *, length: Scalar) -> SpatialJoint: ...
+    def distance(self, name: str, first: AnyMarker, second: AnyMarker, *, length: Scalar) -> AnyJoint:
+        """A massless rod: the markers, both in the plane or both in space, stay `length` [m] apart.
 
-    def spherical(self, name: str, first: SpatialMarker, second: SpatialMarker) -> SpatialJoint:
-        """A ball joint in space: the two markers coincide."""
-        return self._join_in_space(SpatialJoint(name, "spherical", first, second))
+        Output `<name>.force` [N] is positive when the rod pushes.
+        """
+        length = self._length(f"the length of {name}", length, PLACE)
+        if isinstance(first, SpatialMarker) and isinstance(second, SpatialMarker):
+            return self._join_in_space(SpatialJoint(name, "distance", first, second, length=length))
+        return self._join(Joint(name, "distance", first, second, length=length))  # type: ignore[arg-type]
+
+    def spherical(
+        self,
+        name: str,
+        first: SpatialMarker,
+        second: SpatialMarker,
+        *,
+        coordinates: Sequence[Scalar] | ca.SX | None = None,
+    ) -> SpatialJoint:
+        """A ball joint in space: the two markers coincide.
+
+        `coordinates` are the four Euler parameters of the second body in the axes of the first; a constraint keeps
+        them at unit length. A joint without them closes a loop.
+        """
+        joint = SpatialJoint(
+            name, "spherical", first, second, coordinates=self._placing(name, "spherical", coordinates)
+        )
+        self._join_in_space(joint)
+        if joint.coordinates is not None:
+            self.constraint(joint.unit_length, (ca.sumsqr(stack(joint.coordinates)) - 1) / 2, "1")
+        return joint
 
     def spatial_revolute(
         self,
@@ -948,14 +993,17 @@ class Mechanism:
         *,
         axis: Sequence[float],
         second_axis: Sequence[float] | None = None,
+        coordinate: Scalar | None = None,
     ) -> SpatialJoint:
         """A hinge in space: the two markers coincide, and so does an axis fixed on both bodies.
 
         `axis` gives its direction in the frame of the first body, `second_axis` in that of the second (the same numbers
         if left out). The angle, output `<name>.angle` [rad], is zero where the triads of `spatial.right_handed` on both
-        coincide: for one and the same axis, where the frames are parallel.
+        coincide: for one and the same axis, where the frames are parallel. `coordinate` is this angle and places the
+        second body, which is `relative`; a hinge without one closes a loop.
         """
-        return self._join_in_space(SpatialJoint(name, "revolute", first, second, self._axes(name, axis, second_axis)))
+        axes, placing = self._axes(name, axis, second_axis), self._placing(name, "revolute", coordinate)
+        return self._join_in_space(SpatialJoint(name, "revolute", first, second, axes, placing))
 
     def cylindrical(
         self,
@@ -965,16 +1013,107 @@ class Mechanism:
         *,
         axis: Sequence[float],
         second_axis: Sequence[float] | None = None,
+        coordinates: Sequence[Scalar] | ca.SX | None = None,
     ) -> SpatialJoint:
-        """A sleeve on a shaft: the second marker on an axis through the first, free to slide along it and to turn."""
-        axes = self._axes(name, axis, second_axis)
-        return self._join_in_space(SpatialJoint(name, "cylindrical", first, second, axes))
+        """A sleeve on a shaft: the second marker on an axis through the first, free to slide along it and to turn.
+
+        `coordinates` are the angle [rad] and the position [m] along the axis, and place the second body.
+        """
+        axes, placing = self._axes(name, axis, second_axis), self._placing(name, "cylindrical", coordinates)
+        return self._join_in_space(SpatialJoint(name, "cylindrical", first, second, axes, placing))
 
     def spatial_prismatic(
-        self, name: str, first: SpatialMarker, second: SpatialMarker, *, axis: Sequence[float]
+        self,
+        name: str,
+        first: SpatialMarker,
+        second: SpatialMarker,
+        *,
+        axis: Sequence[float],
+        coordinate: Scalar | None = None,
     ) -> SpatialJoint:
-        """A slider in space: the second marker on an axis through the first, the frames of both bodies parallel."""
-        return self._join_in_space(SpatialJoint(name, "prismatic", first, second, self._axes(name, axis, None)))
+        """A slider in space: the second marker on an axis through the first, the frames of both bodies parallel.
+
+        `coordinate` is the position [m] along the axis, and places the second body.
+        """
+        axes, placing = self._axes(name, axis, None), self._placing(name, "prismatic", coordinate)
+        return self._join_in_space(SpatialJoint(name, "prismatic", first, second, axes, placing))
+
+    def spatial_screw(
+        self,
+        name: str,
+        first: SpatialMarker,
+        second: SpatialMarker,
+        *,
+        axis: Sequence[float],
+        lead: Scalar,
+        second_axis: Sequence[float] | None = None,
+        coordinate: Scalar | None = None,
+    ) -> SpatialJoint:
+        """A nut on a screw: as `cylindrical`, and one turn of the second body moves it `lead` [m] along the axis.
+
+        A negative lead is a left-hand thread. `coordinate` is the angle [rad] and places the second body. Where
+        constraints close the screw, it keeps the turn of the thread on which it starts. A drive is a torque [N.m].
+        """
+        axes, placing = self._axes(name, axis, second_axis), self._placing(name, "screw", coordinate)
+        lead = self._quantity(f"the lead of {name}", lead, "m", CONSTANT)
+        if not self._at_defaults(f"the lead of {name}", lead):
+            raise DeclarationError(f"{self.name}: the lead of {name} is zero; take spatial_revolute() for a hinge")
+        return self._join_in_space(SpatialJoint(name, "screw", first, second, axes, placing, lead))
+
+    def universal(
+        self,
+        name: str,
+        first: SpatialMarker,
+        second: SpatialMarker,
+        *,
+        axis: Sequence[float],
+        second_axis: Sequence[float],
+        coordinates: Sequence[Scalar] | ca.SX | None = None,
+    ) -> SpatialJoint:
+        """A universal (Cardan) joint: the markers coincide, and two axes, one on each body, stay square to each other.
+
+        `axis` in the frame of the first body and `second_axis` in that of the second are square to each other by their
+        numbers: the frames are parallel where both angles are zero. `coordinates` are the angles [rad] about the first
+        and then about the second axis, and place the second body.
+        """
+        axes = self._axes(name, axis, second_axis)
+        across = sum(a * b for a, b in zip(*axes, strict=True)) / (math.hypot(*axes[0]) * math.hypot(*axes[1]))
+        if abs(across) > 1e-9:
+            raise DeclarationError(
+                f"{self.name}: the axes {shown(axis)} and {shown(second_axis)} of {name} make an angle of "
+                f"{math.degrees(math.acos(across)):.6g} degrees; those of a universal joint are square to each other "
+                "where the frames are parallel"
+            )
+        placing = self._placing(name, "universal", coordinates)
+        return self._join_in_space(SpatialJoint(name, "universal", first, second, axes, placing))
+
+    def planar(
+        self,
+        name: str,
+        first: SpatialMarker,
+        second: SpatialMarker,
+        *,
+        axis: Sequence[float],
+        second_axis: Sequence[float] | None = None,
+        coordinates: Sequence[Scalar] | ca.SX | None = None,
+    ) -> SpatialJoint:
+        """A plate on a table: the second marker in a plane through the first, free to slide in it and to turn about its
+        normal `axis`.
+
+        `coordinates` are the positions [m] along the two normals of `axis` that `spatial.right_handed` gives and the
+        angle [rad] about it, and place the second body.
+        """
+        axes, placing = self._axes(name, axis, second_axis), self._placing(name, "planar", coordinates)
+        return self._join_in_space(SpatialJoint(name, "planar", first, second, axes, placing))
+
+    def spatial_weld(self, name: str, first: SpatialMarker, second: SpatialMarker) -> SpatialJoint:
+        """A rigid connection in space: markers coincide, frames are parallel.
+
+        Where nothing else places the second body, the weld does; otherwise it is closed by constraints.
+        """
+        self._own((first, second), f"joint {name}", SpatialMarker)
+        placing = None if second.body.is_placed else ()
+        return self._join_in_space(SpatialJoint(name, "weld", first, second, coordinates=placing))
 
     # Relations between bodies -----------------------------------------------------------------------------------
 
@@ -1126,17 +1265,31 @@ class Mechanism:
             Drive(joint, self._quantity(f"the effort on {joint.name}", effort, unit, EFFORT))
         )
 
-    def force(self, at: Marker, x: Scalar = 0.0, y: Scalar = 0.0) -> None:
-        """A force [N] in ground axes at a point of a body: an input, a state, a constant, or any expression."""
-        self._own((at,), "force()", Marker)
-        force = self._vector(f"the force on {at.body.name}", (x, y), ("N",) * 2, EFFORT)
-        Mechanism.loads.of(self).append(Load(at, force, 0.0))
+    def force(self, at: AnyMarker, x: Scalar = 0.0, y: Scalar = 0.0, z: Scalar = 0.0) -> None:
+        """A force [N] in ground axes at a point of a body: an input, a state, a constant, or any expression.
 
-    def torque(self, body: Body, torque: Scalar) -> None:
-        """A torque [N.m] on a body from the ground."""
+        `z` is for bodies in space. Of a force that turns with its body, give `body.rotation @ force` by its entries.
+        """
+        self._own((at,), "force()")
+        what = f"the force on {at.body.name}"
+        if isinstance(at, SpatialMarker):
+            force = self._vector(what, (x, y, z), ("N",) * 3, EFFORT)
+            Mechanism.spatial_loads.of(self).append(SpatialLoad(at, force, (0.0,) * 3))
+        elif isinstance(z, ca.SX) or z:
+            raise DeclarationError(f"{self.name}: {what}, a body in the plane, has a part along z; leave z out")
+        else:
+            Mechanism.loads.of(self).append(Load(at, self._vector(what, (x, y), ("N",) * 2, EFFORT), 0.0))
+
+    def torque(self, body: Body | SpatialBody, torque: Scalar | Sequence[Scalar] | ca.SX) -> None:
+        """A torque [N.m] on a body from the ground: a number or an expression; three in ground axes in space."""
         self._body(body, "torque()")
-        torque = self._quantity(f"the torque on {body.name}", torque, "N.m", EFFORT)
-        Mechanism.loads.of(self).append(Load(body.start, (0.0, 0.0), torque))
+        what = f"the torque on {body.name}"
+        if isinstance(body, SpatialBody):
+            vector = self._vector(f"{what}, a body in space,", torque, ("N.m",) * 3, EFFORT)
+            Mechanism.spatial_loads.of(self).append(SpatialLoad(body.at(*body.center), (0.0,) * 3, vector))
+        else:
+            torque = self._quantity(what, torque, "N.m", EFFORT)
+            Mechanism.loads.of(self).append(Load(body.start, (0.0, 0.0), torque))
 
     def spring_damper(
         self,
@@ -1150,7 +1303,8 @@ class Mechanism:
         """A linear spring-damper: torsional on a revolute joint, along the guide on a prismatic one, or between points.
 
         stiffness [N.m/rad or N/m], damping [N.m.s/rad or N.s/m], rest angle or length [rad or m]. Points may belong to
-        bodies in space; the angle of a spatial hinge is known within a turn, so that its spring should stay within one.
+        bodies in space. Where constraints close a spatial hinge, its angle is known within a turn, so that its spring
+        should stay within one.
         With a `name` its elongation and force are outputs (see `measure`).
         """
         if isinstance(between, AnyJoint):
@@ -1222,15 +1376,15 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: {what} has no limit; give upper=, lower= or both, in {along}")
         if not any(isinstance(x, ca.SX) and self._moves(x) for _, x in limits):
             at = [x if x is None else self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits]
-            if None not in at and not at[0] > at[1]:
+            if at[0] is not None and at[1] is not None and not at[0] > at[1]:
                 raise DeclarationError(
                     f"{self.name}: {what} has the upper limit {at[0]:g} and the lower limit {at[1]:g}"
                 )
-            turn = isinstance(of, SpatialJoint) and along == "rad"
+            turn = of.name if isinstance(of, SpatialJoint | SpatialFreedom) and of.wrapped else ""
             for x in at:
                 if turn and x is not None and abs(x) >= math.pi:
                     raise DeclarationError(
-                        f"{self.name}: {what} is at {x:g} rad, and the angle of {of.name} is known from -pi to pi only"
+                        f"{self.name}: {what} is at {x:g} rad, and the angle of {turn} is known from -pi to pi only"
                     )
         if dissipation is not None and restitution is not None:
             raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")
@@ -1367,7 +1521,10 @@ class Mechanism:
         Mechanism.generalized.of(self).append((along.q, expression))
 
     def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
-        """A holonomic constraint Phi(q) = 0 in m, rad or 1, after the joints declared so far."""
+        """A holonomic constraint Phi(q) = 0 in m, rad or 1, after the joints declared so far.
+
+        Its force acts along the coordinates, so that reactions of joints with coordinates do not contain it.
+        """
         self._claim(name, unit, "a constraint")
         Mechanism.closures.of(self).append(
             Constraint(name, self._of_coordinates(f"constraint {name}", expression, unit), unit)
@@ -1396,6 +1553,11 @@ class Mechanism:
         self._claim(name, "1", "a clutch")
         for body in (first, second):
             self._body(body, f"clutch {name}")
+            if isinstance(body, SpatialBody):
+                raise DeclarationError(
+                    f"{self.name}: clutch {name} couples bodies in the plane, and {body.name} is in space; use "
+                    "lock() on a hinge"
+                )
         if first is second:
             raise DeclarationError(f"{self.name}: clutch {name} couples {first.name} to itself")
         self._lock(name, (first, second), "rad")
@@ -1426,8 +1588,9 @@ class Mechanism:
 
     def _joint(self, of: AnyJoint | str) -> AnyJoint:
         joints: list[AnyJoint] = [*self.joints, *self.spatial_joints]
+        joints += [j.freedom(which) for j in self.spatial_joints for which in j.freedoms if len(j.freedoms) > 1]
         for joint in joints:
-            if of is joint or of == joint.name:
+            if of is joint or (isinstance(of, SpatialFreedom) and of == joint) or of == joint.name:
                 return joint
         called = of.name if isinstance(of, AnyJoint) else of
         raise DeclarationError(f"{self.name} has no joint {called}; {there_is(called, [j.name for j in joints])}")
@@ -1517,9 +1680,38 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
         if second is self.spatial_ground:
             raise DeclarationError(f"{self.name}: joint {joint.name} ends on the ground; name the ground first")
-        Mechanism.closures.of(self).append(joint)
+        if joint.coordinates is None:
+            Mechanism.closures.of(self).append(joint)
+        else:
+            if second.is_placed:
+                by, other = "seven coordinates of its own", "declare the body with relative=True, or "
+                if second.placed_by is not None:
+                    by, other = f"its place by {second.placed_by.name}", ""
+                raise DeclarationError(
+                    f"{self.name}: joint {joint.name} has a coordinate, but {second.name} has {by}; {other}leave the "
+                    "coordinate out to close the joint by constraints"
+                )
+            if not first.is_placed:
+                raise DeclarationError(
+                    f"{self.name}: joint {joint.name} places {second.name} on {first.name}, which nothing places yet; "
+                    "declare joints with coordinates from the ground outwards"
+                )
+            second.placed_by = joint
         Mechanism.spatial_joints.of(self).append(joint)
         return joint
+
+    def _placing(self, name: str, kind: str, given: Any) -> tuple[Scalar, ...] | None:
+        """The coordinates of a joint in space that places its second body, None where constraints close it."""
+        units = RELATIVE[kind]
+        if given is None:
+            return None
+        if len(units) == 1:
+            return (self._quantity(f"the coordinate of {name}, a {kind},", given, units[0], PLACE),)
+        what = f"the coordinates of {name}, a {kind} joint,"
+        if not _several(given) or len(_entries(given)) != len(units):
+            count = f"{len(_entries(given))} numbers" if _several(given) else shown(given)
+            raise DeclarationError(f"{self.name}: {what} are {count}; give {len(units)} [{', '.join(units)}]")
+        return tuple(self._quantity(what, x, u, PLACE) for x, u in zip(_entries(given), units, strict=True))
 
     def _axes(
         self, name: str, axis: Sequence[float], second: Sequence[float] | None
@@ -1579,14 +1771,19 @@ class Mechanism:
             raise DeclarationError(
                 f"{self.name}: {user} takes a joint, as revolute() and prismatic() return it, not {shown(joint)}"
             )
-        if joint.kind not in ("revolute", "prismatic"):
+        if isinstance(joint, SpatialJoint) and len(joint.freedoms) > 1:
+            ways = in_words([f'{joint.name}.freedom("{which}")' for which in joint.freedoms])
+            raise DeclarationError(
+                f"{self.name}: {joint.name} is a {joint.kind} joint, which has several free motions; take {ways}"
+            )
+        if joint.kind not in ("revolute", "prismatic", "screw"):
             raise DeclarationError(
                 f"{self.name}: {joint.name} is a {joint.kind}, which has no single free motion; "
                 "use force() or torque() on its bodies"
             )
         if joint.first.body not in self._owned:
             raise DeclarationError(f"{self.name}: {user} uses {joint.name}, a joint of another mechanism")
-        return "rad" if joint.kind == "revolute" else "m"
+        return "m" if joint.kind == "prismatic" else "rad"
 
     # What a number may be ---------------------------------------------------------------------------------------
 
@@ -1672,6 +1869,39 @@ class Mechanism:
 
     def _inertia(self, name: str, inertia: Any) -> Scalar:
         return self._mass(name, inertia, "inertia", "kg.m2")
+
+    def _spatial_inertia(self, name: str, inertia: Any) -> tuple[Vector, Vector]:
+        """Moments of inertia and entries xy, xz, yz of their matrix, of three principal moments or of a matrix."""
+        what = f"the inertia of {name}"
+        given = inertia.tolist() if isinstance(inertia, np.ndarray) else inertia
+        if isinstance(given, ca.SX) and given.shape == (3, 3):
+            given = [ca.horzsplit(row) for row in ca.vertsplit(given)]
+        rowwise = _several(given) and any(
+            row.numel() != 1 if isinstance(row, ca.SX) else _several(row) for row in _entries(given)
+        )
+        if not (rowwise and len(_entries(given)) == 3):
+            vector = self._vector(what, inertia, ("kg.m2",) * 3, CONSTANT)
+            self._check_moments(name, "", [self._at_defaults(what, x) for x in vector])
+            return vector, (0.0, 0.0, 0.0)
+        rows = [self._vector(f"a row of {what}", row, ("kg.m2",) * 3, CONSTANT) for row in _entries(given)]
+        J = np.array([[float(self._at_defaults(what, x)) for x in row] for row in rows])
+        for i, j in ((0, 1), (0, 2), (1, 2)):
+            if abs(J[i, j] - J[j, i]) > 1e-9 * np.abs(J).max():
+                raise DeclarationError(
+                    f"{self.name}: the matrix of inertia of {name} is not symmetric: {J[i, j]:g} stands at ({i + 1}, "
+                    f"{j + 1}) and {J[j, i]:g} at ({j + 1}, {i + 1}); give the same number twice"
+                )
+        self._check_moments(name, " by its matrix of inertia", np.linalg.eigvalsh(J).tolist())
+        return (rows[0][0], rows[1][1], rows[2][2]), (rows[0][1], rows[0][2], rows[1][2])
+
+    def _check_moments(self, name: str, how: str, moments: list[float]) -> None:
+        tiny = 1e-12 * max(map(abs, moments))
+        if min(moments) < -tiny * bool(how) or 2 * max(moments) > sum(moments) + tiny:
+            shorter = [float(f"{x:.6g}") for x in moments]
+            raise DeclarationError(
+                f"{self.name}: no body has the principal moments of inertia {shorter} that {name} is given{how}; give "
+                "three, none negative and none above the sum of the others"
+            )
 
     def _length(self, what: str, length: Any, may: Collection[str]) -> Scalar:
         length = self._quantity(what, length, "m", may)

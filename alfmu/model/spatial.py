@@ -1,27 +1,42 @@
-"""Rigid bodies in space: absolute coordinates with Euler parameters, markers, and joints closed by constraints.
+"""Rigid bodies in space: absolute coordinates with Euler parameters, or relative ones through joints; markers, joints.
 
-A body has seven coordinates: the place r of its centre of mass, and the Euler parameters e = [e0 e1 e2 e3] of its
-frame, kept at unit length by a constraint of their own. The rotation matrix is taken in the homogeneous form
+A body in absolute coordinates has seven: the place r of its centre of mass, and the Euler parameters e = [e0 e1 e2 e3]
+of its frame, kept at unit length by a constraint of their own. The rotation matrix is taken in the homogeneous form
 
     R(e) = (e0^2 - p'p) 1 + 2 p p' + 2 e0 p~,    p = [e1 e2 e3],  p~ b = p x b,
 
 every entry quadratic in e, and the angular velocity in ground axes is w = 2 (e0 p_dot - e0_dot p + p x p_dot)
 (Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 6). Every place is an expression in the coordinates
-of one body, so no joint is needed to work it out.
+of one body then, so no joint is needed to work it out.
+
+A body in relative coordinates has none of its own: a joint with coordinates places it on another body, R = R1 R12 and
+its point on the joint from that of the other body, so that every expression is built upon that of the body before.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
 from .checks import number
-from .words import Brief
+from .errors import DeclarationError
+from .words import Brief, in_words, shown
 
-__all__ = ["SpatialBody", "SpatialJoint", "SpatialMarker", "about", "angular_velocity", "product", "rotation"]
+__all__ = [
+    "SpatialBody",
+    "SpatialFreedom",
+    "SpatialJoint",
+    "SpatialMarker",
+    "about",
+    "angular_velocity",
+    "product",
+    "rotation",
+]
 
 Scalar = float | ca.SX
 Vector = tuple[Scalar, Scalar, Scalar]
@@ -33,11 +48,40 @@ SPATIAL_DIRECTIONS: dict[str, tuple[str, ...]] = {
     "revolute": ("x", "y", "z", *_ALIGNED),
     "cylindrical": ("normal1", "normal2", *_ALIGNED),
     "prismatic": ("normal1", "normal2", *_ALIGNED, "rotation3"),
+    "screw": ("normal1", "normal2", *_ALIGNED, "screw"),
+    "universal": ("x", "y", "z", "rotation"),
+    "planar": ("axis", *_ALIGNED),
+    "weld": ("x", "y", "z", *_ALIGNED, "rotation3"),
+    "distance": ("length",),
 }
 """The relative displacements that each kind of spatial joint suppresses, in the order of its constraint rows.
 
-`normal1`, `normal2` and `rotation1`, `rotation2` belong to two normals of the axis, `rotation3` to the axis itself.
+`normal1`, `normal2` and `rotation1`, `rotation2` belong to two normals of the axis, `axis` and `rotation3` to the axis
+itself, `rotation` to the normal of two axes, `screw` to the way along the axis that is ahead of the thread.
 """
+
+SPATIAL_FREEDOMS: dict[str, dict[str, str]] = {
+    "spherical": {},
+    "revolute": {"angle": "rad"},
+    "cylindrical": {"angle": "rad", "position": "m"},
+    "prismatic": {"position": "m"},
+    "screw": {"angle": "rad"},
+    "universal": {"angle1": "rad", "angle2": "rad"},
+    "planar": {"position1": "m", "position2": "m", "angle": "rad"},
+    "weld": {},
+    "distance": {},
+}
+"""The free motions of each kind of spatial joint that have a displacement, with its unit.
+
+`position1` and `position2` run along two normals of the axis of a planar joint, `angle1` turns about the axis of a
+universal joint on its first body, `angle2` about that on its second.
+"""
+
+RELATIVE: dict[str, tuple[str, ...]] = {
+    **{kind: tuple(freedoms.values()) for kind, freedoms in SPATIAL_FREEDOMS.items() if kind != "distance"},
+    "spherical": ("1",) * 4,
+}
+"""Units of the coordinates of each kind of joint that can place a body; a ball joint has Euler parameters."""
 
 
 def rotation(e: ca.SX) -> ca.SX:
@@ -67,24 +111,79 @@ def product(e: ca.SX, f: ca.SX) -> ca.SX:
     return ca.vertcat(e[0] * f[0] - ca.dot(e[1:], f[1:]), e[0] * f[1:] + f[0] * e[1:] + ca.cross(e[1:], f[1:]))
 
 
+def spin_matrix(e: ca.SX) -> ca.SX:
+    """The matrix (3, 4) that makes an angular velocity of the rates of Euler parameters (4,)."""
+    rates = ca.SX.sym("rates", 4)
+    return ca.jacobian(angular_velocity(e, rates), rates)
+
+
 @dataclass(eq=False, repr=False)
 class SpatialBody(Brief):
-    """A rigid body in space; its frame is parallel to its principal axes of inertia."""
+    """A rigid body in space; `Mechanism.spatial_body` makes it.
+
+    `mass` [kg], `inertia` [kg.m2] about the centre of mass, `center` (x, y, z) [m] of mass in the body's frame.
+    """
 
     name: str
     mass: Scalar
     inertia: Vector
-    """Principal moments of inertia about the centre of mass."""
+    """Moments of inertia: the diagonal of the matrix of inertia in the axes of the frame."""
     center: Vector
-    """The centre of mass in the body's frame."""
-    position: ca.SX
-    """The centre of mass (3,) in ground axes."""
-    attitude: ca.SX
-    """Euler parameters (4,) of the frame."""
-    rotation: ca.SX = field(init=False, repr=False)
+    own: tuple[ca.SX, ca.SX] | None
+    """Centre of mass (3,) in ground axes and Euler parameters (4,) of a body in absolute coordinates."""
+    products: Vector = (0.0, 0.0, 0.0)
+    """Entries xy, xz and yz of that matrix, zero where the axes are principal ones."""
+    placed_by: SpatialJoint | None = None
+    """The joint that places a body in relative coordinates."""
 
-    def __post_init__(self) -> None:
-        self.rotation = rotation(self.attitude)
+    @property
+    def is_placed(self) -> bool:
+        """Whether something says where the body is: coordinates of its own, or a joint with coordinates."""
+        return self.own is not None or self.placed_by is not None
+
+    @cached_property
+    def rotation(self) -> ca.SX:
+        """The rotation matrix (3, 3) that leads from the axes of the frame to those of the ground."""
+        if self.own is not None:
+            return rotation(self.own[1])
+        return self._joint.first.body.rotation @ self._joint.relative_turn
+
+    @cached_property
+    def attitude(self) -> ca.SX:
+        """Euler parameters (4,) of the frame."""
+        if self.own is not None:
+            return self.own[1]
+        return product(self._joint.first.body.attitude, self._joint.relative_attitude)
+
+    @cached_property
+    def position(self) -> ca.SX:
+        """The centre of mass (3,) in ground axes."""
+        return self.own[0] if self.own is not None else self.anchor[1] + self.turned(self.center)
+
+    @cached_property
+    def anchor(self) -> tuple[Vector, ca.SX]:
+        """The point that the coordinates place, in the body's frame and in ground axes.
+
+        The centre of mass in absolute coordinates, the joint's point in relative ones.
+        """
+        if self.own is not None:
+            return self.center, self.own[0]
+        second = self._joint.second
+        return (second.x, second.y, second.z), self._joint.first.place + self._joint.slide
+
+    def turned(self, point: Vector) -> ca.SX:
+        """A point of the body's frame, from its anchor, in ground axes (3,)."""
+        own = self.center if self.own is not None else self.anchor[0]
+        return self.rotation @ ca.vertcat(*(ca.SX(a) - c for a, c in zip(point, own, strict=True)))
+
+    @property
+    def _joint(self) -> SpatialJoint:
+        if self.placed_by is None:
+            raise DeclarationError(
+                f"nothing places {self.name} yet, a body in relative coordinates; declare the joint whose coordinates "
+                "place it first"
+            )
+        return self.placed_by
 
     @property
     def unit_length(self) -> str:
@@ -96,14 +195,28 @@ class SpatialBody(Brief):
         named = zip("xyz", (x, y, z), strict=True)
         return SpatialMarker(self, *(number(f"{axis} of {self.name}.at()", value) for axis, value in named))
 
-    def displacements(self) -> tuple[ca.SX, list[Scalar]]:
-        """Displacements X and weights w with the kinetic energy w' X'^2/2: the centre of mass and the three axes.
+    @property
+    def inertia_matrix(self) -> ca.SX:
+        """The matrix of inertia (3, 3) about the centre of mass in the axes of the frame."""
+        (x, y, z), (xy, xz, yz) = (map(ca.SX, numbers) for numbers in (self.inertia, self.products))
+        return ca.blockcat([[x, xy, xz], [xy, y, yz], [xz, yz, z]])
 
-        An axis i moves as mass (Jj + Jk - Ji)/2 at unit distance would.
+    def displacements(self) -> tuple[ca.SX, ca.SX]:
+        """Displacements X and weights W (12, 12) with the kinetic energy X' W X/2: the centre of mass and three axes.
+
+        The axes x_i have the weights E_ij of x_i' . x_j', with E = tr(J)/2 1 - J: where J is diagonal, an axis moves as
+        the mass (Jj + Jk - Ji)/2 at unit distance would.
         """
         jx, jy, jz = self.inertia
-        axes = (jy + jz - jx) / 2, (jz + jx - jy) / 2, (jx + jy - jz) / 2
-        return ca.vertcat(self.position, ca.vec(self.rotation)), [self.mass] * 3 + [w for w in axes for _ in range(3)]
+        weights = ca.diag(ca.vertcat(*[ca.SX(self.mass)] * 3, ca.SX.zeros(9)))
+        for i, weight in enumerate(((jy + jz - jx) / 2, (jz + jx - jy) / 2, (jx + jy - jz) / 2)):
+            for k in range(3):
+                weights[3 + 3 * i + k, 3 + 3 * i + k] = weight
+        for (i, j), product in zip(((0, 1), (0, 2), (1, 2)), self.products, strict=True):
+            if isinstance(product, ca.SX) or product:
+                for k in range(3):
+                    weights[3 + 3 * i + k, 3 + 3 * j + k] = weights[3 + 3 * j + k, 3 + 3 * i + k] = -product
+        return ca.vertcat(self.position, ca.vec(self.rotation)), weights
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,26 +229,59 @@ class SpatialMarker(Brief):
     z: Scalar
 
     @property
+    def arm(self) -> ca.SX:
+        """The way (3,) to the point from its body's anchor, in ground axes."""
+        return self.body.turned((self.x, self.y, self.z))
+
+    @property
     def place(self) -> ca.SX:
         """The point (3,) in ground axes."""
-        local = ca.vertcat(*(ca.SX(a) - c for a, c in zip((self.x, self.y, self.z), self.body.center, strict=True)))
-        return self.body.position + self.body.rotation @ local
+        return self.body.anchor[1] + self.arm
 
 
 @dataclass(eq=False, repr=False)
 class SpatialJoint(Brief):
-    """A joint between two bodies in space, closed by constraints; `axes` is its axis in the frames of both."""
+    """A joint between two bodies in space; `axes` is its axis in the frames of both.
+
+    A joint with `coordinates` places its second body from its first; one without is closed by constraints.
+    """
 
     name: str
     kind: str
     first: SpatialMarker
     second: SpatialMarker
     axes: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    coordinates: tuple[Scalar, ...] | None = None
+    lead: Scalar = 0.0
+    """Way [m] along the axis of a screw in one turn."""
+    length: Scalar = 0.0
+    """Of a rod [m]."""
 
     @property
     def directions(self) -> tuple[str, ...]:
         """The relative displacements that the joint suppresses."""
         return SPATIAL_DIRECTIONS[self.kind]
+
+    @property
+    def freedoms(self) -> dict[str, str]:
+        """The free motions that have a displacement, with its unit."""
+        return SPATIAL_FREEDOMS[self.kind]
+
+    @property
+    def driven_axis(self) -> tuple[float, ...] | None:
+        """Direction of its free motion in the frame of the second body, None where it has several or none."""
+        return self.axes[1] if len(self.freedoms) == 1 else None
+
+    def freedom(self, which: str) -> SpatialFreedom:
+        """One of the free motions of a joint that has several, for `drive`, `spring_damper`, `friction` and `lock`.
+
+        `which` is "angle" or "position" (cylindrical), "angle1" or "angle2" (universal), "position1", "position2" or
+        "angle" (planar). Raises DeclarationError for any other.
+        """
+        if which not in self.freedoms:
+            has = f"it has {in_words(list(self.freedoms))}" if self.freedoms else "it has none with a displacement"
+            raise DeclarationError(f"{self.name}, a {self.kind} joint, has no free motion {shown(which)}; {has}")
+        return SpatialFreedom(self, which)
 
     def triad(self, second: bool = False) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Two normals and the axis of the joint, a right-handed triad fixed on one of the bodies, in ground axes."""
@@ -143,14 +289,116 @@ class SpatialJoint(Brief):
         normal, other, axis = (turn @ ca.SX(list(x)) for x in right_handed(self.axes[second]))
         return normal, other, axis
 
+    # Relative coordinates ---------------------------------------------------------------------------------------
+
+    @property
+    def unit_length(self) -> str:
+        """Name of the constraint that keeps the Euler parameters of a ball joint at unit length."""
+        return f"{self.name}.attitude"
+
+    def _coordinate(self, which: str) -> Scalar:
+        assert self.coordinates is not None
+        return self.coordinates[list(self.freedoms).index(which)]
+
     @cached_property
-    def free(self) -> ca.SX:
-        """The free displacement, second body from first: angle [rad] within a turn, or place along the axis [m]."""
+    def relative_turn(self) -> ca.SX:
+        """The rotation matrix (3, 3) from the axes of the second body to those of the first, from the coordinates."""
+        if self.kind == "spherical":
+            return rotation(ca.vertcat(*self.coordinates or ()))
+        if self.kind == "universal":
+            (one, two), angles = map(_unit, self.axes), ("angle1", "angle2")
+            turns = [_about_axes(x, x, self._coordinate(which)) for x, which in zip((one, two), angles, strict=True)]
+            return turns[0] @ turns[1]
+        return _about_axes(*self.axes, self._coordinate("angle") if "angle" in self.freedoms else 0.0)
+
+    @cached_property
+    def relative_attitude(self) -> ca.SX:
+        """Euler parameters (4,) of the second body in the axes of the first, from the coordinates."""
+        if self.kind == "spherical":
+            return ca.vertcat(*self.coordinates or ())
+        if self.kind == "universal":
+            one, two = map(_unit, self.axes)
+            return product(about(one, self._coordinate("angle1")), about(two, self._coordinate("angle2")))
+        angle = self._coordinate("angle") if "angle" in self.freedoms else 0.0
+        turned = about(_unit(self.axes[0]), angle)
+        return turned if self.axes[0] == self.axes[1] else product(turned, _attitude(_about_axes(*self.axes, 0.0)))
+
+    @cached_property
+    def slide(self) -> ca.SX:
+        """The way (3,) from the first point to the second in ground axes, from the coordinates."""
+        found = ca.SX.zeros(3)
+        for coordinate, (_, along) in zip(self.coordinates or (), self.columns, strict=True):
+            found += coordinate * along
+        return found
+
+    @cached_property
+    def columns(self) -> list[tuple[ca.SX, ca.SX]]:
+        """Angular velocity (3,) and velocity (3,) of the second point, from the first body, for each unit of a rate.
+
+        In ground axes, in the order of `freedoms`; of a ball joint for the rates of its Euler parameters.
+        """
+        nothing = ca.SX.zeros(3)
+        if self.kind == "spherical":
+            if self.coordinates is None:
+                return []
+            matrix = self.first.body.rotation @ spin_matrix(self.relative_attitude)
+            return [(matrix[:, i], nothing) for i in range(4)]
         normal, other, axis = self.triad()
-        if self.kind == "revolute":
+        return {
+            "revolute": lambda: [(axis, nothing)],
+            "cylindrical": lambda: [(axis, nothing), (nothing, axis)],
+            "prismatic": lambda: [(nothing, axis)],
+            "screw": lambda: [(axis, self.lead / (2 * math.pi) * axis)],
+            "universal": lambda: [(axis, nothing), (self.triad(second=True)[2], nothing)],
+            "planar": lambda: [(nothing, normal), (nothing, other), (axis, nothing)],
+        }.get(self.kind, list)()
+
+    # What is measured -------------------------------------------------------------------------------------------
+
+    @property
+    def free(self) -> ca.SX:
+        """The free displacement of a joint that has one, second body from first [rad or m]."""
+        return self.displacement(next(iter(self.freedoms)))
+
+    @property
+    def wrapped(self) -> bool:
+        """Whether the free displacement is an angle known up to whole turns only."""
+        return self.is_wrapped(next(iter(self.freedoms)))
+
+    def is_wrapped(self, which: str) -> bool:
+        """Whether a free displacement is an angle known up to whole turns only."""
+        return self.coordinates is None and self.freedoms[which] == "rad"
+
+    def displacement(self, which: str) -> ca.SX:
+        """One of the free displacements, second body from first: an angle [rad], or a way [m]."""
+        if self.coordinates is not None:
+            return ca.SX(self._coordinate(which))
+        return self._measured(which)
+
+    def _measured(self, which: str) -> ca.SX:
+        """The displacement as the places of both bodies tell it, an angle within a turn; the same object each time."""
+        kept = self.__dict__.setdefault("_kept", {})
+        if which not in kept:
+            kept[which] = self._from_places(which)
+        return kept[which]
+
+    def _from_places(self, which: str) -> ca.SX:
+        normal, other, axis = self.triad()
+        if which == "angle":
             turned = self.triad(second=True)[0]
             return ca.atan2(ca.dot(other, turned), ca.dot(normal, turned))
-        return ca.dot(axis, self.second.place - self.first.place)
+        if self.kind == "universal":
+            # With u1 on the first body, u2 on the second: R1 u1, R1 u2, R1 (u1 x u2), or these of R2.
+            one, two = map(_unit, self.axes)
+            body, across, on_other = (
+                (self.first.body, two, self.second.body.rotation @ ca.SX([*two]))
+                if which == "angle1"
+                else (self.second.body, one, self.first.body.rotation @ ca.SX(list(one)))
+            )
+            both = body.rotation @ ca.SX(_cross(one, two))
+            return ca.atan2(ca.dot(on_other, both), ca.dot(on_other, body.rotation @ ca.SX(list(across))))
+        along = {"position": axis, "position1": normal, "position2": other}[which]
+        return ca.dot(along, self.second.place - self.first.place)
 
     def residual(self, direction: str) -> ca.SX:
         """What the joint keeps at zero along one direction, in m or (for a small misalignment) rad."""
@@ -159,6 +407,12 @@ class SpatialJoint(Brief):
             return apart["xyz".index(direction)]
         if direction.startswith("normal"):
             return ca.dot(self.triad()[int(direction[-1]) - 1], apart)
+        if direction == "axis":
+            return ca.dot(self.triad()[2], apart)
+        if direction == "length":
+            return (ca.sumsqr(apart) - self.length**2) / (2 * self.length)
+        if direction == "screw":
+            return self._thread()[0]
         return ca.dot(*self._kept_square(direction))
 
     def reaction(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
@@ -172,22 +426,115 @@ class SpatialJoint(Brief):
                 force -= lam * ca.SX([direction == axis for axis in "xyz"])
             elif direction.startswith("normal"):
                 force -= lam * self.triad()[int(direction[-1]) - 1]
+            elif direction == "axis":
+                force -= lam * self.triad()[2]
+            elif direction == "length":
+                force -= lam * (self.second.place - self.first.place) / self.length
+            elif direction == "screw":
+                _, along, about = self._thread()
+                force -= lam * along
+                moment -= lam * about
             else:
                 on_first, on_second = self._kept_square(direction)
                 moment -= lam * ca.cross(on_second, on_first)
         return force, moment
 
+    def _thread(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """How far [m] the second body of a screw is ahead of its thread, and the derivatives of that.
+
+        p sin(s/p - th) with p = lead/(2 pi), which knows no whole turns; the derivatives (3,) are by a displacement and
+        by a turn of the second body.
+        """
+        pitch = self.lead / (2 * math.pi)
+        normal, other, axis = self.triad()
+        turned = self.triad(second=True)[0]
+        phase = self._measured("position") / pitch
+        way = ca.cos(phase) * ca.dot(normal, turned) + ca.sin(phase) * ca.dot(other, turned)
+        across = pitch * (ca.sin(phase) * normal - ca.cos(phase) * other)
+        return ca.dot(across, turned), way * axis, ca.cross(turned, across)
+
     def _kept_square(self, direction: str) -> tuple[ca.SX, ca.SX]:
         """Two directions, one on each body, that a joint keeps at a right angle."""
         on_first, on_second = self.triad(), self.triad(second=True)
-        return (
-            (on_first[0], on_second[1])
-            if direction == "rotation3"
-            else (
-                on_first[_ALIGNED.index(direction)],
-                on_second[2],
-            )
-        )
+        if direction == "rotation":
+            return on_first[2], on_second[2]
+        if direction == "rotation3":
+            return on_first[0], on_second[1]
+        return on_first[_ALIGNED.index(direction)], on_second[2]
+
+
+@dataclass(frozen=True, repr=False)
+class SpatialFreedom(Brief):
+    """One of the free motions of a joint in space; `SpatialJoint.freedom` makes it."""
+
+    joint: SpatialJoint
+    which: str
+
+    @property
+    def name(self) -> str:
+        """Name of its displacement."""
+        return f"{self.joint.name}.{self.which}"
+
+    @property
+    def kind(self) -> str:
+        """The joint that would have this free motion alone: revolute or prismatic."""
+        return "revolute" if self.joint.freedoms[self.which] == "rad" else "prismatic"
+
+    @property
+    def driven_axis(self) -> tuple[float, ...] | None:
+        """Its direction in the frame of the second body, None where it is fixed on the first one alone."""
+        return self.joint.axes[1] if self.which in ("angle", "angle2", "position") else None
+
+    @property
+    def first(self) -> SpatialMarker:
+        """The joint's point on its first body."""
+        return self.joint.first
+
+    @property
+    def second(self) -> SpatialMarker:
+        """The joint's point on its second body."""
+        return self.joint.second
+
+    @property
+    def free(self) -> ca.SX:
+        """The free displacement, second body from first [rad or m]."""
+        return self.joint.displacement(self.which)
+
+    @property
+    def wrapped(self) -> bool:
+        """Whether the free displacement is an angle known up to whole turns only."""
+        return self.joint.is_wrapped(self.which)
+
+
+def _unit(axis: tuple[float, ...]) -> tuple[float, float, float]:
+    """A direction of unit length."""
+    x, y, z = (a / math.hypot(*axis) for a in axis)
+    return x, y, z
+
+
+def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _about_axes(first: tuple, second: tuple, angle: Scalar) -> ca.SX:
+    """The rotation matrix (3, 3) that turns by an angle [rad] from where the triads of two axes coincide."""
+    (n, o, x), (n2, o2, x2) = ([np.array(each) for each in right_handed(axis)] for axis in (first, second))
+    if first == second:  # exact for an axis of the frame
+        fixed, cosine = np.outer(x, x), np.eye(3) - np.outer(x, x)
+        sine = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
+    else:
+        fixed, cosine = np.outer(x, x2), np.outer(n, n2) + np.outer(o, o2)
+        sine = np.outer(o, n2) - np.outer(n, o2)
+    parts = [ca.SX(ca.DM(np.where(np.abs(each) < 1e-15, 0.0, each))) for each in (fixed, cosine, sine)]
+    return parts[0] + ca.cos(angle) * parts[1] + ca.sin(angle) * parts[2]
+
+
+def _attitude(turn: ca.SX) -> ca.SX:
+    """Euler parameters (4,) of a rotation matrix (3, 3) of numbers."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(np.array(ca.DM(turn))).as_quat()
+    return ca.SX([w, x, y, z])
 
 
 def right_handed(axis: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:

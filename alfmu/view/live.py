@@ -468,16 +468,17 @@ def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
             points[marker.body.name].append(point)
         return {"body": marker.body.name, "point": point}
 
-    joints = []
+    joints, ties = [], []
     for joint in m.spatial_joints:
         first, second = place(joint.first), place(joint.second)
-        turns = joint.kind in ("revolute", "cylindrical")
+        turns = joint.kind not in ("spherical", "weld")
         on = second if joint.second.body is not m.spatial_ground else first
         axis = joint.axes[on is second]
         unit = (np.array(axis) / np.linalg.norm(axis)).tolist()
-        if joint.kind != "prismatic":
+        if joint.kind == "distance":
+            ties.append({"kind": "rod", "first": first, "second": second})
+        elif joint.kind != "prismatic":
             joints.append({"name": joint.name, "kind": joint.kind, **on, "axis": unit if turns else None})
-    ties = []
     for spring in m.springs:
         between = spring.between
         if isinstance(between, tuple) and not isinstance(between[0], Marker):

@@ -12,7 +12,7 @@ import casadi as ca
 
 from ..model.errors import DeclarationError, InputError
 from ..model.mechanism import Joint, Marker, Mechanism, Point, Scalar, Spring, key_of
-from ..model.spatial import SpatialBody, SpatialJoint, SpatialMarker
+from ..model.spatial import SpatialBody, SpatialMarker
 from .surface import Vector
 
 __all__ = ["Shapes", "geometry"]
@@ -352,8 +352,9 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     frames = [Frame(b.name, "body", tuple(f"{b.name}.{q}" for q in POSE)) for b in m.spatial_bodies]
     frames += [Frame(x.name, "plane", tuple(f"{x.name}.{q}" for q in ("x", "y", "angle"))) for x in plane.links]
     pivots = [
-        Pivot(j.name, j.kind, spot(j.first), spot(j.second), j.axes[0] if "rotation1" in j.directions else None)
+        Pivot(j.name, j.kind, spot(j.first), spot(j.second), None if j.kind == "spherical" else j.axes[0])
         for j in m.spatial_joints
+        if j.kind != "distance"
     ]
     pivots += [Pivot(j.name, j.kind, flat(j.first), flat(j.second), (0.0, 0.0, 1.0)) for j in plane.joints]
     drawn: dict[str, Spot] = {}
@@ -374,6 +375,7 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     struts += [
         Strut(tie.name, tie.kind, flat(tie.first), flat(tie.second)) for tie in plane.ties if tie.kind != "spiral"
     ]
+    struts += [Strut(j.name, "rod", spot(j.first), spot(j.second)) for j in m.spatial_joints if j.kind == "distance"]
     for spring in m.springs:
         between = spring.between
         first, second = between if isinstance(between, tuple) else (between.first, between.second)
@@ -388,6 +390,10 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     for pair in (*pivots, *struts):
         for at in (pair.first, pair.second):
             points.get(at.frame, []).append((at.x, at.y, at.z))
+    for point in m.watched:
+        if isinstance(point.marker, SpatialMarker) and point.marker.body is not m.spatial_ground:
+            at = spot(point.marker)
+            points[at.frame].append((at.x, at.y, at.z))
     riders = {p.second.frame for p in pivots if p.kind == "prismatic"}
     solids = [
         Solid(b.name, tuple(dict.fromkeys(points[b.name])), _box(b, number), b.name in riders) for b in m.spatial_bodies
@@ -399,14 +405,19 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     arrows = [
         Arrow(j.name, kind, "reaction", spot(j.second), tuple(f"{j.name}.{kind}.{q}" for q in "xyz"), None)
         for j in m.spatial_joints
-        for kind in ("force", "moment")[: 1 if j.kind == "spherical" else 2]
+        for kind in ("force", "moment")[: {"spherical": 1, "distance": 0}.get(j.kind, 2)]
     ]
     inputs = {key_of(x.symbol): x.name for x in m.inputs}
     for drive in m.drives:
         name = inputs.get(key_of(drive.effort))
-        if name and isinstance(drive.joint, SpatialJoint):
-            kind = "moment" if drive.joint.kind == "revolute" else "force"
-            arrows.append(Arrow(name, kind, "applied", spot(drive.joint.second), (name,), drive.joint.axes[1]))
+        if name and not isinstance(drive.joint, Joint) and drive.joint.driven_axis:
+            kind = "force" if drive.joint.kind == "prismatic" else "moment"
+            arrows.append(Arrow(name, kind, "applied", spot(drive.joint.second), (name,), drive.joint.driven_axis))
+    for load in m.spatial_loads:
+        for kind, vector in (("force", load.force), ("moment", load.torque)):
+            names = tuple(inputs.get(key_of(x), "") for x in vector)
+            if all(names):
+                arrows.append(Arrow(names[0].removesuffix(".x"), kind, "applied", spot(load.at), names, None))
     pull = [number(g) for g in m.gravity_vector]
     size = math.hypot(*pull)
     up = tuple(-g / size + 0.0 for g in pull) if size else (0.0, 0.0, 1.0)

@@ -74,6 +74,9 @@ SIDES = 18
 
 SHADOW = "#e4e9ee"
 
+SLIDING = ("prismatic", "cylindrical", "screw")
+"""Kinds of joints whose second point slides along an axis, which is drawn as a rail."""
+
 
 @dataclass(frozen=True)
 class Piece:
@@ -166,7 +169,7 @@ def view_of(shapes: Shapes, columns: Mapping[str, ArrayLike]) -> SpaceView:
     cloud = np.concatenate([np.reshape(_thinned(place_of(poses, at)), (-1, 3)) for at in spots] or [np.zeros((1, 3))])
     travel = {}
     for pivot in space.pivots:
-        if pivot.kind in ("prismatic", "cylindrical") and pivot.axis:
+        if pivot.kind in SLIDING and pivot.axis:
             axis = rotated(poses[pivot.first.frame][1], np.array(pivot.axis) / math.hypot(*pivot.axis))
             along = np.sum((place_of(poses, pivot.second) - place_of(poses, pivot.first)) * axis, -1)
             travel[pivot.name] = float(np.min(along)), float(np.max(along))
@@ -290,7 +293,7 @@ def pieces_of(space: Space, view: SpaceView) -> list[Piece]:
         ) -> Piece:
             return Piece(name, kind, (at,), tuple(u * unit for u in size), color, turn)
 
-        if pivot.kind in ("prismatic", "cylindrical"):
+        if pivot.kind in SLIDING:
             low, high = view.travel[pivot.name]
             ends = [
                 Spot(
@@ -301,17 +304,22 @@ def pieces_of(space: Space, view: SpaceView) -> list[Piece]:
             ]
             if not any(_inside(ends, piece, unit) for piece in pieces):
                 pieces.append(Piece(pivot.name, "rod", tuple(ends), (0.62 * unit, 0.0, 1.0), FAINT))
-            if pivot.kind == "cylindrical":
+            if pivot.kind != "prismatic":
                 pieces.append(piece("cylinder", (1.7, 3.0), at=pivot.second))
             elif pivot.second.frame not in boxes:
                 pieces.append(piece("box", (1.7, 1.7, 2.6), colors.get(pivot.second.frame, STEEL), at=pivot.second))
         elif pivot.kind == "revolute":
             pieces.append(piece("cylinder", (1.45, 2.3)))
+        elif pivot.kind == "universal":
+            pieces.append(piece("cylinder", (1.1, 2.6)))
+            pieces.append(piece("ball", (1.6,)))
+        elif pivot.kind == "planar":
+            pieces.append(piece("cylinder", (3.2, 0.5), at=pivot.second))
         elif pivot.kind == "weld":
             pieces.append(piece("box", (1.3, 1.3, 1.3), INK))
         else:
             pieces.append(piece("ball", (1.75,)))
-        if GROUND in (pivot.first.frame, pivot.second.frame) and pivot.kind not in ("prismatic", "cylindrical"):
+        if GROUND in (pivot.first.frame, pivot.second.frame) and pivot.kind not in (*SLIDING, "planar"):
             foot = pivot.first if pivot.first.frame == GROUND else pivot.second
             upright = tuple(map(float, _turned_to(np.array(space.up))))
             pieces.append(piece("cone", (3.6, 1.2, 5.0), STEEL, at=foot, turn=upright))

@@ -88,7 +88,8 @@ class Balance:
 class SpatialBalance:
     """Forces and moments about the centres of mass of bodies in space; `bodies` maps a name to mass, inertia, center.
 
-    Attitudes come from the Euler parameters that are read, by SciPy's rotations.
+    An inertia is three principal moments, or a matrix. Attitudes come from the Euler parameters that are read, by
+    SciPy's rotations.
     """
 
     def __init__(self, read: Mapping[str, float], bodies: Mapping[str, tuple], gravity: tuple[float, float, float]):
@@ -98,7 +99,7 @@ class SpatialBalance:
         for name, (mass, inertia, _) in bodies.items():
             e0, *e = (read[f"{name}.e{i}"] for i in range(4))
             self.turns[name] = Rotation.from_quat([*e, e0]).as_matrix()
-            J = self.turns[name] @ np.diag(inertia) @ self.turns[name].T
+            J = self.turns[name] @ (np.diag(inertia) if np.ndim(inertia) == 1 else inertia) @ self.turns[name].T
             w, rate = self.vector(f"{name}.angular_velocity."), self.vector(f"{name}.angular_acceleration.")
             force = mass * (np.array(gravity) - self.vector(f"{name}.a"))
             self.left[name] = np.array([force, -J @ rate - np.cross(w, J @ w)])

@@ -1,0 +1,428 @@
+"""Bodies in space: recursion from the ground outwards and back for those in relative coordinates, what is read of all.
+
+A body is placed by a joint on another one, or by coordinates of its own. Each coordinate c has a column of its joint:
+the angular velocity w and the velocity u of the body's anchor that a unit of its rate gives. Accelerations go outwards
+from body to body; forces and moments about the anchors come back, and do w.n + u.f along c (Newton and Euler). The mass
+matrix takes for a column the momentum of all that the joint carries, as if it were one body. Expressions therefore
+grow with the number of bodies, the mass matrix with the number of its entries. (Featherstone, Rigid Body Dynamics
+Algorithms, chapters 5 and 6, in ground axes.)
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+
+from ..model.mechanism import Constraint, Lock, Mechanism, Rigidity, Scalar, stack, symbolic
+from ..model.mechanism import Joint as PlanarJoint
+from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, angular_velocity, spin_matrix
+from .types import Variable
+
+__all__ = ["SpatialMotion", "Wrench", "applied", "gravity", "loads", "outputs", "relative_bodies"]
+
+Wrench = tuple[ca.SX, ca.SX]
+"""A force (3,) and a moment (3,) about a body's anchor, in ground axes."""
+
+Closing = tuple[PlanarJoint | SpatialJoint | SpatialFreedom | Rigidity | Constraint | Lock, str]
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a unit of the rate of a coordinate gives a body: angular velocity and velocity of its anchor."""
+
+    coordinate: Scalar
+    w: ca.SX
+    u: ca.SX
+
+
+@dataclass(frozen=True)
+class Moving:
+    """How a body moves: angular velocity and its rate, velocity and acceleration of the anchor.
+
+    `bending` (3, 3) makes of an arm the acceleration of its end from the anchor, w' x arm + w x (w x arm).
+    """
+
+    spin: ca.SX
+    spin_rate: ca.SX
+    speed: ca.SX
+    acceleration: ca.SX
+
+    @cached_property
+    def bending(self) -> ca.SX:
+        w, rate = self.spin, self.spin_rate
+        squares = ca.SX.zeros(3, 3)
+        for i in range(3):
+            for j in range(3):
+                squares[i, j] = w[i] * w[j] if i != j else -sum(w[k] ** 2 for k in range(3) if k != i)
+        return ca.skew(rate) + squares
+
+
+def relative_bodies(m: Mechanism) -> list[SpatialBody]:
+    """The bodies that joints place."""
+    return [body for body in m.spatial_bodies if body.placed_by is not None]
+
+
+class SpatialMotion:
+    """How bodies in space move with the rates v and the accelerations a, zero where they are left out."""
+
+    def __init__(self, mechanism: Mechanism, q: ca.SX, v: ca.SX, a: ca.SX | None = None):
+        self.mechanism, self.q, self.v, self.a = mechanism, q, v, a
+        self.order: list[SpatialBody] = []
+        """Each body after the one that carries it, without the ground."""
+        for body in mechanism.spatial_bodies:
+            self._add(body)
+        self._moving: dict[SpatialBody, Moving] = {}
+        self._columns: dict[SpatialBody, list[Column]] = {}
+        self._inertia: dict[SpatialBody, ca.SX] = {}
+
+    def _add(self, body: SpatialBody) -> None:
+        if body is not self.mechanism.spatial_ground and body not in self.order:
+            if body.placed_by is not None:
+                self._add(body.placed_by.first.body)
+            self.order.append(body)
+
+    # Outwards ---------------------------------------------------------------------------------------------------
+
+    def columns(self, body: SpatialBody) -> list[Column]:
+        """The columns of the coordinates that place a body."""
+        if body not in self._columns:
+            if body.own is not None:
+                place, attitude = body.own
+                nothing, matrix = ca.SX.zeros(3), spin_matrix(attitude)
+                found = [Column(place[i], nothing, ca.SX([i == k for k in range(3)])) for i in range(3)]
+                found += [Column(attitude[i], matrix[:, i], nothing) for i in range(4)]
+            else:
+                joint = body.placed_by
+                assert joint is not None
+                found = [Column(c, *column) for c, column in zip(joint.coordinates or (), joint.columns, strict=True)]
+            self._columns[body] = found
+        return self._columns[body]
+
+    def rates(self, coordinate: Scalar) -> tuple[ca.SX, ca.SX]:
+        """First and second rate of an expression in the coordinates."""
+        c = symbolic(coordinate)
+        rate = ca.jtimes(c, self.q, self.v)
+        second = ca.jtimes(rate, self.q, self.v)
+        return rate, second if self.a is None else second + ca.jtimes(c, self.q, self.a)
+
+    def moving(self, body: SpatialBody) -> Moving:
+        """How a body moves."""
+        if body not in self._moving:
+            self._moving[body] = self._worked_out(body)
+        return self._moving[body]
+
+    def _worked_out(self, body: SpatialBody) -> Moving:
+        nothing = ca.SX.zeros(3)
+        if body is self.mechanism.spatial_ground:
+            return Moving(nothing, nothing, nothing, nothing)
+        joint = body.placed_by
+        if joint is None:  # the angular velocity is linear in the rates, and its rate without accelerations vanishes
+            before, arm = Moving(nothing, nothing, nothing, nothing), nothing
+        else:
+            before, arm = self.moving(joint.first.body), joint.first.arm + joint.slide
+        spin, spin_rate, slip, push = before.spin, before.spin_rate, nothing, nothing
+        carrier = before.spin
+        for column in self.columns(body):
+            rate, second = self.rates(column.coordinate)
+            turn = column.w * rate
+            spin_rate = spin_rate + ca.cross(carrier, turn) + column.w * second
+            spin, slip, push = spin + turn, slip + column.u * rate, push + column.u * second
+            if joint is not None and joint.kind == "universal":  # the second axis turns with the first
+                carrier = carrier + turn
+        speed = before.speed + ca.cross(before.spin, arm) + slip
+        carried = before.acceleration + before.bending @ arm + 2 * ca.cross(before.spin, slip)
+        return Moving(spin, spin_rate, speed, carried + push)
+
+    def velocity(self, marker: SpatialMarker) -> ca.SX:
+        """Velocity (3,) of a point."""
+        moving = self.moving(marker.body)
+        return moving.speed + ca.cross(moving.spin, marker.arm)
+
+    def acceleration(self, marker: SpatialMarker) -> ca.SX:
+        """Acceleration (3,) of a point."""
+        moving = self.moving(marker.body)
+        return moving.acceleration + moving.bending @ marker.arm
+
+    # Back -------------------------------------------------------------------------------------------------------
+
+    def inertia(self, body: SpatialBody) -> ca.SX:
+        """The matrix of inertia (3, 3) about the centre of mass in ground axes."""
+        if body not in self._inertia:
+            J = body.inertia_matrix
+            turned = body.rotation @ J @ body.rotation.T
+            self._inertia[body] = ca.triu2symm(ca.triu(turned))
+        return self._inertia[body]
+
+    def inertial(self, bodies: Sequence[SpatialBody]) -> dict[SpatialBody, Wrench]:
+        """What the motion of bodies takes: mass times acceleration, and the rate of the angular momentum."""
+        found = {}
+        for body in bodies:
+            moving, lever, J = self.moving(body), body.turned(body.center), self.inertia(body)
+            force = body.mass * (moving.acceleration + moving.bending @ lever)
+            moment = J @ moving.spin_rate + ca.cross(moving.spin, J @ moving.spin)
+            found[body] = force, moment + ca.cross(lever, force)
+        return found
+
+    def carried(self, loads: Mapping[SpatialBody, Wrench]) -> dict[SpatialBody, Wrench]:
+        """What is needed to carry each body with all that hangs on it, where each of these needs a load."""
+        found = dict(loads)
+        for body in reversed(self.order):
+            if body in found and body.placed_by is not None:
+                joint, (force, moment) = body.placed_by, found[body]
+                arm = joint.first.arm + joint.slide
+                _add_to(found, joint.first.body, (force, moment + ca.cross(arm, force)))
+        return found
+
+    def along(self, loads: Mapping[SpatialBody, Wrench]) -> ca.SX:
+        """Generalised forces (n,) of loads on bodies."""
+        coordinates, efforts = [], []
+        for body, (force, moment) in self.carried(loads).items():
+            if body is not self.mechanism.spatial_ground:
+                for column in self.columns(body):
+                    coordinates.append(column.coordinate)
+                    efforts.append(ca.dot(column.w, moment) + ca.dot(column.u, force))
+        return ca.jacobian(stack(coordinates), self.q).T @ stack(efforts) if efforts else ca.SX(self.q.numel(), 1)
+
+    def mass_matrix(self, bodies: Sequence[SpatialBody]) -> ca.SX:
+        """The mass matrix (n, n) of bodies, by what each joint carries."""
+        whole: dict[SpatialBody, tuple[ca.SX, ca.SX, ca.SX]] = {}  # mass, first moment, inertia about the anchor
+        for body in bodies:
+            lever, mass = body.turned(body.center), symbolic(body.mass)
+            whole[body] = mass, mass * lever, self.inertia(body) + mass * _square(lever, lever)
+        entries: dict[tuple[int, int], ca.SX] = {}
+        coordinates: list[Scalar] = []
+        first: dict[SpatialBody, int] = {}
+        for body in self.order:
+            first[body] = len(coordinates)
+            coordinates += [column.coordinate for column in self.columns(body)]
+        for body in reversed(self.order):
+            if body not in whole:
+                continue
+            mass, moment, inertia = whole[body]
+            joint = body.placed_by
+            for j, column in enumerate(self.columns(body), first[body]):
+                momentum = mass * column.u + ca.cross(column.w, moment)
+                turning = inertia @ column.w + ca.cross(moment, column.u)
+                at = body
+                for i, each in enumerate(self.columns(body)[: j - first[body] + 1], first[body]):
+                    entries[i, j] = ca.dot(each.w, turning) + ca.dot(each.u, momentum)
+                while at.placed_by is not None and at.placed_by.first.body is not self.mechanism.spatial_ground:
+                    arm = at.placed_by.first.arm + at.placed_by.slide
+                    turning = turning + ca.cross(arm, momentum)
+                    at = at.placed_by.first.body
+                    for i, each in enumerate(self.columns(at), first[at]):
+                        entries[i, j] = ca.dot(each.w, turning) + ca.dot(each.u, momentum)
+            if joint is not None and (carrier := joint.first.body) is not self.mechanism.spatial_ground:
+                arm = joint.first.arm + joint.slide
+                shifted = inertia + mass * _square(arm, arm) + _square(arm, moment) + _square(moment, arm)
+                before = whole.get(carrier, (ca.SX(0), ca.SX.zeros(3), ca.SX.zeros(3, 3)))
+                more = mass, moment + mass * arm, shifted
+                whole[carrier] = tuple(a + b for a, b in zip(before, more, strict=True))
+        k = len(coordinates)
+        M = ca.SX(k, k)
+        for (i, j), entry in entries.items():
+            if not entry.is_zero():
+                M[i, j] = M[j, i] = entry
+        U = ca.jacobian(stack(coordinates), self.q)
+        return U.T @ M @ U
+
+
+def _add_to(loads: dict[SpatialBody, Wrench], body: SpatialBody, wrench: Wrench) -> None:
+    if body in loads:
+        wrench = tuple(a + b for a, b in zip(loads[body], wrench, strict=True))
+    loads[body] = wrench
+
+
+def _square(a: ca.SX, b: ca.SX) -> ca.SX:
+    """a.b 1 - b a': for b = a the inertia of a mass of 1 kg at a."""
+    return ca.dot(a, b) * ca.SX.eye(3) - b @ a.T
+
+
+# What acts ----------------------------------------------------------------------------------------------------------
+
+
+def gravity(m: Mechanism, bodies: Sequence[SpatialBody]) -> dict[SpatialBody, Wrench]:
+    """The weight of bodies."""
+    weights = {body: body.mass * stack(m.gravity_vector) for body in bodies}
+    return {body: (force, ca.cross(body.turned(body.center), force)) for body, force in weights.items()}
+
+
+def loads(m: Mechanism) -> dict[SpatialBody, Wrench]:
+    """What forces and torques declared on bodies in space do."""
+    found: dict[SpatialBody, Wrench] = {}
+    for load in m.spatial_loads:
+        _push(found, load.at, stack(load.force), stack(load.torque))
+    return found
+
+
+def applied(
+    m: Mechanism,
+    efforts: Sequence[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]],
+    closures: Sequence[Closing],
+    lam: ca.SX,
+) -> dict[SpatialBody, Wrench]:
+    """All that acts on bodies in space but joints with coordinates: weights, loads, efforts, joints that constraints
+    close.
+
+    `efforts` act along joints, or push two points apart. Those along a joint with coordinates are left out, as their
+    pair of forces does nothing to any other joint.
+    """
+    found = dict(gravity(m, m.spatial_bodies))
+    for body, wrench in loads(m).items():
+        _add_to(found, body, wrench)
+    for between, effort in efforts:
+        if isinstance(between, tuple):
+            apart = between[1].place - between[0].place
+            _pair(found, *between, effort / ca.norm_2(apart) * apart, ca.SX.zeros(3))
+        else:
+            _effort(found, between, effort)
+    multipliers: dict[SpatialJoint, dict[str, ca.SX]] = {}
+    for (closure, direction), x in zip(closures, ca.vertsplit(lam), strict=True):
+        if isinstance(closure, SpatialJoint):
+            multipliers.setdefault(closure, {})[direction] = x
+        elif isinstance(closure, Lock) and isinstance(closure.of, SpatialJoint | SpatialFreedom):
+            slope = ca.cos(closure.of.free - closure.value) if closure.of.wrapped else 1.0
+            _effort(found, closure.of, -slope * x)
+    for joint, own in multipliers.items():
+        _pair(found, joint.first, joint.second, *joint.reaction(own))
+    return found
+
+
+def _effort(found: dict[SpatialBody, Wrench], along: SpatialJoint | SpatialFreedom, effort: ca.SX) -> None:
+    """An effort along a free motion of a joint that constraints close."""
+    joint = along.joint if isinstance(along, SpatialFreedom) else along
+    which = along.which if isinstance(along, SpatialFreedom) else next(iter(joint.freedoms))
+    if joint.coordinates is None:
+        w, u = joint.columns[list(joint.freedoms).index(which)]
+        force = u * effort if joint.freedoms[which] == "m" else ca.SX.zeros(3)  # a drive of a screw turns it
+        _pair(found, joint.first, joint.second, force, w * effort)
+
+
+def _pair(
+    found: dict[SpatialBody, Wrench], first: SpatialMarker, second: SpatialMarker, force: ca.SX, moment: ca.SX
+) -> None:
+    """A force at the second point, and a moment, on the second body; the opposite, in the same line, on the first."""
+    _push(found, second, force, moment)
+    across = second.place - first.place
+    _push(found, first, -force, -moment - ca.cross(across, force))
+
+
+def _push(found: dict[SpatialBody, Wrench], at: SpatialMarker, force: ca.SX, moment: ca.SX) -> None:
+    _add_to(found, at.body, (force, moment + ca.cross(at.arm, force)))
+
+
+# What is read -------------------------------------------------------------------------------------------------------
+
+
+def reaction(joint: SpatialJoint, force: ca.SX, moment: ca.SX) -> Wrench:
+    """Of what a joint with coordinates hands on, what does no work in its free motions."""
+    columns = joint.columns
+    axis = joint.triad()[2]
+    if joint.kind in ("prismatic", "cylindrical"):
+        force = force - axis * ca.dot(axis, force)
+    if joint.kind in ("revolute", "cylindrical", "planar"):
+        moment = moment - axis * ca.dot(axis, moment)
+    if joint.kind == "planar":
+        force = axis * ca.dot(axis, force)
+    if joint.kind == "screw":
+        moment = moment - axis * (ca.dot(axis, moment) + joint.lead / (2 * math.pi) * ca.dot(axis, force))
+    if joint.kind == "universal":
+        both = ca.cross(columns[0][0], columns[1][0])
+        moment = both * ca.dot(both, moment)
+    return force, moment
+
+
+def outputs(
+    m: Mechanism,
+    q: ca.SX,
+    v: ca.SX,
+    a: ca.SX,
+    closures: Sequence[Closing],
+    lam: ca.SX,
+    efforts: Sequence[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]],
+) -> tuple[list[ca.SX], list[Variable]]:
+    """Motion of every body in space, free motions and reaction of every joint between such bodies."""
+
+    def rate(x: ca.SX) -> ca.SX:
+        return ca.jtimes(x, q, v) + ca.jtimes(x, v, a)
+
+    values: list[ca.SX] = []
+    found: list[Variable] = []
+
+    def add(name: str, vector: ca.SX, unit: str, text: str) -> None:
+        """A number, or a vector by its components; {} stands for the axis in the name, ` along {}` in the text."""
+        for axis, x in zip("xyz", ca.vertsplit(vector), strict=False):
+            values.append(x)
+            found.append(Variable(name.format(axis), unit, description=text.format(axis)))
+
+    tree = relative_bodies(m)
+    motion = SpatialMotion(m, q, v, a) if tree else None
+    needed: dict[SpatialBody, Wrench] = {}
+    if motion is not None:
+        balance = motion.inertial(motion.order)
+        for body, (force, moment) in applied(m, efforts, closures, lam).items():
+            _add_to(balance, body, (-force, -moment))
+        needed = motion.carried(balance)
+    for body in m.spatial_bodies:
+        b, r, e = body.name, body.position, body.attitude
+        if motion is not None and body.placed_by is not None:
+            center, moving = body.at(*body.center), motion.moving(body)
+            speed, acceleration = motion.velocity(center), motion.acceleration(center)
+            spin, spin_rate = moving.spin, moving.spin_rate
+        else:
+            speed, acceleration = rate(r), rate(rate(r))
+            spin = angular_velocity(e, ca.jtimes(e, q, v))
+            spin_rate = rate(spin)
+        add(b + ".{}", r, "m", f"position of the centre of mass of {b} along {{}}")
+        add(b + ".v{}", speed, "m/s", f"velocity of the centre of mass of {b} along {{}}")
+        add(b + ".a{}", acceleration, "m/s2", f"acceleration of the centre of mass of {b} along {{}}")
+        for i, x in enumerate(ca.vertsplit(e)):
+            add(f"{b}.e{i}", x, "1", f"Euler parameter {i} of {b}")
+        add(b + ".angular_velocity.{}", spin, "rad/s", f"angular velocity of {b} along {{}}")
+        add(b + ".angular_acceleration.{}", spin_rate, "rad/s2", f"angular acceleration of {b} along {{}}")
+    sliders = Counter(j.second.body for j in m.spatial_joints if j.kind == "prismatic")
+    for joint in m.spatial_joints:
+        j, pair = joint.name, f"{joint.second.body.name} from {joint.first.body.name}"
+        for which, unit in joint.freedoms.items():
+            x, number = joint.displacement(which), which[len(which.rstrip("12")) :]
+            if unit == "rad":
+                add(f"{j}.{which}", x, "rad", f"angle of {pair}" + _about(joint, which))
+                add(f"{j}.angular_velocity{number}", rate(x), "rad/s", f"rate of {j}.{which}")
+                add(f"{j}.angular_acceleration{number}", rate(rate(x)), "rad/s2", f"second rate of {j}.{which}")
+            elif joint.kind != "prismatic" or sliders[joint.second.body] == 1:
+                on = joint.second.body.name if joint.kind == "prismatic" else j
+                of = f"{joint.second.body.name} along {j}"
+                add(f"{on}.{which}", x, "m", f"position of {of}" + _about(joint, which))
+                add(f"{on}.velocity{number}", rate(x), "m/s", f"velocity of {of}" + _about(joint, which))
+                add(f"{on}.acceleration{number}", rate(rate(x)), "m/s2", f"acceleration of {of}" + _about(joint, which))
+        own = {direction: x for (c, direction), x in zip(closures, ca.vertsplit(lam), strict=True) if c is joint}
+        if joint.kind == "distance":
+            add(f"{j}.force", -own["length"], "N", f"force on {pair}, positive when the joint pushes")
+            continue
+        force, moment = joint.reaction(own)
+        if joint.coordinates is not None:
+            force, moment = reaction(joint, *needed[joint.second.body])
+        add(j + ".force.{}", force, "N", f"force along {{}} on {pair}")
+        if joint.kind != "spherical":
+            add(
+                j + ".moment.{}",
+                moment,
+                "N.m",
+                f"moment along {{}} on {pair}, about the joint's point on {joint.second.body.name}",
+            )
+    return values, found
+
+
+def _about(joint: SpatialJoint, which: str) -> str:
+    """What a joint with several free motions of a kind says of one."""
+    return {
+        "angle1": f", about the axis of {joint.name} on the first",
+        "angle2": f", about the axis of {joint.name} on the second",
+        "position1": ", along its first normal",
+        "position2": ", along its second normal",
+    }.get(which, "")
