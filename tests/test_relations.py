@@ -120,8 +120,7 @@ def planetary(planets: int = 1, held: str = "ring") -> alfmu.Mechanism:
     return m
 
 
-@pytest.mark.parametrize("held", ["ring", "sun"])
-@pytest.mark.parametrize("planets", [1, 3])
+@pytest.mark.parametrize(("held", "planets"), [("ring", 1), ("sun", 1), ("ring", 3)])
 def test_a_planetary_gear_turns_as_willis_says(held: str, planets: int):
     m = planetary(planets, held)
     y = at_start(m)
@@ -149,8 +148,7 @@ def test_a_planetary_gear_turns_as_willis_says(held: str, planets: int):
 # Racks ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closed_by", ["coordinates", "constraints"])
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(("side", "closed_by"), [("left", "coordinates"), ("right", "constraints")])
 def test_a_rack_weighs_on_its_pinion_as_a_mass_at_the_radius(side: str, closed_by: str):
     m = alfmu.Mechanism("press")
     r, tilt, sign = 0.05, 0.7, 1 if side == "left" else -1

@@ -1153,7 +1153,7 @@ class Mechanism:
         """A ball that rolls without slip on a plane, by the marker of its middle; with `axis`, a thin disc on its edge.
 
         The plane goes through a marker on `spatial_ground`, and `normal` is the direction from it towards the ball.
-        `radius` is in m; `axis` is that of the disc in its body's frame. As with `blade`, slip is one of velocities: start
+        `radius` is in m; `axis` is that of the disc in its body's frame. As with `blade`, slip is of velocities: start
         rates have to fit, and formulations are those of a blade.
 
         Outputs `<name>.force.x` ... [N] on the body from the ground. Nothing keeps it from pulling.
