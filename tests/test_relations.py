@@ -114,7 +114,10 @@ def planetary(planets: int = 1, held: str = "ring") -> alfmu.Mechanism:
         pin = arm.at(0.105 * math.cos(towards), 0.105 * math.sin(towards))
         m.revolute(f"P{k}", pin, planet.at(0, 0), coordinate=m.coordinate(f"planet_angle{k}"))
         m.gear(f"inner{k}", sun.at(0, 0), planet.at(0, 0), teeth=(24, 18))
-        m.gear(f"outer{k}", planet.at(0, 0), ring.at(0, 0), radii=(0.045, 0.15), internal=True)
+        if held == "ring":
+            m.gear(f"outer{k}", planet.at(0, 0), ring.at(0, 0), radii=(0.045, 0.15), internal=True)
+        else:
+            m.gear(f"outer{k}", ring.at(0, 0), planet.at(0, 0), radii=(0.15, 0.045), internal=True)
     m.torque(turning, 5.0)
     m.gravity(0, -G)
     return m
@@ -140,7 +143,7 @@ def test_a_planetary_gear_turns_as_willis_says(held: str, planets: int):
     t = np.array([-e[1], e[0]])
     inner = -y["inner0.force"] * t + y["inner0.separating_force"] * e, centre - 0.045 * e
     outer_torque = 0.002 * y["planet0.angular_acceleration"] - 0.045 * y["inner0.force"]
-    assert y["outer0.force"] == pytest.approx(-outer_torque / 0.045, rel=1e-9)
+    assert y["outer0.force"] == pytest.approx((-1 if held == "ring" else 1) * outer_torque / 0.045, rel=1e-9)
     outer = outer_torque / 0.045 * t - abs(outer_torque) / 0.045 * STEEP * e, centre + 0.045 * e
     assert net(m, y, m.bodies[2], [inner, outer]) == pytest.approx(np.zeros(3), abs=1e-11)
 
