@@ -767,7 +767,7 @@ class Mechanism:
                     raise DeclarationError(f"{self.name}: measure() is given a spring of another mechanism")
                 Mechanism.measured.of(self).append(spring)
                 continue
-            names = [*springs, *(j.name for j in (*self.joints, *self.spatial_joints))]
+            names = [*springs, *(j.name for j in self.joints), *(j.name for j in self.spatial_joints)]
             called = getattr(each, "name", each)
             if not isinstance(called, str) or called not in names:
                 raise DeclarationError(

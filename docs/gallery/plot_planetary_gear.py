@@ -32,12 +32,9 @@ def planetary_gear() -> Mechanism:
     sun = m.body("sun", mass=1.0, inertia=2e-3)
     ring = m.body("ring", mass=1.5, inertia=0.03)
     output = m.revolute("output", m.ground.at(0, 0), arm.at(0, 0), coordinate=arm_angle)
-    motors = {
-        "sun": m.revolute("sun_shaft", m.ground.at(0, 0), sun.at(0, 0), coordinate=sun_angle),
-        "ring": m.revolute(
-            "ring_shaft", m.ground.at(0, 0), ring.at(0, 0), coordinate=m.coordinate("ring_angle", "rad")
-        ),
-    }
+    ring_angle = m.coordinate("ring_angle", "rad")
+    sun_shaft = m.revolute("sun_shaft", m.ground.at(0, 0), sun.at(0, 0), coordinate=sun_angle)
+    ring_shaft = m.revolute("ring_shaft", m.ground.at(0, 0), ring.at(0, 0), coordinate=ring_angle)
     for k in range(3):
         towards = 2 * math.pi * k / 3
         planet = m.body(f"planet{k + 1}", mass=0.3, inertia=1e-4)
@@ -46,9 +43,9 @@ def planetary_gear() -> Mechanism:
         m.gear(f"inner{k + 1}", sun.at(0, 0), planet.at(0, 0), teeth=(SUN, PLANET))
         m.gear(f"outer{k + 1}", planet.at(0, 0), ring.at(0, 0), teeth=(PLANET, RING), internal=True)
     m.friction(output, LOAD)
-    m.measure(output, *motors.values())
-    for name, joint in motors.items():
-        m.drive(joint, FIRM * (m.input(f"{name}.speed", "rad/s") - m.rate(joint.coordinate)))
+    m.measure(output, sun_shaft, ring_shaft)
+    m.drive(sun_shaft, FIRM * (m.input("sun.speed", "rad/s", start=30.0) - m.rate(sun_angle)))
+    m.drive(ring_shaft, FIRM * (m.input("ring.speed", "rad/s") - m.rate(ring_angle)))
     return m
 
 
@@ -56,8 +53,8 @@ def planetary_gear() -> Mechanism:
 # The motor of the sun keeps its speed. That of the ring turns back faster and faster: the output slows down, stands,
 # and goes backwards, while both motors turn.
 
-speeds = {"sun.speed": 30.0, "ring.speed": lambda t: -6.0 * t}
-result = simulate(mechanism := planetary_gear(), inputs=speeds)
+mechanism = planetary_gear()
+result = simulate(mechanism, inputs={"ring.speed": lambda t: -6.0 * t})
 fig, axes = plt.subplots(layout="constrained")
 for name in ("sun_shaft", "ring_shaft", "output"):
     axes.plot(result.time, result[f"{name}.angular_velocity"], label=name)
