@@ -8,6 +8,8 @@ import pytest
 from scenes import readings, started
 
 import alfmu
+from alfmu.view.drawing import as_data, from_data
+from alfmu.view.shapes import geometry
 
 G = 9.81
 STEEP = math.tan(math.radians(20))
@@ -246,6 +248,37 @@ def test_a_wheel_rolls_down_a_moving_slope_without_slip():
     at = np.array([y["disc.x"], y["disc.y"]]) - r * left
     assert net(m, y, disc, [(push, at)]) == pytest.approx(np.zeros(3), abs=1e-10)
     assert net(m, y, wedge, [(-push, at)]) == pytest.approx(np.zeros(3), abs=1e-10)
+
+
+# Pictures -------------------------------------------------------------------------------------------------------------
+
+
+def test_pictures_show_pitch_circles_and_strands():
+    """Circles of the right radius about the centres, the strands of a belt as its tangents; as data and back."""
+    shapes = geometry(train())
+    assert [rim.body for rim in shapes.rims] == ["a", "b"]
+    for rim, radius in zip(shapes.rims, (0.2, 0.3), strict=True):
+        assert np.hypot(*np.array(rim.points[1:]).T) == pytest.approx(radius)
+    data = as_data(shapes)
+    assert from_data(data) == shapes
+    assert "rims" not in as_data(geometry(alfmu.load("four_bar")))
+    data["rims"][0]["body"] = "nobody"
+    with pytest.raises(ValueError, match="no body 'nobody'"):
+        from_data(data)
+    m = alfmu.Mechanism("drive")
+    wheels = [m.body(name, mass=1.0, inertia=0.1) for name in "ab"]
+    for x, wheel in zip((0.0, 0.3), wheels, strict=True):
+        m.revolute(
+            wheel.name.upper(), m.ground.at(x, 0.1), wheel.at(0, 0), coordinate=m.coordinate(f"{wheel.name}_angle")
+        )
+    m.belt("belt", wheels[0].at(0, 0), wheels[1].at(0, 0), radii=(0.05, 0.1), crossed=True)
+    for rim in geometry(m).rims[2:]:
+        (x1, y1), (x2, y2) = rim.points
+        way = np.array([x2 - x1, y2 - y1])
+        for centre, x, y, radius in ((0.0, x1, y1, 0.05), (0.3, x2, y2, 0.1)):
+            arm = np.array([x - centre, y - 0.1])
+            assert np.linalg.norm(arm) == pytest.approx(radius)
+            assert way @ arm == pytest.approx(0.0, abs=1e-12)
 
 
 # Errors ---------------------------------------------------------------------------------------------------------------

@@ -247,9 +247,9 @@ class Gear(Pair):
         return ca.fabs(multipliers["rim"]) * ca.tan(self.pressure_angle)
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
-        # A ring that is the second of the two is pushed the other way: its teeth point at its centre.
-        R1, R2 = self.radii
-        return self.pushed(places, self.separating(multipliers) * (R1 + R2) / self.distance)
+        # A ring pushes what is in it towards its own centre.
+        apart = self.separating(multipliers)
+        return self.pushed(places, apart if self.ring < 0 else -apart)
 
 
 @dataclass(eq=False, repr=False)
