@@ -55,6 +55,16 @@ def test_the_sleigh_goes_as_chaplygin_says(method: str):
     assert r["monitor.velocity_error"].max() < 1e-12
 
 
+def test_the_readable_method_makes_the_same_steps():
+    runs = [
+        alfmu.simulate(sleigh(), 0.5, 0.1, parameters={"solver.method": "rk4"}, kernel=kernel)
+        for kernel in ("vm", "oracle")
+    ]
+    assert runs[1].names == runs[0].names
+    for name in ("body.angle", "body.x", "body.vy", "blade.force"):
+        assert runs[1][name] == pytest.approx(runs[0][name], abs=1e-13)
+
+
 def test_the_place_of_a_sleigh_is_free_and_its_speed_is_not():
     """Any place is a start, also one beside the blade; rates that do not fit are refused, as is what keeps no rates."""
     equations = alfmu.derive(sleigh())
