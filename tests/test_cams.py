@@ -65,11 +65,11 @@ def test_a_flat_follower_on_an_eccentric_disc(form: str):
     if by_points:
         plain = {"outline": lambda u: OFF * np.cos(u) + np.sqrt(DISC**2 - (OFF * np.sin(u)) ** 2)}
         plain["distance"] = lambda u: DISC + OFF * np.cos(u)
-        law = points(plain[which], 90, which == "outline")
+        law = points(plain[which], 40, which == "outline")
     _, y = tappet(face=math.pi / 2, **{which: law})
     if by_points:
-        assert y["stem.y"] == pytest.approx(DISC + OFF * math.sin(0.8), abs=2e-7)
-        assert y["cam.contact.x"] == pytest.approx(OFF * math.cos(0.8), abs=5e-6)
+        assert y["stem.y"] == pytest.approx(DISC + OFF * math.sin(0.8), abs=2e-6)
+        assert y["cam.contact.x"] == pytest.approx(OFF * math.cos(0.8), abs=3e-5)
         return
     force = moves(y, lambda t: DISC + OFF * math.sin(t))
     assert y["cam.force"] == pytest.approx(force, rel=1e-9)
@@ -111,7 +111,7 @@ def test_a_rocker_follows_a_cam_through_turns():
     m.cam("cam", wheel.at(0, 0), arm.end, outline=disc, roller=0.015)
     m.watch("roller", arm.end)
     m.gravity(0, -G)
-    r = alfmu.simulate(m)
+    r = alfmu.simulate(m, parameters={"solver.method": "explicit", "solver.relative_tolerance": 1e-8})
     middle = OFF * np.exp(1j * r["wheel.angle"])
     place = r["roller.x"] + 1j * r["roller.y"]
     assert r["wheel.angle"][-1] > 9.0

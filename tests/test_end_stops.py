@@ -13,8 +13,7 @@ from alfmu.model.stops import CREEP
 G = 9.81
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.5, 0.8])
-@pytest.mark.parametrize("speed", [0.4, 3.0])
+@pytest.mark.parametrize(("restitution", "speed"), [(0.0, 3.0), (0.6, 0.4), (0.6, 3.0)])
 def test_a_blow_leaves_the_share_of_speed_that_restitution_says(restitution: float, speed: float):
     """Whatever the speed, as no other force does work meanwhile."""
     m = alfmu.Mechanism("puck", experiment=alfmu.Experiment(0.06, 1e-3))
@@ -22,7 +21,7 @@ def test_a_blow_leaves_the_share_of_speed_that_restitution_says(restitution: flo
     puck = m.body("puck", mass=0.5)
     rail = m.prismatic("rail", m.ground.at(0, 0), puck.at(0, 0), coordinate=place)
     m.end_stop("wall", rail, lower=0.0, stiffness=1e5, onset=1e-4, restitution=restitution)
-    result = alfmu.simulate(m, parameters={"solver.relative_tolerance": 1e-8})
+    result = alfmu.simulate(m, parameters={"solver.method": "explicit", "solver.relative_tolerance": 1e-8})
     after = result["puck.vx"][-1]
     assert after == pytest.approx(restitution * speed, abs=2e-3 * speed if restitution else 10 * CREEP)
     assert (result["wall.penetration"][-1] == 0) == (restitution > 0)
@@ -47,7 +46,7 @@ def test_the_force_of_a_stop_is_that_of_its_law():
     def torque(x: float, rate: float) -> float:
         return -push(x - 0.3, rate) + push(-0.3 - x, -rate)
 
-    result = alfmu.simulate(m, 0.5, 1e-3, parameters={"solver.relative_tolerance": 1e-9})
+    result = alfmu.simulate(m, 0.5, 1e-3, parameters={"solver.method": "explicit", "solver.relative_tolerance": 1e-9})
     known = solve_ivp(
         lambda t, y: [y[1], torque(*y) / 0.2],
         (0, 0.5),

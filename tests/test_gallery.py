@@ -100,6 +100,14 @@ def valve_train(n: Names) -> None:
     assert n["balance"] < 1e-6
 
 
+def planetary_gear(n: Names) -> None:
+    assert n["willis"] < 1e-10
+    assert n["balance"] < 1e-5
+    assert n["uneven"] < 1e-9
+    assert n["arm"].max() > 6
+    assert n["arm"][-1] < -6
+
+
 def four_cylinders(n: Names) -> None:
     assert n["deviation"] < 1e-9
     assert n["change"] < 1e-4
@@ -143,7 +151,16 @@ CHECKS: dict[str, Callable[[Names], None]] = {
     check.__name__: check
     for check in (
         *(windscreen_wiper, jansen_leg, peaucellier, scissor_lift, excavator, planar_robot, stewart_platform),
-        *(toggle_press, crank_press, quick_return, valve_train, four_cylinders, pantograph, landing_gear),
+        *(
+            toggle_press,
+            crank_press,
+            quick_return,
+            valve_train,
+            planetary_gear,
+            four_cylinders,
+            pantograph,
+            landing_gear,
+        ),
         *(five_bar, four_bar, slider_crank, bennett, governor, spatial_slider_crank, gyroscope, bricard),
     )
 }

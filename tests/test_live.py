@@ -451,6 +451,8 @@ def contrast(front: str, back: str) -> float:
 
 
 RIG = """
+import casadi as ca
+
 from alfmu import Mechanism
 
 def rig() -> Mechanism:
@@ -466,6 +468,12 @@ def rig() -> Mechanism:
     m.distance("strut", m.ground.at(1.3, -0.4), bob.end, length=0.6)
     m.spring_damper((m.ground.at(1.2, 0.8), plate.at(0.5, 0.3)), stiffness=20.0, damping=1.0, rest=0.5)
     m.watch("tip", arm.at(0.35, 0))
+    r = m.parameter("r", 0.15, "m")
+    cog, pin = m.body("cog", mass=0.1, inertia=0.01), m.body("pin", mass=0.1)
+    m.revolute("C", m.ground.at(0.4, 0), cog.at(0, 0), coordinate=m.coordinate("spin", "rad"))
+    m.prismatic("slide", m.ground.at(0.4, 0), pin.at(0, 0), axis=-1.5, coordinate=m.coordinate("s", "m", start=0.2))
+    m.gear("mesh", plate.at(0, 0), cog.at(0, 0), radii=(0.4 - r, r))
+    m.cam("nose", cog.at(0, 0), pin.at(0, 0), distance=lambda u: 1.2 * r + 0.03 * ca.cos(u), roller=0.03)
     m.gravity(0, -9.81)
     return m
 """

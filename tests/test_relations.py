@@ -8,6 +8,8 @@ import pytest
 from scenes import readings, started
 
 import alfmu
+from alfmu.view.drawing import as_data, from_data
+from alfmu.view.shapes import geometry
 
 G = 9.81
 STEEP = math.tan(math.radians(20))
@@ -114,14 +116,16 @@ def planetary(planets: int = 1, held: str = "ring") -> alfmu.Mechanism:
         pin = arm.at(0.105 * math.cos(towards), 0.105 * math.sin(towards))
         m.revolute(f"P{k}", pin, planet.at(0, 0), coordinate=m.coordinate(f"planet_angle{k}"))
         m.gear(f"inner{k}", sun.at(0, 0), planet.at(0, 0), teeth=(24, 18))
-        m.gear(f"outer{k}", planet.at(0, 0), ring.at(0, 0), radii=(0.045, 0.15), internal=True)
+        if held == "ring":
+            m.gear(f"outer{k}", planet.at(0, 0), ring.at(0, 0), radii=(0.045, 0.15), internal=True)
+        else:
+            m.gear(f"outer{k}", ring.at(0, 0), planet.at(0, 0), radii=(0.15, 0.045), internal=True)
     m.torque(turning, 5.0)
     m.gravity(0, -G)
     return m
 
 
-@pytest.mark.parametrize("held", ["ring", "sun"])
-@pytest.mark.parametrize("planets", [1, 3])
+@pytest.mark.parametrize(("held", "planets"), [("ring", 1), ("sun", 1), ("ring", 3)])
 def test_a_planetary_gear_turns_as_willis_says(held: str, planets: int):
     m = planetary(planets, held)
     y = at_start(m)
@@ -141,7 +145,7 @@ def test_a_planetary_gear_turns_as_willis_says(held: str, planets: int):
     t = np.array([-e[1], e[0]])
     inner = -y["inner0.force"] * t + y["inner0.separating_force"] * e, centre - 0.045 * e
     outer_torque = 0.002 * y["planet0.angular_acceleration"] - 0.045 * y["inner0.force"]
-    assert y["outer0.force"] == pytest.approx(-outer_torque / 0.045, rel=1e-9)
+    assert y["outer0.force"] == pytest.approx((-1 if held == "ring" else 1) * outer_torque / 0.045, rel=1e-9)
     outer = outer_torque / 0.045 * t - abs(outer_torque) / 0.045 * STEEP * e, centre + 0.045 * e
     assert net(m, y, m.bodies[2], [inner, outer]) == pytest.approx(np.zeros(3), abs=1e-11)
 
@@ -149,8 +153,7 @@ def test_a_planetary_gear_turns_as_willis_says(held: str, planets: int):
 # Racks ----------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("closed_by", ["coordinates", "constraints"])
-@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize(("side", "closed_by"), [("left", "coordinates"), ("right", "constraints")])
 def test_a_rack_weighs_on_its_pinion_as_a_mass_at_the_radius(side: str, closed_by: str):
     m = alfmu.Mechanism("press")
     r, tilt, sign = 0.05, 0.7, 1 if side == "left" else -1
@@ -245,6 +248,37 @@ def test_a_wheel_rolls_down_a_moving_slope_without_slip():
     at = np.array([y["disc.x"], y["disc.y"]]) - r * left
     assert net(m, y, disc, [(push, at)]) == pytest.approx(np.zeros(3), abs=1e-10)
     assert net(m, y, wedge, [(-push, at)]) == pytest.approx(np.zeros(3), abs=1e-10)
+
+
+# Pictures -------------------------------------------------------------------------------------------------------------
+
+
+def test_pictures_show_pitch_circles_and_strands():
+    """Circles of the right radius about the centres, the strands of a belt as its tangents; as data and back."""
+    shapes = geometry(train())
+    assert [rim.body for rim in shapes.rims] == ["a", "b"]
+    for rim, radius in zip(shapes.rims, (0.2, 0.3), strict=True):
+        assert np.hypot(*np.array(rim.points[1:]).T) == pytest.approx(radius)
+    data = as_data(shapes)
+    assert from_data(data) == shapes
+    assert "rims" not in as_data(geometry(alfmu.load("four_bar")))
+    data["rims"][0]["body"] = "nobody"
+    with pytest.raises(ValueError, match="no body 'nobody'"):
+        from_data(data)
+    m = alfmu.Mechanism("drive")
+    wheels = [m.body(name, mass=1.0, inertia=0.1) for name in "ab"]
+    for x, wheel in zip((0.0, 0.3), wheels, strict=True):
+        m.revolute(
+            wheel.name.upper(), m.ground.at(x, 0.1), wheel.at(0, 0), coordinate=m.coordinate(f"{wheel.name}_angle")
+        )
+    m.belt("belt", wheels[0].at(0, 0), wheels[1].at(0, 0), radii=(0.05, 0.1), crossed=True)
+    for rim in geometry(m).rims[2:]:
+        (x1, y1), (x2, y2) = rim.points
+        way = np.array([x2 - x1, y2 - y1])
+        for centre, x, y, radius in ((0.0, x1, y1, 0.05), (0.3, x2, y2, 0.1)):
+            arm = np.array([x - centre, y - 0.1])
+            assert np.linalg.norm(arm) == pytest.approx(radius)
+            assert way @ arm == pytest.approx(0.0, abs=1e-12)
 
 
 # Errors ---------------------------------------------------------------------------------------------------------------

@@ -402,8 +402,10 @@ def derive(mechanism: Mechanism) -> Equations:
     if not m.coordinates:
         M = ca.SX.eye(1)
     C = ca.jacobian(Phi, q)
+    slips, slipping = _slips(m, plain, closures, q, v)
+    C += slipping
     _check_held_or_heavy(m, plain, M, C)
-    xi = -ca.jtimes(ca.jtimes(Phi, q, v), q, v)  # (3)
+    xi = -ca.jtimes(ca.jtimes(Phi, q, v) + slips, q, v)  # (3)
     gaps = signs * stack([plain.gap(*c) for c in closures])
 
     # Everything a user can read.
@@ -482,7 +484,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "xi": xi,
         "displacements": stack([plain.locked(lock)[0] for lock in locks]),
         "gaps": gaps,
-        "gaps_matrix": ca.jacobian(gaps, q),
+        "gaps_matrix": ca.jacobian(gaps, q) + slipping,
         "kinetic_energy": T,
         "potential_energy": V,
         "input_power": ca.dot(f_applied - passive, v),
@@ -515,6 +517,7 @@ def derive(mechanism: Mechanism) -> Equations:
             for i, row in enumerate(rows)
             if row.name in {each.unit_length for each in (*m.spatial_bodies, *m.spatial_joints)}
         ],
+        slips=[i for i, (c, k) in enumerate(closures) if isinstance(c, Relation) and c.slip(plain, k) is not None],
         compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
         held=[lock.name for lock in locks],
@@ -598,7 +601,11 @@ def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
     held: dict[Joint, tuple[str, ...]] = {}
     for closure in m.closures:
         if isinstance(closure, Relation):
-            rows = stack([kinematics.residual(closure, direction) for direction in closure.directions])
+            slips = [closure.slip(kinematics, direction) for direction in closure.directions]
+            rows = stack(
+                [x for each in slips for _, x in each or ()]
+                + [kinematics.residual(closure, k) for k in closure.directions]
+            )
             if not any(key_of(symbol) in coordinates for symbol in ca.symvar(rows)):
                 raise DeclarationError(
                     f"{m.name}: no coordinate moves the bodies of {closure.kind} {closure.name}"
@@ -661,6 +668,25 @@ def _relations(m: Mechanism, closures: list[Closing], lam: ca.SX) -> list[tuple[
         (each, {direction: lam[i] for i, (closure, direction) in enumerate(closures) if closure is each})
         for each in m.relations()
     ]
+
+
+def _slips(m: Mechanism, kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Velocities that non-holonomic rows keep at zero, zero in other rows, and their rows of C."""
+    rows = []
+    for closure, direction in closures:
+        slip = closure.slip(kinematics, direction) if isinstance(closure, Relation) else None
+        rows.append(sum((ca.jtimes(x, q, v) * n for n, x in slip or ()), ca.SX(0)))
+    slips = stack(rows)
+    return slips, ca.jacobian(slips, v)
+
+
+def _slid(closing: Closing, plain: Kinematics, moved: Kinematics) -> ca.SX:
+    """What a row of velocities would measure of virtual displacements, up to a constant."""
+    closure, direction = closing
+    if not isinstance(closure, Relation) or (at_rest := closure.slip(plain, direction)) is None:
+        return ca.SX(0)
+    displaced = [x for _, x in closure.slip(moved, direction) or ()]
+    return sum((n * x for (n, _), x in zip(at_rest, displaced, strict=True)), ca.SX(0))
 
 
 def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Row], list[Closing], ca.SX]:
@@ -881,6 +907,8 @@ def _reactions(
     _, closures, signs = _closures(m, held)
     displaced = stack([eps.get(c, {}).get(direction, 0.0) for c, direction in closures])
     Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
+    # A row of velocities is displaced along what it keeps at rest.
+    Phie += signs * stack([_slid(each, plain, moved) for each in closures])
     X, W = _inertia(m, plain)
     aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
     work = (

@@ -20,6 +20,7 @@ import casadi as ca
 
 from ..model.mechanism import Constraint, Lock, Mechanism, Rigidity, Scalar, stack, symbolic
 from ..model.mechanism import Joint as PlanarJoint
+from ..model.relations import SpatialRolling
 from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, angular_velocity, spin_matrix
 from .types import Variable
 
@@ -281,15 +282,18 @@ def applied(
             _pair(found, *between, effort / ca.norm_2(apart) * apart, ca.SX.zeros(3))
         else:
             _effort(found, between, effort)
-    multipliers: dict[SpatialJoint, dict[str, ca.SX]] = {}
+    multipliers: dict[SpatialJoint | SpatialRolling, dict[str, ca.SX]] = {}
     for (closure, direction), x in zip(closures, ca.vertsplit(lam), strict=True):
-        if isinstance(closure, SpatialJoint):
+        if isinstance(closure, SpatialJoint | SpatialRolling):
             multipliers.setdefault(closure, {})[direction] = x
         elif isinstance(closure, Lock) and isinstance(closure.of, SpatialJoint | SpatialFreedom):
             slope = ca.cos(closure.of.free - closure.value) if closure.of.wrapped else 1.0
             _effort(found, closure.of, -slope * x)
-    for joint, own in multipliers.items():
-        _pair(found, joint.first, joint.second, *joint.reaction(own))
+    for each, own in multipliers.items():
+        if isinstance(each, SpatialRolling):
+            _push(found, each.centre, *each.wrench(own))
+        else:
+            _pair(found, each.first, each.second, *each.reaction(own))
     return found
 
 

@@ -160,6 +160,8 @@ class Equations:
     """Whether constraints are in different units, so that each has a penalty of its own."""
     lengths: list[int] = field(default_factory=list)
     """Constraints that keep Euler parameters at unit length: they belong to no joint."""
+    slips: list[int] = field(default_factory=list)
+    """Constraints of velocities alone (not holonomic): they have rows in C, and none in Phi."""
     compliances: Sequence[Variable] = ()
     """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
     switches: Sequence[Switch] = ()

@@ -32,10 +32,15 @@ SYSTEMS = ("baumgarte", "dae")
 """Formulations that solve the dense system (9) of all coordinates and constraints."""
 
 
+BEYOND_SLIPS = ("stiffness", *SYSTEMS)
+"""Formulations that mechanisms with constraints of velocities do not have: the first keeps positions alone, and a scene
+has none after one that it lacks."""
+
+
 def formulations(equations: Equations) -> list[str]:
     """The formulations that a scene carries, in the order of FORMULATIONS; without constraints all are the same."""
-    dense = equations.n <= DENSE or not equations.l
-    return [name for name in FORMULATIONS if dense or name not in SYSTEMS]
+    left_out = () if equations.n <= DENSE or not equations.l else SYSTEMS
+    return [name for name in FORMULATIONS if name not in (*left_out, *(BEYOND_SLIPS if equations.slips else ()))]
 
 
 def alternatives(equations: Equations) -> list[str]:

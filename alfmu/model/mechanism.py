@@ -20,8 +20,22 @@ import numpy as np
 from .cams import Cam, Profile, cam
 from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
-from .relations import INVOLUTE, Belt, Gear, Rack, Relation, Rolling, belt, gear, rack, rolling
-from .spatial import RELATIVE, SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, Vector
+from .relations import (
+    INVOLUTE,
+    Belt,
+    Blade,
+    Gear,
+    Rack,
+    Relation,
+    Rolling,
+    SpatialRolling,
+    belt,
+    blade,
+    gear,
+    rack,
+    rolling,
+)
+from .spatial import RELATIVE, SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, Vector, right_handed
 from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, is_rate, rate_of, unit
 from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
@@ -640,7 +654,8 @@ class Mechanism:
         energies, forces and outputs."""
         if isinstance(coordinate, ca.SX) and coordinate.is_scalar() and not coordinate.is_symbolic():
             x = symbolic(self._quantity("what rate() is asked of", coordinate, "1", PLACE))
-            return ca.jtimes(x, stack([c.q for c in self.coordinates]), stack([c.v for c in self.coordinates]))
+            moving = stack([self.time, *(c.q for c in self.coordinates)])
+            return ca.jtimes(x, moving, stack([1.0, *(c.v for c in self.coordinates)]))
         return self._coordinate(coordinate).v
 
     def acceleration(self, coordinate: ca.SX) -> ca.SX:
@@ -757,19 +772,19 @@ class Mechanism:
             self.measures_all = True
         springs = dict(self._springs())
         for each in of:
-            if isinstance(each, Spring) or each in springs:
-                spring = each if isinstance(each, Spring) else springs[str(each)]
+            spring = each if isinstance(each, Spring) else springs.get(each) if isinstance(each, str) else None
+            if spring is not None:
                 if not any(spring is known for known in self.springs):
                     raise DeclarationError(f"{self.name}: measure() is given a spring of another mechanism")
                 Mechanism.measured.of(self).append(spring)
                 continue
             names = [*springs, *(j.name for j in self.joints), *(j.name for j in self.spatial_joints)]
-            if (each if isinstance(each, str) else getattr(each, "name", None)) not in names:
-                called = each if isinstance(each, str) else getattr(each, "name", shown(each))
+            called = getattr(each, "name", each)
+            if not isinstance(called, str) or called not in names:
                 raise DeclarationError(
                     f"{self.name} has no joint or spring {called} to measure; {there_is(called, names)}"
                 )
-            joint = self._joint(each)
+            joint = self._joint(called)
             self._free(joint, "measure()")
             Mechanism.measured.of(self).append(joint)
 
@@ -1252,6 +1267,47 @@ class Mechanism:
             found.contact = self.coordinate(f"{name}_contact", "rad", start=guess)
         return self._relate(found)
 
+    def blade(self, name: str, at: Marker, *, axis: Scalar = 0.0) -> Blade:
+        """A blade on the ground, or a thin wheel that rolls on it: a point of a body moves along the blade, not across.
+
+        `axis` is the direction of the blade [rad] in the body's frame. This is no constraint of positions: the body can
+        get anywhere, and has fewer independent velocities than positions. Start rates have to fit the blade, and
+        `solver.formulation` is `residual`, `classic` or `penalty`.
+
+        Output `<name>.force` [N] across the blade, from the ground, along its left normal.
+        """
+        self._own((at,), f"blade {name}", Marker)
+        return self._relate(blade(self, name, at, axis))
+
+    def spatial_rolling(
+        self,
+        name: str,
+        plane: SpatialMarker,
+        centre: SpatialMarker,
+        *,
+        radius: Scalar,
+        axis: Sequence[float] | None = None,
+        normal: Sequence[float] = (0.0, 0.0, 1.0),
+    ) -> SpatialRolling:
+        """A ball that rolls without slip on a plane, by the marker of its middle; with `axis`, a thin disc on its edge.
+
+        The plane goes through a marker on `spatial_ground`, and `normal` is the direction from it towards the ball.
+        `radius` is in m; `axis` is that of the disc in its body's frame. As with `blade`, slip is of velocities: start
+        rates have to fit, and formulations are those of a blade.
+
+        Outputs `<name>.force.x` ... [N] on the body from the ground. Nothing keeps it from pulling.
+        """
+        self._own((plane, centre), f"rolling {name}", SpatialMarker)
+        if plane.body is not self.spatial_ground or centre.body is self.spatial_ground:
+            raise DeclarationError(
+                f"{self.name}: rolling {name} is on a plane of {plane.body.name} by {centre.body.name}; give a marker "
+                "of spatial_ground first, and one of a body"
+            )
+        radius = self._constant_length(f"the radius of rolling {name}", radius)
+        up, _ = self._axes(f"rolling {name}", normal, None)
+        disc = None if axis is None else right_handed(self._axes(f"rolling {name}", axis, None)[0])[2]
+        return self._relate(SpatialRolling(name, plane, centre, radius, disc, right_handed(up)))
+
     def relations(self) -> list[Relation]:
         """Gears, belts, racks, rolling wheels and cams, in the order of their declaration."""
         return [each for each in self.closures if isinstance(each, Relation)]
@@ -1367,22 +1423,22 @@ class Mechanism:
             if unit not in EFFORTS:
                 raise DeclarationError(f"{self.name}: {what} is in {shown(unit)}; give m or rad")
             of = self._of_coordinates(what, of, unit)
-        limits = [
-            (which, x if x is None else self._quantity(f"the {which} limit of {what}", x, along, PLACE))
+        limits = {
+            which: self._quantity(f"the {which} limit of {what}", x, along, PLACE)
             for which, x in (("upper", upper), ("lower", lower))
-        ]
-        (_, high), (_, low) = limits
-        if high is None and low is None:
+            if x is not None
+        }
+        if not limits:
             raise DeclarationError(f"{self.name}: {what} has no limit; give upper=, lower= or both, in {along}")
-        if not any(isinstance(x, ca.SX) and self._moves(x) for _, x in limits):
-            at = [x if x is None else self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits]
-            if at[0] is not None and at[1] is not None and not at[0] > at[1]:
+        if not any(self._moves(x) for x in limits.values()):
+            at = {which: self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits.items()}
+            if len(at) == 2 and not at["upper"] > at["lower"]:
                 raise DeclarationError(
-                    f"{self.name}: {what} has the upper limit {at[0]:g} and the lower limit {at[1]:g}"
+                    f"{self.name}: {what} has the upper limit {at['upper']:g} and the lower limit {at['lower']:g}"
                 )
             turn = of.name if isinstance(of, SpatialJoint | SpatialFreedom) and of.wrapped else ""
-            for x in at:
-                if turn and x is not None and abs(x) >= math.pi:
+            for x in at.values():
+                if turn and abs(x) >= math.pi:
                     raise DeclarationError(
                         f"{self.name}: {what} is at {x:g} rad, and the angle of {turn} is known from -pi to pi only"
                     )
@@ -1403,8 +1459,8 @@ class Mechanism:
             name,
             tuple(of) if isinstance(of, list) else of,
             along,
-            high,
-            low,
+            limits.get("upper"),
+            limits.get("lower"),
             positive("stiffness", stiffness, effort, 0.0),
             positive("onset", onset, along, None),
             None if dissipation is None else positive("dissipation", dissipation, "s/m" if along == "m" else "s", 0.0),

@@ -1,8 +1,9 @@
-"""What joins the motions of several bodies by one relation: gears, racks, belts, rolling wheels.
+"""What joins the motions of several bodies by one relation: gears, racks, belts, rolling wheels, blades.
 
 A relation is closed by constraints, as a loop is. Each row is the relative displacement of two bodies where they touch,
 written in the places of the bodies themselves, so that its multiplier is the force there and the reactions of all
-bearings follow from it. Centres are held by hinges; while these hold, the rows are linear in the angles.
+bearings follow from it. Centres are held by hinges; while these hold, the rows are linear in the angles. Rows of
+velocities alone (`slip`) are zero as rows of positions.
 """
 
 from __future__ import annotations
@@ -17,7 +18,20 @@ import casadi as ca
 from .errors import DeclarationError
 from .words import Brief, in_words, shown
 
-__all__ = ["Belt", "Gear", "Pair", "Places", "Rack", "Relation", "Rolling", "belt", "gear", "rack", "rolling"]
+__all__ = [
+    "Belt",
+    "Gear",
+    "Pair",
+    "Places",
+    "Rack",
+    "Relation",
+    "Rolling",
+    "SpatialRolling",
+    "belt",
+    "gear",
+    "rack",
+    "rolling",
+]
 
 INVOLUTE = math.radians(20)
 """Pressure angle of gears where none is given [rad]: that of ISO 53."""
@@ -134,6 +148,10 @@ class Relation(Brief):
         """What forces that do no work add to reactions: of which joint, along which direction, how much."""
         return []
 
+    def slip(self, places: Places, direction: str) -> list[tuple[ca.SX, ca.SX]] | None:
+        """Of a row of velocities: directions, and places whose rates they weigh; None of a row of positions."""
+        return None
+
     def rims(self) -> list[Rim]:
         """What pictures show of it."""
         return []
@@ -229,9 +247,9 @@ class Gear(Pair):
         return ca.fabs(multipliers["rim"]) * ca.tan(self.pressure_angle)
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
-        # A ring that is the second of the two is pushed the other way: its teeth point at its centre.
-        R1, R2 = self.radii
-        return self.pushed(places, self.separating(multipliers) * (R1 + R2) / self.distance)
+        # A ring pushes what is in it towards its own centre.
+        apart = self.separating(multipliers)
+        return self.pushed(places, apart if self.ring < 0 else -apart)
 
 
 @dataclass(eq=False, repr=False)
@@ -404,6 +422,93 @@ class Rolling(Relation):
         return [circle(self.wheel, self.radius), Rim(self.line.body, tuple(ends))]
 
 
+@dataclass(eq=False, repr=False)
+class Blade(Relation):
+    """A blade or a thin wheel on the ground: its point moves along it, and not across.
+
+    With the normal n of the blade in ground axes and the place P of its point, n . dP/dt = 0.
+    """
+
+    kind: ClassVar[str] = "blade"
+    directions: ClassVar[tuple[str, ...]] = ("across",)
+
+    at: Marker
+    axis: tuple[Scalar, Scalar]
+    """Cosine and sine of the direction of the blade in its body."""
+
+    def residual(self, places: Places, direction: str) -> ca.SX:
+        return ca.SX(0)
+
+    def slip(self, places: Places, direction: str) -> list[tuple[ca.SX, ca.SX]] | None:
+        ux, uy = places.frame(self.at.body).turn(*self.axis)
+        return list(zip((-uy, ux), places.place(self.at), strict=True))
+
+    def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
+        said = f"force on {self.at.body.name} from the ground, along the left normal of the blade"
+        return [("force", -multipliers["across"], "N", said)]
+
+
+@dataclass(eq=False, repr=False)
+class SpatialRolling(Relation):
+    """A ball, or a thin disc on its edge, that rolls without slip on a plane of the ground and does not leave it.
+
+    With the plane's normal N, its point p, the centre c and the way a from there to the contact, of a ball -radius N,
+    of a disc about k the steepest way down in its plane,
+
+        Phi = N . (c - p) - radius |N - (N . k) k|,   dc/dt + w x a = 0 along the plane.
+    """
+
+    kind: ClassVar[str] = "rolling"
+    directions: ClassVar[tuple[str, ...]] = ("normal", "slip1", "slip2")
+
+    plane: Any
+    centre: Any
+    radius: Scalar
+    axis: tuple[float, ...] | None
+    """Of a disc, in its body's frame; None of a ball."""
+    triad: tuple[tuple[float, ...], ...]
+    """Two directions along the plane and its normal, of unit length."""
+
+    def residual(self, places: Places, direction: str) -> ca.SX:
+        if direction != "normal":
+            return ca.SX(0)
+        normal, _, size = self._lean()
+        return ca.dot(normal, self.centre.place - self.plane.place) - self.radius * size
+
+    def slip(self, places: Places, direction: str) -> list[tuple[ca.SX, ca.SX]] | None:
+        if direction == "normal":
+            return None
+        along, turn, centre = self.triad[direction == "slip2"], self.centre.body.rotation, self.centre.place
+        normal, lean, size = self._lean()
+        arm = turn.T @ (-self.radius * (normal - lean) / size)  # to the contact, in the body's frame
+        pairs = []
+        for k in range(3):
+            pairs.append((ca.SX(along[k]), centre[k]))
+            pairs += [(along[k] * arm[j], turn[k, j]) for j in range(3)]
+        return pairs
+
+    def _lean(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """The plane's normal, its part along a disc's axis, and the length of what is left."""
+        normal = ca.SX(list(self.triad[2]))
+        if self.axis is None:
+            return normal, ca.SX.zeros(3), ca.SX(1)
+        axis = self.centre.body.rotation @ ca.SX(list(self.axis))
+        tilt = ca.dot(normal, axis)
+        return normal, tilt * axis, ca.sqrt(1 - tilt**2)
+
+    def wrench(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+        """Force on the body that rolls, and its moment about the centre."""
+        order = ("slip1", "slip2", "normal")
+        force = sum((-multipliers[k] * ca.SX(list(x)) for k, x in zip(order, self.triad, strict=True)), ca.SX.zeros(3))
+        normal, lean, size = self._lean()
+        return force, ca.cross(-self.radius * (normal - lean) / size, force)
+
+    def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
+        force, _ = self.wrench(multipliers)
+        said = f"force on {self.centre.body.name} from the ground where it rolls, along {{}}"
+        return [(f"force.{k}", x, "N", said.format(k)) for k, x in zip("xyz", ca.vertsplit(force), strict=True)]
+
+
 def circle(centre: Marker, radius: Scalar, spoke: bool = True) -> Rim:
     """A circle about a marker, with a spoke that shows how it turns."""
     turns = [2 * math.pi * k / _ROUND for k in range(_ROUND + 1)]
@@ -544,6 +649,11 @@ def rolling(
     axis = m._constant(f"the axis of {what}", axis, "rad")
     phase = m._constant(f"the phase of {what}", phase, "rad")
     return Rolling(name, line, wheel, direction(axis), radius, phase)
+
+
+def blade(m: Mechanism, name: str, at: Marker, axis: Scalar) -> Blade:
+    """See `Mechanism.blade`."""
+    return Blade(name, at, direction(m._constant(f"the axis of blade {name}", axis, "rad")))
 
 
 def _both(m: Mechanism, what: str, values: Any) -> Sequence[Any]:

@@ -69,6 +69,8 @@ def decided(equations: Equations) -> Equations:
     formulation, known = default_settings(equations).formulation, formulations(equations)
     if formulation not in known:
         limit = f"solver.formulation {formulation} takes up to {DENSE} coordinates"
+        if equations.slips:
+            limit = f"solver.formulation {formulation} is not there for constraints of velocities, such as a blade's"
         raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
     chosen, reason = integrator(equations), equations.reason
     if chosen == "auto":

@@ -21,48 +21,46 @@ MASS, STIFFNESS, PRELOAD = 0.120, 35e3, 280.0  # valve, retainer and follower [k
 SPEED = 2 * math.pi * 3000 / 60  # of the camshaft: 6000 turns a minute of the engine [rad/s]
 
 
-def lift(turn: ca.SX) -> ca.SX:
-    """Height of the follower above the base circle [m]: up over one RISE, down over the next."""
-    part = ca.fmod(turn, 2 * ca.pi) / RISE
-    part = ca.fmin(part, ca.fmax(2 - part, 0))
-    return LIFT * (part - ca.sin(2 * ca.pi * part) / (2 * ca.pi))
+def face(direction: ca.SX) -> ca.SX:
+    """Distance of the face from the camshaft [m] over its direction, the nose of the cam being at 0."""
+    part = ca.fmax(1 - ca.fmin(direction, 2 * ca.pi - direction) / RISE, 0)
+    return BASE + LIFT * (part - ca.sin(2 * ca.pi * part) / (2 * ca.pi))
 
 
 # %%
-# A flat follower on a cam is one constraint at the general level: height less lift is zero. Its multiplier is the force
-# between them. The camshaft has the inertia of the engine behind it, and a motor that holds its speed.
+# `m.cam` keeps the flat follower on the cam, and its force is an output. The camshaft has the inertia of the engine
+# behind it, and a motor that holds its speed.
 
 
 def valve_train() -> Mechanism:
     m = Mechanism(
         "valve_train", "A cam and its valve", experiment=Experiment(0.06, step_size=2e-4, communication_step=1e-4)
     )
-    turn = m.coordinate("turn", "rad", start=0.0, rate=SPEED, independent=True)
+    turn = m.coordinate("turn", "rad", start=math.pi / 2 - RISE, rate=SPEED, independent=True)
     height = m.coordinate("height", "m", start=0.0)
     cam = m.body("cam", mass=1.2, inertia=1.0)
     valve = m.body("valve", mass=MASS)
     bearing = m.revolute("bearing", m.ground.at(0, 0), cam.at(0, 0), coordinate=turn)
     m.prismatic("stem", m.ground.at(0, BASE), valve.at(0, 0), axis=math.pi / 2, coordinate=height)
-    m.constraint("contact", height - lift(turn))
+    m.cam("tappet", cam.at(0, 0), valve.at(0, 0), distance=face, face=math.pi / 2)
     m.spring_damper(
         (m.ground.at(0, BASE + 0.040), valve.at(0, 0)), stiffness=STIFFNESS, rest=0.040 + PRELOAD / STIFFNESS
     )
-    m.watch("mark", cam.at(0, BASE))
+    m.watch("nose", cam.at(BASE + LIFT, 0))
     m.drive(bearing, 5.0 * (SPEED - m.rate(turn)))
     m.gravity(0, -9.81)
     return m
 
 
 # %%
-# In the second half of the way up, and in the first half of the way down, the spring alone slows the valve. The outline
-# of the cam is the envelope of the follower's face, seen from the cam.
+# In the second half of the way up, and in the first half of the way down, the spring alone slows the valve. The place
+# of contact, seen from the cam, draws its outline.
 
 mechanism = valve_train()
 result = simulate(mechanism)
-force = -result["multiplier[1]"]
-degrees = np.degrees(result["cam.angle"])
-slope = result["valve.vy"] / result["cam.angular_velocity"]
-outline = (result["valve.y"] - 1j * slope) * np.exp(1j * (math.pi / 2 - result["cam.angle"]))
+force = result["tappet.force"]
+degrees = np.degrees(result["cam.angle"] - result["cam.angle"][0])
+outline = (result["tappet.contact.x"] + 1j * result["tappet.contact.y"]) * np.exp(-1j * result["cam.angle"])
 fig, axes = plt.subplot_mosaic([["lift", "cam"], ["force", "cam"]], layout="constrained", figsize=(9, 4.5))
 axes["lift"].plot(degrees, 1e3 * (result["valve.y"] - BASE))
 axes["lift"].set_ylabel("lift [mm]")
