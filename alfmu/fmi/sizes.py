@@ -28,10 +28,10 @@ _CONTENTS = {
 """What is in an FMU, by where it stands."""
 
 _PARTS = {
-    "an internal step": ("quick", "careful"),
+    "an internal step": ("quick", "onward", "careful"),
     "the same on the branch of the motion, near singular positions": ("branch",),
     "a step by solver.method": ("method", "beside", "reach"),
-    "outputs": ("instant",),
+    "outputs": ("instant", "instant_quick"),
     "limits of outputs at singular positions": ("limit",),
     "steps and outputs that iterate until they converge": (
         *("move", "move_on_branch", "close"),

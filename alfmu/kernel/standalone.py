@@ -19,7 +19,7 @@ from casadi import SX
 
 from ..equations import Equations
 from ..equations.evaluation import symbols, with_functions
-from ..equations.interface import variables_of
+from ..equations.interface import default_settings, variables_of
 from ..method import formulations as method
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
@@ -52,7 +52,7 @@ def standalone(equations: Equations) -> Equations:
     kernel |= {name: program for name, program in e.kernel.items() if name in _APART}
     if tracer.reads_quickly():
         kernel["instant_quick"] = tracer.instant_quick()
-        if not tracer.timed():
+        if "method" not in kernel and not tracer.timed():
             kernel["onward"] = tracer.onward(kernel["quick"])
     if "reach" in kernel:
         kernel["reach"] = Program((Choice("within", zero=kernel["reach"].steps),))
@@ -132,11 +132,11 @@ class _Patient(Alternatives):
         return Program(calls.steps, plan)
 
     def reads_quickly(self) -> bool:
-        """Whether what is read at an instant needs no more multiplier iterations than a quick step, and steps are those
-        of RK4, whose first evaluation it is, and take no rates of further states from there."""
+        """Whether what is read at an instant needs no more multiplier iterations than a quick step, and steps may be
+        those of RK4, whose first evaluation it is, and take no rates of further states from there."""
         e = self.e
         quick, read = e.kernel["quick"].plan, any(x == "a0" for x in _made(e.kernel["instant"]))
-        plain = "method" not in e.kernel and not self.order and not e.states
+        plain = ("method" not in e.kernel or default_settings(e).method == "auto") and not self.order and not e.states
         return plain and read and bool(quick and quick.quick)
 
     def timed(self) -> bool:

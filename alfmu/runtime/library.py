@@ -159,7 +159,7 @@ class Unit:
         if not self.address:
             raise MemoryError("there is no memory for an instance")
         address = self.address
-        self.step: Callable[[float, float], int] = partial(c.alfmu_step, address)
+        self.step: Callable[[float, float], int] = partial(c.alfmu_step, c_void_p(address))
         """A communication step from a start with a length [s]; its outcome."""
         self._read, self._get = c.alfmu_read, c.alfmu_get
         self._outputs = (c_double * (len(scene.names) - scene.first_output))()

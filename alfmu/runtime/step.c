@@ -265,7 +265,8 @@ int communicate(Instance *i, double start, double h, long *made)
 static int read_at_once(Instance *i)
 {
     const Scene *s = i->scene;
-    if (s->instant_quick < 0 || i->m[s->control + CONTROL_TIER] != 0.0)
+    const double *control = i->m + s->control;
+    if (s->instant_quick < 0 || control[CONTROL_TIER] != 0.0 || control[CONTROL_METHOD] != 0.0)
         return 0;
     run(i, s->instant_quick);
     memcpy(i->read_at, i->m + s->z, 2 * (size_t)s->n * sizeof *i->m);
