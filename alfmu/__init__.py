@@ -14,11 +14,13 @@ _HOME = {
     "Body": "model.mechanism",
     "DeclarationError": "model.errors",
     "Equations": "equations",
+    "Equilibrium": "analysis.equilibria",
     "Experiment": "model.mechanism",
     "ExportError": "model.errors",
     "InputError": "model.errors",
     "Instance": "runtime",
     "Joint": "model.mechanism",
+    "Linearization": "analysis.linearization",
     "Marker": "model.mechanism",
     "Mechanism": "model.mechanism",
     "Recipe": "fmi.recipe",
@@ -26,9 +28,12 @@ _HOME = {
     "StepError": "model.errors",
     "WriteError": "model.errors",
     "derive": "equations.derivation",
+    "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
+    "linearize": "analysis.linearization",
     "load": "model.registry",
     "mechanisms": "model.registry",
+    "mobility": "analysis.freedoms",
     "simulate": "simulation",
 }
 """Public name -> module; imported when first used."""
@@ -36,6 +41,11 @@ _HOME = {
 __all__ = list(_HOME)
 
 if TYPE_CHECKING:
+    from .analysis.equilibria import Equilibrium as Equilibrium
+    from .analysis.equilibria import equilibrium as equilibrium
+    from .analysis.freedoms import mobility as mobility
+    from .analysis.linearization import Linearization as Linearization
+    from .analysis.linearization import linearize as linearize
     from .equations import Equations as Equations
     from .equations.derivation import derive as derive
     from .fmi.export import export as export

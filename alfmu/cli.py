@@ -11,7 +11,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .equations import Equations
     from .fmi.recipe import Recipe
     from .model.mechanism import Mechanism
-    from .result import Result
+    from .result import Result, Signal
 
 __all__ = ["main", "parser"]
 
@@ -47,6 +47,18 @@ SHELLS = ("bash", "zsh", "fish", "powershell")
 """Shells whose completion argcomplete knows."""
 _DRAW = """What --at gives holds when the loops are closed; other start values are kept where that is possible, and are
 guesses otherwise. Names of coordinates: `alfmu info NAME`."""
+
+_EQUILIBRIUM = """Inputs and start values are those that --set gives; `alfmu simulate --start equilibrium` begins in the
+nearest stable position that is found. Stability is that of small motions; where it cannot be judged, as at a singular
+position, the reason is shown. Positions that are not found from the places tried may exist."""
+
+_LINEARIZE = """States are independent coordinates NAME and their rates der(NAME), inputs and outputs have their names
+in FMI. Along a motion the equations are those of the state as if it stood still. At a singular position nothing can be
+said, and the command fails."""
+
+_MOBILITY = """Constraints that are redundant at every position are named with those that they depend on. Where more
+motions begin than there are degrees of freedom the position is singular: its branches are given by the rates of
+coordinates."""
 
 _LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
 the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
@@ -222,6 +234,7 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
     sub.add_argument(
         *STEP, dest="step", type=float, metavar="S", help="communication step of the default experiment in s"
     )
+    _add_start(sub)
     sub.add_argument(
         "--reference",
         action=argparse.BooleanOptionalAction,
@@ -237,6 +250,7 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
         *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the unit's own)"
     )
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
+    _add_start(sub)
     sub.add_argument(
         "--held-rows",
         action="store_true",
@@ -250,6 +264,50 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
         "--plot-names", metavar="PATTERN", nargs="+", help='what to draw, such as "link*.angle" "*.force.*"'
     )
     _add_scene(sub)
+
+    sub = command("equilibrium", _equilibrium, "find the positions where a mechanism is at rest, stable or not")
+    sub.epilog = _EQUILIBRIUM
+    _add_analysis(sub, "FILE.json", "write all that is known of them, outputs and reactions included")
+    sub.add_argument(
+        "--at", metavar="S", type=float, default=0.0, help="time in s for which loads are taken (default: 0)"
+    )
+    sub.add_argument("--starts", metavar="N", type=int, help="number of places to begin from beside the start")
+    sub.add_argument("--draw", metavar="FILE", help="draw the position that a run would begin with (PNG or SVG)")
+
+    sub = command("linearize", _linearize, "linearise a mechanism: A, B, C, D, eigenvalues, mode shapes")
+    sub.epilog = _LINEARIZE
+    _add_analysis(sub, "FILE.json|.mat", "write matrices and names; .mat is for MATLAB and GNU Octave")
+    sub.add_argument(
+        "--at",
+        metavar="start|equilibrium|S,S,...",
+        type=_at,
+        default="start",
+        help="where: at the start (default), at rest, or at times in s of the motion from the start",
+    )
+    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
+    sub.add_argument(
+        "--outputs",
+        metavar="PATTERNS",
+        type=_names,
+        help='the outputs that C and D have, such as "link*.angle,*.force.*" (default: all)',
+    )
+    sub.add_argument("--plot", metavar="FILE.png", help="draw the eigenvalues in the plane (PNG, SVG or PDF)")
+    sub.add_argument("--film", metavar="FILE", help="write a mode as a film (GIF or HTML)")
+    sub.add_argument("--mode", metavar="N", type=int, default=1, help="the mode of --film (default: 1, the slowest)")
+    sub.add_argument("--amplitude", metavar="A", type=float, help="its largest change of a coordinate in rad")
+
+    sub = command(
+        "mobility", _mobility, "count degrees of freedom, name redundant constraints, find singular positions"
+    )
+    sub.epilog = _MOBILITY
+    _add_analysis(sub, "FILE.json", "write all that is known, each singular position with its branches")
+    sub.add_argument(
+        "--stop-time",
+        type=float,
+        metavar="S",
+        help="follow the motion so long, in s; 0 for the start alone (default: the mechanism's own)",
+    )
+    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
 
     what = "check an FMU: fmpy's validation, a run, reset, rewind, reproducibility, its reference results"
     sub = command("validate", _validate, what)
@@ -317,6 +375,24 @@ def _add_study(sub: argparse.ArgumentParser, what: str, usual: str) -> None:
     sub.add_argument("--quick", action="store_true", help=f"few and short runs: some minutes for all (usual: {usual})")
 
 
+def _add_start(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--start",
+        choices=("declared", "equilibrium"),
+        help="where it starts: at its start values (default), or at rest in the nearest position where loads and "
+        "springs balance, a stable one if there is any (see `alfmu equilibrium`)",
+    )
+
+
+def _add_analysis(sub: argparse.ArgumentParser, files: str, what: str) -> None:
+    """What all analyses have in common."""
+    _add_name(sub, "mechanism", "NAME", _EITHER_HELP)
+    sub.add_argument("--json", action="store_true", help="print all of it as JSON, for programs")
+    sub.add_argument("-o", "--output", metavar=files, help=what)
+    _add_option(sub)
+    _add_set(sub)
+
+
 def _add_kernel(sub: argparse.ArgumentParser) -> None:
     each = "; ".join(f"{name}, {text}" for name, text in KERNELS.items())
     sub.add_argument(
@@ -369,7 +445,7 @@ def _add_scene(sub: argparse.ArgumentParser) -> None:
 
 def _changed(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
     """A recipe with what the command line says of its scene."""
-    of_scene = ("outputs", "freeze", "lock", "release", "measure", "compliances")
+    of_scene = ("outputs", "freeze", "lock", "release", "measure", "compliances", "start")
     own = {name: getattr(chosen, name, None) for name in of_scene}
     return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
 
@@ -430,6 +506,19 @@ def _pair(text: str) -> tuple[str, float | str]:
         return name, float(value)
     except ValueError:
         return name, value
+
+
+def _at(text: str) -> str | float | list[float]:
+    """A place, a time, or several."""
+    from .analysis.states import PLACES
+
+    if text in PLACES:
+        return text
+    try:
+        times = [float(each) for each in text.split(",")]
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(PLACES)}, and no times in s") from None
+    return times if len(times) > 1 else times[0]
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -517,7 +606,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
         from .view.plot import check_name
 
         check_name(Path(chosen.plot))
-    unit, own = _unit(chosen)
+    unit, own = _unit(chosen, inputs)
     asked = {"stop_time": chosen.stop_time, "communication_step": chosen.step}
     how = {**own, **{name: value for name, value in asked.items() if value is not None}}
     try:
@@ -621,7 +710,7 @@ def _between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[
         yield checked
 
 
-def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
+def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any, dict[str, Any]]:
     """What to run, and how where nobody says otherwise."""
     if chosen.unit.endswith(".fmu"):
         from .fmi.drive import Fmu
@@ -636,11 +725,12 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
                 chosen.release,
                 chosen.measure,
                 chosen.compliances,
+                chosen.start,
             )
         ):
             raise InputError(
-                f"{chosen.unit}: options, outputs, frozen parameters, locks and the kernel of an FMU are fixed when it "
-                "is exported; give them to `alfmu export`"
+                f"{chosen.unit}: options, outputs, frozen parameters, locks, the start and the kernel of an FMU are "
+                "fixed when it is exported; give them to `alfmu export`"
             )
         fmu, given = Fmu(chosen.unit), dict(chosen.set)
         about = {"parameters": given, "facts": fmu.facts(given), "declared": fmu.declared()}
@@ -651,11 +741,99 @@ def _unit(chosen: argparse.Namespace) -> tuple[Any, dict[str, Any]]:
     recipe = _recipe(chosen, chosen.unit)
     mechanism = recipe.declared()
     equations = _equations(recipe, mechanism)
+    if recipe.start != "declared":
+        from .analysis.states import rest
+        from .equations.specialisation import starting_at
+
+        found = rest(equations, recipe.start, inputs)
+        equations = starting_at(equations, found.q, found.states)
+        print(f"start at rest: {found.said()}")
     unit = instance(specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT)
     source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
     facts = {"mechanism": str(source), "options": mechanism.options, "parameters": dict(recipe.parameters)}
     about = {"parameters": {}, "facts": facts, "declared": mechanism}
     return unit, {**about, "stop_time": equations.stop_time, "communication_step": equations.interval}
+
+
+def _equilibrium(chosen: argparse.Namespace) -> None:
+    from .analysis.equilibria import STARTS, check_file, equilibrium
+    from .view.picture import check_drawing
+
+    path, drawn = (Path(x) if x else None for x in (chosen.output, chosen.draw))
+    if path:
+        check_file(path)
+    if drawn:
+        check_drawing(drawn)
+    starts = STARTS if chosen.starts is None else chosen.starts
+    found = equilibrium(_recipe(chosen, chosen.mechanism), time=chosen.at, starts=starts)
+    _analysed(chosen, [found], path, found.save)
+    if drawn:
+        wrote = _wrote(drawn)
+        found.nearest.draw().save(drawn)
+        _noted(chosen, wrote)
+
+
+def _linearize(chosen: argparse.Namespace) -> None:
+    from .analysis.linearization import AMPLITUDE, check_file, figure, linearize, save
+    from .result import read_inputs
+    from .view.picture import check_film
+    from .view.plot import check_name
+
+    path, plot, film = (Path(x) if x else None for x in (chosen.output, chosen.plot, chosen.film))
+    for each, check in ((path, check_file), (plot, check_name), (film, check_film)):
+        if each:
+            check(each)
+    if film and isinstance(chosen.at, list):
+        raise InputError("--film shows the modes of one state; give --at one place or time")
+    inputs = read_inputs(chosen.input) if chosen.input else {}
+    made = linearize(_recipe(chosen, chosen.mechanism), chosen.at, inputs=inputs, outputs=chosen.outputs)
+    found = made if isinstance(made, list) else [made]
+    _analysed(chosen, found, path, lambda path: save(found, path))
+    if plot:
+        wrote = _wrote(plot)
+        figure(found, plot)
+        _noted(chosen, wrote)
+    if film:
+        wrote = _wrote(film)
+        found[0].film(film, chosen.mode, amplitude=AMPLITUDE if chosen.amplitude is None else chosen.amplitude)
+        _noted(chosen, wrote)
+
+
+def _mobility(chosen: argparse.Namespace) -> None:
+    from .analysis.freedoms import check_file, mobility
+    from .result import read_inputs
+
+    path = Path(chosen.output) if chosen.output else None
+    if path:
+        check_file(path)
+    inputs = read_inputs(chosen.input) if chosen.input else {}
+    found = mobility(
+        _recipe(chosen, chosen.mechanism),
+        stop_time=chosen.stop_time,
+        inputs=inputs,
+        progress=_progress("following the motion"),
+    )
+    _analysed(chosen, [found], path, found.save)
+
+
+def _analysed(
+    chosen: argparse.Namespace, found: Sequence[Any], path: Path | None, save: Callable[[Path], None]
+) -> None:
+    """Print what an analysis found, and write it where that is asked for."""
+    if chosen.json:
+        data = [each.as_data() for each in found]
+        print(json.dumps(data[0] if len(data) == 1 else data, indent=1))
+    else:
+        print("\n\n".join("\n".join(each.lines()) for each in found))
+    if path:
+        wrote = _wrote(path)
+        save(path)
+        _noted(chosen, wrote)
+
+
+def _noted(chosen: argparse.Namespace, text: str) -> None:
+    """Say what was written; beside JSON, where it is not in the way."""
+    print(text, file=sys.stderr if chosen.json else sys.stdout)
 
 
 def _validate(chosen: argparse.Namespace) -> int:

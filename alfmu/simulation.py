@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from . import oracle
 from .equations import Equations, Variable
+from .equations.specialisation import starting_at
 from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
@@ -23,6 +24,7 @@ from .runtime.prepare import prepared, with_defaults
 from .runtime.reuse import derived, ready
 
 if TYPE_CHECKING:
+    from .analysis.equilibria import Equilibrium
     from .fmi.recipe import Recipe
 
 __all__ = [
@@ -75,6 +77,7 @@ def simulate(
     *,
     inputs: Mapping[str, Signal] | None = None,
     parameters: Mapping[str, float | str] | None = None,
+    start: str | Equilibrium | None = None,
     outputs: Sequence[str] | None = None,
     freeze: Sequence[str] | None = None,
     kernel: str | None = None,
@@ -89,6 +92,8 @@ def simulate(
     `parameters` sets parameters, start values and solver variables by name, such as `solver.method`. `inputs` gives
     each input by name as a number, a function of time [s], or a table (times, values) between whose points it is
     linear; it is held over each communication step at its value at the beginning. Defaults are the mechanism's own.
+    `start` is "declared" (the start values, the default), "equilibrium" (at rest in the position that
+    `alfmu.equilibrium(...).nearest` tells for the inputs at 0 s) or an `Equilibrium`.
     Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; parameters
     in `freeze` are folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`; `progress` wraps the
     communication points, to show how far a run is (`tqdm.tqdm` does). Runs of one mechanism share what is traced, as
@@ -104,10 +109,10 @@ def simulate(
     given: dict[str, float | str] = dict(parameters or {})
     how: dict[str, Any] = {"inputs": inputs, "progress": progress, "held_rows": held_rows}
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
-        if outputs is not None or freeze is not None or kernel is not None:
+        if not (outputs is freeze is kernel is start is None):
             raise InputError(
-                f"{mechanism}: outputs, frozen parameters and the kernel of an FMU are fixed when it is exported; give "
-                "them to alfmu.export()"
+                f"{mechanism}: outputs, frozen parameters, the kernel and the start of an FMU are fixed when it is "
+                "exported; give them to alfmu.export()"
             )
         return _simulate_fmu(mechanism, stop_time, communication_step, given, how)
     facts: dict[str, Any] = {}
@@ -122,9 +127,16 @@ def simulate(
         equations, given = derived(declared), {**recipe.parameters, **given}
         outputs = recipe.outputs if outputs is None else outputs
         freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
+        start = start or recipe.start
         facts |= {"mechanism": str(recipe), "options": declared.options}
     kernel = kernel or DEFAULT
     scene, left = ready(equations, given, outputs, freeze, kernel)
+    if start not in (None, "declared"):
+        from .analysis.states import rest
+
+        found = rest(with_defaults(equations, given), start, inputs)
+        scene, left = starting_at(with_defaults(scene, left), found.q, found.states), {}
+        facts["start"] = dict(found.coordinates)
     stop_time = equations.stop_time if stop_time is None else stop_time
     step = equations.interval if communication_step is None else communication_step
     return run(instance(scene, kernel), stop_time, step, parameters=left, facts={**facts, "parameters": given}, **how)
@@ -168,7 +180,7 @@ def run(
         unit.set(name, value)
     variables = [*unit.outputs, *unit.input_variables]
     times = communication_points(unit.name, stop_time, communication_step, 1 + len(variables))
-    signals = {name: _signal(signal) for name, signal in (inputs or {}).items()}
+    signals = {name: signal_of(signal) for name, signal in (inputs or {}).items()}
     names, units = [v.name for v in variables], {v.name: v.unit for v in variables}
     switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
 
@@ -288,7 +300,7 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
     return times
 
 
-def _signal(signal: Signal) -> Callable[[float], float]:
+def signal_of(signal: Signal) -> Callable[[float], float]:
     if callable(signal):
         return signal
     if isinstance(signal, tuple):

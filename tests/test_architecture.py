@@ -25,16 +25,22 @@ ROOMS: dict[str, set[str]] = {
     "simulation": {"equations", "kernel", "model", "oracle", "result", "runtime"},
     "view": {"equations", "files", "kernel", "model", "result", "runtime", "simulation"},
     "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
+    "analysis": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
-    "cli": {"equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "view"},
+    "cli": {"analysis", "equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "view"},
     "__main__": {"cli"},
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 
-LATE: dict[str, set[str]] = {"model": {"equations", "result", "view"}, "result": {"view"}, "simulation": {"fmi"}}
+LATE: dict[str, set[str]] = {
+    "model": {"equations", "result", "view"},
+    "result": {"view"},
+    "simulation": {"analysis", "fmi"},
+    "fmi": {"analysis"},
+}
 """Room -> the rooms above it that it imports when it is asked to, or for types alone: `Mechanism.draw()`,
-`Marker.position`, the result that an error has, `result.plot()`, the film of a result, an FMU that `simulate` is given.
-Never where a module is imported."""
+`Marker.position`, the result that an error has, `result.plot()`, the film of a result, an FMU that `simulate` is given,
+a start in a position of rest. Never where a module is imported."""
 
 
 def modules() -> dict[str, Path]:

@@ -25,7 +25,7 @@ from pathlib import Path
 import alfmu
 from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, ExportError, InputError, StepError
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
-from alfmu import WriteError, mechanisms, parts, simulate
+from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -73,11 +73,18 @@ reveal_type(equations.n + len(mechanisms()))
 again: Result = Result.from_csv("run.csv")
 again.to_csv("copy.csv")
 made: Path = export("five_bar", "five_bar.fmu")
+rest: Equilibrium = equilibrium(pendulum(), parameters={"m": 2.0}).nearest
+reveal_type(rest.stable)
+linear: Linearization = linearize(pendulum(), rest)
+reveal_type(linear.A)
+reveal_type(linearize(pendulum(), [0.0, 1.0]))
+reveal_type(mobility(pendulum(), stop_time=0.0).groups[0].rows)
+simulate(pendulum(), start=rest)
 """
 
 REVEALED = (
     *("Result", "float64", "float64", "Result", "list[", "str", "str"),
-    *("float", "str", "float64", "str", "Path", "int"),
+    *("float", "str", "float64", "str", "Path", "int", "bool", "float64", "Linearization", "str"),
 )
 """What stands in the types that checkers reveal, in their order."""
 

@@ -1,21 +1,24 @@
-"""Leave out what a scene does not need before it is traced: outputs nobody reads, parameters that never change."""
+"""Change what a scene begins with before it is traced: leave out outputs nobody reads and parameters that never change,
+start elsewhere."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import Any
 
 import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from ..model.errors import InputError
 from ..model.words import there_is
-from .evaluation import ARGUMENTS, evaluable, shared, symbols
+from .evaluation import ARGUMENTS, evaluable, shared, symbols, with_functions
 from .interface import BALANCE, MONITORS, events
 from .types import Equations
 
-__all__ = ["specialised"]
+__all__ = ["specialised", "starting_at"]
 
 
 ALL = "all"
@@ -36,6 +39,32 @@ def specialised(
     """
     e = equations if freeze is None else _frozen(equations, freeze)
     return e if outputs is None else _keeping(e, outputs)
+
+
+def starting_at(equations: Equations, q: NDArray[np.float64], states: Mapping[str, float] | None = None) -> Equations:
+    """The same equations that start at rest at q (n,) with their defaults: other start values, and guesses moved along.
+
+    Further states, by name, start at the given values. With other defaults they start beside it, as far as guesses and
+    start values lead. What is traced stays.
+    """
+    e, x = equations, symbols(equations)
+    p = [v.start for v in e.parameters] + [0.0] * len(e.held)  # no guess depends on what locks keep
+    s = [float(v.start) for v in e.starts]
+    missed = np.array(e.functions["ties"](q, p, s)).ravel()
+    for i, way in zip(e.tied, missed, strict=True):
+        s[i] += float(way)
+    guess, rate = e.functions["guess"], e.functions["guess_rate"]
+    arguments = [x["p"], x["s"], x["sdot"]]
+    there = ca.densify(guess(x["p"], x["s"]) + (ca.DM(q) - guess(p, s)))
+    functions = {
+        "guess": shared("guess", arguments[:2], [there]),
+        "guesses": shared("guesses", arguments, [there, ca.densify(rate(*arguments))]),
+    }
+    starts = [replace(v, start=value) for v, value in zip(e.starts, s, strict=True)]
+    changed: dict[str, Any] = {"starts": starts, "start_rates": [replace(v, start=0.0) for v in e.start_rates]}
+    if states:
+        changed["states"] = [replace(v, start=states[v.name]) for v in e.states]
+    return with_functions(replace(e, **changed), functions)
 
 
 def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:

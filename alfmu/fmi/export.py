@@ -21,6 +21,7 @@ from xml.etree import ElementTree as ET
 from pythonfmu.builder import FmuBuilder
 
 from ..equations import Equations
+from ..equations.specialisation import starting_at
 from ..files import atomic, scratch
 from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
@@ -30,7 +31,7 @@ from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
 from ..runtime.reuse import chosen, derived
-from ..simulation import prepared
+from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native
 from .description import (
@@ -76,6 +77,7 @@ def export(
     outputs: Sequence[str] | None = None,
     freeze: Sequence[str] | None = None,
     kernel: str | None = None,
+    start: str | None = None,
     kind: str | None = None,
     platforms: Sequence[str] | None = None,
     fmi: int | None = None,
@@ -89,7 +91,7 @@ def export(
     ExportError where it cannot be compiled, and WriteError where the file cannot be written: nothing is left then.
     """
     own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
-    recipe = load(mechanism).changed(**own, kernel=kernel, kind=kind, platforms=platforms, fmi=fmi)
+    recipe = load(mechanism).changed(**own, kernel=kernel, start=start, kind=kind, platforms=platforms, fmi=fmi)
     declared = recipe.declared()
     every, equations = _scene(recipe, declared)
     path = Path(path or f"{equations.name}.fmu")
@@ -99,7 +101,8 @@ def export(
         raise ExportError(f"{equations.name}: {path} does not end in .fmu")
 
     version = importlib.metadata.version("alfmu")
-    posed = {name: value for name, value in recipe.parameters.items() if not name.startswith("solver.")}
+    apart = ("solver.",) if recipe.start == "declared" else ("solver.", "start.")
+    posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
     results = reference_results(equations) if recipe.reference else {}
     if recipe.kind == "native":
@@ -157,7 +160,7 @@ def described(recipe: Recipe) -> tuple[ET.Element, dict[str, bytes]]:
 
 def _scene(recipe: Recipe, declared: Mechanism) -> tuple[Equations, Equations]:
     r = recipe
-    return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel)
+    return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel, r.start)
 
 
 def _resources(recipe: Recipe, equations: Equations, scene: bytes, guid: str) -> dict[str, bytes]:
@@ -180,10 +183,17 @@ def packed_scene(
     outputs: Sequence[str] | None,
     freeze: Sequence[str] | None,
     kernel: str | None,
+    start: str = "declared",
 ) -> tuple[Equations, Equations]:
     """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `export`."""
     every = derived(declared)
     equations = chosen(every, parameters or {}, outputs, freeze)
+    if start != "declared":
+        from ..analysis.states import rest
+
+        begun = with_defaults(every, parameters or {})
+        found = rest(begun, start)
+        every, equations = (starting_at(e, found.q, found.states) for e in (begun, equations))
     native.checked(equations)
     equations = prepared(equations, kernel or DEFAULT)
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing

@@ -75,6 +75,7 @@ _FORM: dict[str, tuple[Callable[[Any], object], str]] = {
     **dict.fromkeys(("compliances", "reference"), _one_of(True, False)),
     **dict.fromkeys(("stop_time", "communication_step"), (_seconds, "a finite number of seconds above zero, or None")),
     "kernel": _one_of(*KERNELS, None),
+    "start": _one_of("declared", "equilibrium"),
 }
 """Fields of a recipe: whether a value can be one, and in words."""
 
@@ -108,6 +109,9 @@ class Recipe(Brief):
     parameters: Mapping[str, float | str] = field(default_factory=dict)
     """Other defaults of parameters, start values, inputs and solver variables; the tolerance of the experiment is
     `solver.relative_tolerance`, the internal step `solver.step_size`."""
+    start: str = "declared"
+    """Where it starts by default: at the start values ("declared"), or at rest where loads and springs balance
+    ("equilibrium"); the start values of that position become the defaults."""
     outputs: Sequence[str] | None = None
     """The outputs that are computed, as names or patterns such as `link*.angle`; None for all."""
     freeze: Sequence[str] | None = None

@@ -18,7 +18,7 @@ from ..method import formulations as method
 from ..method import implicit
 from .library import DONE, Scene, Unit
 
-__all__ = ["SINGULAR", "Probe", "mobility", "shared"]
+__all__ = ["SINGULAR", "Probe", "mobility", "row_shares", "row_units", "shared"]
 
 SINGULAR = (RuntimeError, np.linalg.LinAlgError)
 """What SciPy and NumPy raise where the augmented mass cannot be factorised, as next to a motion of hardly any mass."""
@@ -72,6 +72,17 @@ def shared(
     return [v.name for v, size in zip(e.outputs, found, strict=True) if size > _SHARED]
 
 
+def row_units(e: Equations, k: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The unit of each row (l,) that the start found, of the field `k` of the memory."""
+    return 1 / k[len(SETTINGS) + e.l : len(SETTINGS) + 2 * e.l]
+
+
+def row_shares(e: Equations, k: NDArray[np.float64], penalty: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weights (l,) by whose inverse redundant rows share a load: penalties (l,), or stiffnesses where there are any."""
+    begin = len(SETTINGS) + 2 * e.l + e.n
+    return k[0] * k[begin : begin + e.l] if e.compliances else penalty.copy()
+
+
 @dataclass(frozen=True)
 class Probe:
     """A scene at the start that its defaults give, by the runtime; it makes no step."""
@@ -86,6 +97,8 @@ class Probe:
     """Of the rows (l,)."""
     penalty: NDArray[np.float64]
     """alpha (l,) [kg or kg.m2 by row], zero where a constraint is not in force."""
+    shares: NDArray[np.float64]
+    """Weights (l,) by whose inverse redundant constraints share a load, see `row_shares`."""
 
     @classmethod
     def of(cls, equations: Equations) -> Self | None:
@@ -108,7 +121,12 @@ class Probe:
         penalty = np.empty(e.l)
         library.alfmu_penalties(unit.address, penalty.ctypes.data)
         brakes = bool(library.alfmu_brakes(unit.address))
-        return cls(e, unit, brakes, numbers, 1 / k[len(SETTINGS) + e.l : len(SETTINGS) + 2 * e.l], penalty)
+        return cls(e, unit, brakes, numbers, row_units(e, k), penalty, row_shares(e, k, penalty))
+
+    def place(self, q: NDArray[np.float64]) -> None:
+        """Put the scene to q (n,), so that `mobility` tells of it; `numbers` stay."""
+        address = self.unit.scene.library.alfmu_state(self.unit.address)
+        np.ctypeslib.as_array((ctypes.c_double * self.equations.n).from_address(address))[:] = q
 
     def mobility(self, every: bool = False) -> Mobility:
         """Of the constraints in force, or with `every` of all."""

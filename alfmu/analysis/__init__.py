@@ -1,0 +1,1 @@
+"""Analyses of a mechanism: positions of rest, small motions about a state, degrees of freedom."""

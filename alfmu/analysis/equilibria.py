@@ -1,0 +1,524 @@
+"""Positions of rest: where loads, springs and reactions balance, found from many places, and whether they are stable.
+
+A mechanism is at rest at q where Phi(q) = 0 and the loads do no work on any motion, N' f(q) = 0 with C N = 0; then
+multipliers balance them, f = C' lam, whether constraints are redundant or not and whatever the masses are. Newton's
+method runs on the places that close the loops, with the exact stiffness K = -N' d(f - C' lam)/dq N.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files import write
+from ..model.errors import InputError
+from ..model.words import counted
+from .branches import polished, ways
+from .loops import STEP, Loops, plain
+from .situation import Situation, Subject, Vector, subject
+from .small import ZERO, Small, small_motions
+
+if TYPE_CHECKING:
+    from ..view.picture import Drawing
+
+__all__ = ["STARTS", "Equilibria", "Equilibrium", "check_file", "equilibria", "equilibrium"]
+
+STARTS = 32
+"""number of places [1]: positions of rest are looked for from so many beside the start; the double pendulum has its
+four from 16 of them."""
+
+BALANCED = 1e-11
+"""load along a motion over the largest that was met [1]: a mechanism is at rest below it."""
+
+SAME = 1e-5
+"""largest difference [rad, sizes]: places that differ by less are one position of rest; where a stiffness vanishes,
+Newton's method ends some 1e-6 from it."""
+
+STEPS = 80
+"""number of steps of Newton's method [1]: a start from which no balance is found after them is given up."""
+
+HELD = 1e-7
+"""generalised force that is left over the largest load [1]: with more, at a singular position, no reactions balance the
+loads."""
+
+FLAT = 1e-9
+"""stiffness over the largest [1]: a motion with less has none."""
+
+PACE = 0.05
+"""step of a walk along a motion of one degree of freedom [rad, sizes]: positions of rest that are nearer to each other
+than this may be missed."""
+
+ROUND = 1000
+"""number of steps of such a walk [1]: 50 rad."""
+
+MOST_WAYS = 64
+"""number of such walks [1]: one in both directions of each branch at each singular position that is reached."""
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """A position of rest."""
+
+    mechanism: str
+    time: float
+    """Time [s] for which loads are taken."""
+    coordinates: Mapping[str, float]
+    """Coordinates by name [m or rad]."""
+    inputs: Mapping[str, float]
+    """Inputs by name, as they are held."""
+    states: Mapping[str, float]
+    """Further states of the mechanism by name, at the values at which they rest."""
+    outputs: Mapping[str, float]
+    """All that can be read at rest, reactions among it; of least norm where redundant constraints share a load."""
+    stability: str
+    """"stable", "asymptotically stable", "unstable" or "not judged"."""
+    reason: str
+    """Why the stability is not judged, or by what it is."""
+    eigenvalues: NDArray[np.complex128] = field(repr=False)
+    """Of small motions about it [1/s]; none where they cannot be told."""
+    residual: float
+    """What is left of the balance: the largest generalised force on a coordinate [N, or N.m]."""
+    connected: bool
+    """Whether a way from the start was found along which the loops stay closed."""
+    isolated: bool
+    """Whether there are no other positions of rest right beside it."""
+    energy: float
+    """Potential energy of gravity and springs [J]."""
+    loads: Vector = field(repr=False)
+    """Generalised forces (n,) that reactions balance [N or N.m]."""
+    distance: float
+    """Largest difference of a coordinate to the start [rad, and lengths over the size of the mechanism]."""
+    situation: Situation = field(repr=False, compare=False)
+
+    def __repr__(self) -> str:
+        return f"Equilibrium({self.mechanism!r}, {self.said()})"
+
+    @property
+    def q(self) -> Vector:
+        """Coordinates (n,) [m or rad]."""
+        return self.situation.state.q
+
+    def said(self) -> str:
+        """In a line, for readers."""
+        shown = ", ".join(f"{name} = {plain(x)}" for name, x in list(self.coordinates.items())[:_SHOWN])
+        return f"{self.stability}, {shown}"
+
+    @property
+    def stable(self) -> bool:
+        """Whether it is known to be stable."""
+        return self.stability in ("stable", "asymptotically stable")
+
+    @property
+    def frequencies(self) -> Vector:
+        """Frequencies of small vibrations about it [Hz], in rising order; none of motions without stiffness."""
+        least = ZERO * np.abs(self.eigenvalues).max(initial=0.0)
+        return np.sort(np.array([x.imag for x in self.eigenvalues if x.imag > least])) / (2 * math.pi)
+
+    def draw(self, size: tuple[int, int] | None = None) -> Drawing:
+        """The picture of the mechanism in this position. Raises InputError where only its equations are known."""
+        from ..view.picture import SIZE, Drawing, geometry, view_of
+
+        shapes = geometry(self.situation.source.drawn(), self.situation.parameters)
+        columns = {name: self.outputs[name] for name in shapes.columns}
+        caption = f"{self.stability}, " + ", ".join(f"{k} = {x:.3g}" for k, x in list(self.coordinates.items())[:3])
+        return Drawing(shapes, columns, view_of(shapes, columns), {}, caption, size or SIZE)
+
+    def as_data(self) -> dict[str, Any]:
+        """All of it, as JSON has it."""
+        plain = ("stability", "reason", "residual", "connected", "isolated", "energy", "distance")
+        return {
+            **{name: getattr(self, name) for name in plain},
+            "coordinates": dict(self.coordinates),
+            "states": dict(self.states),
+            "eigenvalues": [[x.real, x.imag] for x in self.eigenvalues.tolist()],
+            "outputs": dict(self.outputs),
+        }
+
+
+@dataclass(frozen=True)
+class Equilibria(Sequence[Equilibrium]):
+    """The positions of rest that were found, the nearest to the start first; a sequence of `Equilibrium`."""
+
+    mechanism: str
+    time: float
+    found: tuple[Equilibrium, ...]
+    starts: int
+    """Places from which they were looked for."""
+    notes: tuple[str, ...] = ()
+    """What a reader should know of the search."""
+
+    def __repr__(self) -> str:
+        return f"Equilibria({self.mechanism!r}, {counted(len(self), 'position')} of rest)"
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def __iter__(self) -> Iterator[Equilibrium]:
+        return iter(self.found)
+
+    @overload
+    def __getitem__(self, index: int) -> Equilibrium: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Equilibrium, ...]: ...
+    def __getitem__(self, index: int | slice) -> Equilibrium | tuple[Equilibrium, ...]:
+        return self.found[index]
+
+    @property
+    def stable(self) -> tuple[Equilibrium, ...]:
+        """Those that are known to be stable."""
+        return tuple(each for each in self.found if each.stable)
+
+    @property
+    def nearest(self) -> Equilibrium:
+        """The one to begin a run with: the nearest stable one that the start is connected with; failing that, the
+        nearest that is stable, or the nearest at all."""
+        if not self.found:
+            raise InputError(f"{self.mechanism}: no position of rest was found; {self.notes[-1]}")
+        ranked = sorted(self.found, key=lambda each: (not (each.stable and each.connected), not each.stable))
+        return ranked[0]
+
+    def as_data(self) -> dict[str, Any]:
+        """All of it, as JSON has it."""
+        known = {"mechanism": self.mechanism, "time": self.time, "starts": self.starts, "notes": list(self.notes)}
+        inputs = dict(self.found[0].inputs) if self.found else {}
+        return {**known, "inputs": inputs, "equilibria": [each.as_data() for each in self.found]}
+
+    def save(self, path: str | Path) -> None:
+        """Write all of it as `.json`. Raises InputError where the suffix is another one, else WriteError."""
+        path = Path(path)
+        check_file(path)
+        write(path, (json.dumps(self.as_data(), indent=1) + "\n").encode())
+
+    def lines(self) -> list[str]:
+        """A table for readers."""
+        title = f"{self.mechanism}: {counted(len(self), 'position')} of rest, loads at t = {self.time:g} s"
+        lines = [title]
+        if self.found and self.found[0].inputs:
+            lines += ["inputs: " + ", ".join(f"{name} = {x:g}" for name, x in self.found[0].inputs.items())]
+        for k, each in enumerate(self.found):
+            slowest = f", frequencies {_listed(each.frequencies)} Hz" if len(each.frequencies) else ""
+            grows = max((x.real for x in each.eigenvalues), default=0.0)
+            grows_by = f", grows by {grows:.4g} 1/s" if each.stability == "unstable" else ""
+            where = "" if each.connected else ", no way from the start found"
+            beside = "" if each.isolated else ", one of many beside each other"
+            lines += [f"{k + 1:3}  {each.stability}{slowest}{grows_by}{beside}{where}"]
+            if each.stability == "not judged":
+                lines += [f"     {each.reason}"]
+            lines += [f"     {text}" for text in _columns({**each.coordinates, **each.states})]
+            lines += [f"     balance within {each.residual:.1e} N, N.m"]
+        return [*lines, *self.notes]
+
+
+def check_file(path: Path) -> None:
+    """InputError where positions of rest have no kind of file of this name."""
+    if path.suffix.lower() != ".json":
+        raise InputError(f"{path} cannot hold positions of rest; its name must end in .json")
+
+
+_SHOWN = 12
+"""Coordinates that a table shows."""
+
+
+def _columns(coordinates: Mapping[str, float]) -> list[str]:
+    texts = [f"{name} = {plain(x)}" for name, x in list(coordinates.items())[:_SHOWN]]
+    more = [f"and {len(coordinates) - _SHOWN} more"] if len(coordinates) > _SHOWN else []
+    each = [*texts, *more]
+    return ["  ".join(each[begin : begin + 5]) for begin in range(0, len(each), 5)]
+
+
+def _listed(values: Sequence[float] | Vector) -> str:
+    shown = ", ".join(f"{x:.4g}" for x in values[:4])
+    return shown + ", ..." * (len(values) > 4)
+
+
+def equilibrium(
+    mechanism: Subject,
+    *,
+    parameters: Mapping[str, float | str] | None = None,
+    time: float = 0.0,
+    starts: int = STARTS,
+) -> Equilibria:
+    """The positions of rest of a mechanism under its loads and springs, stable or not, the nearest to the start first.
+
+    `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, with the values and inputs that it has.
+    `parameters` sets parameters, start values and inputs by name, `time` [s] is the instant for which loads are taken.
+    They are looked for from the start and from `starts` other places, the same each time: on the ways that lead from
+    the start, and, to find other assemblies, anywhere. Redundant constraints, singular positions and massless bodies
+    are no obstacle; where a position is singular, its stability is not judged.
+
+    Raises AlfmuError where a name or a value is at fault, or the loops cannot be closed.
+    """
+    if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
+        raise InputError(f"{mechanism}: starts is {starts!r}; it must be a whole number, 0 or above")
+    return equilibria(subject(mechanism, parameters, time), starts)
+
+
+def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
+    """The same of a situation."""
+    search = _Search(Loops(where, settled=True))
+    found = search.all(starts)
+    notes = search.notes(found)
+    return Equilibria(where.name, where.state.t, tuple(found), 1 + starts, tuple(notes))
+
+
+class _Search:
+    """A search for positions of rest."""
+
+    def __init__(self, loops: Loops):
+        self.loops = loops
+        self.largest = 0.0
+        """Largest load along a motion that was met."""
+        for way in (sign * way for way in loops.motions(loops.home).T for sign in (0, 1, -1)):
+            if (y := loops.closed(loops.home + STEP * way)) is not None:
+                self.largest = max(self.largest, self._left(y))
+
+    def all(self, starts: int) -> list[Equilibrium]:
+        """What is found, the nearest first."""
+        loops = self.loops
+        if self.largest == 0.0:  # any position is as good
+            return [self._judged(loops.home, True)]
+        reached = [(y, True) for y in map(self.balanced, self._along(starts)) if y is not None]
+        others = [(y, False) for y in map(self.balanced, self._anywhere(starts)) if y is not None]
+        distinct: list[tuple[Vector, bool]] = []
+        for y, connected in sorted([*reached, *others], key=lambda x: (not x[1], loops.apart(x[0], loops.home))):
+            y = loops.nearer(y, loops.home)
+            if self._at_rest(y) and not any(loops.same(y, other, SAME) for other, _ in distinct):
+                distinct.append((y, connected))
+        found: list[Equilibrium] = []
+        for y, connected in sorted(distinct, key=lambda x: float(np.abs(x[0] - loops.home).max(initial=0.0))):
+            each = self._judged(y, connected)
+            held = each.residual <= HELD * max(self.largest / self.loops.scale.min(), np.abs(each.loads).max())
+            if held and (each.isolated or not any(_family(each, other) for other in found)):
+                found.append(each)
+        return found
+
+    def notes(self, found: Sequence[Equilibrium]) -> list[str]:
+        """What a reader should know."""
+        notes = []
+        if self.largest == 0.0 and self.loops.freedom:
+            notes.append("no load acts on any motion: every position is one of rest")
+        elif any(not each.isolated for each in found):
+            notes.append(
+                "positions of rest lie beside each other, as loads do not act on all motions; the nearest to the start "
+                "is shown for all of them"
+            )
+        if not found:
+            notes.append(
+                "loads act on its motions everywhere it was looked for; hold it by a spring, a lock or an input"
+            )
+        return notes
+
+    # Places to begin from -----------------------------------------------------------------------------------------
+
+    def _along(self, starts: int) -> Iterator[Vector]:
+        """The start, and places on ways that lead from there."""
+        loops = self.loops
+        yield loops.home
+        if loops.freedom == 1:
+            yield from self._on_the_ways()
+        elif loops.freedom > 1 and starts:
+            yield from self._around(starts // 2)
+
+    def _on_the_ways(self) -> Iterator[Vector]:
+        """Places beside which the load along the one motion vanishes, on all branches that lead from the start."""
+        loops, home = self.loops, self.loops.home
+        (way,) = loops.motions(home).T
+        crossings: list[Vector] = []
+        ways = [(home, sign * way) for sign in (1, -1)]
+        if loops.situation.start.freedom_here > 1:
+            crossings, ways = [home], _leaving(loops, home)
+        walked = 0
+        while ways and walked < MOST_WAYS:
+            walked += 1
+            begin, way = ways.pop(0)
+            for place, crossing in self._on_the_way(begin, way):
+                if not crossing:
+                    yield place
+                elif all(loops.apart(place, other) > SAME for other in crossings):
+                    crossings.append(place)
+                    ways += _leaving(loops, place)
+
+    def _on_the_way(self, begin: Vector, way: Vector) -> Iterator[tuple[Vector, bool]]:
+        """Places beside which the load along the one motion vanishes, and singular places, which the flag tells."""
+        loops, before, last, falls = self.loops, begin, None, False
+        sizes: list[float] = []
+        for k, y in enumerate(loops.walk(begin, way, PACE, ROUND)):
+            along = (y - before) / np.linalg.norm(y - before)
+            N, r, _ = loops.balance(y)
+            load = float(r[0] * (np.sign(N[:, 0] @ along) or 1.0))
+            self.largest = max(self.largest, abs(load))
+            if last is not None and load * last <= 0:
+                yield self._between(before, y), False
+            elif last is not None and abs(load) > abs(last) and falls:
+                yield before, False  # the load is least here: it may touch zero
+            falls = last is not None and abs(load) < abs(last)
+            sizes = [*sizes[-2:], float(loops.sizes(y)[-1])] if loops.rank else []
+            if len(sizes) == 3 and sizes[1] < min(sizes[0], sizes[2], 2 * PACE):
+                place = polished(loops, before)
+                if place is not None and loops.situation.mobility(place * loops.scale)[0].freedom_here > 1:
+                    yield place, True
+            if (
+                k > 10
+                and loops.apart(y, begin) < 1.5 * PACE
+                and abs(loops.nearer(y, begin) - begin) @ abs(way) < 2 * PACE
+            ):
+                return
+            before, last = y, load
+
+    def _between(self, a: Vector, b: Vector) -> Vector:
+        """The place between two at which the load along the way from one to the other changes its sign."""
+        loops, way = self.loops, b - a
+        sign = 0.0
+        for _ in range(12):
+            middle = loops.closed((a + b) / 2)
+            if middle is None:
+                break
+            loads = []
+            for y in (a, middle):
+                N, r, _ = loops.balance(y)
+                loads.append(float(r[0] * (np.sign(N[:, 0] @ way) or 1.0)))
+            sign = loads[0] * loads[1]
+            a, b = (middle, b) if sign > 0 else (a, middle)
+        return (a + b) / 2
+
+    def _around(self, count: int) -> Iterator[Vector]:
+        """Ends of ways from the start in directions of all its motions, up to half a turn long."""
+        from scipy.special import ndtri
+
+        loops = self.loops
+        N = loops.motions(loops.home)
+        for numbers in _evenly(loops.freedom + 1, count):
+            way = N @ ndtri(0.5 + (numbers[1:] - 0.5) * (1 - 1e-9))
+            if not way.any():
+                continue
+            most = math.ceil(numbers[0] * math.pi * math.sqrt(loops.freedom) / STEP)
+            *_, end = [loops.home, *loops.walk(loops.home, way, STEP, most)]
+            yield end
+
+    def _anywhere(self, starts: int) -> Iterator[Vector]:
+        """Places where the loops are closed, wherever that is."""
+        loops, n = self.loops, len(self.loops.home)
+        count = starts if loops.freedom == 1 else starts - starts // 2
+        for numbers in _evenly(n, count if loops.situation.held.any() else 0):
+            spread = np.where(loops.units == "m", 1.5, np.where(loops.units == "rad", np.pi, 1.0))
+            middle = np.where(loops.units == "rad", loops.home, 0.0)
+            y = loops.closed(middle + spread * (2 * numbers - 1))
+            if y is not None:
+                yield y
+
+    # Balance ------------------------------------------------------------------------------------------------------
+
+    def _at_rest(self, y: Vector) -> bool:
+        return self._left(y) <= BALANCED * self.largest
+
+    def _left(self, y: Vector) -> float:
+        return float(np.abs(self.loops.balance(y)[1]).max(initial=0.0))
+
+    def balanced(self, y: Vector) -> Vector | None:
+        """A position of rest by Newton's method from a place, in steps along the motions; None where there is none."""
+        loops, damping, stalled = self.loops, 0.0, 0
+        N, r, lam = loops.balance(y)
+        self.largest = max(self.largest, float(np.abs(r).max(initial=0.0)))
+        for _ in range(STEPS if self.largest > 0 else 0):
+            size = float(np.linalg.norm(r))
+            if size == 0.0 or stalled > 2:
+                break
+            K = loops.stiffness(y, N, lam)
+            if not np.isfinite(K).all():
+                return None
+            U, s, V = np.linalg.svd(K)
+            low = max(damping, 1e-13) * max(s[0], 1e-100)
+            dz = V.T @ (s / (s**2 + low**2) * (U.T @ r))
+            dz *= min(1.0, STEP / max(np.abs(N @ dz).max(), 1e-100))
+            ahead = loops.closed(y + N @ dz, y)
+            moved = None if ahead is None else loops.balance(ahead)
+            if ahead is not None and moved is not None and np.linalg.norm(moved[1]) < size:
+                stalled += int(np.linalg.norm(moved[1]) > 0.5 * size and size <= BALANCED * self.largest)
+                y, (N, r, lam) = ahead, moved
+                damping = damping / 10 if damping > 1e-6 else 0.0
+            elif size <= BALANCED * self.largest:
+                break
+            else:
+                damping = max(10 * damping, 1e-3)
+                if damping > 1e4:
+                    break
+        return y if self._left(y) <= BALANCED * self.largest else None
+
+    # What is known of one -----------------------------------------------------------------------------------------
+
+    def _judged(self, y: Vector, connected: bool) -> Equilibrium:
+        loops, where = self.loops, self.loops.situation
+        e, state = where.equations, loops.state(y)
+        here = replace(where, state=state)
+        mobility, _ = where.mobility(state.q)
+        N, _, lam = loops.balance(y)
+        K = loops.stiffness(y, N, lam)
+        sizes = np.linalg.svd(K, compute_uv=False)
+        isolated = not len(K) or bool(sizes[-1] > FLAT * max(sizes[0], self.largest))
+        small: Small | None = None
+        if mobility.freedom_here > loops.freedom:
+            stability = "not judged"
+            reason = (
+                f"it is a singular position, where {counted(mobility.freedom_here, 'velocity')} are possible with "
+                f"{counted(loops.freedom, 'degree')} of freedom: linear equations on one motion tell nothing of others"
+            )
+        else:
+            try:
+                small = small_motions(here, mobility.freedom)
+                stability, reason = small.stability(isolated)
+            except InputError as error:
+                stability, reason = "not judged", str(error)
+        full = np.zeros(e.l)
+        full[where.held] = loops._weights * lam
+        left = where.value("f", state) - where.value("C", state).T @ full
+        outputs = small.readings if small else where.value("readings", state, a=np.zeros(e.n), lam=full)
+        return Equilibrium(
+            where.name,
+            state.t,
+            {} if e.resting else dict(zip((c.name for c in e.coordinates), state.q.tolist(), strict=True)),
+            dict(zip((x.name for x in e.inputs), state.u.tolist(), strict=False)),
+            dict(zip((x.name for x in e.states), state.u[len(e.inputs) :].tolist(), strict=True)),
+            dict(zip((c.name for c in e.outputs), outputs.tolist(), strict=True)),
+            stability,
+            reason,
+            small.eigenvalues if small else np.array([], complex),
+            float(np.abs(left).max(initial=0.0)),
+            connected,
+            isolated,
+            float(where.value("potential_energy", state)[0]),
+            where.value("f", state),
+            float(np.abs(y - loops.home).max(initial=0.0)),
+            here,
+        )
+
+
+def _family(one: Equilibrium, other: Equilibrium) -> bool:
+    """Whether two positions that are not isolated have the same energy and the same small motions."""
+    if other.isolated or len(one.eigenvalues) != len(other.eigenvalues):
+        return False
+    size = max(np.abs(one.eigenvalues).max(initial=0.0), 1e-3)
+    pairs = [(np.sort(part(one.eigenvalues)), np.sort(part(other.eigenvalues))) for part in (np.abs, np.real)]
+    alike = all(np.abs(a - b).max(initial=0.0) < 1e-3 * size for a, b in pairs)
+    return bool(alike and abs(one.energy - other.energy) <= 1e-6 * max(1e-6, abs(one.energy)))
+
+
+def _leaving(loops: Loops, y: Vector) -> list[tuple[Vector, Vector]]:
+    """A singular place with the directions of the motions that begin there."""
+    found = ways(loops, y, loops.situation.mobility(y * loops.scale)[0].freedom_here)
+    return [(y, sign * each.way) for each in found if not each.singular for sign in (1, -1)]
+
+
+def _evenly(dimensions: int, count: int) -> Iterator[Vector]:
+    """Points (dimensions,) between 0 and 1 that cover all evenly, the same each time."""
+    if not count:
+        return
+    from scipy.stats import qmc
+
+    yield from qmc.Sobol(dimensions, scramble=False).random_base2(math.ceil(math.log2(count + 1)))[1 : count + 1]

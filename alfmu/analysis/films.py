@@ -1,0 +1,80 @@
+"""Films of small motions: the mechanism swings in a mode, at an amplitude that can be seen, with its loops closed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..model.errors import InputError
+from ..model.words import counted
+from ..result import Result
+from ..view.picture import animate, check_film
+from .loops import STEP, Loops
+from .situation import Situation, Vector
+
+__all__ = ["film", "motion_of"]
+
+SECONDS = 2.0
+"""time [s] of one vibration in a film."""
+
+FRAMES = 60
+"""number of places [1] of one vibration."""
+
+
+def motion_of(where: Situation, shape: Mapping[str, complex], amplitude: float) -> Result:
+    """One vibration in a shape (coordinate -> complex change) about a state: places alone, at rest, loops closed.
+
+    The largest change of a coordinate is `amplitude` [rad, lengths over the size of the mechanism]. Raises InputError
+    where the loops cannot be closed so far away.
+    """
+    loops, e = Loops(where), where.equations
+    way = np.array([shape[c.name] for c in e.coordinates]) / loops.scale
+    way = way * (amplitude / max(np.abs(way).max(), 1e-300))
+    phases = np.linspace(0.0, 2 * math.pi, FRAMES + 1)
+    rows, y, before = [], loops.home.copy(), np.zeros_like(loops.home)
+    for phase in phases:
+        wanted = (way * np.exp(1j * phase)).real
+        # From the place before, in steps over which the same assembly stays nearest.
+        parts = max(1, math.ceil(np.abs(wanted - before).max() / (STEP / 2)))
+        for part in range(1, parts + 1):
+            ahead = loops.home + before + (wanted - before) * part / parts
+            found = loops.closed(y + (ahead - y), y)
+            if found is None:
+                raise InputError(
+                    f"{where.name}: the loops cannot be closed at an amplitude of {amplitude:g}; take a smaller one"
+                )
+            y = found
+        before = wanted
+        rows.append(_readings(where, y * loops.scale))
+    names, units = tuple(v.name for v in e.outputs), {v.name: v.unit for v in e.outputs}
+    return Result(where.name, phases / (2 * math.pi) * SECONDS, names, units, np.array(rows))
+
+
+def _readings(where: Situation, q: Vector) -> Vector:
+    e = where.equations
+    return where.value("readings", where.state.at_rest(q), a=np.zeros(e.n), lam=np.zeros(e.l))
+
+
+def film(
+    linear: Any,
+    path: Path,
+    mode: int,
+    amplitude: float,
+    fps: float,
+    progress: Callable[[Any], Any] = iter,
+) -> None:
+    """Write a mode of a linearisation as a film (`Linearization.film`)."""
+    check_film(path)
+    modes = linear.modes
+    if isinstance(mode, bool) or not isinstance(mode, int) or not 1 <= mode <= len(modes):
+        raise InputError(f"{linear.mechanism}: there is no mode {mode!r}; it has {counted(len(modes), 'mode')}")
+    if not (math.isfinite(amplitude) and 0 < amplitude <= math.pi):
+        raise InputError(f"{linear.mechanism}: the amplitude is {amplitude}; it must be above 0 and at most pi")
+    where = linear.situation
+    declared = where.source.drawn()
+    result = motion_of(where, modes[mode - 1].shape, amplitude)
+    animate(declared, result, path, parameters=where.parameters, fps=fps, progress=progress)

@@ -1,0 +1,430 @@
+"""Degrees of freedom at a position and along a motion: which constraints are redundant or idle, where it is singular.
+
+At a regular position the rows of C with U' C = 0 depend on each other: they share what they hold. A position is
+singular where more motions N with C N = 0 begin than at regular ones; `branches` tells which of them can be continued.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..equations import Row
+from ..files import write
+from ..model.errors import AlfmuError, InputError
+from ..model.words import counted
+from ..result import Signal
+from ..runtime import Instance
+from ..simulation import Progress, communication_points
+from .branches import STRAIGHT, Way, polished, ways
+from .loops import STEP, Loops, plain
+from .situation import Situation, Source, Subject, Vector, source, subject
+from .small import independent
+from .states import motion
+
+__all__ = ["Branch", "Freedoms", "Group", "SingularPosition", "freedoms", "mobility"]
+
+TOUCHED = 1e-7
+"""entry of a projector [1]: a row with less takes no part in a dependency, and a row of C with less holds nothing."""
+
+_SHOWN = 8
+"""Coordinates, rates or times that a text shows."""
+
+MOST = 6
+"""number of motions at a singular position [1]: branches are told of up to so many."""
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A motion that begins at a singular position."""
+
+    way: Mapping[str, float]
+    """Rates of the coordinates by name, the largest 1 [m or rad]."""
+    ends: bool
+    """Whether it leads away in one direction alone, so that it comes to an end here."""
+    singular: bool
+    """Whether the positions on it are singular, too."""
+
+    def __repr__(self) -> str:
+        return f"Branch({self.said()})"
+
+    def said(self) -> str:
+        """For readers."""
+        moving = [f"{name} {x:.4g}" for name, x in self.way.items() if abs(x) > 1e-6]
+        more = [f"and {len(moving) - _SHOWN} more"] if len(moving) > _SHOWN else []
+        what = ", which ends here" * self.ends + ", singular all along" * self.singular
+        return ", ".join([*moving[:_SHOWN], *more]) + what
+
+
+@dataclass(frozen=True)
+class SingularPosition:
+    """A position where more motions begin than there are degrees of freedom."""
+
+    time: float
+    """When the motion passes it [s]."""
+    coordinates: Mapping[str, float]
+    """Coordinates by name [m or rad]."""
+    motions: int
+    """Independent velocities that constraints allow there."""
+    branches: tuple[Branch, ...]
+    """Motions that begin there; none where that cannot be judged, see `reason`."""
+    followed: int | None
+    """Which of them the motion comes along; None where that is not known."""
+    reason: str
+    """What cannot be judged, and why; empty where all can."""
+
+    def __repr__(self) -> str:
+        return f"SingularPosition(t = {self.time:.6g} s, {counted(len(self.branches), 'branch')})"
+
+
+@dataclass(frozen=True)
+class Group:
+    """Constraints that depend on each other."""
+
+    rows: tuple[str, ...]
+    redundant: int
+    """How many of them could be left out."""
+
+    def __repr__(self) -> str:
+        return f"Group({self.redundant} of {', '.join(self.rows)})"
+
+
+@dataclass(frozen=True)
+class Freedoms:
+    """Degrees of freedom of a mechanism, at its start and along its motion."""
+
+    mechanism: str
+    freedom: int
+    """Degrees of freedom at regular positions."""
+    redundant: int
+    """Constraints that follow from the others on the whole of the motion."""
+    freedom_here: int
+    """Independent velocities at the start; more than `freedom` where it is singular."""
+    independent: tuple[str, ...]
+    """Coordinates that tell the motions best."""
+    groups: tuple[Group, ...]
+    """Redundant constraints, with those that they depend on."""
+    idle: tuple[str, ...]
+    """Constraints in force that hold no motion, neither at the start nor beside it."""
+    off: tuple[str, ...]
+    """Constraints that are not in force: locks that are open, joints that are released."""
+    start: SingularPosition | None
+    """The start, where it is singular."""
+    singular: tuple[SingularPosition, ...]
+    """Singular positions on the way, the start left out."""
+    covered: tuple[float, float]
+    """From when to when [s] the motion was followed; nothing of it where both are the same."""
+    least: float
+    """Least singular value of the constraint matrix on the way that is none at singular positions [1]: for links of
+    similar lengths about the distance to one [rad]."""
+    least_at: float
+    """When that was [s]."""
+    changes: tuple[tuple[float, int], ...] = ()
+    """Times [s] at which constraints came into force or out of it, and degrees of freedom from then on."""
+    notes: tuple[str, ...] = field(default=())
+
+    def __repr__(self) -> str:
+        found = f", {counted(len(self.singular), 'singular position')} on the way" * bool(self.singular)
+        return f"Freedoms({self.mechanism!r}, freedom = {self.freedom}, redundant = {self.redundant}{found})"
+
+    def as_data(self) -> dict[str, Any]:
+        """All of it, as JSON has it."""
+
+        def position(each: SingularPosition | None) -> dict[str, Any] | None:
+            if each is None:
+                return None
+            known = {name: getattr(each, name) for name in ("time", "motions", "followed", "reason")}
+            found = [{"way": dict(b.way), "ends": b.ends, "singular": b.singular} for b in each.branches]
+            return {**known, "coordinates": dict(each.coordinates), "branches": found}
+
+        plain = ("mechanism", "freedom", "redundant", "freedom_here", "least", "least_at")
+        lists = ("independent", "idle", "off", "covered", "changes", "notes")
+        return {
+            **{name: getattr(self, name) for name in plain},
+            **{name: list(getattr(self, name)) for name in lists},
+            "groups": [{"rows": list(each.rows), "redundant": each.redundant} for each in self.groups],
+            "start": position(self.start),
+            "singular": [position(each) for each in self.singular],
+        }
+
+    def save(self, path: str | Path) -> None:
+        """Write all of it as `.json`. Raises InputError where the suffix is another one, else WriteError."""
+        path = Path(path)
+        check_file(path)
+        write(path, (json.dumps(self.as_data(), indent=1) + "\n").encode())
+
+    def lines(self) -> list[str]:
+        """A text for readers."""
+        lines = [f"{self.mechanism}: {counted(self.freedom, 'degree')} of freedom"]
+        lines += [f"told by: {', '.join(self.independent) or 'nothing, it is rigid'}"]
+        lines += [f"redundant constraints: {self.redundant}"]
+        for group in self.groups:
+            lines += [f"  {group.redundant} of {len(group.rows)}: {', '.join(group.rows)}"]
+        for title, names in (("idle constraints", self.idle), ("not in force", self.off)):
+            lines += [f"{title}: {', '.join(names)}"] * bool(names)
+        if self.start:
+            lines += ["singular at the start:", *_position(self.start)]
+        if self.covered[1] > self.covered[0]:
+            span = f"along the motion from {self.covered[0]:g} to {self.covered[1]:g} s"
+            what = counted(len(self.singular), "singular position") if self.singular else "no singular position"
+            lines += [f"{span}: {what}"]
+            for same in _alike(self.singular):
+                times = [f"{each.time:.6g}" for each in same[:_SHOWN]]
+                more = [f"and {len(same) - _SHOWN} more times"] if len(same) > _SHOWN else []
+                lines += [f"  at t [s] = {', '.join([*times, *more])}", *_position(same[0])]
+            if not self.singular and not self.start:
+                lines += [f"  nearest to one at t = {self.least_at:.6g} s: singular value {self.least:.3g}"]
+            lines += [f"  from t = {t:g} s: {counted(freedom, 'degree')} of freedom" for t, freedom in self.changes]
+        return [*lines, *self.notes]
+
+
+def check_file(path: Path) -> None:
+    """InputError where degrees of freedom have no kind of file of this name."""
+    if path.suffix.lower() != ".json":
+        raise InputError(f"{path} cannot hold degrees of freedom; its name must end in .json")
+
+
+def _position(each: SingularPosition) -> list[str]:
+    shown = [f"{name} = {plain(x)}" for name, x in each.coordinates.items()]
+    more = [f"and {len(shown) - _SHOWN} more"] if len(shown) > _SHOWN else []
+    lines = [f"    {', '.join([*shown[:_SHOWN], *more])}"]
+    found = len(each.branches)
+    lines += [f"    {each.motions} independent velocities, {found} branch{'es' * (found != 1)}"]
+    for k, branch in enumerate(each.branches):
+        lines += [f"      {branch.said()}{'  <- the motion' * (k == each.followed)}"]
+    return [*lines, *([f"    {each.reason}"] if each.reason else [])]
+
+
+def _alike(found: Sequence[SingularPosition]) -> list[list[SingularPosition]]:
+    """Singular positions, those that are the same together."""
+    groups: list[list[SingularPosition]] = []
+    for each in found:
+        place = np.array([*each.coordinates.values()])
+        for group in groups:
+            other = np.array([*group[0].coordinates.values()])
+            if np.abs(place - other).max() < 1e-6 and each.followed == group[0].followed:
+                group.append(each)
+                break
+        else:
+            groups.append([each])
+    return groups
+
+
+def mobility(
+    mechanism: Subject,
+    *,
+    stop_time: float | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    inputs: Mapping[str, Signal] | None = None,
+    progress: Progress = iter,
+) -> Freedoms:
+    """Degrees of freedom, redundant and idle constraints by name, and singular positions with their branches.
+
+    `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, of which the present position alone is told.
+    The motion is followed from the start to `stop_time` [s], by default that of the mechanism's own experiment, 0 for
+    the start alone. `parameters` sets parameters, start values and inputs by name, `inputs` gives inputs over time and
+    `progress` shows how far it is, as `simulate` takes them.
+
+    Raises AlfmuError where a name or a value is at fault, or the loops cannot be closed.
+    """
+    if isinstance(mechanism, Instance):
+        if stop_time:
+            raise InputError(f"{mechanism.name}: of an Instance the present position is told; leave stop_time out")
+        return freedoms(subject(mechanism, parameters))
+    found = source(mechanism, parameters or {})
+    stop_time = found.equations.stop_time if stop_time is None else stop_time
+    where = subject(mechanism, parameters)
+    if not stop_time:
+        return freedoms(where)
+    times = communication_points(where.name, stop_time, found.equations.interval)
+    return freedoms(where, found, times, inputs, progress)
+
+
+def freedoms(
+    where: Situation,
+    source: Source | None = None,
+    times: Sequence[float] | Vector = (),
+    inputs: Mapping[str, Signal] | None = None,
+    progress: Progress = iter,
+) -> Freedoms:
+    """The same of a situation, and along the motion at instants [s] if there are any."""
+    e, here = where.equations, where.start
+    loops = Loops(where)
+    singular = here.freedom_here > here.freedom
+    start = _singular(loops, loops.home, where.state.t, where.state.v) if singular else None
+    beside = _beside(loops, start)
+    groups = _groups(loops, beside)
+    matrices = [np.abs(loops.matrix(y)) for y in (loops.home, beside)]
+    names = [_name(row) for row in e.rows]
+    held = np.flatnonzero(where.held)
+    idle = [names[i] for k, i in enumerate(held) if max(C[k].max(initial=0.0) for C in matrices) < TOUCHED]
+    way = _Way(loops, where)
+    if source is not None:
+        way.follow(source, progress([float(t) for t in times]), inputs or {})
+    return Freedoms(
+        where.name,
+        here.freedom,
+        here.redundant,
+        here.freedom_here,
+        tuple(e.coordinates[i].name for i in independent(where, loops.motions(beside))),
+        groups,
+        tuple(idle),
+        tuple(name for name, on in zip(names, where.held, strict=True) if not on),
+        start,
+        tuple(way.singular),
+        (where.state.t, way.until),
+        way.least,
+        way.least_at,
+        tuple(way.changes),
+        tuple(way.notes),
+    )
+
+
+def _name(row: Row) -> str:
+    return f"{row.name} {row.direction}".strip()
+
+
+def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
+    """A regular place: the start, or one on a branch that begins there, that of the motion if there is one."""
+    where, e = loops.situation, loops.situation.equations
+    if start is None:
+        return loops.home
+    if start.branches:
+        branch = start.branches[start.followed or 0]
+        way = np.array([branch.way[c.name] for c in e.coordinates]) / loops.scale
+        found = loops.closed(loops.home + STEP * way / np.abs(way).max())
+        if found is not None and where.mobility(found * loops.scale)[0].freedom_here == loops.freedom:
+            return found
+    return where.mobility(where.state.q)[1] / loops.scale
+
+
+def _groups(loops: Loops, y: Vector) -> tuple[Group, ...]:
+    """Constraints in force that depend on each other at a regular place."""
+    where = loops.situation
+    names = [_name(row) for row, on in zip(where.equations.rows, where.held, strict=True) if on]
+    null = np.linalg.svd(loops.matrix(y))[0][:, loops.rank :]
+    together = np.abs(null @ null.T) > TOUCHED
+    left, found = {int(i) for i in np.flatnonzero(together.diagonal())}, []
+    while left:
+        group: set[int] = set()
+        more = {min(left)}
+        while more:
+            group |= more
+            more = {int(j) for i in more for j in np.flatnonzero(together[i])} - group
+        left -= group
+        rows = sorted(group)
+        count = round(np.trace((null @ null.T)[np.ix_(rows, rows)]))
+        found.append(Group(tuple(names[i] for i in rows), count))
+    return tuple(found)
+
+
+def _singular(loops: Loops, y: Vector, t: float, v: Vector) -> SingularPosition:
+    """What is known of a singular place that is passed with velocity v (n,)."""
+    e = loops.situation.equations
+    motions = loops.situation.mobility(y * loops.scale)[0].freedom_here
+    found: list[Way] = []
+    reason, followed = "", None
+    if loops.freedom != 1:
+        reason = f"branches are not told apart: with {loops.freedom} degrees of freedom they are surfaces, not lines"
+    elif motions > MOST:
+        reason = f"branches are not told apart: of {motions} motions there may be {2 ** (motions - 1)}"
+    else:
+        found = ways(loops, y, motions)
+        if not found:
+            reason = (
+                "no motion to second order begins here: either the mechanism is stuck, or its motions touch each "
+                "other, which this does not judge"
+            )
+    speed = np.linalg.norm(v / loops.scale)
+    if speed > 0 and found:
+        cosines = [abs(each.way @ (v / loops.scale)) / speed for each in found]
+        followed = int(np.argmax(cosines)) if max(cosines) > 1 - STRAIGHT / 4 else None
+    names = [c.name for c in e.coordinates]
+    each = []
+    for branch in found:
+        way = branch.way * loops.scale
+        rates = way / way[np.argmax(np.abs(way))] + 0.0
+        each.append(Branch(dict(zip(names, rates.tolist(), strict=True)), branch.ends, branch.singular))
+    place = dict(zip(names, (y * loops.scale).tolist(), strict=True))
+    return SingularPosition(t, place, motions, tuple(each), followed, reason)
+
+
+# Along a motion ----------------------------------------------------------------------------------------------------
+
+
+class _Way:
+    """The motion from the start, with what is singular on it."""
+
+    def __init__(self, loops: Loops, where: Situation):
+        self.loops = loops
+        self.until = self.least_at = where.state.t
+        self.least = float(loops.sizes(loops.home)[-1]) if loops.rank else 1.0
+        self.singular: list[SingularPosition] = []
+        self.changes: list[tuple[float, int]] = []
+        self.notes: list[str] = []
+
+    def follow(self, source: Source, times: Iterable[float], inputs: Mapping[str, Signal]) -> None:
+        """Go along the motion at these instants; where it ends early, up to there."""
+        loops = self.loops
+        passed: list[tuple[float, Vector, Vector, float]] = []
+        on, freedom = loops.situation.held, loops.freedom
+        try:
+            for t, where in motion(source, times, inputs):
+                if not np.array_equal(where.held, on):
+                    loops, on, passed = Loops(where), where.held, []
+                    if loops.freedom != freedom:
+                        freedom = loops.freedom
+                        self.changes.append((t, freedom))
+                y, v = where.state.q / loops.scale, where.state.v / loops.scale
+                size = float(loops.sizes(y)[-1]) if loops.rank else 1.0
+                passed.append((t, y, v, size))
+                self.until = t
+                if size < self.least:
+                    self.least, self.least_at = size, t
+                if len(passed) > 2:
+                    self._between(loops, passed[-3:])
+        except AlfmuError as ended:
+            self.notes.append(f"the motion ended at t = {self.until:g} s: {ended}")
+
+    def _between(self, loops: Loops, three: list[tuple[float, Vector, Vector, float]]) -> None:
+        """Note a singular position where the singular value has its least near the middle of three instants."""
+        from scipy.optimize import minimize_scalar
+
+        (t0, y0, v0, a), (t1, y1, v1, b), (t2, y2, v2, c) = three
+        if not (b <= a and b < c) or b > 0.5:
+            return
+        # The value falls towards a singular position and rises after it, as fast: it would vanish between.
+        if b > 1.2 * max(abs(a - b), abs(c - b)) + 1e-12:
+            return
+
+        def at(t: float) -> Vector:
+            begin, end = ((t0, y0, v0), (t1, y1, v1)) if t < t1 else ((t1, y1, v1), (t2, y2, v2))
+            return _hermite(t, *begin, *end)
+
+        found = minimize_scalar(
+            lambda t: loops.sizes(at(t))[-1], bounds=(t0, t2), options={"xatol": 1e-9 * (t2 - t0)}, method="bounded"
+        )
+        t = float(found.x)
+        y = polished(loops, at(t))
+        if y is None:
+            return
+        told, _ = loops.situation.mobility(y * loops.scale)
+        if told.freedom_here > told.freedom:
+            v = (at(min(t + 1e-4 * (t2 - t0), t2)) - at(max(t - 1e-4 * (t2 - t0), t0))) * loops.scale
+            self.least, self.least_at = min(self.least, float(loops.sizes(y)[-1])), t
+            if self.singular and abs(self.singular[-1].time - t) < 0.5 * (t2 - t0):
+                return
+            self.singular.append(_singular(loops, y, t, v))
+
+
+def _hermite(t: float, t0: float, y0: Vector, v0: Vector, t1: float, y1: Vector, v1: Vector) -> Vector:
+    """A place between two instants, by the cubic with their velocities."""
+    h = t1 - t0
+    s = (t - t0) / h
+    parts = (1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)
+    return parts[0] * y0 + parts[1] * h * v0 + parts[2] * y1 + parts[3] * h * v1

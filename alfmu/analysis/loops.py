@@ -1,0 +1,257 @@
+"""The places where the loops of a mechanism are closed: how to get there, which motions start there, how to walk on.
+
+Coordinates are divided by one size each (`Loops.scale`): 1 for angles, the size of the mechanism for lengths, so that
+steps of all coordinates compare. Rows are divided by their units. The letters y, N stand for q and a basis of motions
+in these coordinates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..equations.arrays import ArrayFunctions
+from ..model.errors import InputError
+from .situation import Situation, State, Vector
+
+__all__ = ["CLOSED", "STEP", "Loops", "plain"]
+
+CLOSED = 1e-12
+"""largest gap [units of a row]: loops are closed below it."""
+
+STEP = 0.3
+"""longest step [rad, or sizes]: loops are linear enough over it that a step leads to the assembly nearest by."""
+
+CORRECTIONS = 60
+"""number of corrections [1]: a place from which the loops are not closed after them is given up."""
+
+HALVED = 6
+"""number of times [1] that a correction is halved where it opens loops more than it closes them; where that does not
+help twice, the place is given up."""
+
+SETTLED = 20
+"""number of steps of Newton's method [1] that find the values at which further states rest; one where rates are linear
+in them."""
+
+NOTHING = 1e-10
+"""singular value over the largest [1]: a direction that constraints hold less is hardly corrected."""
+
+
+class Loops:
+    """Places (n,) that close the loops of a situation, with `freedom` independent motions at regular ones.
+
+    Further states are as they are in the situation, or with `settled` at rest, at each place.
+    """
+
+    def __init__(self, situation: Situation, settled: bool = False):
+        self.situation = situation
+        e = situation.equations
+        self.units = np.array([c.unit for c in e.coordinates])
+        lengths = np.abs(situation.state.q[self.units == "m"])
+        self.size: float = float(lengths.max(initial=0.0)) or 1.0
+        self.scale: Vector = np.where(self.units == "m", self.size, 1.0)
+        self.freedom: int = situation.start.freedom
+        self.rank: int = 0 if e.resting else e.n - self.freedom
+        self._rows = situation.held
+        self._weights = 1 / situation.units[self._rows]
+        self.home: Vector = situation.state.q / self.scale
+        n, l, s, more = e.n, e.l, situation.state, len(situation.state.u) - len(e.inputs)
+        self._values = [np.zeros(size) for size in (n * l, l, n, more, more * more)]
+        self._q, self._u, self._x = np.full(n, np.nan), s.u.copy(), s.u[len(e.inputs) :] if settled else np.zeros(0)
+        self._arguments, self._backend = [self._q, self._u, situation.p.copy(), np.array([s.t])], ArrayFunctions(e)
+        self._run = self._backend.bound(situation.source.changes["place"], self._arguments, self._values)
+        self._by_x = self._values[4].reshape((more, more), order="F")
+        self._C = self._values[0].reshape((l, n), order="F")
+
+    def state(self, y: Vector) -> State:
+        """At rest at a place, further states with it."""
+        self._at(y)
+        return replace(self.situation.state.at_rest(y * self.scale), u=self._u.copy())
+
+    def _at(self, y: Vector) -> None:
+        """Evaluate what a place tells, once; further states have the values there at which they rest."""
+        q = y * self.scale
+        if np.array_equal(q, self._q):
+            return
+        self._q[:] = q
+        self._run()
+        for _ in range(SETTLED if len(self._x) else 0):
+            rates = self._values[3]
+            if not np.isfinite(self._by_x).all() or np.linalg.cond(self._by_x) > 1 / NOTHING:
+                names = ", ".join(x.name for x in self.situation.equations.states)
+                raise InputError(
+                    f"{self.situation.name}: its states ({names}) have no values of their own at which they rest, as "
+                    "the integral of a controller; positions of rest are told of states that settle by themselves"
+                )
+            before = self._u.copy()
+            self._u[len(before) - len(self._x) :] -= np.linalg.solve(self._by_x, rates)
+            self._run()
+            if np.abs(self._u - before).max() <= 1e-15 * np.abs(self._u).max(initial=0.0):
+                break
+
+    def gaps(self, y: Vector) -> Vector:
+        """How far each constraint in force is open, in units of its row."""
+        self._at(y)
+        return self._weights * self._values[1][self._rows]
+
+    def matrix(self, y: Vector) -> NDArray[np.float64]:
+        """The constraint matrix of rows in force, in these coordinates."""
+        self._at(y)
+        return self.weighted(self._C)
+
+    def weighted(self, C: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Rows (l, n) in force, in these coordinates."""
+        return self._weights[:, None] * C[self._rows] * self.scale
+
+    def motions(self, y: Vector, count: int | None = None) -> NDArray[np.float64]:
+        """The motions (n, count) that constraints hold least, orthonormal; `freedom` of them where none is said."""
+        count = self.freedom if count is None else count
+        return np.linalg.svd(self.matrix(y))[2][len(y) - count :].T
+
+    def sizes(self, y: Vector) -> Vector:
+        """Singular values of the constraint matrix: how much the constraints hold, in `rank` directions."""
+        return np.linalg.svd(self.matrix(y), compute_uv=False)[: self.rank]
+
+    def closed(self, y: Vector, near: Vector | None = None) -> Vector | None:
+        """The place nearest by that closes the loops, by corrections (10) of least norm; None where none is found.
+
+        Only motions that constraints hold are corrected. With `near`, None where that is farther than STEP from it.
+        """
+        y, before, stuck = y.copy(), np.inf, 0
+        for _ in range(CORRECTIONS):
+            gaps = self.gaps(y)
+            left = float(np.abs(gaps).max(initial=0.0))
+            if not np.isfinite(left):
+                return None
+            if left <= CLOSED / 100 or (left <= CLOSED and left > before / 2):
+                far = near is not None and np.abs(y - near).max() > 2 * STEP
+                return None if far else y
+            U, s, V = _parts(self.matrix(y))
+            if U is None:
+                return None
+            U, s, V = U[:, : self.rank], s[: self.rank], V[: self.rank]
+            d = -V.T @ (_inverses(s) * (U.T @ gaps))
+            longest = np.abs(d).max()
+            d *= min(1.0, STEP / longest) if longest > 0 else 1.0
+            before, size = left, float(np.linalg.norm(gaps))
+            for _ in range(HALVED):
+                if np.linalg.norm(self.gaps(y + d)) < (1 - 1e-3) * size:
+                    break
+                d = d / 2
+            else:
+                stuck += 1
+                if stuck > 1 and left > CLOSED:
+                    return None
+            y = y + d
+        return y if np.abs(self.gaps(y)).max(initial=0.0) <= CLOSED else None
+
+    def walk(self, y: Vector, way: Vector, step: float, most: int) -> Iterator[Vector]:
+        """Places on the branch of the motion that begins at y in direction `way`, a step apart; ends where it ends."""
+        before = y - step * way / np.linalg.norm(way)
+        for _ in range(most):
+            ahead = y - before
+            for part in (1.0, 0.5, 0.25):
+                found = self.closed(y + ahead * (part * step / np.linalg.norm(ahead)), y)
+                if found is not None and (found - y) @ ahead > 0:
+                    break
+            else:
+                return
+            before, y = y, found
+            yield y
+
+    # Which places are the same ------------------------------------------------------------------------------------
+
+    @cached_property
+    def turns(self) -> NDArray[np.bool_]:
+        """Coordinates (n,) that are angles after whole turns of which everything is as before, loads included."""
+        places = [self.home, self.home + 0.3 + 0.1 * np.arange(len(self.home))]
+        found = self.units == "rad"
+        for i in np.flatnonzero(found):
+            turned = np.where(np.arange(len(found)) == i, 2 * np.pi, 0.0)
+            found[i] = all(self._alike(y, y + turned) for y in places)
+        return found
+
+    def _alike(self, y: Vector, other: Vector) -> bool:
+        """Whether loops and loads are the same at two places."""
+        pairs = [(self.gaps(a), self.matrix(a).ravel(), self.loads(a)) for a in (y, other)]
+        limits = [1e-9 * max(1.0, np.abs(x).max(initial=0.0)) for x in pairs[0]]
+        return all(np.abs(a - b).max(initial=0.0) <= limit for a, b, limit in zip(*pairs, limits, strict=True))
+
+    @cached_property
+    def attitudes(self) -> list[NDArray[np.intp]]:
+        """Groups of coordinates that are Euler parameters of one body, which say the same with all signs changed."""
+        e = self.situation.equations
+        if not e.lengths:
+            return []
+        C = self.situation.value("C", self.situation.state)
+        return [np.flatnonzero(np.abs(C[row]) > 0) for row in e.lengths]
+
+    def nearer(self, y: Vector, to: Vector) -> Vector:
+        """The same place by whole turns and signs of Euler parameters that are nearest to another one."""
+        y = np.where(self.turns, to + np.remainder(y - to + np.pi, 2 * np.pi) - np.pi, y)
+        for group in self.attitudes:
+            if np.linalg.norm(y[group] + to[group]) < np.linalg.norm(y[group] - to[group]):
+                y[group] = -y[group]
+        return y
+
+    def apart(self, y: Vector, other: Vector) -> float:
+        """The largest difference of two places [rad, sizes]."""
+        return float(np.abs(self.nearer(y, other) - other).max(initial=0.0))
+
+    def same(self, y: Vector, other: Vector, within: float) -> bool:
+        """Whether two places that close the loops are one: by turns of all angles together too, as gears have them."""
+        if self.apart(y, other) <= within:
+            return True
+        apart = self.nearer(y, other) - other
+        turns = np.where(self.units == "rad", 2 * np.pi * np.round(apart / (2 * np.pi)), 0.0)
+        way = apart - turns
+        return bool(np.abs(way).max(initial=0.0) <= within and self._alike(y, y - turns))
+
+    # Loads --------------------------------------------------------------------------------------------------------
+
+    def loads(self, y: Vector) -> Vector:
+        """Generalised forces (n,) at rest, in these coordinates [N.m, or N times the size]."""
+        self._at(y)
+        return self.scale * self._values[2]
+
+    def balance(self, y: Vector, count: int | None = None) -> tuple[NDArray[np.float64], Vector, Vector]:
+        """Motions N (n, count), the loads along them, and multipliers of rows in force that balance the others best."""
+        F, C = self.loads(y), self.matrix(y)
+        count = self.freedom if count is None else count
+        U, s, V = _parts(C)
+        if V is None or not np.isfinite(F).all():
+            return np.zeros((len(y), count)), np.full(count, np.inf), np.zeros(len(C))
+        rank = len(y) - count
+        lam = U[:, :rank] @ ((V[:rank] @ F) * _inverses(s[:rank]))
+        return V[rank:].T, V[rank:] @ F, lam
+
+    def stiffness(self, y: Vector, N: NDArray[np.float64], lam: Vector) -> NDArray[np.float64]:
+        """-dF/dz along motions N (n, k), with what the turn of the constraints adds: positive where it brings back."""
+        s, still = self.state(y), np.zeros(len(y))
+        full = np.zeros(len(self._rows))
+        full[self._rows] = self._weights * lam
+        Rq = self.situation.change("tangents", s, a=still, lam=full)[0]
+        if len(self._x):  # dx = -Gx^-1 Gq dq keeps further states at rest
+            Ru, Gq = (self.situation.change(name, s, a=still, lam=full)[0] for name in ("inputs", "rates"))
+            Rq = Rq - Ru[:, -len(self._x) :] @ np.linalg.solve(self._by_x, Gq)
+        return -N.T @ (self.scale[:, None] * Rq * self.scale) @ N
+
+
+def _parts(C: NDArray[np.float64]) -> tuple[Any, Any, Any]:
+    """U, s, V of a matrix, all of them; None where it is not finite."""
+    return np.linalg.svd(C) if np.isfinite(C).all() else (None, None, None)
+
+
+def _inverses(s: Vector) -> Vector:
+    """1 / s, but next to nothing of what is nothing."""
+    return s / (s**2 + (NOTHING * s.max(initial=0.0)) ** 2 + 1e-300)
+
+
+def plain(x: float) -> str:
+    """A coordinate for readers: what is left of zero by round-off is zero."""
+    return f"{x:.6g}" if abs(x) > 1e-12 else "0"

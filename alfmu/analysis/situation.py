@@ -1,0 +1,214 @@
+"""A mechanism with its numbers: what an analysis begins with, from a declaration, equations or a running instance."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from ..equations import Equations, Mobility
+from ..equations.changes import changes
+from ..equations.evaluation import ARGUMENTS
+from ..fmi.recipe import Recipe, of
+from ..model.errors import AlfmuWarning, InputError
+from ..model.mechanism import Mechanism
+from ..runtime import Instance
+from ..runtime.prepare import with_defaults
+from ..runtime.probe import Probe, mobility, row_shares, row_units
+from ..runtime.reuse import derived
+
+__all__ = ["Situation", "Source", "State", "Subject", "Vector", "situation", "situation_of", "source", "subject"]
+
+Vector = NDArray[np.float64]
+Subject = str | Path | Mechanism | Recipe | Equations | Instance
+"""What can be analysed."""
+
+
+NONE = Mobility(0, 0, 0)
+"""Of equations of states alone, whose one coordinate stands for none."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """What was asked for: equations with defaults, as they were derived, and the declaration where it is known."""
+
+    equations: Equations
+    changes: dict[str, ca.Function]
+    """Derivatives of the equations by name (`alfmu.equations.changes`)."""
+    declared: Mechanism | None
+    plain: Equations
+    """As they were derived, with the defaults of the declaration."""
+    given: Mapping[str, float | str]
+    """Other defaults by name."""
+    outputs: Sequence[str] | None = None
+    """Patterns of the outputs that a recipe keeps; None for all."""
+
+    def drawn(self) -> Mechanism:
+        """The declaration, for a picture; InputError where the equations alone are known."""
+        if self.declared is None:
+            raise InputError(f"{self.equations.name}: how it looks is not known of equations alone; give the mechanism")
+        return self.declared
+
+
+def source(mechanism: str | Path | Mechanism | Recipe | Equations, parameters: Mapping[str, float | str]) -> Source:
+    """What a name, a file, a declaration, a recipe or equations stand for, with other defaults.
+
+    Raises AlfmuError where a name or a value is at fault.
+    """
+    if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
+        raise InputError(f"{mechanism}: an FMU does not tell its equations; name the mechanism that it was exported of")
+    if isinstance(mechanism, Equations):
+        return Source(with_defaults(mechanism, parameters), changes(mechanism), None, mechanism, parameters)
+    recipe = of(mechanism)
+    declared = recipe.declared()
+    plain, given = derived(declared), {**recipe.parameters, **parameters}
+    return Source(with_defaults(plain, given), changes(plain), declared, plain, given, recipe.outputs)
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a mechanism is and how it moves: q, v (n,), inputs u, with further states behind them, and time t [s]."""
+
+    q: Vector
+    v: Vector
+    u: Vector
+    t: float
+
+    def at_rest(self, q: Vector) -> State:
+        """At rest in another place (n,)."""
+        return replace(self, q=np.array(q), v=np.zeros_like(self.v))
+
+
+@dataclass(frozen=True)
+class Situation:
+    """A mechanism with its numbers: parameters, constraints in force, units of rows, the state that it begins with."""
+
+    source: Source
+    state: State
+    p: Vector
+    held: NDArray[np.bool_]
+    """Constraints (l,) that are in force."""
+    units: Vector
+    """Of the rows (l,), as the start found them."""
+    shares: Vector
+    """Weights (l,) by whose inverse redundant constraints share a load."""
+    mobility: Callable[[Vector], tuple[Mobility, Vector]]
+    """Degrees of freedom near a place (n,), and a place beside it that tells them, by the rule of the runtime."""
+
+    @property
+    def equations(self) -> Equations:
+        return self.source.equations
+
+    @property
+    def name(self) -> str:
+        return self.equations.name
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters of the mechanism by name."""
+        return dict(zip((x.name for x in self.equations.parameters), self.p.tolist(), strict=False))
+
+    @cached_property
+    def start(self) -> Mobility:
+        """Degrees of freedom and redundant constraints at the start."""
+        return self.mobility(self.state.q)[0]
+
+    def known(self, s: State, **more: Any) -> dict[str, Any]:
+        """Numbers of a state by the letters of the equations."""
+        return {"q": s.q, "v": s.v, "u": s.u, "p": self.p, "t": s.t, **more}
+
+    def value(self, name: str, s: State, **more: Any) -> NDArray[np.float64]:
+        """A function of the equations, dense; a vector where it is one."""
+        known = self.known(s, **more)
+        found = np.array(self.equations.functions[name](*(known[letter] for letter in ARGUMENTS[name])))
+        return found if name in ("M", "C") else found.ravel()
+
+    def change(self, name: str, s: State, **more: Any) -> list[NDArray[np.float64]]:
+        """Derivatives of the equations (`alfmu.equations.changes`), dense."""
+        function, known = self.source.changes[name], self.known(s, **more)
+        results = function(*(known[letter] for letter in function.name_in()))
+        return [np.array(each) for each in (results if isinstance(results, tuple) else (results,))]
+
+
+def situation(source: Source) -> Situation:
+    """The situation at the start that the defaults give, with what the runtime finds there.
+
+    Raises AssemblyError where there is no such start.
+    """
+    e = _plain(source.equations)
+    probe = Probe.of(e)
+    if probe is None:
+        Instance(replace(e, solver={**e.solver, "method": "rk4"})).initialize()  # says why there is no start
+        raise InputError(f"{e.name}: the start cannot be found from the equations alone; analyse an Instance")
+    if probe.unit.text:
+        warnings.warn(probe.unit.text, AlfmuWarning, stacklevel=3)
+
+    def told(q: Vector) -> tuple[Mobility, Vector]:
+        if e.resting:
+            return NONE, q
+        probe.place(q)
+        return mobility(probe.unit, e.n)[1:]
+
+    x = probe.numbers
+    state = State(x["q"].copy(), x["v"].copy(), x["u"].copy(), float(x["t"][0]))
+    return Situation(source, state, x["p"].copy(), probe.penalty > 0, probe.units, probe.shares, told)
+
+
+def situation_of(instance: Instance) -> Situation:
+    """The situation of a running instance, which is left as it is."""
+    if not instance.initialized:
+        raise InputError(f"{instance.name}: its state is known after initialising; call initialize() first")
+    e, memory = _plain(instance.equations), instance.memory
+    penalty = instance.penalty
+
+    def told(q: Vector) -> tuple[Mobility, Vector]:
+        if e.resting:
+            return NONE, q
+        before = instance.q.copy()
+        instance.q[:] = q
+        try:
+            return instance._mobility()
+        finally:
+            instance.q[:] = before
+
+    u = np.array(instance.driven)
+    state = State(instance.q.copy(), instance.v.copy(), u, instance.time)
+    numbers = memory["p"].copy(), penalty > 0, row_units(e, memory["k"]), row_shares(e, memory["k"], penalty)
+    return Situation(Source(e, changes(e), None, e, {}), state, *numbers, told)
+
+
+def _plain(equations: Equations) -> Equations:
+    """The equations; InputError where they have what analyses do not know."""
+    for field, what in (
+        ("timed", "places or constraints that depend on time or are prescribed by inputs"),
+        ("frictions", "dry friction that sticks"),
+    ):
+        if getattr(equations, field, False):
+            raise InputError(
+                f"{equations.name}: it has {what}, of which positions of rest, linearisations and degrees of freedom "
+                "are not told yet; declare it without"
+            )
+    return equations
+
+
+def subject(mechanism: Subject, parameters: Mapping[str, float | str] | None = None, time: float = 0.0) -> Situation:
+    """The situation of what is analysed, with other defaults, at a time [s] for which loads are taken.
+
+    Raises AlfmuError where a name or a value is at fault, or the mechanism cannot start.
+    """
+    if isinstance(mechanism, Instance):
+        if parameters:
+            raise InputError(f"{mechanism.name}: an Instance has its values already; set() them before it initialises")
+        return situation_of(mechanism)
+    if isinstance(time, bool) or not isinstance(time, (int, float, np.number)) or not math.isfinite(time):
+        raise InputError(f"{mechanism}: the time is {time!r}; it must be a finite number in s")
+    found = situation(source(mechanism, parameters or {}))
+    return replace(found, state=replace(found.state, t=float(time)))

@@ -1,0 +1,128 @@
+"""States in which a mechanism is looked at: its start, a position of rest, instants of a motion."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..equations import Equations
+from ..kernel import DEFAULT
+from ..model.errors import InputError
+from ..model.words import in_words, there_is
+from ..result import Signal
+from ..runtime import Instance
+from ..runtime.reuse import ready
+from ..simulation import instance, signal_of
+from .equilibria import Equilibrium, equilibria
+from .situation import Situation, Source, Subject, situation, situation_of, source, subject
+
+__all__ = ["PLACES", "motion", "rest", "states"]
+
+PLACES = ("start", "equilibrium")
+"""Words that say where a mechanism is looked at."""
+
+
+STARTS = ("declared", "equilibrium")
+"""Where a run starts: at the start values, or in a position of rest."""
+
+
+def states(
+    mechanism: Subject,
+    at: str | float | Sequence[float] | Equilibrium,
+    parameters: Mapping[str, float | str],
+    inputs: Mapping[str, Signal],
+) -> list[Situation]:
+    """Situations of a mechanism at a place, an `Equilibrium`, or at instants [s] of the motion from the start.
+
+    Raises InputError where `at` is none of these, AlfmuError where the mechanism does not get there.
+    """
+    if isinstance(at, Equilibrium):
+        return [at.situation]
+    if at in PLACES if isinstance(at, str) else isinstance(mechanism, Instance) and at == 0:
+        where = _with_inputs(subject(mechanism, parameters), inputs)
+        if at == "equilibrium":
+            return [equilibria(where).nearest.situation]
+        return [where]
+    times = _times(mechanism, at)
+    if isinstance(mechanism, Instance):
+        raise InputError(f"{mechanism.name}: an Instance is looked at in its present state; step it to the time first")
+    if set(times) == {0.0}:
+        return [_with_inputs(situation(source(mechanism, parameters)), inputs)] * len(times)
+    found = dict(motion(source(mechanism, parameters), sorted(set(times)), inputs))
+    return [found[t] for t in times]
+
+
+def rest(
+    equations: Equations, start: str | Equilibrium | None, inputs: Mapping[str, Signal] | None = None
+) -> Equilibrium:
+    """The position of rest in which equations with their defaults start: a given one, or with "equilibrium" the one
+    that `Equilibria.nearest` tells for the inputs at 0 s.
+
+    Raises InputError where there is none, or where it is one of another mechanism.
+    """
+    if isinstance(start, Equilibrium):
+        own, theirs = ([c.name for c in e.coordinates] for e in (equations, start.situation.equations))
+        if own != theirs:
+            raise InputError(
+                f"{equations.name}: the run cannot start in a position of rest of {start.mechanism}, which has other "
+                "coordinates"
+            )
+        return start
+    if start not in STARTS:
+        raise InputError(f"{equations.name}: start is {start!r}; it must be {in_words(STARTS)}, or an Equilibrium")
+    return equilibria(_with_inputs(situation(source(equations, {})), inputs or {})).nearest
+
+
+def _times(mechanism: Any, at: Any) -> list[float]:
+    """Instants [s]; InputError where they are none."""
+    times = [at] if isinstance(at, (str, int, float)) else list(at)
+    for t in times or [None]:
+        if isinstance(t, (str, bool)) or not isinstance(t, (int, float, np.number)) or not 0 <= t < math.inf:
+            raise InputError(f"{mechanism}: at is {t!r}; it must be {', '.join(PLACES)}, or times of 0 s and above")
+    return [float(t) for t in times]
+
+
+def _with_inputs(where: Situation, inputs: Mapping[str, Signal]) -> Situation:
+    """The same with inputs as they are at its time."""
+    if not inputs:
+        return where
+    u, names = where.state.u.copy(), [v.name for v in where.equations.inputs]
+    for name, signal in inputs.items():
+        if name not in names:
+            raise InputError(f"{where.name} has no input {name!r}; {there_is(name, names)}")
+        u[names.index(name)] = signal_of(signal)(where.state.t)
+    return replace(where, state=replace(where.state, u=u))
+
+
+def motion(
+    source: Source, times: Iterable[float], inputs: Mapping[str, Signal], step: float | None = None
+) -> Iterator[tuple[float, Situation]]:
+    """Situations of the motion from the start at instants [s] in rising order, with communication steps of the
+    mechanism's own length, or of `step` [s], and inputs that are held over each of them."""
+    e = source.equations
+    scene, left = ready(source.plain, source.given, None, None, DEFAULT)
+    unit = instance(scene, DEFAULT)
+    for name, value in left.items():
+        unit.set(name, value)
+    signals = {name: signal_of(signal) for name, signal in inputs.items()}
+
+    def apply(t: float) -> None:
+        for name, signal in signals.items():
+            unit.set(name, signal(t))
+
+    apply(0.0)
+    unit.initialize()
+    step = step or e.interval
+    for t in times:
+        steps = max(1, math.ceil((t - unit.time) / step * (1 - 1e-9))) if t > unit.time else 0
+        begin = unit.time
+        for k in range(steps):
+            now = unit.time
+            unit.step(begin + (t - begin) * (k + 1) / steps - now, now)
+            apply(unit.time)
+        found = situation_of(unit)
+        yield t, replace(found, source=source, state=replace(found.state, t=t))
