@@ -88,7 +88,7 @@ class Instance(runtime.Instance):
         with np.errstate(divide="ignore", invalid="ignore"):  # where a scale is not finite, the run says so
             self.units, self.scales, self.stiffnesses = 1 / inverse_units, k[0] / inverse_scales, k[0] * stiffnesses
         self.alpha, self.active = np.diag(self.penalty), self.penalty > 0
-        self.rank = e.n - self.mobility().freedom if e.brakes else 0
+        self.rank = e.dependent - self.mobility().freedom if e.brakes else 0
         self.heavy = np.zeros(e.n)
         self.heavy[e.telling] = branch.INDEPENDENT_MASS * self.nothing / branch.NOISE_FLOOR * self.scales[e.telling]
 
@@ -134,6 +134,13 @@ class Instance(runtime.Instance):
     def state_rates(self, q: NDArray, v: NDArray, u: NDArray, t: float) -> NDArray:
         """Time derivatives of the states."""
         return self._values("state_rates", q, v, u, self.memory["p"], t)[0] if self.equations.states else u[:0]
+
+    def supply(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray, u: NDArray, t: float) -> float:
+        """Power [W] of what moves by itself."""
+        e = self.equations
+        if not (e.timed and e.works):
+            return 0.0
+        return float(e.functions["motion_power"](q, v, a, lam, u, self.memory["p"], t))
 
     def energy(self, q: NDArray, v: NDArray) -> float:
         """Kinetic and potential energy [J]."""
@@ -262,7 +269,7 @@ class Instance(runtime.Instance):
             if self._closed(Cv, C, v):
                 break
             v = v + self._correction(M, C, Cv, solve)
-            Cv = C @ v
+            Cv = self.constraints(q, v)[3]
             self.counters.projection_iterations += 1
         for what, residue in (("|Phi|", Phi), ("|Phi-dot|", Cv)):
             worst, row = self._worst(residue)
@@ -332,12 +339,18 @@ class Instance(runtime.Instance):
 
         near = closer(closer(q))
         M, C, _, _, solve = self.augmented(near, v)
-        near, v = branch.returned(M, C, self.alpha, solve, self.heavy, near, q, v)
+        near, v = branch.returned(M, C, self.alpha, solve, self.heavy, near, q, v, *self._moving(near, v))
         near = closer(near)
-        M, C, _, _, solve = self.augmented(near, v)
         for _ in range(2):
-            v = v + self._correction(M, C, C @ v, solve)
+            M, C, _, Cv, solve = self.augmented(near, v)
+            v = v + self._correction(M, C, Cv, solve)
         return near, v
+
+    def _moving(self, q: NDArray, v: NDArray) -> tuple[Callable[[NDArray], NDArray], NDArray] | tuple[()]:
+        """Where time is a coordinate, Phi-dot of velocities at q, and v with time standing still."""
+        if not self.equations.timed:
+            return ()
+        return lambda x: self.constraints(q, x)[3], np.append(v[:-1], 0.0)
 
     def reached(self, q: NDArray, v: NDArray, t: float) -> tuple[NDArray, NDArray]:
         """What `on_branch` returns; OpenError where the branch does not lead there."""
@@ -429,11 +442,13 @@ class Instance(runtime.Instance):
             (q, v, _, x), u = np.split(y, parts), self._past.at(t, self.order) if self._past else self.inputs
             u = np.concatenate([u, x])
             if on_branch:
-                a = self.accelerations_on_branch(q, v, u, t, branch.SPACING * dt)[0]
+                a, lam, *_ = self.accelerations_on_branch(q, v, u, t, branch.SPACING * dt)
             else:
                 self._near = self._near or (self.continues and self.margin(q)[0])
-                a = self.accelerations(q, v, u, t)[0] if read is None or t > start else read
-            return np.concatenate([v, a, [self.power(q, v, u, t)], self.state_rates(q, v, u, t)])
+                a, lam = self.accelerations(q, v, u, t)[:2] if read is None or t > start else read
+            return np.concatenate(
+                [v, a, [self.power(q, v, u, t) + self.supply(q, v, a, lam, u, t)], self.state_rates(q, v, u, t)]
+            )
 
         parts = [n, 2 * n, 2 * n + 1]
         self.hold(self.q)
@@ -448,7 +463,7 @@ class Instance(runtime.Instance):
             raise self._error(StepError, t, "the state is not finite")
         q, v, work, x = np.split(y, parts)
         if self.settings.projects:
-            self._check_length(np.abs(q - self.q), q, t)
+            self._check_length(np.abs(q - self.q)[: self.equations.dependent], q, t)
             q, v, position, velocity = self.project(q, v, t, self._near)
         else:
             position, velocity = self.residues(q, v)
@@ -456,11 +471,13 @@ class Instance(runtime.Instance):
         c.steps += 1
         c.position_error, c.velocity_error = max(c.position_error, position), max(c.velocity_error, velocity)
         self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.driven, t))
+        if self.equations.timed:
+            q[-1], v[-1] = t, 1.0
         self.q[:], self.v[:], self.states[:], self.state[self.layout.work], self.time = q, v, x, work[0], t
 
     def _check_length(self, moved: NDArray, q: NDArray, t: float) -> None:
         """StepError where a step to q that moved the coordinates so far (n,) is too long to mean anything."""
-        turned, (gap, row) = moved[self._turns].max(initial=0.0), self._worst(self.constraints(q, q)[2])
+        turned, (gap, row) = moved[self._turns[: len(moved)]].max(initial=0.0), self._worst(self.constraints(q, q)[2])
         if turned > TURN:
             raise self._error(StepError, t, f"an angle turned by {turned:.3g} rad in one step, more than half a turn")
         if gap > max(TORN * moved.max(initial=0.0), GROSS):
@@ -509,13 +526,14 @@ class Instance(runtime.Instance):
             seen = {monitor.name: float(x) for monitor, x in zip(MONITORS, values, strict=True)}
             seen = {name: x for name, x in seen.items() if name not in e.monitors}
             came = [self._unit.get(self._references[x.name]) for x in events(e)]
-            self._seen = self._key(), np.concatenate([y, [*seen.values()], came]), a
+            self._seen = self._key(), np.concatenate([y, [*seen.values()], came]), (a, lam)
             self._watch(seen, left)
         return self._seen[1].copy()
 
     def _key(self) -> bytes:
         """What readings depend on."""
-        return b"".join(x.tobytes() for x in (self.q, self.v, self.driven, self.penalty, self.state[-1:]))
+        p = self.memory["p"]  # with what signals are
+        return b"".join(x.tobytes() for x in (self.q, self.v, self.driven, p, self.penalty, self.state[-1:]))
 
     @np.errstate(all="ignore")
     def _now(self) -> tuple[NDArray, NDArray, int, NDArray, int]:

@@ -263,6 +263,31 @@ def _regular(_: Any, name: str, stop: float) -> Found:
     return Found(float(r.counters.position_error), r.counters.evaluations)
 
 
+def _prescribed(_: Any) -> Found:
+    """A four-bar whose crank follows a law from exactly its singular start over 4 s: the error [N m] of the torque."""
+    import casadi as ca
+    import numpy as np
+
+    import alfmu
+    from alfmu.simulation import prepared, simulate, with_defaults
+
+    m = alfmu.Mechanism("prescribed")
+    th = m.coordinate("th", "rad")
+    x, y = m.coordinate("x", "m", start=ca.cos(th) + 0.5), m.coordinate("y", "m", start=ca.sin(th))
+    crank, rocker = (m.bar(name, mass=1.0, length=1.0) for name in ("crank", "rocker"))
+    coupler = m.bar("coupler", mass=1.0, length=1.0, pose=(x, y, m.coordinate("turn", "rad")))
+    A = m.revolute("A", m.ground.at(0, 0), crank.start, coordinate=th)
+    m.revolute("D", m.ground.at(1, 0), rocker.start, coordinate=m.coordinate("ph", "rad", start=th))
+    m.revolute("B", crank.end, coupler.start)
+    m.revolute("C", rocker.end, coupler.end)
+    m.gravity(0.0, -9.81)
+    m.motion(A, 2 * m.time + 0.5 * ca.sin(m.time))
+    run = simulate(prepared(with_defaults(alfmu.derive(m), {"solver.method": "rk4"}), "vm"), 4.0, 0.02)
+    t = run.time
+    exact = -5 / 6 * np.sin(t) + 2 * 9.81 * np.cos(2 * t + 0.5 * np.sin(t))
+    return Found(float(np.abs(run["A.torque"] - exact).max()), run.counters.evaluations)
+
+
 CASES: dict[str, Callable[[Any], Found]] = {
     "five-bar": partial(_driven, name="five_bar", torques=FIVE_BAR, dt=0.02),
     "starts": _starts,
@@ -276,14 +301,16 @@ CASES: dict[str, Callable[[Any], Found]] = {
     "assembly": _assembled,
     "bennett": partial(_regular, name="bennett", stop=0.4),
     "governor": partial(_regular, name="flyball_governor", stop=0.01),
+    "prescribed": _prescribed,
 }
 """Runs, by the name that the page gives them."""
 
 SLOW = {
     "bennett": ("ASIDE", "FAR_RATIO", "REGULAR", "RANKED"),
     "governor": ("ASIDE", "FAR_RATIO", "SMALL_PIVOT", "REGULAR_PRODUCT", "BRANCH_MARGIN"),
+    "prescribed": ("FROZEN", "LATER"),
 }
-"""Cases that are slow to derive: the constants that they are run for."""
+"""Cases that are slow to derive, or are about some constants: those that they are run for."""
 
 
 def _own_runtime() -> None:

@@ -141,6 +141,12 @@ def bennett(n: Names) -> None:
     assert n["opposite"] < 1e-9
 
 
+def kapitza(n: Names) -> None:
+    assert n["found"] == pytest.approx(n["expected"], rel=0.05)
+    assert n["largest"] < 0.35
+    assert len(n["crossings"]) >= 5
+
+
 def governor(n: Names) -> None:
     assert n["deviation"] < 1e-4
     assert n["grown"] == pytest.approx(30.0, rel=1e-5)
@@ -161,7 +167,7 @@ CHECKS: dict[str, Callable[[Names], None]] = {
             pantograph,
             landing_gear,
         ),
-        *(five_bar, four_bar, slider_crank, bennett, governor, spatial_slider_crank, gyroscope, bricard),
+        *(five_bar, four_bar, slider_crank, bennett, governor, kapitza, spatial_slider_crank, gyroscope, bricard),
     )
 }
 """What holds of each file of the gallery, by the numbers that it leaves."""

@@ -13,6 +13,11 @@ generalised force that holds eps at zero,
 
 with a_X the accelerations of X, V the potential, s the displacements along which efforts F act. Bodies in space that
 joints place have recursions of their own (`equations.space`).
+
+Where places, constraints or energies depend on time, time is the last coordinate, with the rate 1: X(q, t) is X of all
+coordinates, and d/dt of anything contains its partial time derivatives. So C v + Phi_t = 0 for (2), and xi has what
+(3) then needs. No force moves that coordinate: its row of M, d, f and its column of C are empty, but for a number on
+the diagonal of M that keeps its acceleration at zero (`STEADY`).
 """
 
 from __future__ import annotations
@@ -35,6 +40,7 @@ from ..model.mechanism import (
     Lock,
     Marker,
     Mechanism,
+    Motion,
     Point,
     Rigidity,
     Scalar,
@@ -50,9 +56,12 @@ from . import space
 from .evaluation import ARGUMENTS, evaluable, shared
 from .interface import variables_of
 from .measures import measures
-from .types import Equations, Row, Switch, Variable
+from .types import Equations, Followed, Row, Switch, Variable
 
 __all__ = ["derive"]
+
+STEADY = 1e-9
+"""diagonal entry of M for time over the mean of masses and inertias [1]: small, so that no measure of M sees it."""
 
 
 @dataclass
@@ -80,11 +89,14 @@ class Frame:
         return _sum(self.x, dx), _sum(self.y, dy)
 
 
-Closure = AnyJoint | Rigidity | Constraint | Lock | Relation
+Closure = AnyJoint | Rigidity | Constraint | Lock | Motion | Relation
 """What constraints close."""
 
 Closing = tuple[Closure, str]
 """One relative displacement that is kept at zero: of what, and in which direction."""
+
+FREE = "free"
+"""The direction in which a joint moves by a law that is its coordinate."""
 
 Displacement = dict[str, ca.SX]
 """Virtual displacement of a joint: direction -> symbol."""
@@ -178,17 +190,24 @@ class Kinematics:
         (x1, y1), (x2, y2) = (self.place(m) for m in between)
         return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
 
-    def locked(self, lock: Lock) -> tuple[ca.SX, bool]:
-        """The displacement that a lock keeps, and whether it is an angle known up to whole turns only."""
-        if isinstance(lock.of, ca.SX):
-            return lock.of, False
-        if isinstance(lock.of, SpatialJoint | SpatialFreedom):
-            return lock.of.free, lock.of.wrapped
-        if isinstance(lock.of, Joint):
-            turns = lock.of.kind == "revolute"
-            bodies, value = (lock.of.first.body, lock.of.second.body), self.free(lock.of)
+    def locked(self, lock: Lock | Motion) -> tuple[ca.SX, bool]:
+        """The displacement that a lock or a motion keeps, and whether it is an angle known up to whole turns only.
+
+        Of a motion it is what is beside its law.
+        """
+        value, wrapped = self._displacement(lock.of)
+        return value - lock.law if isinstance(lock, Motion) else value, wrapped
+
+    def _displacement(self, of: AnyJoint | SpatialFreedom | tuple[Body, Body] | ca.SX) -> tuple[ca.SX, bool]:
+        if isinstance(of, ca.SX):
+            return of, False
+        if isinstance(of, SpatialJoint | SpatialFreedom):
+            return of.free, of.wrapped
+        if isinstance(of, Joint):
+            turns = of.kind == "revolute"
+            bodies, value = (of.first.body, of.second.body), self.free(of)
         else:
-            turns, bodies = True, lock.of
+            turns, bodies = True, of
             value = self.frame(bodies[1]).angle - self.frame(bodies[0]).angle
         return value, turns and any(self.frame(body).wrapped for body in bodies)
 
@@ -199,6 +218,9 @@ class Kinematics:
                 return ca.norm_2(closure.second.place - closure.first.place) - closure.length
             square, length = self._apart(closure)
             return ca.sqrt(square + 1e-300) - length
+        if isinstance(closure, Motion) and self.locked(closure)[1]:
+            beside = self._beside(closure)
+            return ca.atan2(ca.sin(beside), ca.cos(beside))
         return self.residual(closure, direction)
 
     def residual(self, closure: Closure, direction: str) -> ca.SX:
@@ -217,9 +239,9 @@ class Kinematics:
             return closure.residual(self, direction)
         if isinstance(closure, SpatialJoint):
             return closure.residual(direction)
-        if isinstance(closure, Lock):
-            value, wrapped = self.locked(closure)
-            return ca.sin(value - closure.value) if wrapped else value - closure.value
+        if isinstance(closure, Lock | Motion):
+            beside = self._beside(closure)
+            return ca.sin(beside) if self.locked(closure)[1] else beside
         if direction == "length":
             square, length = self._apart(closure)
             return (square - length**2) / (2 * length)
@@ -236,6 +258,11 @@ class Kinematics:
             return second.angle - first.angle - closure.angle
         ex, ey = first.turn(*_cis(closure.angle))
         return ex * second.ey - ey * second.ex
+
+    def _beside(self, closure: Lock | Motion) -> ca.SX:
+        """How far a displacement is from where a lock or a motion keeps it."""
+        value, _ = self.locked(closure)
+        return value if closure.value is None else value - closure.value
 
     def _apart(self, closure: Joint | Rigidity) -> tuple[ca.SX, Scalar]:
         """The square of the distance of two points, and the distance that a closure keeps between them."""
@@ -305,8 +332,8 @@ class Kinematics:
     def _by_joint(self, body: Body, joint: Joint) -> Frame:
         e = self.eps.get(joint, {})
         ex, ey, er = e.get("x", 0), e.get("y", 0), e.get("rotation", 0)
-        angle = joint.coordinate if joint.kind == "revolute" else joint.angle + er
-        along = joint.coordinate if joint.kind == "prismatic" else 0.0
+        angle = joint.coordinate + e.get(FREE, 0) if joint.kind == "revolute" else joint.angle + er
+        along = joint.coordinate + e.get(FREE, 0) if joint.kind == "prismatic" else 0.0
         across = joint.offset + e.get("normal", 0)
         forward = body is joint.second.body
         if forward:
@@ -347,7 +374,7 @@ def derive(mechanism: Mechanism) -> Equations:
     coordinate can close, an expression with a foreign symbol.
     """
     m = mechanism
-    if not m.coordinates and not m.states:
+    if not m.coordinates and not m.states and not m.moves:
         raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate, or a state")
     for body in m.spatial_bodies:
         if not body.is_placed:
@@ -355,12 +382,19 @@ def derive(mechanism: Mechanism) -> Equations:
                 f"{m.name}: nothing places {body.name}{m.declared_at(body.name)}, a body in relative coordinates; give "
                 "a joint that ends on it its coordinate"
             )
-    coordinates = m.coordinates or (_rest(),)
+    coordinates = m.coordinates or (() if m.moves else (_rest(),))
     q, v, a = (stack([getattr(c, letter) for c in coordinates]) for letter in "qva")
-    locks = [closure for closure in m.closures if isinstance(closure, Lock)]
+    own, n, t = (q, v), q.numel(), m.time
+    if m.moves:
+        q, t = ca.vertcat(q, m.time), ca.SX.sym("t")
+        v, a = (ca.vertcat(x, ca.SX.sym(f"time_{letter}")) for x, letter in ((v, "v"), (a, "a")))
+    locks = [c for c in m.closures if isinstance(c, Lock) or (isinstance(c, Motion) and c.value is not None)]
+    begin = ca.SX.sym("begin")
+    kept = [("time", begin), *(("signal", x) for signal in m.signals for x in signal.numbers)] if m.moves else []
     inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])
-    u, p = ca.vertcat(inputs, x), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
-    s, t = stack([x.symbol for x in m.starts]), m.time
+    u = ca.vertcat(inputs, x)
+    p = stack([x.symbol for x in m.parameters] + [x.value for x in locks] + [x for _, x in kept])
+    s = stack([x.symbol for x in m.starts])
 
     plain = Kinematics(m)
     held = _held(m, plain)
@@ -369,7 +403,7 @@ def derive(mechanism: Mechanism) -> Equations:
     lam = ca.SX.sym("lam", len(rows))
 
     X, W = _inertia(m, plain, pivoted=True)
-    Xq = ca.jacobian(X, q)
+    Xq = ca.jacobian(X, own[0])
     Xv = ca.jtimes(X, q, v)
     bias = ca.jtimes(Xv, q, v)
     M = Xq.T @ W @ Xq
@@ -378,12 +412,13 @@ def derive(mechanism: Mechanism) -> Equations:
     motion, placed = space.SpatialMotion(m, q, v), space.relative_bodies(m)
     if placed:
         carried = motion.mass_matrix(placed)
-        M, d, T = M + carried, d + motion.along(motion.inertial(placed)), T + ca.dot(v, carried @ v) / 2
+        M, d = M + carried[:n, :n], d + motion.along(motion.inertial(placed))[:n]
+        T += ca.dot(v, carried @ v) / 2
     if m.kinetic:
         extra = sum(m.kinetic, ca.SX(0))
-        momentum = ca.gradient(extra, v)
-        M += ca.jacobian(momentum, v)
-        d += ca.jtimes(momentum, q, v) - ca.gradient(extra, q)
+        momentum = ca.gradient(extra, own[1])
+        M += ca.jacobian(momentum, own[1])
+        d += ca.jtimes(momentum, q, v) - ca.gradient(extra, own[0])
         T += extra
 
     V = _potential(m, plain)
@@ -399,14 +434,19 @@ def derive(mechanism: Mechanism) -> Equations:
         f += motion.along(space.gravity(m, placed))
         V -= sum((body.mass * ca.dot(stack(m.gravity_vector), body.position) for body in placed), ca.SX(0))
 
-    if not m.coordinates:
+    if not m.coordinates and not m.moves:
         M = ca.SX.eye(1)
-    C = ca.jacobian(Phi, q)
-    slips, slipping = _slips(m, plain, closures, q, v)
+    C = ca.jacobian(Phi, own[0])
+    slips, slipping = _slips(m, plain, closures, q, v, own[1])
     C += slipping
     _check_held_or_heavy(m, plain, M, C)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v) + slips, q, v)  # (3)
     gaps = signs * stack([plain.gap(*c) for c in closures])
+    moving: dict[str, ca.SX] = {}
+    if m.moves:
+        moving["Phi_dot"] = ca.jtimes(Phi, q, v) + slips
+        moving["motion_power"] = _motion_power(M, d, T, V, moving["Phi_dot"], f_applied, (q, v, a), lam)
+        M, d, f, C = _with_time(M, d, f, C, ca.diag(W))
 
     # Everything a user can read.
     values: list[Scalar] = []
@@ -422,13 +462,13 @@ def derive(mechanism: Mechanism) -> Equations:
     reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam, relations)
     values += reactions
     outputs += reaction_outputs
-    for relation, own in relations:
-        for suffix, value, unit, text in relation.readings(plain, own):
+    for relation, its in relations:
+        for suffix, value, unit, text in relation.readings(plain, its):
             values.append(value)
             outputs.append(Variable(f"{relation.name}.{suffix}", unit, description=text))
-    efforts_of_locks, lock_outputs = _locking(locks, closures, lam)
-    values += efforts_of_locks
-    outputs += lock_outputs
+    for efforts_kept, kept_outputs in (_locking(locks, closures, lam), _driving(closures, lam)):
+        values += efforts_kept
+        outputs += kept_outputs
     efforts_in_space = _efforts_in_space(m, plain, q, v)
     spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
     values += spatial_values
@@ -469,7 +509,7 @@ def derive(mechanism: Mechanism) -> Equations:
     instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
 
-    guess = _guess(coordinates)
+    guess = _guess(m, coordinates, begin)
     sdot = ca.SX.sym("sdot", len(m.starts))
     tied, ties = _ties(m)
     passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if u.numel() else f_applied
@@ -482,9 +522,9 @@ def derive(mechanism: Mechanism) -> Equations:
         "Phi": Phi,
         "C": C,
         "xi": xi,
-        "displacements": stack([plain.locked(lock)[0] for lock in locks]),
+        "displacements": stack([*(plain.locked(lock)[0] for lock in locks), *(0.0 for _ in kept)]),
         "gaps": gaps,
-        "gaps_matrix": ca.jacobian(gaps, q) + slipping,
+        "gaps_matrix": _still(ca.jacobian(gaps, own[0]) + slipping, n, m.moves),
         "kinetic_energy": T,
         "potential_energy": V,
         "input_power": ca.dot(f_applied - passive, v),
@@ -492,14 +532,16 @@ def derive(mechanism: Mechanism) -> Equations:
         "state_rates": _state_rates(m),
         "readings": y,
         "guess": guess,
-        "guess_rate": ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape),
+        "guess_rate": (ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape))
+        + (ca.jacobian(guess, begin) if m.moves else 0),
         "ties": ties,
-        "ties_matrix": ca.jacobian(ties, q),
+        "ties_matrix": _still(ca.jacobian(ties, own[0]), n, m.moves),
+        **moving,
     }
     equations = Equations(
         name=m.name,
         description=m.description,
-        coordinates=[Variable(c.name, c.unit) for c in coordinates],
+        coordinates=[*(Variable(c.name, c.unit) for c in coordinates), *[Variable("time", "s")] * m.moves],
         parameters=[Variable(x.name, x.unit, x.default, x.minimum, x.maximum, x.description) for x in m.parameters],
         starts=[Variable(f"start.{x.name}", x.unit, x.value, description=x.description) for x in m.starts],
         start_rates=[
@@ -509,7 +551,7 @@ def derive(mechanism: Mechanism) -> Equations:
         tied=tied,
         inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
         states=states,
-        resting=not m.coordinates,
+        resting=not m.coordinates and not m.moves,
         outputs=outputs,
         rows=rows,
         lengths=[
@@ -520,9 +562,11 @@ def derive(mechanism: Mechanism) -> Equations:
         slips=[i for i, (c, k) in enumerate(closures) if isinstance(c, Relation) and c.slip(plain, k) is not None],
         compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
-        held=[lock.name for lock in locks],
+        held=[*(lock.name for lock in locks), *(name for name, _ in kept)],
+        timed=m.moves,
+        followed=_followed(m),
         wrapped=wrapped,
-        works=not f_applied.is_zero(),
+        works=m.moves or not f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
         step_size=m.experiment.step_size,
         interval=m.experiment.communication_step or m.experiment.step_size,
@@ -547,6 +591,62 @@ def _state_rates(m: Mechanism) -> ca.SX:
                 "derivative()"
             )
     return stack([state.rate for state in m.states])
+
+
+def _motion_power(
+    M: ca.SX,
+    d: ca.SX,
+    T: ca.SX,
+    V: ca.SX,
+    Phi_dot: ca.SX,
+    f_applied: ca.SX,
+    motion: tuple[ca.SX, ca.SX, ca.SX],
+    lam: ca.SX,
+) -> ca.SX:
+    """Power [W] of what moves by itself: the rate of the energies less the power of efforts, on the motion of (4).
+
+    There v' (M a + d - f) = -v' C' lam = Phi_t' lam, so that what energies lack is in multipliers and in what T and V
+    themselves depend on time.
+    """
+    q, v, a = motion
+    n, time, rate = M.shape[0], q[-1], v[-1]
+    power = -f_applied[n] * rate
+    if lam.numel():
+        power += ca.dot(ca.jacobian(Phi_dot, rate), lam) * rate
+    if ca.depends_on(ca.vertcat(T, V), ca.vertcat(time, rate)):
+        power += ca.jtimes(T, v, a) + ca.jtimes(T, q, v) + ca.jacobian(V, time) * rate
+        if n:
+            power -= ca.dot(v[:n], M @ a[:n] + d)
+    return power
+
+
+def _with_time(M: ca.SX, d: ca.SX, f: ca.SX, C: ca.SX, w: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """The terms of (4) and (3) with time as the last coordinate, which no force moves."""
+    n = M.shape[0]
+    size = STEADY * (ca.sum1(w) / w.numel() if w.numel() and not w.is_zero() else 1)
+    return (
+        ca.diagcat(M, size),
+        ca.vertcat(d, 0),
+        ca.vertcat(*ca.vertsplit(f)[:n], 0),
+        ca.horzcat(C, ca.SX(C.shape[0], 1)),
+    )
+
+
+def _still(matrix: ca.SX, n: int, moves: bool) -> ca.SX:
+    """The derivative of something by n coordinates, with an empty column for time where that is one."""
+    return ca.horzcat(matrix[:, :n], ca.SX(matrix.shape[0], int(moves)))
+
+
+def _followed(m: Mechanism) -> list[Followed]:
+    """What the runtime makes of inputs that move something; DeclarationError where companions of others do nothing."""
+    places = {i.name: k for k, i in enumerate(m.inputs)}
+    for each in m.inputs:
+        if each.derivatives and not any(signal.input is each for signal in m.signals):
+            raise DeclarationError(
+                f"{m.name}: the input {each.name} has derivatives and moves nothing{m.declared_at(each.name)}; leave "
+                "derivatives out, or use it in a motion, a place or a constraint"
+            )
+    return [Followed(places[x.name], x.derivatives, x.order, x.jump) for x in (signal.input for signal in m.signals)]
 
 
 def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:
@@ -670,14 +770,16 @@ def _relations(m: Mechanism, closures: list[Closing], lam: ca.SX) -> list[tuple[
     ]
 
 
-def _slips(m: Mechanism, kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Velocities that non-holonomic rows keep at zero, zero in other rows, and their rows of C."""
+def _slips(
+    m: Mechanism, kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX, own: ca.SX
+) -> tuple[ca.SX, ca.SX]:
+    """Velocities that non-holonomic rows keep at zero, zero in other rows, and their rows of C, by `own` rates."""
     rows = []
     for closure, direction in closures:
         slip = closure.slip(kinematics, direction) if isinstance(closure, Relation) else None
         rows.append(sum((ca.jtimes(x, q, v) * n for n, x in slip or ()), ca.SX(0)))
     slips = stack(rows)
-    return slips, ca.jacobian(slips, v)
+    return slips, ca.jacobian(slips, own)
 
 
 def _slid(closing: Closing, plain: Kinematics, moved: Kinematics) -> ca.SX:
@@ -702,8 +804,8 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
         sign, directions = 1.0, ("length",)
         if isinstance(closure, Constraint):
             directions = ("",)
-        elif isinstance(closure, Lock):
-            directions = ("locked",)
+        elif isinstance(closure, Lock | Motion):
+            directions = ("locked" if isinstance(closure, Lock) else "motion",)
         elif isinstance(closure, SpatialJoint | Relation):
             directions = closure.directions
         elif isinstance(closure, Joint):
@@ -713,7 +815,7 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
                 sign = -1.0
         for direction in directions:
             turning = direction.startswith("rotation")
-            own = isinstance(closure, Constraint | Lock | Relation)
+            own = isinstance(closure, Constraint | Lock | Motion | Relation)
             unit = closure.unit if own else "rad" if turning else "m"
             rows.append(Row(closure.name, direction, unit))
             closures.append((closure, direction))
@@ -734,28 +836,44 @@ def _compliances(rows: list[Row]) -> list[Variable]:
     ]
 
 
-def _locking(locks: list[Lock], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+def _locking(locks: list[Lock | Motion], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
     """Effort of each lock, in the direction in which its displacement grows."""
     values, outputs = [], []
     for lock in locks:
-        values.append(-lam[closures.index((lock, "locked"))])
-        what, unit = ("torque", "N.m") if lock.unit == "rad" else ("force", "N")
-        outputs.append(Variable(f"{lock.name}.locking_{what}", unit, description=f"{what} of the lock of {lock.name}"))
+        if isinstance(lock, Lock):
+            values.append(-lam[closures.index((lock, "locked"))])
+            what, unit = _effort(lock)
+            text = f"{what} of the lock of {lock.name}"
+            outputs.append(Variable(f"{lock.name}.locking_{what}", unit, description=text))
     return values, outputs
 
 
-def _switches(m: Mechanism, locks: list[Lock], closures: list[Closing]) -> list[Switch]:
+def _driving(closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+    """Effort that each motion takes, in the direction in which its displacement grows."""
+    values, outputs = [], []
+    for i, (motion, _) in enumerate(closures):
+        if isinstance(motion, Motion):
+            values.append(-lam[i])
+            what, unit = _effort(motion)
+            name = "driving_force" if getattr(motion.of, "kind", "") == "prismatic" else what
+            text = f"{what} that the motion of {motion.name} takes"
+            outputs.append(Variable(f"{motion.name}.{name}", unit, description=text))
+    return values, outputs
+
+
+def _effort(kept: Lock | Motion) -> tuple[str, str]:
+    return ("torque", "N.m") if kept.unit == "rad" else ("force", "N")
+
+
+def _switches(m: Mechanism, locks: list[Lock | Motion], closures: list[Closing]) -> list[Switch]:
     """Boolean inputs, locks first, each kind in the order of declaration."""
-    switches = [
-        Switch(
-            f"{lock.name}.locked",
-            [closures.index((lock, "locked"))],
-            True,
-            i,
-            description=f"stop the motion of {lock.name}",
-        )
-        for i, lock in enumerate(locks)
-    ]
+    switches = []
+    for i, lock in enumerate(locks):
+        moving = isinstance(lock, Motion)
+        name, text = ("driven", "put {} in force: the motion") if moving else ("locked", "stop the motion")
+        row = closures.index((lock, "motion" if moving else "locked"))
+        text = f"{text.format('the law')} of {lock.name}"
+        switches.append(Switch(f"{lock.name}.{name}", [row], True, i, description=text))
     for closure in m.releases:
         rows = [i for i, (each, _) in enumerate(closures) if each is closure]
         if not rows:
@@ -774,10 +892,12 @@ def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tup
     """
     X: list[Scalar] = []
     w: list[Scalar] = []
+    moves = ca.vertcat(*(c.q for c in m.coordinates), m.time)
     for body in m.bodies:
         frame = kinematics.frame(body)
         hinge = body.placed_by
-        if pivoted and hinge is not None and hinge.kind == "revolute" and hinge.first.body is m.ground:
+        still = hinge is not None and hinge.kind == "revolute" and hinge.first.body is m.ground
+        if pivoted and still and not ca.depends_on(ca.vertcat(*kinematics.place(hinge.first)), moves):
             arm = (body.center[0] - hinge.second.x) ** 2 + (body.center[1] - hinge.second.y) ** 2
             X.append(frame.angle)
             w.append(body.inertia + body.mass * arm)
@@ -880,7 +1000,21 @@ _REACTIONS = {
     "rotation": ("moment", "N.m", "moment on {second} from {first}, about the joint's point on {second}"),
     "normal": ("force", "N", "force on {second} from {first}, along the left normal of the guide"),
     "length": ("force", "N", "force on {second} from {first}, positive when the joint pushes"),
+    f"{FREE} revolute": ("torque", "N.m", "torque that the motion takes, on {second} from {first}"),
+    f"{FREE} prismatic": ("driving_force", "N", "force that the motion takes, on {second} from {first}"),
 }
+
+
+def _suppressed(m: Mechanism, joint: Joint) -> tuple[str, ...]:
+    """The directions of a joint that have a reaction: also that in which a law in place of a coordinate moves it."""
+    law = joint.kind in ("revolute", "prismatic") and isinstance(joint.coordinate, ca.SX)
+    if (
+        law
+        and ca.depends_on(joint.coordinate, m.time)
+        and not ca.depends_on(joint.coordinate, stack([c.q for c in m.coordinates]))
+    ):
+        return (*joint.directions, FREE)
+    return joint.directions
 
 
 def _reactions(
@@ -897,7 +1031,7 @@ def _reactions(
     """Reaction of every joint along every direction it suppresses, on the second body from the first."""
     if not m.joints:
         return [], []
-    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in j.directions} for j in m.joints}
+    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in _suppressed(m, j)} for j in m.joints}
     # A direction that a constraint closes is displaced in the constraint, any other one in the kinematics.
     in_frames = {
         j: {k: e for k, e in eps[j].items() if j.coordinate is not None or k in held.get(j, ())} for j in m.joints
@@ -925,8 +1059,8 @@ def _reactions(
             r[which[joint, direction]] += value
     outputs = []
     for joint in m.joints:
-        for direction in joint.directions:
-            suffix, unit, text = _REACTIONS[direction]
+        for direction in eps[joint]:
+            suffix, unit, text = _REACTIONS[f"{FREE} {joint.kind}" if direction == FREE else direction]
             text = text.format(first=joint.first.body.name, second=joint.second.body.name)
             outputs.append(Variable(f"{joint.name}.{suffix}", unit, description=text))
     return ca.vertsplit(r), outputs
@@ -986,8 +1120,8 @@ def _watched(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
     return values, outputs
 
 
-def _guess(coordinates: Sequence[Coordinate]) -> ca.SX:
-    """Guesses of the coordinates in parameters and start values alone."""
+def _guess(m: Mechanism, coordinates: Sequence[Coordinate], begin: ca.SX) -> ca.SX:
+    """Guesses of the coordinates in parameters and start values alone, and in the time at which the run begins."""
     resolved: dict[int, ca.SX] = {}
     for c in coordinates:
         guess = symbolic(c.guess)
@@ -995,7 +1129,8 @@ def _guess(coordinates: Sequence[Coordinate]) -> ca.SX:
         if before:
             guess = ca.substitute(guess, stack(before), stack([resolved[key_of(b)] for b in before]))
         resolved[key_of(c.q)] = guess
-    return stack(list(resolved.values()))
+    guess = stack(list(resolved.values()))
+    return ca.vertcat(ca.substitute(guess, m.time, begin), begin) if m.moves else guess
 
 
 def _ties(m: Mechanism) -> tuple[list[int], ca.SX]:

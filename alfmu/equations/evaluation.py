@@ -43,9 +43,11 @@ ARGUMENTS = {
         "guess_rate": "p s sdot",
         "ties": "q p s",
         "ties_matrix": "q p s",
+        "Phi_dot": "q v p",
+        "motion_power": "q v a lam u p t",
     }.items()
 }
-"""What each function of the equations depends on."""
+"""What each function of the equations depends on; the last two are there where time is a coordinate."""
 
 EVALUATED = {
     "dynamics": 2,
@@ -93,7 +95,7 @@ def evaluable(equations: Equations) -> Equations:
     closure = [e.gaps_matrix(q, p), e.ties_matrix(q, p, s), e.gaps(q, p), e.ties(q, p, s)]
     results = {
         "dynamics": ([q, v, u, p, t], [M, C, e.f(q, v, u, p, t) - e.d(q, v, p), e.xi(q, v, p)]),
-        "constraints": ([q, v, p], [M, C, Phi, C @ v]),
+        "constraints": ([q, v, p], [M, C, Phi, e.Phi_dot(q, v, p) if e.timed else C @ v]),
         "power": ([q, v, u, p, t], [power]),
         "energy": ([q, v, p], [kinetic + e.potential_energy(q, p), kinetic]),
         "closure": ([q, p, s], closure),

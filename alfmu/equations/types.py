@@ -14,7 +14,7 @@ from ..model.words import Brief
 if TYPE_CHECKING:
     import casadi as ca
 
-__all__ = ["Equations", "Mobility", "Row", "Signature", "Switch", "Variable"]
+__all__ = ["Equations", "Followed", "Mobility", "Row", "Signature", "Switch", "Variable"]
 
 Signature = dict[str, Any]
 """Of a function: `inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns,
@@ -53,6 +53,19 @@ class Switch(Brief):
     """Place among `Equations.held` of the displacement that a lock keeps; -1 where nothing is kept."""
     start: bool = False
     description: str = ""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """An input that moves something: its place among the inputs, and how it goes on inside a communication step."""
+
+    input: int
+    derivatives: int
+    """Companions that follow it among the inputs: none, its rate, or its acceleration too."""
+    order: int
+    """Of the polynomial by which the highest derivative given goes on."""
+    jump: float
+    """Largest difference [in its unit] of a value and of what the motion has reached."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +125,13 @@ class Equations:
     ties_matrix(q, p, s)             its derivative with respect to q
     ===============================  ======================================================  ======================
 
+    Where places, constraints or energies depend on time, time is the last coordinate, its rate is 1, and there are also
+
+    ========================================  ==================================================================
+    Phi_dot(q, v, p)                          C v + Phi_t (l,), linear in v
+    motion_power(q, v, a, lam, u, p, t)       power of what moves by itself, W
+    ========================================  ==================================================================
+
     Those that are evaluated with numbers are combined by `alfmu.equations.evaluation`, and traced into a kernel by
     `alfmu.kernel.trace`.
     """
@@ -167,11 +187,16 @@ class Equations:
     switches: Sequence[Switch] = ()
     """Boolean inputs that change the topology."""
     held: list[str] = field(default_factory=list)
-    """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them."""
+    """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them. Behind
+    them, where time is a coordinate, the time at which the run began and the numbers of signals."""
     states: Sequence[Variable] = ()
     """Quantities of first-order equations that are integrated with the motion; `start` is their value at the start."""
     resting: bool = False
     """Whether the one coordinate stands for none: of states alone, it never moves."""
+    timed: bool = False
+    """Whether time is the last coordinate."""
+    followed: Sequence[Followed] = ()
+    """Inputs that move something."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""
@@ -203,6 +228,11 @@ class Equations:
     def driven(self) -> int:
         """Length of u: inputs, and behind them states."""
         return len(self.inputs) + len(self.states)
+
+    @property
+    def dependent(self) -> int:
+        """Number of coordinates without time."""
+        return self.n - self.timed
 
     @property
     def turns(self) -> bool:

@@ -377,6 +377,8 @@ class _Collocation(_Implicit):
                 self._place(self.calls, i)
                 known = f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"
                 self.calls.made.append(Call("power", known, (f"power{i}",)))
+                self.tracer._supply(self.calls, i, {"u": self.inputs(i)})
+                self.tracer._supplied(self.calls, i)
             powers = [f"power{i}" for i in self.nodes]
 
         def found(z: SX, dt: SX, rates: SX, *powers: SX) -> tuple[SX, ...]:
@@ -441,7 +443,7 @@ class _Newmark(_Implicit):
         self._moved(calls)
         for _ in range(RETURNS * bool(l)):
             self._returned("q1", "closing", "q1", lambda q: self.e.Phi(q, self.scene.p))
-            self._returned("v1", "slowing", "q1 v1", lambda q, v: self.e.C(q, self.scene.p) @ v)
+            self._returned("v1", "slowing", "q1 v1", lambda q, v: self.scene.speed(q, v, self.e.C(q, self.scene.p)))
         self._settled()
         self.end(["watch0", "watch1"], 3, ("history", "kept"))
         return Program(calls.steps, self.plan, self.rule.name, 2, 0, self.count)
@@ -517,6 +519,8 @@ class _Newmark(_Implicit):
             # Steps of one length have no error to be judged by, but must have converged.
             return work, ca.if_else(size <= implicit.CONVERGED, 0, math.inf), SX(0)
 
+        self.tracer._supply(calls, "0", {"u": self.inputs("0")})
+        self.tracer._supplied(calls, "0")
         calls("arrived", f"t1 q1 v1 {u} p k", "q v power1" + " pivot left" * bool(l), arrived)
         # Of all accelerations that keep the constraints, the nearest in the metric of M.
         rates = ""
@@ -525,6 +529,10 @@ class _Newmark(_Implicit):
             calls.made.append(Call("state_rates", ("q1", "v1", u, "p", "t1"), (rates,)))
             calls("states_after", "x1", "x", lambda x: x)
         calls("nearest", spaced(f"t1 q1 v1 begun change after_w force {u}", rates, "p k"), "kept watch1", nearest)
+        if self.tracer.supplies:
+            calls("accelerated", "begun change", "a1", lambda a, change: a + change)
+            self.tracer._supply(calls, "1", {"u": u, "lam1": "force"})
+            self.tracer._supplied(calls, "1")
         calls("method_sum", "z step power0 power1 size", "work error floor", summed)
 
 

@@ -52,7 +52,8 @@ def standalone(equations: Equations) -> Equations:
     kernel |= {name: program for name, program in e.kernel.items() if name in _APART}
     if tracer.reads_quickly():
         kernel["instant_quick"] = tracer.instant_quick()
-        if "method" not in kernel and not tracer.timed():
+        # The work of what moves by itself is not handed on.
+        if "method" not in kernel and not (e.timed or tracer.timed()):
             kernel["onward"] = tracer.onward(kernel["quick"])
     if "reach" in kernel:
         kernel["reach"] = Program((Choice("within", zero=kernel["reach"].steps),))
@@ -204,7 +205,7 @@ class _Patient(Alternatives):
         def begun(z: SX) -> list[SX]:
             _, q, v = self._position(z)
             M, C, F, _ = scene.terms(SX(0), q, v, nothing)
-            return scene.begun((M, C, 0 * F, -C @ v))
+            return scene.begun((M, C, 0 * F, -scene.speed(q, v, C) if e.timed else -C @ v))
 
         def end(z: SX, M: SX, dv: SX, lam: SX) -> tuple[SX, SX, SX]:
             return z[e.n : 2 * e.n] + dv, -lam / scene.scale, dv.T @ M @ dv / 2 / scene.scale
@@ -321,7 +322,9 @@ class _Patient(Alternatives):
         end("unreached", watch, "unreached", lambda watch: 1 - (watch[0] < ca.inf))
         self.place(last, f"q{i}", "placed")
         self._brought(last, f"q{i}", "placed", f"v{i}")
-        self.evaluation(last, "0", {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": watch}, most="patient")
+        names = {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": watch}
+        self.evaluation(last, "0", names, most="patient")
+        self._supply(last, "0", names, f"supplied{i}")
 
         def given_up(watch: SX) -> SX:
             lost = scene.unconverged(plan, [Watch.of(watch)])

@@ -93,6 +93,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     alike = {
         "t tz tl tn step arrival power powern work pivot here zone zonen spacing stretched near slow singular error": 1,
         "read_power renew before passes size most patient again projects within floor": 1,
+        "supply supplied suppliedn": 1,
         "left stabilisation": 2,
         "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
         "q qz ql qn v vz vl vn a al an da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
@@ -198,6 +199,18 @@ class Scene:
 
     def power(self, t: SX, q: SX, v: SX, u: SX) -> SX:
         return self.e.power(q, v, u, self.p, t) if self.e.works else SX(0)
+
+    def supply(self, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX) -> SX:
+        """Power of what moves by itself, where time is a coordinate."""
+        return self.e.motion_power(q, v, a, lam / self.scale, u, self.p, t)
+
+    def speed(self, q: SX, v: SX, C: SX) -> SX:
+        """Phi-dot: what (2) lacks, of velocities or of displacements along them."""
+        return self.e.Phi_dot(q, v, self.p) if self.e.timed else C @ v
+
+    def _own(self, x: SX) -> SX:
+        """Entries of dependent coordinates alone."""
+        return x[: self.e.dependent] if self.e.dependent else SX(0, 1)
 
     def evaluated(self, t: SX, q: SX, v: SX, u: SX) -> list[SX]:
         """MATRICES; a and lam after the first iteration, power, watch."""
@@ -396,7 +409,7 @@ class Scene:
         sizes = ca.sqrt(together @ ca.diag(K))
         scale = ca.diag(ca.if_else(sizes > 0, 1 / sizes, 0))
         pivots = ca.ldl(scale @ K @ scale + _ALONE * SX.eye(self.e.l), False)[0]
-        usual = self.e.l - (self.e.n - self.settings.freedom)
+        usual = self.e.l - (self.e.dependent - self.settings.freedom)
         return ca.sum1(pivots < branch.BRANCH_MARGIN) > usual
 
     def _margin_at(self, q: SX) -> SX:
@@ -406,7 +419,7 @@ class Scene:
     def spacing(self, share: float, v: SX, dt: SX) -> SX:
         """S4: distance [s] of places along v; a step may be too short to tell the places apart."""
         spacing = share * dt
-        return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(ca.mmax(ca.fabs(v)), _TINY))
+        return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(ca.mmax(ca.fabs(self._own(v))), _TINY))
 
     def probed(self, q: SX) -> tuple[SX, ...]:
         """The margin at q, whether a limit may have to be taken there, no spacing yet; also q after a correction (10),
@@ -441,13 +454,23 @@ class Scene:
         seen = [Watch.of(x) for x in watches]
         return a, _worst(seen, seen[0].near, seen[0].margin)
 
+    def mean_of(self, values: Sequence[SX], side: int) -> SX:
+        """S4: the limit of a number."""
+        return branch.mean(dict(zip(branch.weights(side), values, strict=True)))
+
     def returned(self, q: SX, wanted: SX, v: SX) -> tuple[SX, SX]:
         """S3: q displaced along the motion to the place nearest to the wanted one, and the v of that motion."""
         mass, heavy = branch.INDEPENDENT_MASS / branch.NOISE_FLOOR * self.settings.nothing, SX(self.e.n, 1)
         for i in self.e.telling:
             heavy[i] = mass / self.inverse_scales[i]
         M, C, _, solve = self._augmented(q)
-        return branch.returned(M, C, self.weights, solve, heavy, q, wanted, v)
+        if not self.e.timed:
+            return branch.returned(M, C, self.weights, solve, heavy, q, wanted, v)
+
+        def speed(x: SX) -> SX:
+            return self.speed(q, x, C)
+
+        return branch.returned(M, C, self.weights, solve, heavy, q, wanted, v, speed, ca.vertcat(self._own(v), 0))
 
     def read_places(self, q: SX, v: SX, dt: SX) -> list[SX]:
         """S4: the places from which a limit is read; not finite where they cannot be told from the position itself."""
@@ -488,9 +511,9 @@ class Scene:
         M, C, D, solve = self._augmented(q)
         q = self._closer(M, C, solve, q)
         after = self.e.C(q, self.p)
-        Cv = after @ v
+        Cv = self.speed(q, v, after)
         v = v + method.project_residual(M, C, self.weights, solve, Cv, lambda d: Cv + C @ d)
-        return q, v, ca.mmin(D), self._residues(q, after @ v)
+        return q, v, ca.mmin(D), self._residues(q, self.speed(q, v, after))
 
     def placed(self, q: SX) -> SX:
         """q after a correction (10)."""
@@ -501,9 +524,9 @@ class Scene:
         """v after corrections (10), the smallest pivot, and the residues (squared) of q and v."""
         M, C, D, solve = self._augmented(q)
         for _ in range(corrections):
-            Cv = C @ v
+            Cv = self.speed(q, v, C)
             v = v + method.project_residual(M, C, self.weights, solve, Cv, lambda d, Cv=Cv: Cv + C @ d)
-        return v, ca.mmin(D), self._residues(q, C @ v)
+        return v, ca.mmin(D), self._residues(q, self.speed(q, v, C))
 
     def open(self, q: SX) -> SX:
         """Whether q does not keep the constraints well enough."""
@@ -586,6 +609,8 @@ class Scene:
         change = known.get("error", sum(x.change for x in evaluations) / (evaluations[0].size + _TINY))
         angles = self._unwrapped(q, z[2 * e.n : layout.work])
         arrival = known["arrival"] if "arrival" in known else z[layout.time] + known["dt"]
+        if e.timed:
+            q, v = ca.vertcat(self._own(q), arrival), ca.vertcat(self._own(v), 1)
         return ca.vertcat(q, v, angles, work, x, arrival, z[layout.trouble] + trouble, change, pivot, near)
 
     # What is read --------------------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from ..equations.interface import (
 )
 from ..method import formulations, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
+from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from . import memory, thresholds
 from .alternatives import OWN
@@ -52,7 +53,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 8
+VERSION = 9
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -227,6 +228,7 @@ def layout_header() -> str:
         "NOISE": stepping.NOISE,
         "UNBALANCED": UNBALANCED,
         "ROUND_OFF": ROUND_OFF,
+        "POLYNOMIAL": 1 + COEFFICIENTS,
     }
     for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):
         found |= {vector: len(names), **{f"{vector}_{name.upper()}": i for i, name in enumerate(names)}}
@@ -419,7 +421,9 @@ class _Table:
             w.text(r.name)
             w.text(r.direction)
             w.text(r.unit)
-        w.reals(np.random.default_rng(0).standard_normal((max(thresholds.TRIES, thresholds.RANKED), e.n)).ravel())
+        normal = np.random.default_rng(0).standard_normal((max(thresholds.TRIES, thresholds.RANKED), e.n))
+        normal[:, e.dependent :] = 0.0
+        w.reals(normal.ravel())
         closure, constraints = (e.signatures[name]["outputs"] for name in ("closure", "constraints"))
         for shape in (*constraints[:2], *closure[:2]):
             self._pattern(w, shape)
@@ -430,6 +434,16 @@ class _Table:
         w.integer(len(self.programs))
         for words in self.programs:
             w.integers(words)
+        if e.timed:
+            self._followed(w)
+
+    def _followed(self, w: Writer) -> None:
+        """Inputs that move something."""
+        w.integer(len(self.e.followed))
+        for each in self.e.followed:
+            for number in (each.input, each.derivatives, each.order):
+                w.integer(number)
+            w.real(each.jump)
 
     @staticmethod
     def _texts(w: Writer, values: Iterable[str]) -> None:

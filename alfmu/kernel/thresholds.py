@@ -101,6 +101,10 @@ with four the five-bar, which starts at a singular position, stops."""
 FEW_RANKED = 2
 """number of places [1]: the same where coordinates are many, along the motion."""
 
+LATER = 0.1
+"""time [s]: where places depend on time, those around the start are this much later or earlier, a tenth, a hundredth
+and a thousandth of it too, as laws are fast or slow; the start may be singular whatever the coordinates."""
+
 TORN = 0.3
 """gap that a step leaves over its largest displacement [1]: a step that opens more than this is refused; corrections
 (10) would lead to another assembly."""

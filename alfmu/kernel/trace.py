@@ -277,6 +277,8 @@ class Tracer:
                 self._on_branch(calls, str(i), u, length, i == 1)
             else:
                 self.evaluation(calls, str(i), {"u": u})
+                self._supply(calls, str(i), {"u": u})
+            self._supplied(calls, str(i))
             known = f"v{i} a{i} power{i}"
             if self.e.states:
                 calls.made.append(Call("state_rates", (f"q{i}", f"v{i}", u, "p", f"t{i}"), (f"xdot{i}",)))
@@ -327,7 +329,9 @@ class Tracer:
         for place, a, watch in zip(places, accelerations, watches, strict=True):
             self.place(limit, place, "placed")
             self._brought(limit, place, "placed", f"v{i}")
-            self.evaluation(limit, "0", {"u": u, "t0": f"t{i}", "a0": a, "watch0": watch})
+            names = {"u": u, "t0": f"t{i}", "a0": a, "watch0": watch}
+            self.evaluation(limit, "0", names)
+            self._supply(limit, "0", names, place.replace("place", "supply"))
             self._reached(limit, watch)
         limit(
             f"mean{own}",
@@ -335,6 +339,9 @@ class Tracer:
             f"a{i} watch{i}",
             lambda *x: scene.mean(x[: len(count)], x[len(count) :], side),
         )
+        if self.supplies:
+            supplies = spaced([f"supply{j}" for j in count])
+            limit(f"mean_supply{own}", supplies, f"supplied{i}", lambda *x: scene.mean_of(x, side))
         direct = calls.inside()
         names = {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": f"watch{i}"}
         if kept:
@@ -342,10 +349,28 @@ class Tracer:
         else:
             self._brought(direct, f"q{i}", "placed", f"v{i}")
         self.evaluation(direct, "0", names)
+        self._supply(direct, "0", names, f"supplied{i}")
         if not kept:
             self._reached(direct, f"watch{i}")
         calls.choice(f"zone{i}", limit, direct)
         calls.made.append(Call("power", (f"q{i}", f"v{i}", u, "p", f"t{i}"), (f"power{i}",)))
+
+    @property
+    def supplies(self) -> bool:
+        """Whether the work of what moves by itself counts."""
+        return self.e.timed and self.e.works
+
+    def _supply(self, calls: Calls, i: str, names: Mapping[str, str], to: str = "") -> None:
+        """Power of what moves by itself, after an evaluation with these names."""
+        if self.supplies:
+            t, q, v, a, lam = (names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam"))
+            known = f"{t} {q} {v} {a} {lam} {names.get('u', 'u')} p k"
+            calls("supply", known, to or f"supplied{i}", calls.scene.supply)
+
+    def _supplied(self, calls: Calls, i: str) -> None:
+        """The power of all."""
+        if self.supplies:
+            calls("supplied", f"power{i} supplied{i}", f"power{i}", lambda power, supplied: power + supplied)
 
     def _probe(self, calls: Calls, i: str, length: str) -> None:
         """Whether a limit has to be taken, from places how far apart; `length` is what their spacing is measured by."""

@@ -86,6 +86,10 @@ POLE_ZERO = 1e-5
 """value of a function over its values at the places [1]: a smaller one is zero to round-off, and the position is the
 pole itself."""
 
+FROZEN = 1e-6
+"""motion that is left where time stands still over the motion itself [1]: below it a mechanism has no motion but the
+prescribed one, along which no place is displaced; round-off leaves 1e-12 near a singular position."""
+
 TINY = 1e-300
 """number [1]: added to a divisor that may be zero, as that of a mechanism at rest."""
 
@@ -141,11 +145,12 @@ def tangential(C: Array, alpha: Array, solve: Callable[[Array], Array], d: Array
     return d + project(C, alpha, solve, C @ d)
 
 
-def along(M: Array, heavy: Array, way: Array, d: Array) -> Array:
+def along(M: Array, heavy: Array, way: Array, d: Array, least: Array = 0.0) -> Array:
     """S3: multiple of a tangent `way` (n,) to move by, so that a displacement d (n,), which is orthogonal to it in the
-    metric of M, is so in that of M with the masses `heavy` (n,) of the independent coordinates."""
+    metric of M, is so in that of M with the masses `heavy` (n,) of the independent coordinates. A way far below `least`
+    in that metric is none."""
     given = way * heavy
-    return (given.T @ d) / (way.T @ (M @ way) + given.T @ way + TINY)
+    return (given.T @ d) / (way.T @ (M @ way) + given.T @ way + least + TINY)
 
 
 def returned(
@@ -157,8 +162,23 @@ def returned(
     q: Array,
     wanted: Array,
     v: Array,
+    speed: Callable[[Array], Array] | None = None,
+    still: Array | None = None,
 ) -> tuple[Array, Array]:
-    """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion."""
-    way, d = (x + project_residual(M, C, alpha, solve, C @ x, lambda d, x=x: C @ (x + d)) for x in (v, wanted - q))
-    q = q + d + way * along(M, heavy, way, wanted - q - d)
-    return q, way + way * along(M, heavy, way, v - way)
+    """q displaced along the motion to the place that is nearest to the wanted one, and the v of that motion.
+
+    Where time is a coordinate, `speed` gives Phi-dot of a velocity, and `still` is v with time standing still: nothing
+    is displaced along a motion that takes time, which the place has already.
+    """
+    speed = speed or (lambda x: C @ x)
+
+    def kept(x: Array) -> Array:
+        return x + project_residual(M, C, alpha, solve, speed(x), lambda d: speed(x + d))
+
+    way, d = kept(v), kept(wanted - q)
+    if still is None:
+        q = q + d + way * along(M, heavy, way, wanted - q - d)
+        return q, way + way * along(M, heavy, way, v - way)
+    least, free = FROZEN**2 * (v.T @ (M @ v)), kept(still)
+    q = q + d + free * along(M, heavy, free, wanted - q - d, least)
+    return q, way + free * along(M, heavy, free, v - way, least)

@@ -20,6 +20,7 @@ import numpy as np
 from .cams import Cam, Profile, cam
 from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
+from .motion import DERIVATIVES, JUMPS, ORDERS, Input, Signal
 from .relations import (
     INVOLUTE,
     Belt,
@@ -68,13 +69,17 @@ QUICK = 100
 """Coordinates up to which a notebook draws a mechanism that it shows: a second, or less."""
 
 CONSTANT = ("parameters",)
-PLACE = (*CONSTANT, "coordinates")
-GUESS = (*PLACE, "start values")
-MOTION = (*PLACE, "rates")
-EFFORT = (*MOTION, "inputs", "states", "time")
+LAW = (*CONSTANT, "time", "inputs")
+PLACE = (*CONSTANT, "coordinates", "time", "inputs")
+GUESS = (*CONSTANT, "coordinates", "start values")
+MOTION = (*CONSTANT, "coordinates", "rates", "time")
+EFFORT = (*CONSTANT, "coordinates", "rates", "inputs", "states", "time")
 READING = (*EFFORT, "accelerations")
-"""What a number of a declaration may depend on: a mass, a place, a guess, an energy, a force or the rate of a state, an
-output."""
+"""What a number of a declaration may depend on: a mass, a motion, a place, a guess, an energy, a force or the
+rate of a state, an output."""
+
+MOVING = (LAW, PLACE, MOTION)
+"""What makes the mechanism depend on time where it depends on time or on an input, which is a signal there."""
 
 EFFORTS = {"rad": "N.m", "m": "N"}
 """Unit of the effort along a displacement."""
@@ -125,17 +130,6 @@ class Coordinate(Brief):
     a: ca.SX
     unit: str
     guess: Scalar
-
-
-@dataclass(frozen=True, repr=False)
-class Input(Brief):
-    """A quantity that the environment sets at any time."""
-
-    name: str
-    symbol: ca.SX
-    unit: str
-    start: float
-    description: str
 
 
 @dataclass(frozen=True, repr=False)
@@ -317,6 +311,17 @@ class Lock(Brief):
 
 
 @dataclass(frozen=True, repr=False)
+class Motion(Brief):
+    """A displacement that follows a law; `value` is what a motion that is switched keeps beside it, else None."""
+
+    name: str
+    of: AnyJoint | ca.SX
+    law: ca.SX
+    unit: str
+    value: ca.SX | None = None
+
+
+@dataclass(frozen=True, repr=False)
 class Spring(Brief):
     """A linear spring-damper along a displacement: of a joint, or the distance of two markers."""
 
@@ -481,8 +486,10 @@ class Mechanism:
     """Bodies in space, without the ground."""
     spatial_joints: ClassVar[_Parts[SpatialJoint]] = _Parts()
     """Joints in space."""
-    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock | Relation]] = _Parts()
+    closures: ClassVar[_Parts[AnyJoint | Rigidity | Constraint | Lock | Motion | Relation]] = _Parts()
     """What is closed by constraints, in the order of its rows."""
+    signals: ClassVar[_Parts[Signal]] = _Parts()
+    """Inputs that move something."""
     releases: ClassVar[_Parts[AnyJoint | Constraint | Relation]] = _Parts()
     """What a Boolean input can open."""
     springs: ClassVar[_Parts[Spring]] = _Parts()
@@ -514,6 +521,8 @@ class Mechanism:
     options: dict[str, Any] = field(default_factory=dict, init=False)
     compliant: bool = field(default=False, init=False)
     measures_all: bool = field(default=False, init=False)
+    moves: bool = field(default=False, init=False)
+    """Whether a place, a constraint or an energy depends on time or on an input."""
 
     def __repr__(self) -> str:
         sizes = {"coordinate": len(self.coordinates), "state": len(self.states), "input": len(self.inputs)}
@@ -537,7 +546,7 @@ class Mechanism:
         self.time: ca.SX = ca.SX.sym("time")
         self._names: dict[str, str] = {}
         self._lines: dict[str, tuple[str, int]] = {}
-        self._by_symbol: dict[int | None, Start | Coordinate] = {}
+        self._by_symbol: dict[int | None, Start | Coordinate | Input] = {}
         self._symbols: dict[int | None, Symbol] = {key_of(self.time): Symbol("time", "time", "s")}
         self._owned: set[Body | SpatialBody] = {self.ground, self.spatial_ground}
 
@@ -662,13 +671,46 @@ class Mechanism:
         """The acceleration symbol of a coordinate, for outputs."""
         return self._coordinate(coordinate).a
 
-    def input(self, name: str, unit: str, *, start: float = 0.0, description: str = "") -> ca.SX:
-        """A quantity in `unit` that is set from outside at any time and is `start` until then; returns its symbol."""
+    def input(
+        self,
+        name: str,
+        unit: str,
+        *,
+        start: float = 0.0,
+        description: str = "",
+        derivatives: int = 0,
+        order: int = 2,
+        jump: float | None = None,
+    ) -> ca.SX:
+        """A quantity in `unit` that is set from outside at any time and is `start` until then; returns its symbol.
+
+        An input can also move something: a `motion`, a place, a guide, a constraint. It is a *signal* there, which
+        inside a communication step runs without a jump from where it is to where it will be, as far as is known.
+        `derivatives` 1 or 2 declares the inputs `<name>_rate` and `<name>_acceleration`, which tell more of that; the
+        highest one given goes on by a polynomial of `order` (0, 1 or 2) through its values at past communication
+        points. A value that differs from where the signal is by more than `jump` is refused: 0.1 rad or 0.01 m where
+        nothing else is given.
+        """
         symbol = self._claim(name, unit, "an input")
         text(f"{self.name}: the description of {name}", description)
-        Mechanism.inputs.of(self).append(
-            Input(name, symbol, unit, self._plain(f"the start of {name}", start), description)
-        )
+        start = self._plain(f"the start of {name}", start)
+        for what, given, known in (("derivatives", derivatives, (0, 1, 2)), ("order", order, ORDERS)):
+            if type(given) is not int or given not in known:
+                raise DeclarationError(f"{self.name}: the {what} of {name} is {shown(given)}; give 0, 1 or 2")
+        limit = JUMPS.get(unit, JUMPS["m"]) if jump is None else self._plain(f"the jump of {name}", jump)
+        if not limit > 0:
+            raise DeclarationError(f"{self.name}: the jump of {name} is {limit:g} {unit}; it must be above zero")
+        if derivatives:
+            self._displacement(name, unit)
+        own = Input(name, symbol, unit, start, description, derivatives, order, limit)
+        Mechanism.inputs.of(self).append(own)
+        self._by_symbol[key_of(symbol)] = own
+        companion, its = name, unit
+        for what in DERIVATIVES[:derivatives]:
+            companion, its = f"{name}_{what}", rate_of(its)
+            rate = self._claim(companion, its, "an input")
+            Mechanism.inputs.of(self).append(Input(companion, rate, its, 0.0, f"{what} of {name}"))
+            self._stands_for(rate, "inputs", f"the input {companion}", its)
         return self._stands_for(symbol, "inputs", f"the input {name}", unit)
 
     def state(
@@ -1505,7 +1547,7 @@ class Mechanism:
         for k, x in zip("xyz", along or (), strict=False):
             parts[f"{name}.axis.{k}"] = x, "1", f"direction of the axis of {name} along {k}"
         kinds = {self._symbols[key_of(s)].kind for x in (*place, *(along or ())) for s in symbols_in(x)}
-        if moves := "coordinates" in kinds:
+        if moves := bool(kinds & {"coordinates", "time", "inputs"}):
             for output, (expression, unit, description) in parts.items():
                 self.output(output, expression, unit, description)
         Mechanism.drawn_joints.of(self).append(DrawnJoint(name, kind, place, along, tuple(parts) if moves else ()))
@@ -1562,11 +1604,11 @@ class Mechanism:
     # General level ----------------------------------------------------------------------------------------------
 
     def kinetic_energy(self, expression: ca.SX) -> None:
-        """Kinetic energy [J] in coordinates and their rates, in addition to that of the bodies."""
+        """Kinetic energy [J] in coordinates, their rates and time, in addition to that of the bodies."""
         Mechanism.kinetic.of(self).append(symbolic(self._quantity("a kinetic energy", expression, "J", MOTION)))
 
     def potential_energy(self, expression: ca.SX) -> None:
-        """Potential energy [J] in coordinates, in addition to that of the bodies and springs."""
+        """Potential energy [J] in coordinates, time and inputs, in addition to that of the bodies and springs."""
         Mechanism.potential.of(self).append(symbolic(self._quantity("a potential energy", expression, "J", PLACE)))
 
     def generalized_force(self, coordinate: ca.SX, expression: Scalar) -> None:
@@ -1577,9 +1619,10 @@ class Mechanism:
         Mechanism.generalized.of(self).append((along.q, expression))
 
     def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
-        """A holonomic constraint Phi(q) = 0 in m, rad or 1, after the joints declared so far.
+        """A holonomic constraint Phi(q, t) = 0 in m, rad or 1, after the joints declared so far.
 
-        Its force acts along the coordinates, so that reactions of joints with coordinates do not contain it.
+        It is an expression in coordinates, time and inputs. Its force acts along the coordinates, so that reactions of
+        joints with coordinates do not contain it.
         """
         self._claim(name, unit, "a constraint")
         Mechanism.closures.of(self).append(
@@ -1603,6 +1646,79 @@ class Mechanism:
         """
         joint = self._joint(of)
         self._lock(joint.name, joint, self._free(joint, "lock()"))
+
+    def motion(self, of: AnyJoint | str | ca.SX, law: Scalar, *, switch: bool = False) -> None:
+        """Prescribe a motion: the free displacement of a revolute or prismatic joint, or a coordinate, follows `law`.
+
+        `law` [rad or m] is an expression in time, parameters and inputs. The output `<name>.torque` [N.m] is the
+        torque that the motion takes, on the second body from the first: inverse dynamics. Of a displacement in metres
+        it is `<name>.force` [N], of a prismatic joint `<joint>.driving_force`. A coordinate that is independent has
+        no start value then: it begins where the law has it.
+
+        With `switch`, the Boolean input `<name>.driven` puts the motion in force while it is on, as a `lock` is: from
+        where the joint is at that instant, it makes the *changes* of the law, in a plastic impact where the rates
+        differ.
+        """
+        along: AnyJoint | ca.SX
+        placed: Scalar | None
+        if isinstance(of, ca.SX):
+            own = self._coordinate(of)
+            name, unit, along, placed = own.name, own.unit, own.q, own.q
+            if unit == "1":
+                raise DeclarationError(f"{self.name}: {name} has no unit; motion() takes a coordinate in m or rad")
+        else:
+            along = self._joint(of)
+            name, unit = along.name, self._free(along, "motion()")
+            placed = along.coordinate if isinstance(along, Joint) else None
+            if placed is not None and not self._depends_on_coordinates(placed):
+                raise DeclarationError(
+                    f"{self.name}: the coordinate of {name} says already how it moves; leave out one of both"
+                )
+        if any(isinstance(c, Motion) and c.name == name for c in self.closures):
+            raise DeclarationError(f"{self.name}: {name} has a motion already; give it one")
+        law = symbolic(self._quantity(f"the motion of {name}", law, unit, LAW))
+        self.moves = True
+        value = None
+        coordinate = None if placed is None else self._by_symbol.get(key_of(placed))
+        if switch:
+            self._claim(f"{name}.driven", "1", "an input")
+            value = ca.SX.sym(f"{name}.driven_from")
+        elif isinstance(coordinate, Coordinate):
+            self._begins(coordinate, law)
+        Mechanism.closures.of(self).append(Motion(name, along, law, unit, value))
+
+    def _begins(self, coordinate: Coordinate, law: ca.SX) -> None:
+        """A coordinate begins where its motion has it; DeclarationError where it was given another start."""
+        name = coordinate.name
+        own = [x for x in self.starts if x.name == name and x.symbol is coordinate.guess]
+        for start in own:
+            for each, rate in ((start.value, False), (start.rate, True)):
+                there = self._at_begin(ca.jacobian(law, self.time) if rate else law)
+                if each and there is not None and abs(each - there) > 1e-9 * max(1.0, abs(there)):
+                    what, unit = ("rate of ", rate_of(start.unit)) if rate else ("", start.unit)
+                    raise DeclarationError(
+                        f"{self.name}: the start {what}{name} is {each:g} {unit}, and its motion has {there:g} {unit} "
+                        "at t = 0; leave the start out, which follows the motion"
+                    )
+            Mechanism.starts.of(self).remove(start)
+            ties = Mechanism.ties.of(self)
+            ties[:] = [tie for tie in ties if tie[0] is not start.symbol]
+            for claimed in (f"start.{name}", f"start.{start.rate_name}"):
+                del self._names[claimed]
+        i = next(i for i, each in enumerate(self.coordinates) if each is coordinate)
+        following = replace(coordinate, guess=law)
+        Mechanism.coordinates.of(self)[i] = self._by_symbol[key_of(coordinate.q)] = following
+
+    def _at_begin(self, law: ca.SX) -> float | None:
+        """A law at time zero and default parameters; None where it takes a signal."""
+        known = {key_of(self.time): 0.0, **{key_of(x.symbol): x.default for x in self.parameters}}
+        symbols = ca.symvar(law)
+        if any(key_of(x) not in known for x in symbols):
+            return None
+        return float(ca.substitute(law, stack(symbols), stack([known[key_of(x)] for x in symbols])))
+
+    def _depends_on_coordinates(self, value: Scalar) -> bool:
+        return any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(value))
 
     def clutch(self, name: str, first: Body, second: Body) -> None:
         """Let the Boolean input `<name>.locked` couple the turning of two bodies; a brake where one is the ground."""
@@ -1628,9 +1744,9 @@ class Mechanism:
 
         It can be switched off where the joint is closed again, in a plastic impact. `of` may name a `constraint`.
         """
-        found = [c for c in self.closures if c is of or (not isinstance(c, Rigidity | Lock) and c.name == of)]
+        found = [c for c in self.closures if c is of or (not isinstance(c, Rigidity | Lock | Motion) and c.name == of)]
         if not found:
-            names = ", ".join(c.name for c in self.closures if not isinstance(c, Rigidity | Lock)) or "none"
+            names = ", ".join(c.name for c in self.closures if not isinstance(c, Rigidity | Lock | Motion)) or "none"
             called = of.name if isinstance(of, AnyJoint) else of
             raise DeclarationError(
                 f"{self.name}: {called} is not closed by constraints, so it cannot be released; those are {names}"
@@ -1809,7 +1925,9 @@ class Mechanism:
             self._body(marker.body, user)
             place = (marker.x, marker.y, *((marker.z,) if isinstance(marker, SpatialMarker) else ()))
             what = f"a point of {marker.body.name} that {user} uses"
-            self._vector(what, place, ("m",) * len(place), PLACE)
+            place = self._vector(what, place, ("m",) * len(place), PLACE)
+            for axis, x in zip("xyz", place, strict=False):
+                object.__setattr__(marker, axis, x)  # An input that moves the point is a signal from here on.
             for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
                 perhaps_millimetres(f"{self.name}: {what}", x)
 
@@ -1856,17 +1974,39 @@ class Mechanism:
             if found is None:
                 raise DeclarationError(f"{what} depends on {symbol}, which this mechanism does not declare")
             if found.kind not in may:
-                later = "; motion that is prescribed (`motion`) is not supported yet"
                 raise DeclarationError(
                     f"{what} depends on {found.text}; it must be a number or an expression in {_and(may)}"
-                    + later * (unit in ("m", "rad") and found.kind in ("time", "inputs", "rates"))
                 )
         if isinstance(value, ca.SX):
             for symbol in (value, -value):
                 own = self._symbols[key_of(symbol)] if symbol.is_symbolic() else None
                 if own and "1" not in (own.unit, unit) and not alike(own.unit, unit):
                     raise DeclarationError(f"{what} is in {unit}, and {own.text} in {own.unit}; give one in {unit}")
+        return self._moved(value) if tuple(may) in MOVING else value
+
+    def _moved(self, value: Scalar) -> Scalar:
+        """What moves something, with signals in place of inputs."""
+        for symbol in symbols_in(value):
+            given = self._by_symbol.get(key_of(symbol))
+            self.moves |= self._symbols[key_of(symbol)].kind in ("time", "inputs")
+            if isinstance(given, Input):
+                value = ca.substitute(value, symbol, self._signal(given).at(self.time))
         return value
+
+    def _signal(self, given: Input) -> Signal:
+        """The signal of an input, declared where the input moves something for the first time."""
+        for signal in self.signals:
+            if signal.input is given:
+                return signal
+        if given.unit not in ("m", "rad", "1"):
+            raise DeclarationError(
+                f"{self.name}: the input {given.name} is in {given.unit}, and what it moves is in m, rad or 1; give it "
+                "in one of these"
+            )
+        Mechanism.signals.of(self).append(signal := Signal.of(given))
+        for each in signal.numbers:
+            self._stands_for(each, "inputs", f"the input {given.name}", "1")
+        return signal
 
     def _vector(self, what: str, values: Any, units: Sequence[str], may: Collection[str]) -> Any:
         """Several quantities, each in its unit: a tuple of as many as there are units."""
@@ -1905,7 +2045,7 @@ class Mechanism:
         """What a constraint or a lock keeps: an expression that moves."""
         self._displacement(what, unit)
         value = symbolic(self._quantity(what, expression, unit, PLACE))
-        if not self._moves(value):
+        if not self._depends_on_coordinates(value):
             raise DeclarationError(f"{self.name}: {what} depends on no coordinate, so that no motion can keep it")
         return value
 

@@ -79,6 +79,16 @@ typedef struct {
     int holds, value, start;
 } Switch;
 
+/* An input that moves something, and how it goes on inside a communication step. */
+typedef struct {
+    int input, derivatives, order;
+    double jump;
+} Followed;
+
+/* What is heard of it: how many points, of which derivative, their times and values. */
+#define HEARD_POINTS 3
+#define HEARD (2 + 2 * HEARD_POINTS)
+
 /* Where the nonzeros of a matrix stand, by columns. */
 typedef struct {
     int rows, columns, entries;
@@ -124,7 +134,10 @@ typedef struct {
     const Row *rows;
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
     const int *tied;         /* start values that are kept */
-    const double *normal;    /* standard normal numbers, TRIES x n */
+    const double *normal;    /* standard normal numbers, TRIES x n; zero for time */
+    int timed;               /* whether time is the last coordinate */
+    int followed_count;
+    const Followed *followed;
     Pattern mass, constraint, gaps, tie_rows;
     Envelope closing; /* J J' of the start, J being C or the gaps, and below them the start values that are kept */
     Envelope holding; /* M + C' C */
@@ -192,7 +205,7 @@ typedef struct Instance {
     double *numbers;
     size_t count; /* of numbers */
     /* Parts of them. */
-    double *values, *wanted, *on, *kept, *impulses, *lost, *slopes;
+    double *values, *wanted, *on, *kept, *heard, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty;
     double *given;         /* penalties of each constraint, where `flags.given` says so */
@@ -201,7 +214,7 @@ typedef struct Instance {
     double *projection;    /* whether steps end with projections (10); below zero as the formulation has it */
     double *m;
     /* Beside them. */
-    double *workspace, *before, *scratch, *registers, *spare, *past_before, *dense;
+    double *workspace, *before, *scratch, *registers, *spare, *past_before, *kept_before, *dense;
     Flags flags_before;
     double *read_at; /* q, v and inputs where outputs were read last */
     int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
@@ -246,6 +259,8 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);
+void at_time(Instance *i, double time);
+int dependent(const Scene *scene);
 Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place);
 Outcome instance_penalize(Instance *i, const double *penalties);
 
@@ -284,6 +299,9 @@ int move_by(const Scene *s, int formulation);
 /* A function of the scene on arrays; a program on the memory. */
 void call(Instance *i, int which, const double *const *x, double *const *y);
 void run(Instance *i, int program);
+
+void signals_begin(Instance *i, double time);
+Outcome signals_aim(Instance *i, double start, double h);
 
 long advance(Instance *i, long steps, double dt);
 int cover(Instance *i, double end, long tries);

@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define FORMAT 6
+#define FORMAT 7
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
@@ -49,6 +49,21 @@ double *instance_time(Instance *i)
     return i->m + i->scene->z + i->scene->time;
 }
 
+/* The state at a time, which is also the last coordinate where places depend on it. */
+void at_time(Instance *i, double time)
+{
+    const Scene *s = i->scene;
+    *instance_time(i) = time;
+    if (s->timed)
+        field(i, s->z)[s->n - 1] = time;
+}
+
+/* Coordinates without time. */
+int dependent(const Scene *s)
+{
+    return s->n - s->timed;
+}
+
 double *take(Instance *i, size_t count)
 {
     double *taken = i->scratch + i->used;
@@ -70,6 +85,7 @@ static size_t divided(Instance *i, double *numbers)
         {&i->wanted, s->switches},
         {&i->on, s->switches},
         {&i->kept, s->held},
+        {&i->heard, s->followed_count * HEARD},
         {&i->impulses, s->impulses},
         {&i->lost, 1},
         {&i->slopes, s->inputs + 1},
@@ -112,7 +128,8 @@ Instance *instance_new(const Scene *s)
         + 4 * (size_t)(driven_by(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
-            + (size_t)s->past_size + least_norm_work(s->dense, s->dense) + 2 * (size_t)s->n + (size_t)s->inputs,
+            + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + least_norm_work(s->dense, s->dense)
+            + 2 * (size_t)s->n + (size_t)s->inputs,
         sizeof *numbers);
     if (!numbers) {
         free(i);
@@ -126,7 +143,8 @@ Instance *instance_new(const Scene *s)
     i->registers = i->scratch + i->room;
     i->spare = i->registers + s->registers;
     i->past_before = i->spare + s->spare;
-    i->dense = i->past_before + s->past_size;
+    i->kept_before = i->past_before + s->past_size;
+    i->dense = i->kept_before + s->held + s->followed_count * HEARD;
     i->read_at = i->dense + least_norm_work(s->dense, s->dense);
     memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *numbers);
     instance_reset(i);
@@ -662,6 +680,17 @@ static Outcome knowledge(Instance *i, const double *q, const double *v)
     return outcome;
 }
 
+/* Kinetic and potential energy with these velocities, and the kinetic one alone. */
+static double energy(Instance *i, const double *v, double *kinetic)
+{
+    const Scene *s = i->scene;
+    double found;
+    const double *x[] = {field(i, s->z), v, field(i, s->p)};
+    double *y[] = {&found, kinetic};
+    call(i, s->energy, x, y);
+    return found;
+}
+
 static const char *method_name(const Instance *i)
 {
     const Scene *s = i->scene;
@@ -685,7 +714,7 @@ static Outcome change(Instance *i, const double *on)
 {
     const Scene *s = i->scene;
     const size_t used = i->used;
-    double *q = field(i, s->z), *v = q + s->n, *w = i->workspace, gap;
+    double *q = field(i, s->z), *v = q + s->n, *w = i->workspace, gap, kinetic;
     unsigned char *held = (unsigned char *)take(i, (size_t)s->l), *new = (unsigned char *)take(i, (size_t)s->l);
     char label[100];
     int row, any = 0;
@@ -707,9 +736,11 @@ static Outcome change(Instance *i, const double *on)
     else
         outcome = check_masses(i, q, held);
     if (outcome == DONE && any) {
+        const double before = s->timed ? energy(i, v, &kinetic) : 0.0;
         run(i, s->impact);
         memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
-        field(i, s->z)[s->work] -= w[s->lost];
+        /* What comes into force while it moves does work, too. */
+        field(i, s->z)[s->work] += s->timed ? energy(i, v, &kinetic) - before : -w[s->lost];
         *i->lost += w[s->lost];
         for (int k = 0; k < s->impulses; k++)
             if (new[s->impulse_rows[k]])
@@ -820,17 +851,6 @@ static Outcome projected(Instance *i, double *q, double *v)
     return outcome;
 }
 
-/* Kinetic and potential energy with these velocities, and the kinetic one alone. */
-static double energy(Instance *i, const double *v, double *kinetic)
-{
-    const Scene *s = i->scene;
-    double found;
-    const double *x[] = {field(i, s->z), v, field(i, s->p)};
-    double *y[] = {&found, kinetic};
-    call(i, s->energy, x, y);
-    return found;
-}
-
 /* The kinetic one where all velocities are of one size. */
 static double kinetic_energy_at(Instance *i, double speed)
 {
@@ -845,15 +865,16 @@ static double kinetic_energy_at(Instance *i, double speed)
 
 /* Whether the last communication step begins and ends at rest in one place. The work of a large force is then that of the
    last digits of the velocities, and its energy none. */
-static int rested(const Instance *i)
+static int rested(Instance *i, double kinetic)
 {
     const Scene *s = i->scene;
     const double *now = field(i, s->z), *begin = field(i, s->begin);
-    for (int c = 0; c < s->n; c++)
+    for (int c = 0; c < dependent(s); c++)
         if (!(fabs(now[c] - begin[c]) <= RESTING && fabs(now[s->n + c]) <= SLOW_MOTION
                 && fabs(begin[s->n + c]) <= SLOW_MOTION))
             return 0;
-    return 1;
+    /* Places may move although no coordinate does. */
+    return !s->timed || kinetic <= kinetic_energy_at(i, SLOW_MOTION);
 }
 
 /* The balance of energies after a communication step, where anybody reads of it. */
@@ -866,7 +887,7 @@ void instance_balance(Instance *i)
         return;
     found = energy(i, z + s->n, &kinetic);
     off = found - c[ENERGY_START] - work - c[AT_REST];
-    if (rested(i)) {
+    if (rested(i, kinetic)) {
         c[AT_REST] += off - c[BALANCE];
         off = c[BALANCE];
     }
@@ -942,6 +963,7 @@ static Outcome started(Instance *i)
     unsigned char *held = (unsigned char *)take(i, l);
     const double time = *instance_time(i);
     Outcome outcome;
+    signals_begin(i, time);
     parameters(i);
     for (int k = 0; k < s->switches; k++)
         i->on[k] = i->wanted[k] != 0.0 && !s->switched[k].holds;
@@ -974,7 +996,7 @@ static Outcome started(Instance *i)
     begin_at(i, q, v, time);
     settle_kernel(i);
     /* At rest near a singular position nothing else tells the direction along which a limit is taken. */
-    if (s->l && continues(i) && largest(v, s->n) == 0.0 && margin(i) < BRANCH_MARGIN)
+    if (s->l && continues(i) && largest(v, dependent(s)) == 0.0 && margin(i) < BRANCH_MARGIN)
         set_off(i, held, q, field(i, s->z) + s->n);
     for (int k = 0; k < s->switches; k++)
         if (i->wanted[k] != i->on[k])
@@ -1038,7 +1060,7 @@ static Outcome check_length(Instance *i, double t)
     double turned = 0.0, moved = 0.0, gap;
     char label[100];
     int worst = 0, row;
-    for (int c = 0; c < s->n; c++) {
+    for (int c = 0; c < dependent(s); c++) {
         const double size = fabs(q[c] - from[c]);
         moved = fmax(moved, size);
         if (!strcmp(s->coordinates[c].unit, "rad") && size > turned) {
@@ -1121,7 +1143,7 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
             "solver.step_size",
             s->name, t);
     m[s->dt] = dt;
-    m[s->z + s->time] = start;
+    at_time(i, start);
     if (i->flags.brakes)
         hold(i);
     run(i, move_by(s, formulation(i)));
@@ -1260,7 +1282,7 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
     memcpy(begin, z, size);
     memcpy(before, pace, count * sizeof *pace);
     i->onward = 0;
-    z[s->time] = start;
+    at_time(i, start);
     if (s->reach >= 0)
         run(i, s->reach);
     if (method(i)) {
@@ -1272,7 +1294,7 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
             outcome = interrupted(i);
         else if (i->flags.fast && done != (double)made) {
             const double whole = (double)made > done ? (double)made - done : steps - done;
-            z[s->time] = start + done * dt;
+            at_time(i, start + done * dt);
             if (i->flags.brakes)
                 hold(i);
             done += (double)advance(i, i->flags.whole ? (long)whole : 1L, dt);
@@ -1284,7 +1306,7 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
         }
     }
     if (outcome == DONE) {
-        z[s->time] = start + h;
+        at_time(i, start + h);
     } else {
         memcpy(z, begin, size);
         memcpy(pace, before, count * sizeof *pace);
@@ -1377,6 +1399,11 @@ Outcome instance_ready(Instance *i, double start, double h)
     if (!i->flags.initialized)
         return say(i, REFUSED, "%s: initialise before the first step", i->scene->name);
     outcome = instance_can_step(i, start, h);
+    if (outcome == DONE && i->scene->followed_count && !i->within) {
+        outcome = signals_aim(i, start, h);
+        parameters(i);
+        i->flags.known = 0;
+    }
     if (outcome != DONE || !i->flags.pending)
         return outcome;
     i->used = 0;
@@ -1394,8 +1421,15 @@ Outcome instance_ready(Instance *i, double start, double h)
 
 Outcome instance_step(Instance *i, double start, double h)
 {
-    const int changed = i->flags.pending;
-    Outcome outcome = instance_ready(i, start, h);
+    const Scene *s = i->scene;
+    const int changed = i->flags.pending, signals = s->followed_count;
+    const size_t kept = (size_t)s->held * sizeof(double), heard = (size_t)signals * HEARD * sizeof(double);
+    Outcome outcome;
+    if (signals) {
+        memcpy(i->kept_before, i->kept, kept);
+        memcpy(i->kept_before + s->held, i->heard, heard);
+    }
+    outcome = instance_ready(i, start, h);
     if (outcome != DONE)
         return outcome;
     i->used = 0;
@@ -1410,6 +1444,11 @@ Outcome instance_step(Instance *i, double start, double h)
         go_back(i);
     else if (outcome != DONE)
         step_back(i);
+    if (outcome != DONE && signals) {
+        memcpy(i->kept, i->kept_before, kept);
+        memcpy(i->heard, i->kept_before + s->held, heard);
+        parameters(i);
+    }
     i->used = 0;
     return outcome;
 }
@@ -1720,6 +1759,7 @@ static Outcome sound(Instance *i)
         {"a scale", i->scales, s->n},
         {"a compliance", i->compliances, s->compliances},
         {"a lock", i->kept, s->held},
+        {"a signal", i->heard, s->followed_count * HEARD},
         {"an impulse", i->impulses, s->impulses},
         {"energy lost", i->lost, 1},
         {"a step size", control, 1},
@@ -1745,6 +1785,12 @@ static Outcome sound(Instance *i)
             return unsound(i, inputs[s->inputs + k].name, i->wanted[k]);
     if (!(f->phase & ANY) || (f->phase & (f->phase - 1)) || (f->phase & RUN && !f->initialized))
         return unsound(i, "the phase", f->phase);
+    for (int k = 0; k < s->followed_count; k++)
+        for (int each = 0; each < 2; each++) {
+            const double count = i->heard[k * HEARD + each];
+            if (!(count >= 0.0 && count <= (each ? 2 : HEARD_POINTS) && count == floor(count)))
+                return unsound(i, "what is heard of an input", count);
+        }
     if (!isfinite(*instance_time(i)))
         return unsound(i, "the time", *instance_time(i));
     if (!f->initialized) /* What follows is found when a run begins. */

@@ -308,11 +308,12 @@ class Instance:
             return []
         p, s = self.memory["p"], self.values[len(e.parameters) :][: len(e.starts)]
         C = np.array(e.functions["constraints"](place, np.zeros(e.n), p)[1]).reshape(e.l, e.n)[self.penalty > 0]
-        motions = np.linalg.svd(np.vstack([C, np.zeros((e.n, e.n))]))[2][e.n - found.freedom :]
-        ties = np.array(e.functions["ties_matrix"](place, p, s)).reshape(len(e.tied), e.n)
+        n = e.dependent
+        motions = np.linalg.svd(np.vstack([C[:, :n], np.zeros((n, n))]))[2][n - found.freedom :]
+        ties = np.array(e.functions["ties_matrix"](place, p, s)).reshape(len(e.tied), e.n)[:, :n]
         _, sizes, rows = np.linalg.svd(np.vstack([ties @ motions.T, np.zeros((found.freedom,) * 2)]))
         moves = np.abs(rows[sizes <= _FREE] @ motions).max(axis=0, initial=0.0)
-        return [c.name for c, part in zip(e.coordinates, moves, strict=True) if part > _FREE]
+        return [c.name for c, part in zip(e.coordinates[:n], moves, strict=True) if part > _FREE]
 
     def initialize_with(self, inputs: Mapping[str, float]) -> None:
         """Initialise with these inputs."""
@@ -420,7 +421,7 @@ class Instance:
         """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
         found, place = self._mobility()
         numbers = {"q": self.q, "u": self.driven, "p": self.memory["p"], "t": self.state[-1:]}
-        return shared(self.equations, numbers, self.penalty > 0, place, self.equations.n - found.freedom)
+        return shared(self.equations, numbers, self.penalty > 0, place, self.equations.dependent - found.freedom)
 
     @property
     def penalty(self) -> NDArray[np.float64]:

@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 8
+#define SCENE_VERSION 9
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -33,6 +33,7 @@
 #define NOISE 8.0
 #define UNBALANCED 0.001
 #define ROUND_OFF 1.7763568394002505e-15
+#define POLYNOMIAL 7
 #define SETTINGS 12
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1
@@ -114,6 +115,7 @@
 #define DIRECTION 1e-40
 #define RANKED 8
 #define FEW_RANKED 2
+#define LATER 0.1
 #define TORN 0.3
 #define SHORTEST 6.103515625e-05
 #define SAID 6

@@ -134,7 +134,7 @@ class Probe:
 
     def shared(self) -> list[str]:
         _, found, place = mobility(self.unit, self.equations.n)
-        return shared(self.equations, self.numbers, self.penalty > 0, place, self.equations.n - found.freedom)
+        return shared(self.equations, self.numbers, self.penalty > 0, place, self.equations.dependent - found.freedom)
 
     @np.errstate(all="ignore")
     def iterations_needed(self) -> int:
@@ -180,10 +180,12 @@ class Probe:
         T, S = implicit.return_map(C, alpha, solve, Xv, np.eye(n), _RETURNS)
         (aq, av), ax = implicit.on_branch(both[:, :n], both[:, n : 2 * n], T, S), both[:, 2 * n :]
         Gq, Gv = implicit.on_branch(Gq, Gv, T, S)
-        # Displacements that the constraints keep, alone: T projects on them.
+        # Displacements that the constraints keep, alone: T projects on them. Time goes on by itself.
+        d = e.dependent
+        T, aq, av, ax, Gq, Gv = T[:d, :d], aq[:d, :d], av[:d, :d], ax[:d], Gq[:, :d], Gv[:, :d]
         motions = np.block(
             [
-                [np.zeros((n, n)), T, np.zeros((n, count))],
+                [np.zeros_like(T), T, np.zeros((d, count))],
                 [T @ aq, T @ av, T @ ax],
                 [Gq, Gv, Gx],
             ]

@@ -290,7 +290,33 @@ static void names(Reader *r)
         rows[k].unit = text(r);
     }
     s->coordinates = coordinates;
+    s->timed = !r->bad && s->n > 0 && !strcmp(coordinates[s->n - 1].unit, "s");
     s->rows = rows;
+}
+
+/* Inputs that move something, where time is a coordinate. */
+static void followed(Reader *r)
+{
+    Scene *s = r->scene;
+    Followed *made;
+    s->followed_count = s->timed ? integer(r) : 0;
+    if (r->bad || s->followed_count < 0 || s->followed_count > s->inputs
+        || s->held < s->timed * (1 + s->followed_count * POLYNOMIAL)) {
+        spoil(r, "%d inputs move something", s->followed_count);
+        s->followed_count = 0;
+        return;
+    }
+    made = room(r, (size_t)s->followed_count + 1, sizeof *made);
+    for (int k = 0; k < s->followed_count && !r->bad; k++) {
+        made[k].input = integer(r);
+        made[k].derivatives = integer(r);
+        made[k].order = integer(r);
+        made[k].jump = real(r);
+        if (!r->bad && (!between(made[k].derivatives, 0, 3) || !between(made[k].order, 0, 3) || !(made[k].jump > 0.0)
+                || !between(made[k].input, 0, s->inputs - made[k].derivatives)))
+            spoil(r, "input %d moves something by its derivative %d", made[k].input, made[k].derivatives);
+    }
+    s->followed = made;
 }
 
 /* Every entry of a matrix, as a result of a function. */
@@ -956,6 +982,8 @@ static void body(Reader *r)
     }
     functions(r);
     programs(r);
+    if (!r->bad)
+        followed(r);
     if (!r->bad && r->at != r->end)
         spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
 }

@@ -391,6 +391,11 @@ static void rated(Instance *i, Loops *loops, const double *q, const double *rate
     weigh_rows(J.constraints, weights);
     for (int pass = 0; pass < 3; pass++) {
         all_times(&J, v, made);
+        if (s->timed) { /* Also what constraints move by themselves. */
+            constraints_at(i, q, v, NULL, NULL, NULL, made);
+            for (int r = 0; r < s->l; r++)
+                made[r] *= weights[r];
+        }
         for (int r = 0; r < loops->count; r++)
             left[r] = (r < s->l ? 0.0 : rate[s->tied[r - s->l]]) - made[r];
         if (pass == 2)
@@ -471,10 +476,12 @@ void set_off(Instance *i, const unsigned char *held, const double *q, double *v)
     for (int k = 0; k < s->starts; k++)
         equal[k] = 1.0;
     call(i, s->guesses, x, y);
+    if (s->timed)
+        way[s->n - 1] = 0.0;
     rated(i, &loops, q, equal, way, loops.residue);
     size = largest(way, s->n);
     if (size > 0.0 && largest(loops.residue, loops.count) <= ROUGH * size)
-        for (int c = 0; c < s->n; c++)
+        for (int c = 0; c < dependent(s); c++)
             v[c] = DIRECTION / size * way[c];
     i->used = used;
 }
@@ -574,6 +581,8 @@ Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
     for (int e = 0; e < s->constraint.entries; e++)
         C.values[e] *= held[s->constraint.indices[e]];
     scale = s->l ? fmax(largest(M.values, s->mass.entries), 1e-300) : 1.0;
+    if (s->timed) /* Time needs no mass. */
+        M.values[s->mass.entries - 1] = scale;
     least = (s->n <= DENSE ? weakest : weakest_of_many)(i, M, C, scale, motion);
     if (!(least > 1e-13)) {
         char free[300] = "";
@@ -917,6 +926,8 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
         }
         for (int c = 0; c < s->n; c++)
             near[c] = q[c] + aside[c];
+        if (s->timed) /* Where time stands still, what is prescribed may have no regular position. */
+            near[s->n - 1] += (k % 2 ? -LATER : LATER) * pow(0.1, (k / 2) % 4);
         for (int pass = 0;; pass++) {
             weighted_at(i, near, weights, C, phi);
             if (pass == 30 || largest(phi, s->l) <= 1e-16 * largest(near, s->n))
@@ -999,7 +1010,7 @@ static int brakes_near(Instance *i, const double *q, const double *v)
     for (int r = 0; r < s->l; r++)
         weights[r] = i->penalty[r] > 0.0;
     memcpy(way, v, n * sizeof *way);
-    if (largest(v, s->n) == 0.0) { /* Any motion will do. */
+    if (largest(v, dependent(s)) == 0.0) { /* Any motion will do. */
         weighted_at(i, q, weights, J.constraints, phi);
         times(J.constraints, s->normal, phi);
         least_correction(i, &J, phi, CORRECTIONS, dq);
@@ -1071,8 +1082,8 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     double *way = take(i, n), *there = take(i, n), *near = take(i, n), *found = take(i, PLACES + 1);
     double *pivots = take(i, n), *diagonal = take(i, n), *columns = take(i, n), *touched = take(i, n);
     double *places = take(i, (PLACES + 1) * n), *rate = take(i, n), *together = take(i, PLACES + 1), size;
-    int freedom = s->freedom, count = 1, here;
-    if (!usual || freedom < 0)
+    int freedom = s->freedom + s->timed, count = 1, here;
+    if (!usual || s->freedom < 0)
         freedom = freedom_near(i, q, held, &here, there);
     *i->rank = s->n - freedom;
     /* Masses are not known yet. */
@@ -1082,7 +1093,7 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     memcpy(way, v, n * sizeof *way);
     memset(touched, 0, n * sizeof *touched);
     memset(i->scales, 0, n * sizeof *i->scales);
-    if (largest(v, s->n) == 0.0) {
+    if (largest(v, dependent(s)) == 0.0) {
         const double *x[] = {q, there, v, p, k};
         double *y[] = {way, rate};
         for (int c = 0; c < s->n; c++)
@@ -1153,7 +1164,7 @@ Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, in
     unsigned char *held;
     i->used = 0;
     memcpy(place, field(i, s->z), (size_t)s->n * sizeof *place);
-    *freedom = *here = s->n;
+    *freedom = *here = dependent(s);
     *redundant = 0;
     if (!i->flags.initialized)
         return say(i, REFUSED, "%s: its degrees of freedom are known after initialising", s->name);
@@ -1164,8 +1175,9 @@ Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, in
         held[r] = all || i->penalty[r] > 0.0;
         *redundant += held[r];
     }
-    *freedom = freedom_near(i, field(i, s->z), held, here, place);
-    *redundant -= s->n - *freedom;
+    *freedom = freedom_near(i, field(i, s->z), held, here, place) - s->timed;
+    *here -= s->timed;
+    *redundant -= dependent(s) - *freedom;
     i->used = 0;
     return DONE;
 }

@@ -247,7 +247,7 @@ int communicate(Instance *i, double start, double h, long *made)
     memcpy(m + s->begin, z, state);
     memcpy(counted, m + s->tally, TALLY * sizeof *m);
     memcpy(i->past_before, m + s->past, past);
-    z[s->time] = start;
+    at_time(i, start);
     if (s->reach >= 0)
         run(i, s->reach);
     *made = advance(i, steps, h / (double)steps);
@@ -257,7 +257,7 @@ int communicate(Instance *i, double start, double h, long *made)
         memcpy(m + s->past, i->past_before, past);
         return 0;
     }
-    z[s->time] = start + h;
+    at_time(i, start + h);
     return 1;
 }
 

@@ -336,6 +336,8 @@ def reference(instance: Instance, stop: float, effort: Effort = Effort()) -> Ref
     """
     if instance.equations.states:
         return "it follows the motion of coordinates alone, and this mechanism has states"
+    if instance.equations.timed:
+        return "constraints or places depend on time, which reductions by start values do not have"
     model = _Model(instance)
     placed = _followed(model, _Placement, stop, effort.fine, effort)
     motions = [placed, _followed(model, _NullSpace, stop, effort.fine, effort, placed.stiff)]

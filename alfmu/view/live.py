@@ -38,6 +38,7 @@ from ..runtime.shipped import library
 from ..simulation import communication_points
 from .pages import filled, text_of
 from .picture import Shapes, geometry, view_of
+from .shapes import by_law
 from .surface import FONTS
 
 __all__ = ["live", "needed", "written_by_alfmu"]
@@ -434,6 +435,8 @@ def _candidates(m: Mechanism) -> dict[str, list[tuple[ca.SX, ca.SX]]]:
     found: dict[str, list[tuple[ca.SX, ca.SX]]] = {body.name: [(ca.SX(0), ca.SX(0))] for body in (m.ground, *m.bodies)}
 
     def add(marker: Marker, dx: Any = 0.0, dy: Any = 0.0) -> None:
+        if by_law(m, marker.x, marker.y, dx, dy):
+            return
         x, y = (ca.SX(a) - ca.SX(c) for a, c in zip((marker.x, marker.y), marker.body.center, strict=True))
         found[marker.body.name].append((x + dx, y + dy))
 

@@ -15,7 +15,7 @@ from ..model.mechanism import Joint, Marker, Mechanism, Point, Scalar, Spring, k
 from ..model.spatial import SpatialBody, SpatialMarker
 from .surface import Vector
 
-__all__ = ["Shapes", "geometry"]
+__all__ = ["Shapes", "by_law", "geometry"]
 
 GROUND = "ground"
 
@@ -242,15 +242,16 @@ def _in_plane(
         x, y = centers[marker.body]
         return Anchor(marker.body.name, round(number(marker.x) - x, 12), round(number(marker.y) - y, 12))
 
-    joints = tuple(Hinge(j.name, j.kind, anchor(j.first), anchor(j.second)) for j in m.joints)
+    drawn = {j: ends for j in m.joints if (ends := _ends(m, j)) is not None}
+    joints = tuple(Hinge(j.name, j.kind, *map(anchor, ends)) for j, ends in drawn.items())
     joints += tuple(_pins(m, joints, anchor, number))
-    guided = [j for j in m.joints if j.kind in ("prismatic", "point_on_line") and not _telescopes(j)]
+    guided = [j for j in drawn if j.kind in ("prismatic", "point_on_line") and not _telescopes(j)]
     guides = tuple(_guide(j, anchor, number) for j in guided)
     ties = [Tie(j.name, "rod", j.first, j.second) for j in joints if j.kind == "distance"]
     for spring in m.springs:
         between = spring.between
         first, second = between if isinstance(between, tuple) else (between.first, between.second)
-        if not isinstance(first, Marker):
+        if not isinstance(first, Marker) or by_law(m, first.x, first.y, second.x, second.y):
             continue
         kind = _spring(spring)
         if isinstance(between, Joint) and between.kind == "revolute":
@@ -263,7 +264,7 @@ def _in_plane(
         for at in (pair.first, pair.second):
             fixed.setdefault(at.body, []).append(at)
     for point in m.watched:
-        if isinstance(point.marker, Marker):
+        if isinstance(point.marker, Marker) and not by_law(m, point.marker.x, point.marker.y):
             fixed.setdefault(point.marker.body.name, []).append(anchor(point.marker))
     blocks = {g.rider.body for g in guides if g.block is not None}
     links = []
@@ -284,6 +285,25 @@ def _rims(m: Mechanism, number: Callable[[Scalar], float]) -> Iterator[Rim]:
             x, y = (number(c) for c in rim.body.center)
             points = tuple((round(number(a) - x, 12), round(number(b) - y, 12)) for a, b in rim.points)
             yield Rim(rim.body.name, points, rim.filled)
+
+
+def by_law(m: Mechanism, *places: Scalar) -> bool:
+    """Whether something moves on its body by a law of time, so that no picture of the body can hold it."""
+    return any(isinstance(x, ca.SX) and ca.depends_on(x, m.time) for x in places)
+
+
+def _ends(m: Mechanism, joint: Any) -> tuple[Any, Any] | None:
+    """The points of a joint on its bodies; where one moves by a law, that of the other, which is at the same place.
+
+    None where a picture cannot tell: of a guide or a rod whose points move so, or where both do.
+    """
+    first, second = (by_law(m, at.x, at.y, getattr(at, "z", 0.0)) for at in (joint.first, joint.second))
+    turned = isinstance(joint, Joint) and by_law(m, joint.axis, joint.offset, joint.angle)
+    if not (first or second or turned):
+        return joint.first, joint.second
+    if (first and second) or joint.kind not in ("revolute", "weld", "spherical"):
+        return None
+    return (joint.second, joint.second) if first else (joint.first, joint.first)
 
 
 def _pins(
@@ -352,9 +372,9 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     frames = [Frame(b.name, "body", tuple(f"{b.name}.{q}" for q in POSE)) for b in m.spatial_bodies]
     frames += [Frame(x.name, "plane", tuple(f"{x.name}.{q}" for q in ("x", "y", "angle"))) for x in plane.links]
     pivots = [
-        Pivot(j.name, j.kind, spot(j.first), spot(j.second), None if j.kind == "spherical" else j.axes[0])
+        Pivot(j.name, j.kind, *map(spot, ends), None if j.kind == "spherical" else j.axes[0])
         for j in m.spatial_joints
-        if j.kind != "distance"
+        if j.kind != "distance" and (ends := _ends(m, j)) is not None
     ]
     pivots += [Pivot(j.name, j.kind, flat(j.first), flat(j.second), (0.0, 0.0, 1.0)) for j in plane.joints]
     drawn: dict[str, Spot] = {}
@@ -380,7 +400,8 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
         between = spring.between
         first, second = between if isinstance(between, tuple) else (between.first, between.second)
         along = isinstance(between, tuple) or between.kind == "prismatic"
-        if isinstance(first, SpatialMarker) and along and (kind := _spring(spring)):
+        moves = isinstance(first, SpatialMarker) and by_law(m, first.x, first.y, first.z, second.x, second.y, second.z)
+        if isinstance(first, SpatialMarker) and along and not moves and (kind := _spring(spring)):
             struts.append(Strut("", kind, spot(first), spot(second)))
     shown = {*drawn, *(bar.name for bar in m.drawn_bars)}  # what has a symbol of its own
     dots = tuple(dot for dot in plane.dots if dot not in shown)
@@ -403,8 +424,9 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     ]
 
     arrows = [
-        Arrow(j.name, kind, "reaction", spot(j.second), tuple(f"{j.name}.{kind}.{q}" for q in "xyz"), None)
+        Arrow(j.name, kind, "reaction", spot(ends[1]), tuple(f"{j.name}.{kind}.{q}" for q in "xyz"), None)
         for j in m.spatial_joints
+        if (ends := _ends(m, j)) is not None
         for kind in ("force", "moment")[: {"spherical": 1, "distance": 0}.get(j.kind, 2)]
     ]
     inputs = {key_of(x.symbol): x.name for x in m.inputs}

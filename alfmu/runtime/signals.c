@@ -1,0 +1,157 @@
+/* Inputs that move something: inside a communication step each is a polynomial of time from where the motion is.
+
+   The highest derivative that is known of an input (its value, its rate or its acceleration) goes on by the polynomial of
+   its declared order through the newest communication points, which tells where the input will be at the end of the step.
+   The motion goes there from where it is: by a quintic with the acceleration of both ends where that is known of the input,
+   otherwise by a cubic with the rates of both ends. So places never jump, nor do velocities. */
+
+#include <math.h>
+#include <string.h>
+
+#include "alfmu.h"
+
+/* What is heard of an input: how many points are known, of which derivative, their times and values, newest first. */
+enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
+
+/* What is given of an input: value, rate and acceleration, and the highest of them. */
+typedef struct {
+    double value[3];
+    int level;
+} Given;
+
+static double *polynomial(const Instance *i, int which)
+{
+    const Scene *s = i->scene;
+    return i->kept + s->held + (which - s->followed_count) * POLYNOMIAL;
+}
+
+static Given given(const Instance *i, int which)
+{
+    const Scene *s = i->scene;
+    const Followed *f = s->followed + which;
+    const double *u = i->m + s->u + f->input, slope = i->slopes[1 + f->input];
+    Given g = {{u[0], 0.0, 0.0}, f->derivatives};
+    for (int k = 1; k <= f->derivatives; k++)
+        g.value[k] = u[k];
+    if (f->derivatives == 0 && slope != s->no_slope) {
+        g.value[1] = slope;
+        g.level = 1;
+    }
+    return g;
+}
+
+/* Value, rate and acceleration of a polynomial at a time. */
+static void at(const double *c, double time, double *found)
+{
+    const double x = time - c[0];
+    found[0] = found[1] = found[2] = 0.0;
+    for (int k = POLYNOMIAL - 1; k > 0; k--) {
+        found[2] = 2 * found[1] + x * found[2];
+        found[1] = found[0] + x * found[1];
+        found[0] = c[k] + x * found[0];
+    }
+}
+
+/* A point heard of an input at a time, in place of what was heard there or later. */
+static void hear(double *heard, const Given *g, double time)
+{
+    int count = heard[LEVEL] == g->level ? (int)heard[KNOWN_POINTS] : 0, later = 0;
+    while (later < count && heard[TIMES + later] >= time)
+        later++;
+    count = count - later < HEARD_POINTS - 1 ? count - later : HEARD_POINTS - 1;
+    memmove(heard + TIMES + 1, heard + TIMES + later, (size_t)count * sizeof *heard);
+    memmove(heard + VALUES + 1, heard + VALUES + later, (size_t)count * sizeof *heard);
+    heard[TIMES] = time;
+    heard[VALUES] = g->value[g->level];
+    heard[KNOWN_POINTS] = count + 1;
+    heard[LEVEL] = g->level;
+}
+
+/* Where an input will be after h [s]: value, rate, acceleration. */
+static void foreseen(const double *heard, const Given *g, int order, double h, double *end)
+{
+    const double *t = heard + TIMES, *y = heard + VALUES;
+    const int degree = order < (int)heard[KNOWN_POINTS] - 1 ? order : (int)heard[KNOWN_POINTS] - 1;
+    double c[3] = {y[0], 0.0, 0.0}, power = 1.0; /* of what is known, over powers of the time from now */
+    if (degree > 0)
+        c[1] = (y[0] - y[1]) / (t[0] - t[1]);
+    if (degree > 1) {
+        c[2] = (c[1] - (y[1] - y[2]) / (t[1] - t[2])) / (t[0] - t[2]);
+        c[1] += c[2] * (t[0] - t[1]);
+    }
+    end[0] = end[1] = end[2] = 0.0;
+    for (int k = 0; k < 3; k++, power *= h) /* Its integrals and derivatives. */
+        for (int d = 0; d < 3; d++) {
+            const int raised = g->level - d; /* times that it is integrated */
+            double term = c[k] * power;
+            for (int r = 1; r <= raised; r++)
+                term *= h / (k + r);
+            for (int r = 0; r < -raised; r++)
+                term *= h > 0.0 ? (k - r) / h : 0.0;
+            end[d] += term;
+        }
+    for (int d = 0; d < g->level; d++) { /* What is known of the lower ones now. */
+        double term = 1.0;
+        for (int k = d; k < g->level; k++, term *= h / (k - d))
+            end[d] += g->value[k] * term;
+    }
+}
+
+void signals_begin(Instance *i, double time)
+{
+    const Scene *s = i->scene;
+    if (!s->timed)
+        return;
+    i->kept[s->held - 1 - s->followed_count * POLYNOMIAL] = time;
+    memset(i->heard, 0, (size_t)s->followed_count * HEARD * sizeof *i->heard);
+    for (int k = 0; k < s->followed_count; k++) {
+        const Given g = given(i, k);
+        double *c = polynomial(i, k);
+        memset(c, 0, POLYNOMIAL * sizeof *c);
+        c[0] = time;
+        c[1] = g.value[0];
+        c[2] = g.value[1];
+        c[3] = g.value[2] / 2;
+    }
+}
+
+Outcome signals_aim(Instance *i, double start, double h)
+{
+    const Scene *s = i->scene;
+    for (int k = 0; k < s->followed_count; k++) { /* Nothing changes where one is refused. */
+        const Variable *v = s->variables + s->parameters + s->choices + s->followed[k].input;
+        const double value = given(i, k).value[0], limit = s->followed[k].jump;
+        double now[3];
+        at(polynomial(i, k), start, now);
+        if (!(fabs(value - now[0]) <= limit))
+            return say(i, REFUSED,
+                "%s, t = %.6g s: %s is %g %s, and what it moves has come to %g %s: a jump of %.3g %s, more than %g %s, "
+                "which no rigid mechanism follows; change it less from one communication step to the next, give its rate "
+                "too (derivatives=1 of the input), or declare a larger jump",
+                s->name, start, v->name, value, v->unit, now[0], v->unit, fabs(value - now[0]), v->unit, limit, v->unit);
+    }
+    for (int k = 0; k < s->followed_count; k++) {
+        const Given g = given(i, k);
+        double *c = polynomial(i, k), *heard = i->heard + k * HEARD, now[3], end[3];
+        at(c, start, now);
+        hear(heard, &g, start);
+        foreseen(heard, &g, s->followed[k].order, h, end);
+        memset(c, 0, POLYNOMIAL * sizeof *c);
+        c[0] = start;
+        c[1] = now[0];
+        c[2] = now[1];
+        if (g.level < 2) {
+            const double way = end[0] - now[0];
+            c[3] = (3 * way - (2 * now[1] + end[1]) * h) / (h * h);
+            c[4] = (-2 * way + (now[1] + end[1]) * h) / (h * h * h);
+        } else {
+            const double way = end[0] - now[0] - h * (now[1] + h * now[2] / 2);
+            const double faster = (end[1] - now[1] - h * now[2]) * h, bent = (end[2] - now[2]) * h * h / 2;
+            c[3] = now[2] / 2;
+            c[4] = (10 * way - 4 * faster + bent) / (h * h * h);
+            c[5] = (-15 * way + 7 * faster - 2 * bent) / (h * h * h * h);
+            c[6] = (6 * way - 3 * faster + bent) / (h * h * h * h * h);
+        }
+    }
+    return DONE;
+}
