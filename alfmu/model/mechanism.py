@@ -1670,7 +1670,7 @@ class Mechanism:
             along = self._joint(of)
             name, unit = along.name, self._free(along, "motion()")
             placed = along.coordinate if isinstance(along, Joint) else None
-            if placed is not None and not self._depends_on_coordinates(placed):
+            if placed is not None and not self._moves(placed):
                 raise DeclarationError(
                     f"{self.name}: the coordinate of {name} says already how it moves; leave out one of both"
                 )
@@ -1716,9 +1716,6 @@ class Mechanism:
         if any(key_of(x) not in known for x in symbols):
             return None
         return float(ca.substitute(law, stack(symbols), stack([known[key_of(x)] for x in symbols])))
-
-    def _depends_on_coordinates(self, value: Scalar) -> bool:
-        return any(self._symbols[key_of(symbol)].kind == "coordinates" for symbol in symbols_in(value))
 
     def clutch(self, name: str, first: Body, second: Body) -> None:
         """Let the Boolean input `<name>.locked` couple the turning of two bodies; a brake where one is the ground."""
@@ -2045,7 +2042,7 @@ class Mechanism:
         """What a constraint or a lock keeps: an expression that moves."""
         self._displacement(what, unit)
         value = symbolic(self._quantity(what, expression, unit, PLACE))
-        if not self._depends_on_coordinates(value):
+        if not self._moves(value):
             raise DeclarationError(f"{self.name}: {what} depends on no coordinate, so that no motion can keep it")
         return value
 
@@ -2101,7 +2098,8 @@ class Mechanism:
 
     def _length(self, what: str, length: Any, may: Collection[str]) -> Scalar:
         length = self._quantity(what, length, "m", may)
-        if not self._moves(length) and not (value := self._at_defaults(what, length)) > 0:
+        constant = all(self._symbols[key_of(symbol)].kind in CONSTANT for symbol in symbols_in(length))
+        if constant and not (value := self._at_defaults(what, length)) > 0:
             raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
         perhaps_millimetres(f"{self.name}: {what}", length)
         return length
