@@ -337,6 +337,23 @@ def test_a_spatial_hinge_turns_on_and_on():
     assert found["J.force.x"] == pytest.approx(-9 * np.cos(3 * found.time), abs=1e-10)
 
 
+def test_a_spatial_hinge_with_a_coordinate_follows_a_law_but_is_not_carried_by_one():
+    def rotor(base) -> alfmu.Mechanism:
+        m = alfmu.Mechanism("rotor")
+        body = m.spatial_body("body", mass=2.0, inertia=(0.1, 0.2, 0.25), relative=True)
+        at, angle = m.spatial_ground.at(base(m.time), 0, 0), m.coordinate("angle", "rad")
+        m.spatial_revolute("J", at, body.at(-0.5, 0, 0), axis=(0, 0, 1), coordinate=angle)
+        m.gravity(0, -G)
+        m.motion("J", 3 * m.time)
+        return m
+
+    found = alfmu.simulate(by_rk4(rotor(lambda t: 0.0)), 1.0, 0.05)
+    assert found["J.torque"] == pytest.approx(G * np.cos(3 * found.time), abs=1e-10)
+    assert found["J.force.x"] == pytest.approx(-9 * np.cos(3 * found.time), abs=1e-10)
+    with pytest.raises(alfmu.DeclarationError, match="relative coordinates, is carried by what depends on"):
+        alfmu.derive(rotor(ca.sin))
+
+
 def test_natural_coordinates_and_a_prismatic_joint():
     m = alfmu.Mechanism("natural")
     x, y, s = m.coordinate("x", "m", start=1.0), m.coordinate("y", "m"), m.coordinate("s", "m")
