@@ -56,7 +56,9 @@ def measures(
         effort = spring.stiffness * (x - spring.rest) + spring.damping * rate
         what = "torque" if joint_unit == "rad" else "force"
         said = "in tension" if not isinstance(between, AnyJoint) else f"against the motion of {between.name}"
-        add(f"{name}.elongation", x - spring.rest, joint_unit, f"of {name}, from where it is at rest")
-        add(f"{name}.elongation_rate", rate, rate_of(joint_unit), f"rate of {name}.elongation")
+        stretch = x - spring.rest
+        add(f"{name}.elongation", stretch, joint_unit, f"of {name}, from where it is at rest")
+        stretching = ca.jtimes(stretch, q, v)  # The place of rest may move, too.
+        add(f"{name}.elongation_rate", stretching, rate_of(joint_unit), f"rate of {name}.elongation")
         add(f"{name}.{what}", ca.SX(effort), EFFORTS[joint_unit], f"{what} of {name}, positive {said}")
     return values, outputs, angles
