@@ -31,6 +31,7 @@ from ..model.mechanism import (
     Body,
     Constraint,
     Coordinate,
+    Friction,
     Joint,
     Lock,
     Marker,
@@ -48,6 +49,7 @@ from ..model.stops import EndStop
 from ..model.units import rate_of
 from . import space
 from .evaluation import ARGUMENTS, evaluable, shared
+from .friction import rubbing
 from .interface import variables_of
 from .measures import measures
 from .types import Equations, Row, Switch, Variable
@@ -358,8 +360,10 @@ def derive(mechanism: Mechanism) -> Equations:
     coordinates = m.coordinates or (_rest(),)
     q, v, a = (stack([getattr(c, letter) for c in coordinates]) for letter in "qva")
     locks = [closure for closure in m.closures if isinstance(closure, Lock)]
+    frictions = [lock for lock in locks if isinstance(lock, Friction)]
+    kept = [x.value for x in locks] + [x.slip for x in frictions]
     inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])
-    u, p = ca.vertcat(inputs, x), stack([x.symbol for x in m.parameters] + [x.value for x in locks])
+    u, p = ca.vertcat(inputs, x), stack([x.symbol for x in m.parameters] + kept)
     s, t = stack([x.symbol for x in m.starts]), m.time
 
     plain = Kinematics(m)
@@ -426,9 +430,13 @@ def derive(mechanism: Mechanism) -> Equations:
         for suffix, value, unit, text in relation.readings(plain, own):
             values.append(value)
             outputs.append(Variable(f"{relation.name}.{suffix}", unit, description=text))
-    efforts_of_locks, lock_outputs = _locking(locks, closures, lam)
+    loads = {o.name: r for o, r in zip(reaction_outputs, reactions, strict=True)}
+    efforts_of_locks, lock_outputs = _locking([x for x in locks if x not in frictions], closures, lam)
     values += efforts_of_locks
     outputs += lock_outputs
+    rubs = rubbing(locks, {lock: closures.index((lock, "locked")) for lock in locks}, plain.free, loads, (q, v, a), lam)
+    values += rubs.values
+    outputs += rubs.outputs
     efforts_in_space = _efforts_in_space(m, plain, q, v)
     spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
     values += spatial_values
@@ -482,7 +490,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "Phi": Phi,
         "C": C,
         "xi": xi,
-        "displacements": stack([plain.locked(lock)[0] for lock in locks]),
+        "displacements": stack([*(plain.locked(lock)[0] for lock in locks), *(x.slip for x in frictions)]),
         "gaps": gaps,
         "gaps_matrix": ca.jacobian(gaps, q) + slipping,
         "kinetic_energy": T,
@@ -491,6 +499,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "other_power": ca.dot(passive, v),
         "state_rates": _state_rates(m),
         "readings": y,
+        **rubs.functions,
         "guess": guess,
         "guess_rate": ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape),
         "ties": ties,
@@ -520,9 +529,10 @@ def derive(mechanism: Mechanism) -> Equations:
         slips=[i for i, (c, k) in enumerate(closures) if isinstance(c, Relation) and c.slip(plain, k) is not None],
         compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
-        held=[lock.name for lock in locks],
+        frictions=rubs.frictions,
+        held=[*(lock.name for lock in locks), *(f"{x.name}.slip" for x in frictions)],
         wrapped=wrapped,
-        works=not f_applied.is_zero(),
+        works=bool(frictions) or not f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
         step_size=m.experiment.step_size,
         interval=m.experiment.communication_step or m.experiment.step_size,
@@ -755,6 +765,7 @@ def _switches(m: Mechanism, locks: list[Lock], closures: list[Closing]) -> list[
             description=f"stop the motion of {lock.name}",
         )
         for i, lock in enumerate(locks)
+        if not isinstance(lock, Friction)
     ]
     for closure in m.releases:
         rows = [i for i, (each, _) in enumerate(closures) if each is closure]

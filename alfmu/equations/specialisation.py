@@ -106,7 +106,7 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
     own = iter(ca.vertsplit(x["p"])) if x["p"].numel() else iter(())
     p = ca.vertcat(*(ca.SX(p.start) if p.name in names else next(own) for p in e.parameters), *own)
     functions = {}
-    for name, letters in ARGUMENTS.items():
+    for name, letters in ((name, x) for name, x in ARGUMENTS.items() if name in e.functions):
         value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))
         value = ca.densify(value) if value.is_column() else ca.sparsify(value)
         functions[name] = shared(name, [x[letter] for letter in letters], [value])
@@ -115,7 +115,7 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
 
 def _equations(e: Equations) -> dict[str, ca.Function]:
     """The functions that derivation gave, without what was made of them."""
-    return {name: e.functions[name] for name in ARGUMENTS}
+    return {name: e.functions[name] for name in ARGUMENTS if name in e.functions}
 
 
 def _matches(name: str, patterns: list[str]) -> bool:
