@@ -342,7 +342,7 @@ class Scene:
 
         lam, rubbing = self._apart(lam)
         lam = method.minimum_norm(C, self.weights, self.solver(D, L), lam, 2, done)
-        return ca.if_else(left[0], math.nan, lam + rubbing)
+        return ca.if_else(left[0], math.nan, lam + rubbing if self.e.frictions else lam)
 
     def _apart(self, lam: SX) -> tuple[SX, SX]:
         """lam of constraints in force, and that of dry friction, which belongs to none of them."""
@@ -359,7 +359,8 @@ class Scene:
         change = method.nearer_norm(C, self.weights, self.solver(D, L), lam, z)
         z = z + change
         more = 1 - (ca.sumsqr(C @ change) <= _LEFT**2 * ca.sumsqr(C @ z))
-        return z, self.weights @ (C @ z) + rubbing, more
+        lam = self.weights @ (C @ z)
+        return z, lam + rubbing if self.e.frictions else lam, more
 
     def distributed(self, M: SX, C: SX, lam: SX, passes: int = SHARES) -> SX:
         """lam as joints share it, of the given compliances or in the least norm; not finite where the passes were too
@@ -375,7 +376,8 @@ class Scene:
             return False
 
         lam = method.minimum_norm_of_joints(C, weights, self._unit_lengths, inverse, lam, passes, done)
-        return ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan) + rubbing
+        lam = ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
+        return lam + rubbing if self.e.frictions else lam
 
     # Singular positions --------------------------------------------------------------------------------------------
 
