@@ -67,6 +67,9 @@ class Instance(runtime.Instance):
         """Begin as the runtime does, with RK4 for `auto`; InputError where another method is asked for."""
         if (chosen := self.choices["solver.method"]) not in ("auto", "rk4"):
             raise InputError(f"{self.name}: the oracle has no solver.method {chosen}; use rk4, or kernel vm")
+        if self.equations.frictions:
+            joint = self.equations.frictions[0].name
+            raise InputError(f"{self.name}: the oracle has no dry friction, which {joint} has; use kernel vm")
         super().initialize()
         self.counters, self._step_error = Counters(), 0.0
         self._unfinished, self._told = 0.0, False

@@ -153,6 +153,13 @@ def governor(n: Names) -> None:
     assert np.ptp(n["result"]["slider.z"]) > 0.05
 
 
+def bar_clamp(n: Names) -> None:
+    assert n["kept"] == pytest.approx(n["expected"], rel=2e-3)
+    assert n["slide"] < 1 < n["hold"]
+    assert n["left"] < 0.01 * n["kept"]
+    assert n["creep"] < 1e-15
+
+
 CHECKS: dict[str, Callable[[Names], None]] = {
     check.__name__: check
     for check in (
@@ -168,6 +175,7 @@ CHECKS: dict[str, Callable[[Names], None]] = {
             landing_gear,
         ),
         *(five_bar, four_bar, slider_crank, bennett, governor, kapitza, spatial_slider_crank, gyroscope, bricard),
+        bar_clamp,
     )
 }
 """What holds of each file of the gallery, by the numbers that it leaves."""

@@ -36,6 +36,7 @@ from ..model.mechanism import (
     Body,
     Constraint,
     Coordinate,
+    Friction,
     Joint,
     Lock,
     Marker,
@@ -54,6 +55,7 @@ from ..model.stops import EndStop
 from ..model.units import rate_of
 from . import space
 from .evaluation import ARGUMENTS, evaluable, shared
+from .friction import rubbing
 from .interface import variables_of
 from .measures import measures
 from .types import Equations, Followed, Row, Switch, Variable
@@ -396,11 +398,18 @@ def derive(mechanism: Mechanism) -> Equations:
         q, t = ca.vertcat(q, m.time), ca.SX.sym("t")
         v, a = (ca.vertcat(x, ca.SX.sym(f"time_{letter}")) for x, letter in ((v, "v"), (a, "a")))
     locks = [c for c in m.closures if isinstance(c, Lock) or (isinstance(c, Motion) and c.value is not None)]
+    frictions = [lock for lock in locks if isinstance(lock, Friction)]
+    if m.moves and frictions:
+        raise DeclarationError(
+            f"{m.name}: {frictions[0].name}{m.declared_at(frictions[0].name)} has dry friction, which is not known yet "
+            "where places depend on time or motions are prescribed; give viscous friction, or drive by a torque or force"
+        )
     begin = ca.SX.sym("begin")
     kept = [("time", begin), *(("signal", x) for signal in m.signals for x in signal.numbers)] if m.moves else []
     inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])
     u = ca.vertcat(inputs, x)
-    p = stack([x.symbol for x in m.parameters] + [x.value for x in locks] + [x for _, x in kept])
+    remembered = [x.value for x in locks] + [x.slip for x in frictions] + [x for _, x in kept]
+    p = stack([x.symbol for x in m.parameters] + remembered)
     s = stack([x.symbol for x in m.starts])
 
     plain = Kinematics(m)
@@ -473,9 +482,15 @@ def derive(mechanism: Mechanism) -> Equations:
         for suffix, value, unit, text in relation.readings(plain, its):
             values.append(value)
             outputs.append(Variable(f"{relation.name}.{suffix}", unit, description=text))
-    for efforts_kept, kept_outputs in (_locking(locks, closures, lam), _driving(closures, lam)):
+    loads = {o.name: r for o, r in zip(reaction_outputs, reactions, strict=True)}
+    plain_locks = [x for x in locks if x not in frictions]
+    for efforts_kept, kept_outputs in (_locking(plain_locks, closures, lam), _driving(closures, lam)):
         values += efforts_kept
         outputs += kept_outputs
+    rows_of_locks = {x: closures.index((x, "locked")) for x in locks if isinstance(x, Lock)}
+    rubs = rubbing(locks, rows_of_locks, plain.free, loads, (q, v, a), lam)
+    values += rubs.values
+    outputs += rubs.outputs
     efforts_in_space = _efforts_in_space(m, plain, q, v)
     spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
     values += spatial_values
@@ -529,7 +544,9 @@ def derive(mechanism: Mechanism) -> Equations:
         "Phi": Phi,
         "C": C,
         "xi": xi,
-        "displacements": stack([*(plain.locked(lock)[0] for lock in locks), *(0.0 for _ in kept)]),
+        "displacements": stack(
+            [*(plain.locked(lock)[0] for lock in locks), *(x.slip for x in frictions), *(0.0 for _ in kept)]
+        ),
         "gaps": gaps,
         "gaps_matrix": _still(ca.jacobian(gaps, own[0]) + slipping, n, m.moves),
         "kinetic_energy": T,
@@ -538,6 +555,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "other_power": ca.dot(passive, v),
         "state_rates": _state_rates(m),
         "readings": y,
+        **rubs.functions,
         "guess": guess,
         "guess_rate": (ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape))
         + (ca.jacobian(guess, begin) if m.moves else 0),
@@ -569,11 +587,12 @@ def derive(mechanism: Mechanism) -> Equations:
         slips=[i for i, (c, k) in enumerate(closures) if isinstance(c, Relation) and c.slip(plain, k) is not None],
         compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
-        held=[*(lock.name for lock in locks), *(name for name, _ in kept)],
+        frictions=rubs.frictions,
+        held=[*(lock.name for lock in locks), *(f"{x.name}.slip" for x in frictions), *(name for name, _ in kept)],
         timed=m.moves,
         followed=_followed(m),
         wrapped=wrapped,
-        works=m.moves or not f_applied.is_zero(),
+        works=m.moves or bool(frictions) or not f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
         step_size=m.experiment.step_size,
         interval=m.experiment.communication_step or m.experiment.step_size,
@@ -876,6 +895,8 @@ def _switches(m: Mechanism, locks: list[Lock | Motion], closures: list[Closing])
     """Boolean inputs, locks first, each kind in the order of declaration."""
     switches = []
     for i, lock in enumerate(locks):
+        if isinstance(lock, Friction):
+            continue
         moving = isinstance(lock, Motion)
         name, text = ("driven", "put {} in force: the motion") if moving else ("locked", "stop the motion")
         row = closures.index((lock, "motion" if moving else "locked"))

@@ -39,6 +39,8 @@ ARGUMENTS = {
         "other_power": "q v p t",
         "state_rates": "q v u p t",
         "readings": "q v a lam u p t",
+        "rubbing": "q v a lam u p t",
+        "sliding": "q v p",
         "guess": "p s",
         "guess_rate": "p s sdot",
         "ties": "q p s",
@@ -59,6 +61,7 @@ EVALUATED = {
     "guesses": 0,
     "displacements": 0,
     "state_rates": 0,
+    "sliding": 0,
     "tangents": 4,
 }
 """Functions that run with numbers outside the kernel, and how many of their results are matrices."""
@@ -106,6 +109,8 @@ def evaluable(equations: Equations) -> Equations:
         functions["state_rates"] = e.state_rates
     if e.held:
         functions["displacements"] = e.displacements
+    if e.frictions:
+        functions["sliding"] = e.sliding
     for name, (arguments, values) in results.items():
         dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
         functions[name] = shared(name, arguments, dense)

@@ -106,7 +106,7 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
     own = iter(ca.vertsplit(x["p"])) if x["p"].numel() else iter(())
     p = ca.vertcat(*(ca.SX(p.start) if p.name in names else next(own) for p in e.parameters), *own)
     functions = {}
-    for name, letters in ((name, ARGUMENTS[name]) for name in _equations(e)):
+    for name, letters in ((name, x) for name, x in ARGUMENTS.items() if name in e.functions):
         value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))
         value = ca.densify(value) if value.is_column() else ca.sparsify(value)
         functions[name] = shared(name, [x[letter] for letter in letters], [value])

@@ -78,6 +78,23 @@ class Row:
 
 
 @dataclass(frozen=True)
+class Rubbing:
+    """Dry friction of a joint, in proportion to its load: a constraint that holds while the joint sticks.
+
+    While it slides, the multiplier of that constraint is what the law of friction gives for the load.
+    """
+
+    name: str
+    row: int
+    value: int
+    """Place among `Equations.held` of the displacement at which it sticks."""
+    slip: int
+    """Place there of the direction in which it slides: 1 or -1, 0 while it sticks (`equations.friction` has others)."""
+    output: str
+    """The output of its friction."""
+
+
+@dataclass(frozen=True)
 class Mobility:
     """How a mechanism can move: in general, and at one position."""
 
@@ -91,7 +108,7 @@ class Mobility:
 
 _TUPLES = (
     *("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs", "rows"),
-    *("compliances", "switches", "states"),
+    *("compliances", "switches", "frictions", "states"),
 )
 """Fields of equations that users read."""
 
@@ -119,6 +136,8 @@ class Equations:
     other_power(q, v, p, t)          power of dampers and loads, W
     state_rates(q, v, u, p, t)       time derivatives of the states
     readings(q, v, a, lam, u, p, t)  everything a user can read, in the order of `outputs`
+    rubbing(q, v, a, lam, u, p, t)   of dry friction: multipliers, limits, second rates
+    sliding(q, v, p)                 rates of joints with dry friction
     guess(p, s)                      start of the position assembly (n,)
     guess_rate(p, s, sdot)           its time derivative (n,)
     ties(q, p, s)                    independent quantities minus their start values
@@ -186,9 +205,12 @@ class Equations:
     """Compliance of each constraint, where a user may give them: redundant ones share a load as elastic ones do."""
     switches: Sequence[Switch] = ()
     """Boolean inputs that change the topology."""
+    frictions: Sequence[Rubbing] = ()
+    """Joints with dry friction."""
     held: list[str] = field(default_factory=list)
-    """Displacements that locks keep: their values follow the parameters in p, `displacements` computes them. Behind
-    them, where time is a coordinate, the time at which the run began and the numbers of signals."""
+    """Displacements that locks keep, and what joints with dry friction remember: their values follow the parameters in
+    p, `displacements` computes them. Behind them, where time is a coordinate, the time at which the run began and the
+    numbers of signals."""
     states: Sequence[Variable] = ()
     """Quantities of first-order equations that are integrated with the motion; `start` is their value at the start."""
     resting: bool = False
@@ -233,6 +255,11 @@ class Equations:
     def dependent(self) -> int:
         """Number of coordinates without time."""
         return self.n - self.timed
+
+    @property
+    def changes(self) -> bool:
+        """Whether constraints come into force and go while a scene runs."""
+        return bool(self.switches or self.frictions)
 
     @property
     def turns(self) -> bool:

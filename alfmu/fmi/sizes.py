@@ -38,6 +38,7 @@ _PARTS = {
         *("instant_patient", "limit_patient"),
     ),
     "impacts of locks": ("impact",),
+    "sticking of dry friction": ("gripping",),
     "directional derivatives": ("sensitivity", "limit_sensitivity"),
 }
 """Programs of a scene by what they are for."""

@@ -59,6 +59,11 @@ class Alternatives(Tracer):
         other.formulation = formulation
         return other
 
+    def rub(self, calls: Calls, i: str, names: Mapping[str, str]) -> None:
+        """Dry friction belongs to the multiplier iteration alone; the runtime refuses it with other formulations."""
+        if self.formulation == OWN:
+            super().rub(calls, i, names)
+
     def classic(self, calls: Calls, a: str, lam: str, watch: str) -> None:
         """a, lam and watch after one more iteration (8) as printed."""
         found = f"{a} {lam} {watch}"

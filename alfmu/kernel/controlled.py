@@ -35,6 +35,7 @@ from ..method.stepping import (
     rule_beside,
 )
 from ..model.settings import FIXED
+from . import rubbing
 from .form import Call, Factor, Loop, Plan, Program, Routine, Solve, Step, rewritten
 from .memory import PACE
 from .trace import CAREFUL, Calls, Tracer, spaced
@@ -375,6 +376,10 @@ class _Collocation(_Implicit):
         if self.e.works:
             for i in self.nodes:
                 self._place(self.calls, i)
+                if self.e.frictions:
+                    known = f"t{i} q{i} v{i} {self.inputs(i)}"
+                    rubbing.power(self.calls, known, f"guess{i}", f"power{i}", "rubbing_power_at_node")
+                    continue
                 known = f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"
                 self.calls.made.append(Call("power", known, (f"power{i}",)))
                 self.tracer._supply(self.calls, i, {"u": self.inputs(i)})

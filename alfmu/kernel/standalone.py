@@ -24,6 +24,7 @@ from ..method import formulations as method
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.singular import DOUBLINGS
+from . import rubbing
 from .alternatives import OWN, Alternatives, alternatives
 from .form import Call, Choice, Loop, Plan, Program, Routine, called, rewritten
 from .memory import SEEN
@@ -69,6 +70,8 @@ def standalone(equations: Equations) -> Equations:
         if "limit" in e.kernel:
             kernel["limit_patient"] = tracer.limit(careful, redundant)
         kernel["impact"] = tracer.impact(careful)
+        if e.frictions:
+            kernel["gripping"] = tracer.gripping(careful)
         for name in alternatives(e):
             other = tracer.by(name)
             kernel[f"move_{name}"] = other.extrapolated(other.move(careful))
@@ -134,10 +137,11 @@ class _Patient(Alternatives):
 
     def reads_quickly(self) -> bool:
         """Whether what is read at an instant needs no more multiplier iterations than a quick step, and steps may be
-        those of RK4, whose first evaluation it is, and take no rates of further states from there."""
+        those of RK4, whose first evaluation it is, and take no rates of further states from there, nor dry friction."""
         e = self.e
         quick, read = e.kernel["quick"].plan, any(x == "a0" for x in _made(e.kernel["instant"]))
-        plain = ("method" not in e.kernel or default_settings(e).method == "auto") and not self.order and not e.states
+        plain = "method" not in e.kernel or default_settings(e).method == "auto"
+        plain = plain and not (self.order or e.states or e.frictions)
         return plain and read and bool(quick and quick.quick)
 
     def timed(self) -> bool:
@@ -215,6 +219,17 @@ class _Patient(Alternatives):
         if self.redundant:
             self._least(calls, "lam0")
         calls("impact_end", "z M a0 lam0 k", "struck impulses lost", end)
+        return Program(calls.steps)
+
+    def gripping(self, plan: Plan) -> Program:
+        """What decides of sticking and sliding of joints with dry friction."""
+        calls = Calls(self, plan)
+        self._unpacked(calls)
+        u = self.here(calls)
+        self.evaluation(calls, "0", {"u": u})
+        if self.redundant:
+            self._least(calls, "lam0")
+        rubbing.told(calls, f"t0 q0 v0 {u}", "a0", "lam0")
         return Program(calls.steps)
 
     def sensitivity(self, plan: Plan) -> Program:
@@ -344,6 +359,9 @@ class _Patient(Alternatives):
         iterations: int | None = None,
         most: str = "most",
     ) -> None:
+        if self.e.frictions and self.formulation == OWN:
+            super().evaluation(calls, i, names, 1)
+            return
         super().evaluation(calls, i, names, 1)
         own = {x: names.get(x + i, x + i) for x in ("q", "v", "a", "lam", "watch")}
         if self.formulation in (OWN, "classic"):

@@ -91,8 +91,8 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     e, n, l, inputs = equations, equations.n, equations.l, len(equations.inputs)
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
     alike = {
-        "t tz tl tn step arrival power powern work pivot here zone zonen spacing stretched near slow singular error": 1,
-        "read_power renew before passes size most patient again projects within floor": 1,
+        "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
+        "singular error read_power renew before passes size most patient again projects within floor": 1,
         "supply supplied suppliedn": 1,
         "left stabilisation": 2,
         "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
@@ -112,7 +112,9 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     }
     for names, length in alike.items():
         found |= dict.fromkeys(names.split(), length)
-    return found
+    count = len(e.frictions)
+    # Of dry friction (`kernel.rubbing`): changes of a and lam by a unit of each, passes, how well laws hold, decisions.
+    return found | {"moved": n * count, "pressed": l * count, "rubs": 1, "rubbed": 2, "grip": 3 * count + 2}
 
 
 class Watch(NamedTuple):
@@ -351,20 +353,33 @@ class Scene:
             left[:] = [1 - (ca.sumsqr(change) <= _LEFT**2 * ca.sumsqr(value))]
             return False
 
+        lam, rubbing = self._apart(lam)
         lam = method.minimum_norm(C, self.weights, self.solver(D, L), lam, 2, done)
-        return ca.if_else(left[0], math.nan, lam)
+        return ca.if_else(left[0], math.nan, lam + rubbing if self.e.frictions else lam)
+
+    def _apart(self, lam: SX) -> tuple[SX, SX]:
+        """lam of constraints in force, and that of dry friction, which belongs to none of them."""
+        if not self.e.frictions:
+            return lam, SX(self.e.l, 1)
+        own = SX(self.e.l, 1)
+        for each in self.e.frictions:
+            own[each.row] = (1 - self.held[each.row]) * lam[each.row]
+        return lam - own, own
 
     def least_again(self, C: SX, D: SX, L: SX, lam: SX, z: SX) -> tuple[SX, SX, SX]:
         """One more pass: z, lam by it, and whether another one is needed."""
+        lam, rubbing = self._apart(lam)
         change = method.nearer_norm(C, self.weights, self.solver(D, L), lam, z)
         z = z + change
         more = 1 - (ca.sumsqr(C @ change) <= _LEFT**2 * ca.sumsqr(C @ z))
-        return z, self.weights @ (C @ z), more
+        lam = self.weights @ (C @ z)
+        return z, lam + rubbing if self.e.frictions else lam, more
 
     def distributed(self, M: SX, C: SX, lam: SX, passes: int = SHARES) -> SX:
         """lam as joints share it, of the given compliances or in the least norm; not finite where the passes were too
         few."""
         weights, last = self._shares, []
+        lam, rubbing = self._apart(lam)
 
         def inverse(C: SX) -> method.Solve:
             return self.solver(*self.factors(method.augmented_mass(M, C, weights)))
@@ -374,7 +389,8 @@ class Scene:
             return False
 
         lam = method.minimum_norm_of_joints(C, weights, self._unit_lengths, inverse, lam, passes, done)
-        return ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
+        lam = ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
+        return lam + rubbing if self.e.frictions else lam
 
     # Singular positions --------------------------------------------------------------------------------------------
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..equations import Equations, Variable
 from ..equations.evaluation import DENSE
+from ..equations.friction import LIMITED, SHARED
 from ..equations.interface import (
     BALANCE,
     CHOICES,
@@ -25,7 +26,7 @@ from ..equations.interface import (
     integrator,
     variables_of,
 )
-from ..method import formulations, implicit, singular, stepping
+from ..method import formulations, friction, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
@@ -53,7 +54,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 9
+VERSION = 10
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -76,14 +77,13 @@ HANDED = {
     **_same("most patient du slopes within q v dy struck lost again stabilisation projects"),
     "impulse": "impulses",
     **_same(" ".join(f"{name}{i}" for name in ("watch", "q", "v") for i in (1, 2, 3, 4))),
-    "watch0": "watch0",
-    "read_watch": "read_watch",
+    **_same("watch0 read_watch grip"),
 }
 """What the runtime and programs hand to each other, by its name in C."""
 
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots irregular"),
+    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding"),
     **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions that the runtime calls, by their names in C."""
@@ -92,7 +92,7 @@ PROGRAMS = {
     **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
     **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful", "short_step": "short"},
     **_same("short_beside onward instant_quick"),
-    **_same("instant_patient limit_patient keep"),
+    **_same("instant_patient limit_patient keep gripping"),
     **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
 }
 """Programs that the runtime runs, by their names in C."""
@@ -110,6 +110,7 @@ COUNTS: dict[str, Number] = {
     "compliances": lambda t: len(t.e.compliances),
     "solver": lambda t: len(SOLVER_VARIABLES),
     "held": lambda t: len(t.e.held),
+    "frictions": lambda t: len(t.e.frictions),
     "impulses": lambda t: sum(len(switch.rows) for switch in t.e.switches),
     "event_count": lambda t: len(events(t.e)),
     "n": lambda t: t.e.n,
@@ -229,6 +230,10 @@ def layout_header() -> str:
         "UNBALANCED": UNBALANCED,
         "ROUND_OFF": ROUND_OFF,
         "POLYNOMIAL": 1 + COEFFICIENTS,
+        "LIMITED": LIMITED,
+        "SHARED": SHARED,
+        "JAM_PIVOT": friction.PIVOT,
+        "JAM_SETTLED": friction.SETTLED,
     }
     for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):
         found |= {vector: len(names), **{f"{vector}_{name.upper()}": i for i, name in enumerate(names)}}
@@ -409,6 +414,11 @@ class _Table:
             w.integer(switch.start)
             w.integer(len(switch.rows))
             w.integers(switch.rows)
+        for each in e.frictions:
+            w.integer(each.row)
+            w.integer(each.value)
+            w.integer(each.slip)
+            w.integer(each.output in (e.shared or ()))
         w.integers(row for switch in e.switches for row in switch.rows)
         every = [v.name for v in every_event(e)]
         w.integers(every.index(v.name) for v in events(e))

@@ -27,6 +27,7 @@ from ..method import singular as branch
 from ..method.inputs import KEPT, extrapolated, reached
 from ..method.integrators import rk4
 from ..model.settings import Settings
+from . import rubbing
 from .form import Call, Choice, Loop, Plan, Program, Step, Steps, called
 from .memory import GROSS, TIERS, Layout
 from .symbolic import MATRICES, Scene, Watch, lengths_of
@@ -57,12 +58,12 @@ def traced(
     at a regular position; `controlled` traces the method of the scene (`alfmu.kernel.controlled`).
     """
     e = untraced(equations)
-    redundant = bool(e.l) and (mobility is None or mobility.redundant > 0 or bool(e.switches))
+    redundant = bool(e.l) and (mobility is None or mobility.redundant > 0 or e.changes)
     careful = Plan(CAREFUL, 3, weighted=True) if e.l else Plan(1, 0)
     quick = careful
     if mobility and e.l and iterations < CAREFUL:
         # A large scene shares the functions of the careful step, which are long to trace and to compile.
-        weighted = e.n > DENSE or bool(e.switches) or e.brakes or e.uneven
+        weighted = e.n > DENSE or e.changes or e.brakes or e.uneven
         quick = Plan(iterations, 1, quick=True, weighted=weighted)
     tracer = Tracer(e)
     kernel = {"quick": tracer.step(quick), "careful": tracer.step(careful)}
@@ -353,7 +354,10 @@ class Tracer:
         if not kept:
             self._reached(direct, f"watch{i}")
         calls.choice(f"zone{i}", limit, direct)
-        calls.made.append(Call("power", (f"q{i}", f"v{i}", u, "p", f"t{i}"), (f"power{i}",)))
+        if self.e.frictions:
+            rubbing.power(calls, f"t{i} q{i} v{i} {u}", f"a{i}", f"power{i}")
+        else:
+            calls.made.append(Call("power", (f"q{i}", f"v{i}", u, "p", f"t{i}"), (f"power{i}",)))
 
     @property
     def supplies(self) -> bool:
@@ -424,17 +428,27 @@ class Tracer:
         known = spaced(t, q, v, names.get("u", "u"), "p k")
         calls(f"{scene.kind}_evaluate", known, spaced(MATRICES, a, lam, power, watch), scene.evaluated)
         more = calls.inside()
-        for k in range((iterations or plan.iterations) - 1):
+        for k in range((iterations or (1 if self.e.frictions else plan.iterations)) - 1):
             self._iterate_once(more if plan.branch and k >= _OFTEN - 1 else calls, a, lam, watch)
         if more.made:
             calls("judge", f"k {watch}", f"more {watch}", lambda watch: scene.judged(plan, watch))
             calls.choice("more", more)
-        if plan.gaining and self.e.l:
+        if self.e.frictions:
+            self.rub(calls, i, names)
+        elif plan.gaining and self.e.l:
             again = calls.inside()
             self._iterate_once(again, a, lam, watch)
             again("gaining", f"k {watch} before", "more before", scene.gaining)
             calls("begin_gaining", f"k {watch}", "more before", lambda watch: scene.gaining(watch, SX(math.inf)))
             calls.made.append(Loop("more", MOST_GAINS, again.steps))
+
+    def rub(self, calls: Calls, i: str, names: Mapping[str, str]) -> None:
+        """The same with dry friction, whose passes are multiplier iterations too."""
+        t, q, v, u, a, lam, power, watch = (
+            names.get(x + i, x + i) if x != "u" else names.get("u", "u")
+            for x in ("t", "q", "v", "u", "a", "lam", "power", "watch")
+        )
+        rubbing.rub(calls, f"{t} {q} {v} {u}", a, lam, power, watch)
 
     def _iterate_once(self, calls: Calls, a: str, lam: str, watch: str) -> None:
         scene, found = calls.scene, f"{a} {lam} {watch}"

@@ -322,6 +322,21 @@ class Motion(Brief):
 
 
 @dataclass(frozen=True, repr=False)
+class Friction(Lock):
+    """Dry friction in a joint, in proportion to its own reaction: a lock that the load lets go.
+
+    `slip` stands for the direction in which it slides (1 or -1), and is 0 while it sticks.
+    """
+
+    slip: ca.SX
+    coulomb: Scalar
+    static: Scalar
+    radius: Scalar | None
+    length: Scalar | None
+    stribeck: Scalar | None
+
+
+@dataclass(frozen=True, repr=False)
 class Spring(Brief):
     """A linear spring-damper along a displacement: of a joint, or the distance of two markers."""
 
@@ -1514,9 +1529,99 @@ class Mechanism:
         Mechanism.end_stops.of(self).append(stop)
         return stop
 
-    def friction(self, joint: AnyJoint, coefficient: Scalar) -> None:
-        """Viscous friction in a joint [N.m.s/rad or N.s/m]."""
-        self.spring_damper(joint, damping=coefficient)
+    def friction(
+        self,
+        joint: AnyJoint,
+        viscous: Scalar = 0.0,
+        *,
+        coulomb: Scalar = 0.0,
+        static: Scalar | None = None,
+        radius: Scalar | None = None,
+        length: Scalar | None = None,
+        stribeck: Scalar | None = None,
+    ) -> None:
+        """Friction in a revolute or prismatic joint: viscous, and dry in proportion to the reaction of the joint.
+
+        `viscous` [N.m.s/rad or N.s/m] resists in proportion to the rate. `coulomb` is the coefficient of dry friction
+        while the joint slides, `static` that at which it begins to slide (the same where it is not given). A revolute
+        joint in the plane is a journal of `radius` [m]: its torque is coefficient times radius times the force that it
+        carries. A prismatic one bears at two edges that are `length` [m] apart, which carry its force and its moment;
+        without `length` its force alone rubs. With `stribeck` [rad/s or m/s] the coefficient goes from the static one
+        at rest to the Coulomb one at such rates. A joint that sticks is held as by a lock.
+        """
+        along = self._free(joint, "friction()")
+        dry = not symbolic(coulomb).is_zero() or static is not None
+        if not dry and (given := [x for x in (radius, length, stribeck) if x is not None]):
+            raise DeclarationError(
+                f"{self.name}: the friction of {joint.name} has {counted(len(given), 'number')} of dry friction and no "
+                "coefficient; give coulomb"
+            )
+        if not dry or not symbolic(viscous).is_zero():
+            self.spring_damper(joint, damping=viscous)
+        if dry:
+            self._dry_friction(joint, along, coulomb, static, radius, length, stribeck)
+
+    def _dry_friction(
+        self,
+        joint: AnyJoint,
+        along: str,
+        coulomb: Scalar,
+        static: Scalar | None,
+        radius: Scalar | None,
+        length: Scalar | None,
+        stribeck: Scalar | None,
+    ) -> None:
+        name, turns = joint.name, along == "rad"
+        if not isinstance(joint, Joint):
+            raise DeclarationError(
+                f"{self.name}: dry friction of {name}: a joint in space has viscous friction alone; leave coulomb, "
+                "static, radius, length and stribeck out"
+            )
+        if turns and (radius is None or length is not None):
+            raise DeclarationError(
+                f"{self.name}: dry friction of {name}: a revolute joint is a journal; give its radius [m], and no "
+                "length"
+            )
+        if not turns and radius is not None:
+            raise DeclarationError(
+                f"{self.name}: dry friction of {name}: a prismatic joint has no radius; give the length [m] between "
+                "its edges, or nothing"
+            )
+        if static is None and stribeck is not None:
+            raise DeclarationError(
+                f"{self.name}: dry friction of {name}: stribeck leads from the static coefficient to the Coulomb one; "
+                "give static"
+            )
+        what = "the {} of friction of {}".format
+        coulomb = self._quantity(what("coefficient coulomb", name), coulomb, "1", EFFORT)
+        static = coulomb if static is None else self._quantity(what("coefficient static", name), static, "1", EFFORT)
+        for each, value in (("coulomb", coulomb), ("static", static)):
+            if not isinstance(value, ca.SX) and value < 0:
+                raise DeclarationError(
+                    f"{self.name}: {what('coefficient ' + each, name)} is {value:g}; it must not be negative"
+                )
+        if not isinstance(coulomb, ca.SX) and not isinstance(static, ca.SX) and static < coulomb:
+            raise DeclarationError(
+                f"{self.name}: the friction of {name} has static = {static:g} below coulomb = {coulomb:g}; a joint "
+                "that sticks holds at least what it rubs with"
+            )
+        radius, length = (
+            None if x is None else self._length(what(letter, name), x, CONSTANT)
+            for letter, x in (("radius", radius), ("length", length))
+        )
+        if stribeck is not None:
+            stribeck = self._quantity(what("rate stribeck", name), stribeck, rate_of(along), CONSTANT)
+            if (value := self._at_defaults(what("rate stribeck", name), stribeck)) <= 0:
+                raise DeclarationError(
+                    f"{self.name}: {what('rate stribeck', name)} is {value:g} {rate_of(along)}; it must be above zero"
+                )
+        if any(isinstance(each, Friction) and each.of is joint for each in self.closures):
+            raise DeclarationError(f"{self.name}: {name} has dry friction already; give its numbers in one call")
+        self._claim(f"{name}.slip", "1", "an output")
+        at, slip = ca.SX.sym(f"{name}.sticks_at"), ca.SX.sym(f"{name}.slip")
+        Mechanism.closures.of(self).append(
+            Friction(name, joint, along, at, slip, coulomb, static, radius, length, stribeck)
+        )
 
     # Pictures ---------------------------------------------------------------------------------------------------
 

@@ -88,6 +88,11 @@ typedef struct {
 /* What is heard of it: how many points, of which derivative, their times and values. */
 #define HEARD_POINTS 3
 #define HEARD (2 + 2 * HEARD_POINTS)
+/* A joint with dry friction: the row that holds while it sticks, and where the displacement at which it does and the direction
+   in which it slides stand among what is kept; whether its load is not unique. */
+typedef struct {
+    int row, value, slip, shared;
+} Friction;
 
 /* Where the nonzeros of a matrix stand, by columns. */
 typedef struct {
@@ -129,6 +134,7 @@ typedef struct {
     const Variable *variables;
     const Choice *choice;
     const Switch *switched;
+    const Friction *friction;
     const int *impulse_rows, *event_places;
     const Coordinate *coordinates;
     const Row *rows;
@@ -233,7 +239,7 @@ typedef struct Instance {
 } Instance;
 
 /* What an instance warns of once in a run. */
-enum { WARNED_OF_BALANCE = 1, WARNED_OF_ROUND_OFF = 2, WARNED_OF_UNCONVERGED = 4, EVERY_WARNING = 7 };
+enum { WARNED_OF_BALANCE = 1, WARNED_OF_ROUND_OFF = 2, WARNED_OF_UNCONVERGED = 4, WARNED_OF_FRICTION = 8, EVERY_WARNING = 15 };
 
 Instance *instance_new(const Scene *scene);
 void instance_free(Instance *i);
@@ -285,11 +291,29 @@ void constraints_at(
 double widest(Instance *i, const double *q, const double *v, int of_velocity, int *row);
 void in_force(const Instance *i, const double *on, unsigned char *held);
 
+void parameters(Instance *i);
+void weigh(Instance *i);
+void settle_kernel(Instance *i);
+Outcome knowledge(Instance *i, const double *q, const double *v);
+Outcome projected(Instance *i, double *q, double *v);
+Outcome covered(Instance *i, double end, double dt, int once);
+Outcome watched_step(Instance *i, double start, double dt);
+int method(const Instance *i);
+
+/* Dry friction (friction.c). */
+void friction_reset(Instance *i);
+Outcome friction_begin(Instance *i);
+Outcome friction_cover(Instance *i, double start, double h, double dt);
+void friction_loosen(Instance *i);
+int jammed(Instance *i);
+Outcome say_jam(Instance *i);
+
 Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v);
 void set_off(Instance *i, const unsigned char *held, const double *q, double *v);
 Outcome check_masses(Instance *i, const double *q, const unsigned char *held);
 void default_penalties(Instance *i, const double *q, double *penalties);
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
+int rank_here(Instance *i, const double *q, const unsigned char *held);
 void hold(Instance *i);
 void hand_over(Instance *i);
 

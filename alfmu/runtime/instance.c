@@ -23,6 +23,9 @@
    the default tolerance. */
 #define RESTING 1e-8
 
+/* Share of a direction of inputs by which outputs are changed for a difference, where they do not change evenly. */
+#define SMALL_CHANGE 1e-4
+
 /* Inputs above this are tried before they are taken: some outputs may not be finite with them. */
 #define TRIED 1e30
 
@@ -126,6 +129,8 @@ Instance *instance_new(const Scene *s)
     i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
         + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
         + 4 * (size_t)(driven_by(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
+    if (s->frictions) /* What steps up to events remember. */
+        i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
             + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + least_norm_work(s->dense, s->dense)
@@ -555,7 +560,7 @@ void hand_over(Instance *i)
 }
 
 /* Penalties, units and shares of constraints handed on to the kernel; redundant constraints as they are. */
-static void weigh(Instance *i)
+void weigh(Instance *i)
 {
     const Scene *s = i->scene;
     double *k = field(i, s->k), *rows = k + SETTINGS, most = largest(i->penalty, s->l), least = INFINITY;
@@ -583,7 +588,7 @@ static int continues(const Instance *i)
 
 /* What makes the steps: 0 RK4, 1 the method of the scene with error control, 2 the same in steps of one length. What `auto`
    stands for takes one formulation alone, and passes singular positions along the branch. */
-static int method(const Instance *i)
+int method(const Instance *i)
 {
     const Scene *s = i->scene;
     const int rk4 = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && s->l && !continues(i));
@@ -597,7 +602,7 @@ static double of_step(double share, double exponent, double run)
 }
 
 /* The kernel told what the settings ask for. */
-static void settle_kernel(Instance *i)
+void settle_kernel(Instance *i)
 {
     const Scene *s = i->scene;
     double *k = field(i, s->k), *rows = k + SETTINGS, *control = field(i, s->control);
@@ -626,7 +631,7 @@ static void settle_kernel(Instance *i)
         hold(i);
 }
 
-static void parameters(Instance *i)
+void parameters(Instance *i)
 {
     const Scene *s = i->scene;
     memcpy(field(i, s->p), i->values, (size_t)s->own * sizeof(double));
@@ -642,6 +647,8 @@ void in_force(const Instance *i, const double *on, unsigned char *held)
     for (int k = 0; k < s->switches; k++)
         for (int r = 0; r < s->switched[k].count; r++)
             held[s->switched[k].rows[r]] = (on[k] != 0.0) == s->switched[k].holds;
+    for (int k = 0; k < s->frictions; k++)
+        held[s->friction[k].row] = i->kept[s->friction[k].slip] == 0.0;
 }
 
 /* Whether the constraints in force are the usual ones. */
@@ -654,13 +661,15 @@ static int usual(Instance *i)
     int same = 1;
     memset(off, 0, (size_t)s->switches * sizeof *off);
     in_force(i, off, held);
+    for (int k = 0; k < s->frictions; k++)
+        held[s->friction[k].row] = 0;
     for (int r = 0; r < s->l; r++)
         same &= (i->penalty[r] > 0.0) == held[r];
     i->used = used;
     return same;
 }
 
-static Outcome knowledge(Instance *i, const double *q, const double *v)
+Outcome knowledge(Instance *i, const double *q, const double *v)
 {
     const Scene *s = i->scene;
     const size_t used = i->used;
@@ -784,7 +793,13 @@ static Outcome take_effect(Instance *i)
                 i->kept[s->switched[k].value] = displacements[s->switched[k].value];
         parameters(i);
     }
+    if (s->frictions) {
+        friction_reset(i); /* An impact takes no friction; what sticks is told again after it. */
+        parameters(i);
+    }
     outcome = change(i, i->wanted);
+    if (outcome == DONE)
+        outcome = friction_begin(i);
     if (outcome == DONE)
         memcpy(i->on, i->wanted, (size_t)s->switches * sizeof *i->on);
     i->flags.pending = 0;
@@ -814,7 +829,7 @@ static int closed(Instance *i, const double *residue, const double *C, const dou
 }
 
 /* q and v brought back to the constraints. */
-static Outcome projected(Instance *i, double *q, double *v)
+Outcome projected(Instance *i, double *q, double *v)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, l = (size_t)s->l, n = (size_t)s->n;
@@ -964,6 +979,7 @@ static Outcome started(Instance *i)
     const double time = *instance_time(i);
     Outcome outcome;
     signals_begin(i, time);
+    friction_reset(i);
     parameters(i);
     for (int k = 0; k < s->switches; k++)
         i->on[k] = i->wanted[k] != 0.0 && !s->switched[k].holds;
@@ -1001,7 +1017,7 @@ static Outcome started(Instance *i)
     for (int k = 0; k < s->switches; k++)
         if (i->wanted[k] != i->on[k])
             return take_effect(i);
-    return DONE;
+    return friction_begin(i);
 }
 
 /* The tolerance of a run that the host wants, where the method controls its error. */
@@ -1019,6 +1035,11 @@ Outcome instance_initialize(Instance *i)
             "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
             "solver.method rk4",
             s->name, method_name(i));
+    if (s->frictions && !all_serve(i))
+        return say(i, REFUSED,
+            "%s: dry friction is solved for in the multiplier iteration of solver.formulation residual with projections; "
+            "choose that",
+            s->name);
     i->used = 0;
     i->flags.initialized = i->flags.known = i->flags.pending = 0;
     hand_over(i);
@@ -1213,7 +1234,7 @@ static Outcome subdivided(Instance *i, double start, double dt)
         s->name, start + t, where, sqrt(margin(i)));
 }
 
-static Outcome watched_step(Instance *i, double start, double dt)
+Outcome watched_step(Instance *i, double start, double dt)
 {
     int near;
     const Outcome outcome = follow(i, start, dt, &near);
@@ -1228,19 +1249,21 @@ static Outcome interrupted(Instance *i)
     return say(i, FAILED, "%s, t = %.6g s: interrupted", i->scene->name, *instance_time(i));
 }
 
-/* Steps by the method of the scene up to the end of a communication step; those of one length take dt. */
-static Outcome covered(Instance *i, double end, double dt)
+/* Steps by the method of the scene up to the end of a communication step, or one of them; those of one length take dt. */
+Outcome covered(Instance *i, double end, double dt, int once)
 {
     const Scene *s = i->scene;
     double *time = instance_time(i), *pace = field(i, s->pace);
-    pace[PACE_LAST] = 0.0;
+    const double from = *time;
+    if (!once)
+        pace[PACE_LAST] = 0.0;
     pace[PACE_FIXED] = method(i) == 2 ? dt : 0.0;
-    while (*time < end) {
+    while (*time < end && !(once && *time > from)) {
         if (i->left <= 0)
             return too_much(i);
         if (i->flags.brakes)
             hold(i);
-        if (cover(i, end, i->flags.brakes ? 1 : i->left))
+        if (cover(i, end, once || i->flags.brakes ? 1 : i->left))
             continue;
         if (i->ended)
             return interrupted(i);
@@ -1285,8 +1308,12 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
     at_time(i, start);
     if (s->reach >= 0)
         run(i, s->reach);
-    if (method(i)) {
-        outcome = covered(i, start + h, dt);
+    if (s->frictions) {
+        pace[PACE_LAST] = 0.0;
+        outcome = friction_cover(i, start, h, dt);
+        done = steps;
+    } else if (method(i)) {
+        outcome = covered(i, start + h, dt, 0);
         done = steps;
     }
     while (done < steps && outcome == DONE) {
@@ -1373,7 +1400,7 @@ static Outcome whole_step(Instance *i, double start, double h)
     Outcome outcome = DONE;
     long made = -1;
     /* Methods beside RK4 may need any number of steps, which the slower way counts. */
-    if (!i->flags.whole || method(i) || !communicate(i, start, h, &made))
+    if (!i->flags.whole || method(i) || s->frictions || !communicate(i, start, h, &made))
         outcome = slow_step(i, start, h, made);
     if (outcome != DONE)
         return outcome;
@@ -1422,7 +1449,7 @@ Outcome instance_ready(Instance *i, double start, double h)
 Outcome instance_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    const int changed = i->flags.pending, signals = s->followed_count;
+    const int changed = i->flags.pending || s->frictions, pending = i->flags.pending, signals = s->followed_count;
     const size_t kept = (size_t)s->held * sizeof(double), heard = (size_t)signals * HEARD * sizeof(double);
     Outcome outcome;
     if (signals) {
@@ -1432,6 +1459,8 @@ Outcome instance_step(Instance *i, double start, double h)
     outcome = instance_ready(i, start, h);
     if (outcome != DONE)
         return outcome;
+    if (changed && !pending) /* What sticks may change in a step. */
+        remember(i);
     i->used = 0;
     if (!i->within)
         i->left = MOST_STEPS;
@@ -1552,6 +1581,8 @@ Outcome instance_read(Instance *i)
         tell_step_error(i);
         return DONE;
     }
+    if (jammed(i))
+        return say_jam(i);
     if (instant_by(s, formulation(i)) != s->instant)
         outcome = explained(i, z, z + s->n, z[s->time], i->workspace[s->watch0 + WATCH_PIVOT]);
     if (outcome != DONE)
@@ -1568,14 +1599,15 @@ static void differences(Instance *i, const double *direction, double *change)
     const Scene *s = i->scene;
     const int instant = instant_by(s, formulation(i));
     double *u = field(i, s->u), *seen = field(i, s->seen), *before = take(i, (size_t)s->inputs);
+    const double share = s->frictions ? SMALL_CHANGE : 1.0; /* Loads of friction do not change evenly. */
     memcpy(before, u, (size_t)s->inputs * sizeof *u);
     memset(change, 0, (size_t)s->readings * sizeof *change);
     for (int side = -1; side < 2; side += 2) {
         for (int k = 0; k < s->inputs; k++)
-            u[k] = before[k] + side * direction[k];
+            u[k] = before[k] + side * share * direction[k];
         run(i, instant);
         for (int k = 0; k < s->readings; k++)
-            change[k] += side * seen[k] / 2;
+            change[k] += side * seen[k] / (2 * share);
     }
     memcpy(u, before, (size_t)s->inputs * sizeof *u);
     run(i, instant);
@@ -1597,7 +1629,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     memset(w + s->du, 0, (size_t)s->inputs * sizeof *w);
     for (size_t k = 0; k < known_count; k++)
         w[s->du + (int)knowns[k] - first] += directions[k];
-    if (s->l && formulation(i) > CLASSIC_FORMULATION)
+    if ((s->l && formulation(i) > CLASSIC_FORMULATION) || s->frictions)
         differences(i, w + s->du, w + s->dy);
     else /* Where a limit is read, its derivative is. */
         run(i, verdict(i, SEEN_NEAR) != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
@@ -1791,6 +1823,11 @@ static Outcome sound(Instance *i)
             if (!(count >= 0.0 && count <= (each ? 2 : HEARD_POINTS) && count == floor(count)))
                 return unsound(i, "what is heard of an input", count);
         }
+    for (int k = 0; k < s->frictions; k++) {
+        const double slip = i->kept[s->friction[k].slip];
+        if (f->initialized && slip != 0.0 && fabs(slip) != 1.0 && fabs(slip) != LIMITED && slip != SHARED)
+            return unsound(i, "the direction of friction", slip);
+    }
     if (!isfinite(*instance_time(i)))
         return unsound(i, "the time", *instance_time(i));
     if (!f->initialized) /* What follows is found when a run begins. */

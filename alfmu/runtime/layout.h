@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 9
+#define SCENE_VERSION 10
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -34,6 +34,10 @@
 #define UNBALANCED 0.001
 #define ROUND_OFF 1.7763568394002505e-15
 #define POLYNOMIAL 7
+#define LIMITED 2.0
+#define SHARED 3.0
+#define JAM_PIVOT 0.001
+#define JAM_SETTLED 1e-06
 #define SETTINGS 12
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1
@@ -138,6 +142,7 @@
     X(compliances) \
     X(solver) \
     X(held) \
+    X(frictions) \
     X(impulses) \
     X(event_count) \
     X(n) \
@@ -165,6 +170,7 @@
     X(compliances) \
     X(solver) \
     X(held) \
+    X(frictions) \
     X(impulses) \
     X(event_count) \
     X(n) \
@@ -246,6 +252,7 @@
     X(v4) \
     X(watch0) \
     X(read_watch) \
+    X(grip) \
     X(dynamics) \
     X(constraints) \
     X(energy) \
@@ -254,6 +261,7 @@
     X(displacements) \
     X(pivots) \
     X(irregular) \
+    X(sliding) \
     X(place) \
     X(bring) \
     X(settle) \
@@ -279,6 +287,7 @@
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \
+    X(gripping) \
     X(move_classic) \
     X(move_penalty) \
     X(move_stiffness) \
@@ -322,6 +331,7 @@
     X(instant_patient) \
     X(limit_patient) \
     X(keep) \
+    X(gripping) \
     X(move_classic) \
     X(move_penalty) \
     X(move_stiffness) \

@@ -27,6 +27,9 @@ from .probe import SINGULAR, Probe
 
 __all__ = ["again", "decided", "loaded", "prepared", "retraced", "with_defaults"]
 
+UNRUBBED = ("trapezoidal", "generalized_alpha")
+"""Methods of the index-3 form, whose multipliers are those of positions: dry friction takes those of accelerations."""
+
 STIFF = 20.0
 """Ratio of the fastest small motion to the slowest that lasts, above which a scene is stiff if the fastest does not:
 stability limits explicit steps to some 4 over the one, accuracy all steps to 0.3 over the other, and an implicit step
@@ -77,6 +80,9 @@ def decided(equations: Equations) -> Equations:
         chosen, reason = _chosen(equations)
     if chosen in RULES and equations.n > DENSE:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
+    if chosen in UNRUBBED and equations.frictions:
+        limit = f"solver.method {chosen} has no dry friction, which {equations.frictions[0].name} has"
+        raise InputError(f"{equations.name}: {limit}; use auto, rk4, explicit or stiff")
     e = with_tangents(equations) if chosen in RULES else equations
     return replace(e, chosen=chosen, reason=reason)
 

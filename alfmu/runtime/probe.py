@@ -64,12 +64,21 @@ def shared(
         q, u, p, t = (numbers[letter] for letter in "qupt")
         return np.array(e.functions["readings"](q, v, v, lam, u, p, t)).ravel()
 
-    found = np.zeros(len(e.outputs))
+    def limits(lam: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Of the frictions of joints, which follow from their loads."""
+        q, u, p, t = (numbers[letter] for letter in "qupt")
+        return np.array(e.functions["rubbing"](q, v, v, lam, u, p, t)).ravel()[count : 2 * count]
+
+    count = len(e.frictions)
+    found, rubs = np.zeros(len(e.outputs)), np.zeros(count)
     for share in (rows[:, rank:] / units[:, None]).T:
         lam = nothing.copy()
         lam[held] = share
         found = np.maximum(found, np.abs(read(lam) - read(nothing)))
-    return [v.name for v, size in zip(e.outputs, found, strict=True) if size > _SHARED]
+        if count:
+            rubs = np.maximum(rubs, np.abs(limits(lam) - limits(nothing)))
+    names = [v.name for v, size in zip(e.outputs, found, strict=True) if size > _SHARED]
+    return [*names, *(x.output for x, size in zip(e.frictions, rubs, strict=True) if size > _SHARED)]
 
 
 def row_units(e: Equations, k: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -274,6 +274,21 @@ static void switches(Reader *r)
     s->switched = made;
 }
 
+static void frictions(Reader *r)
+{
+    Scene *s = r->scene;
+    Friction *made = enough(r, (size_t)s->frictions, 16) ? room(r, (size_t)s->frictions + 1, sizeof *made) : NULL;
+    for (int k = 0; k < s->frictions && !r->bad; k++) {
+        made[k].row = integer(r);
+        made[k].value = integer(r);
+        made[k].slip = integer(r);
+        made[k].shared = integer(r) != 0;
+        if (!between(made[k].row, 0, s->l) || !between(made[k].value, 0, s->held) || !between(made[k].slip, 0, s->held))
+            spoil(r, "friction %d belongs to no constraint", k);
+    }
+    s->friction = made;
+}
+
 static void names(Reader *r)
 {
     Scene *s = r->scene;
@@ -727,6 +742,7 @@ static void functions(Reader *r)
     shaped(r, "closure", s->closure, 1, 3, 4, n, P, s->starts, s->gaps.entries, s->tie_rows.entries, l, ties);
     shaped(r, "guesses", s->guesses, 1, 3, 2, P, s->starts, s->starts, n, n);
     shaped(r, "displacements", s->displacements, s->held > 0, 2, 1, n, P, s->held);
+    shaped(r, "sliding", s->sliding, s->frictions > 0, 3, 1, n, n, P, s->frictions);
     shaped(r, "pivots", s->pivots, l > 0, 3, 4, n, P, K, n, n, n, 1);
     shaped(r, "place", s->place, l > 0, 3, 1, n, P, K, n);
     shaped(r, "bring", s->bring, l > 0, 5, 2, n, n, n, P, K, n, n);
@@ -903,7 +919,7 @@ static void memory(Reader *r)
           {s->q, s->n}, {s->v, s->n}, {s->watch0, WATCH}, {s->watch1, WATCH}, {s->watch2, WATCH}, {s->watch3, WATCH},
           {s->watch4, WATCH}, {s->q1, s->n}, {s->q2, s->n}, {s->q3, s->n}, {s->q4, s->n}, {s->v1, s->n}, {s->v2, s->n},
           {s->v3, s->n}, {s->v4, s->n}, {s->again, 1}, {s->stabilisation, 2}, {s->projects, 1}, {s->dy, s->readings},
-          {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}};
+          {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
     if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS))
         spoil(r, "its memory has %d numbers", s->size);
     if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->near != s->time + 4)
@@ -959,6 +975,7 @@ static void body(Reader *r)
     variables(r);
     choices(r);
     switches(r);
+    frictions(r);
     s->impulse_rows = places(r, s->impulses, 0, s->l, "a row of an impulse");
     s->event_places = places(r, s->event_count, 0, s->impulses + 1, "the place of an impulse");
     s->angle_starts = places(r, s->angles, -1, s->starts, "the start of an angle");

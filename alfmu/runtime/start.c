@@ -863,6 +863,23 @@ static int rank_of_many(Instance *i, const Rows *J)
     return rank;
 }
 
+/* How many of these constraints are independent at q. */
+int rank_here(Instance *i, const double *q, const unsigned char *held)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    double *weights = take(i, (size_t)s->l), *phi = take(i, (size_t)(s->l + s->ties));
+    int rank;
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = held[r];
+    weighted_at(i, q, weights, J.constraints, phi);
+    rank = s->n > DENSE ? rank_of_many(i, &J) : rank_of(i, J.constraints);
+    i->used = used;
+    return rank;
+}
+
 /* The correction of least norm with which a rank is told: where coordinates are few, it takes what C hardly holds. */
 static void ranked_correction(Instance *i, const Rows *J, const double *r, double *x)
 {

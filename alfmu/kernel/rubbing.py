@@ -1,0 +1,149 @@
+"""Friction that follows from the load, in the multiplier iteration: the calls of an evaluation that solve for it.
+
+An evaluation gives a and lambda without friction. `respond` gives their changes by a unit of each friction, from the
+same factors of H. Each pass of `rub` is one of Newton's method (`alfmu.method.friction`) and one of the multiplier
+iteration, so that both are at round-off at the end; where no friction is found, `rubbed` leaves no acceleration either.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+import casadi as ca
+from casadi import SX
+
+from ..method import friction as method
+from ..method.singular import NOISE_FLOOR
+from .form import Loop, Step
+from .symbolic import MATRICES, Scene, Watch
+
+__all__ = ["power", "rub", "told"]
+
+
+class Calls(Protocol):
+    """The steps of a program while it is traced (`alfmu.kernel.trace.Calls`)."""
+
+    scene: Scene
+    made: list[Step]
+
+    def inside(self) -> Calls:
+        """Calls of the same plan, apart."""
+
+    def __call__(self, name: str, arguments: str, results: str, function: Callable[..., SX | Sequence[SX]]) -> None:
+        """Call the function of this name."""
+
+
+def rub(calls: Calls, known: str, a: str, lam: str, power: str, watch: str) -> None:
+    """a, lam, power and watch of an evaluation with friction; `known` are its time, q, v and inputs."""
+    scene, kind, again = calls.scene, calls.scene.kind, calls.inside()
+    _, q, v, _ = known.split()
+    matrices = " ".join(MATRICES)
+    calls(f"{kind}_respond", "k M C D L", "moved pressed", lambda *x: _respond(scene, *x))
+    calls("rub_begin", "k", "rubs rubbed", lambda: (SX(1), SX.zeros(2)))
+    names = f"{known} p k {matrices} {a} {lam} {watch} moved pressed"
+    again(f"{kind}_rub", names, f"{a} {lam} {watch} rubs rubbed", lambda *x: _rub(scene, *x))
+    calls.made.append(Loop("rubs", method.MOST, again.steps))
+    names = f"{q} {v} p k {a} {lam} {power} {watch} rubbed"
+    calls(f"{kind}_rubbed", names, f"{a} {power} {watch}", lambda *x: _rubbed(scene, *x))
+
+
+def _respond(scene: Scene, M: SX, C: SX, D: SX, L: SX) -> tuple[SX, SX]:
+    """Changes of a and lam, by columns, by a unit of each friction; none of a joint that sticks."""
+    solve, moved, pressed = scene.solver(D, L), [], []
+    for each in scene.e.frictions:
+        change = (1 - scene.held[each.row]) * solve(-ca.densify(C[each.row, :].T))
+        by_lam = scene.weights @ (C @ change)
+        moved.append(change)
+        pressed.append(_shared(scene, M, C, by_lam))
+    return ca.vertcat(*moved), ca.densify(ca.vertcat(*pressed))
+
+
+def _shared(scene: Scene, M: SX, C: SX, lam: SX) -> SX:
+    """Multipliers as joints of given compliances share them."""
+    return scene.distributed(M, C, lam) if scene.e.compliances else lam
+
+
+def _rub(
+    scene: Scene,
+    *known: SX,
+) -> tuple[SX, ...]:
+    """a, lam and watch after one more pass, whether it takes another one, and how well the laws hold: what is left of
+    them over the friction (squared), the least pivot."""
+    t, q, v, u, M, C, F, xi, D, L, a, lam, watch, moved, pressed = known
+    e, frictions = scene.e, scene.e.frictions
+    count, rows = len(frictions), [x.row for x in frictions]
+    law = scene.scale * e.rubbing(q, v, a, lam / scene.scale, u, scene.p, t)[:count]
+    slides = [1 - scene.held[row] for row in rows]
+    moved, pressed = ca.vertsplit(moved, e.n), ca.vertsplit(pressed, e.l)
+    units = [slides[j] * SX.eye(e.l)[:, row] for j, row in enumerate(rows)]
+    columns = [ca.jtimes(law, ca.vertcat(a, lam), ca.vertcat(moved[j], pressed[j] + units[j])) for j in range(count)]
+    residues = [slides[i] * (law[i] - lam[rows[i]]) for i in range(count)]
+    slopes = [[slides[i] * columns[j][i] for j in range(count)] for i in range(count)]
+    change, pivots = method.newton(slopes, residues)
+    after, lam = a, ca.densify(lam)
+    for j in range(count):
+        after += moved[j] * change[j]
+        lam += (pressed[j] + units[j]) * change[j]
+    after, lam, _ = scene.iterated((M, C, F, xi), (D, L), after, lam, 1)
+    lam = _shared(scene, M, C, lam)
+    # Forces that balance each other leave their round-off, beside which accelerations may be nothing.
+    tolerance = scene.settings.tolerance
+    left = tolerance**2 * (ca.sumsqr(F) + ca.sumsqr(C.T @ lam)) / (ca.sumsqr(ca.diag(M)) + _TINY)
+    moves = ca.fmax(ca.sumsqr(after - a) - left, 0)
+    seen = Watch.of(watch)
+    # What one more iteration would change, as in `Scene.judged`.
+    following = moves * ca.fmin(scene.settings.nothing / NOISE_FLOOR / seen.margin, 1) ** 2
+    watch = seen._replace(change=following, size=ca.sumsqr(after)).vector()
+    size = sum((lam[row] ** 2 for row in rows), SX(_TINY))
+    lacking = sum((x**2 for x in residues), SX(0)) / size
+    held = ca.vertcat(lacking, ca.mmin(ca.vertcat(*pivots)))
+    # Multipliers converge after accelerations.
+    more = 1 - (following <= tolerance**2 * ca.sumsqr(after) + _TINY) * (lacking <= method.ENOUGH**2)
+    return after, lam, watch, more, held
+
+
+_TINY = 1e-300
+"""Lets a mechanism at rest pass."""
+
+
+def _rubbed(scene: Scene, q: SX, v: SX, a: SX, lam: SX, power: SX, watch: SX, rubbed: SX) -> tuple[SX, SX, SX]:
+    """a and watch, which are not finite where no friction was found, and the power with that of friction."""
+    frictions = scene.e.frictions
+    found = ca.logic_and(rubbed[0] <= method.SETTLED**2, rubbed[1] > 0)
+    rates = scene.e.sliding(q, v, scene.p)
+    for i, each in enumerate(frictions if scene.e.works else ()):
+        power -= rates[i] * lam[each.row] / scene.scale
+    seen = Watch.of(watch)
+    return (
+        ca.if_else(found, a, math.nan),
+        power,
+        seen._replace(change=ca.if_else(found, seen.change, math.inf)).vector(),
+    )
+
+
+def power(calls: Calls, known: str, a: str, result: str, name: str = "rubbing_power") -> None:
+    """Power with that of friction from accelerations, where multipliers are not handed on: v' (M a - F), as constraints
+    have none; `known` are time, q, v and inputs, behind `a` there may be rates of states."""
+    scene = calls.scene
+
+    def found(t: SX, q: SX, v: SX, u: SX, a: SX) -> SX:
+        M, _, F, _ = scene.terms(t, q, v, u)
+        return scene.power(t, q, v, u) + ca.dot(v, M @ a[: scene.e.n] - F) / scene.scale
+
+    calls(name, f"{known} {a} p k", result, found)
+
+
+def told(calls: Calls, known: str, a: str, lam: str) -> None:
+    """What decides of sticking and sliding: multipliers of the constraints of joints, their limits, second rates; how
+    well the laws hold."""
+    scene, e = calls.scene, calls.scene.e
+
+    def found(t: SX, q: SX, v: SX, u: SX, a: SX, lam: SX, rubbed: SX) -> SX:
+        count = len(e.frictions)
+        physical = lam / scene.scale
+        laws = e.rubbing(q, v, a, physical, u, scene.p, t)
+        return ca.vertcat(*(physical[x.row] for x in e.frictions), laws[count:], rubbed)
+
+    calls("grip", f"{known} p k {a} {lam} rubbed", "grip", found)
