@@ -187,14 +187,14 @@ def situation_of(instance: Instance) -> Situation:
 
 def _plain(equations: Equations) -> Equations:
     """The equations; InputError where they have what analyses do not know."""
-    for field, what in (
-        ("timed", "places or constraints that depend on time or are prescribed by inputs"),
-        ("frictions", "dry friction that sticks"),
+    for there, what in (
+        (equations.timed, "places or constraints that depend on time or are prescribed by inputs"),
+        (equations.frictions, "dry friction that sticks"),
     ):
-        if getattr(equations, field, False):
+        if there:
             raise InputError(
                 f"{equations.name}: it has {what}, of which positions of rest, linearisations and degrees of freedom "
-                "are not told yet; declare it without"
+                "are not told; declare it without"
             )
     return equations
 

@@ -28,7 +28,7 @@
 
 /* Rounds in which joints take the shares that hold them, and the change of a share that asks for another one. */
 #define SWEEPS 200
-#define ALIKE 1e-9
+#define STEADY_SHARE 1e-9
 
 /* Room of a joint, over its limit, that is none: it cannot stick. */
 #define NO_ROOM 1e-7
@@ -319,7 +319,7 @@ static Outcome decide(Instance *i, unsigned char *rests)
             for (int k = 0; k < count; k++)
                 if (rests[k]) {
                     const double before = i->kept[s->friction[k].value], share = holding_share(i, k, before, idle);
-                    moves |= fabs(share - before) > ALIKE;
+                    moves |= fabs(share - before) > STEADY_SHARE;
                     i->kept[s->friction[k].value] = share;
                 }
             parameters(i);

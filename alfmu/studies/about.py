@@ -65,7 +65,8 @@ class About:
     @property
     def coordinates(self) -> Sequence[Variable]:
         """The coordinates that are declared."""
-        return () if self.equations.resting else self.equations.coordinates
+        e = self.equations
+        return () if e.resting else e.coordinates[: e.dependent]
 
     @property
     def method(self) -> str:
