@@ -636,7 +636,7 @@ def test_dry_friction_beside_a_prescribed_motion_is_refused():
     hinge = m.revolute("hinge", m.ground.at(0, 0), crank.at(0, 0), coordinate=m.coordinate("th", "rad"))
     m.friction(hinge, coulomb=0.2, radius=0.1)
     m.motion(hinge, 2 * m.time)
-    with pytest.raises(DeclarationError, match="hinge.*has dry friction, which is not possible where places depend"):
+    with pytest.raises(DeclarationError, match=r"hinge.*has dry friction, which is not possible where places depend"):
         alfmu.derive(m)
 
 
