@@ -402,7 +402,7 @@ def derive(mechanism: Mechanism) -> Equations:
     if m.moves and frictions:
         raise DeclarationError(
             f"{m.name}: {frictions[0].name}{m.declared_at(frictions[0].name)} has dry friction, which is not possible "
-            "where places depend on time or motions are prescribed; give viscous friction, or drive by a torque or force"
+            "where places depend on time or motions are prescribed; give viscous friction, or drive it by torques"
         )
     begin = ca.SX.sym("begin")
     kept = [("time", begin), *(("signal", x) for signal in m.signals for x in signal.numbers)] if m.moves else []
