@@ -164,12 +164,12 @@ def test_motion(coordinates: str, loops: int) -> None:
 
 
 @coordinate_sets
-def test_hundreds_of_loops(coordinates: str) -> None:
-    """All cranks of 150 loops turn alike, by a kernel that is not one flat function."""
-    equations = derived("n_four_bar", loops=150, coordinates=coordinates)
+def test_a_hundred_loops(coordinates: str) -> None:
+    """All cranks of 100 loops turn alike, by a kernel that is not one flat function."""
+    equations = derived("n_four_bar", loops=100, coordinates=coordinates)
     r = alfmu.simulate(equations, 0.2, 0.02)
-    exact = ode.motion(lambda t, th, w: Row(150).acceleration(th), np.pi / 2, -1.0, r.time)[:, 0]
-    assert max(np.abs(r[f"crank{i}.angle"] - exact).max() for i in (1, 75, 151)) <= 1e-7
+    exact = ode.motion(lambda t, th, w: Row(100).acceleration(th), np.pi / 2, -1.0, r.time)[:, 0]
+    assert max(np.abs(r[f"crank{i}.angle"] - exact).max() for i in (1, 50, 101)) <= 1e-7
     assert r.counters.position_error <= 1e-12
 
 

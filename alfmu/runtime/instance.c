@@ -348,6 +348,12 @@ Outcome instance_set_slope(Instance *i, int reference, double value)
     return DONE;
 }
 
+/* A value for a message: some C libraries write the sign of what is no number, which means nothing. */
+static double unsigned_nan(double value)
+{
+    return isnan(value) ? fabs(value) : value;
+}
+
 static inline double value_of(const Instance *i, int reference)
 {
     const Scene *s = i->scene;
@@ -1590,7 +1596,7 @@ Outcome instance_read(Instance *i)
     return say(i, FAILED,
         "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
         "another start or a smaller solver.step_size%s%s",
-        s->name, *instance_time(i), name, value, or_penalty(i), or_compliances(i, closer, sizeof closer));
+        s->name, *instance_time(i), name, unsigned_nan(value), or_penalty(i), or_compliances(i, closer, sizeof closer));
 }
 
 /* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
@@ -1690,7 +1696,7 @@ Outcome instance_output_derivatives(
     for (size_t each = 0; outcome == DONE && each < count; each++)
         if (!isfinite(values[each]))
             outcome = say(i, FAILED, "%s, t = %.6g s: derivative %d of %s would be %g", s->name, start, orders[each],
-                s->variables[references[each]].name, values[each]);
+                s->variables[references[each]].name, unsigned_nan(values[each]));
     return outcome;
 }
 
