@@ -16,7 +16,11 @@ from alfmu.simulation import prepared
 def rewritten(e: alfmu.Equations, scales: np.ndarray, order: list[int]) -> alfmu.Equations:
     """The same mechanism with rows picked in some order, each times a scale."""
     S = ca.sparsify(ca.DM(np.eye(e.l)[order] * np.array(scales, float)[:, None]))
-    x, lam, functions = symbols(e), ca.SX.sym("lam", len(order)), {n: e.functions[n] for n in ARGUMENTS}
+    x, lam, functions = (
+        symbols(e),
+        ca.SX.sym("lam", len(order)),
+        {n: e.functions[n] for n in ARGUMENTS if n in e.functions},
+    )
     for name in ("Phi", "C", "xi", "gaps", "gaps_matrix"):
         arguments = [x[letter] for letter in ARGUMENTS[name]]
         functions[name] = shared(name, arguments, [S @ e.functions[name](*arguments)])
