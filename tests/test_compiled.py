@@ -319,7 +319,7 @@ def in_fmpy(path: Path, blocked: str = "") -> tuple[list[str], list[str]]:
     Some packages cannot be imported from the moment on that the FMU is loaded.
     """
     code = f"""
-import ctypes, pathlib, sys
+import ctypes, os, pathlib, sys
 import fmpy, fmpy.fmi2
 
 class Loaded(ctypes.CDLL):
@@ -345,6 +345,8 @@ for i in range(25):
 print(*(value.hex() for value in fmu.getReal([at["link2.x"], at["A.force.x"]])))
 fmu.terminate()
 fmu.freeInstance()
+sys.stdout.flush()
+os._exit(0)  # pythonfmu 0.7.0 reads what it has freed when a process ends, which kills some
 """
     environment = {**os.environ, "PYTHONPATH": ""}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
