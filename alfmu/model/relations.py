@@ -9,6 +9,7 @@ velocities alone (`slip`) are zero as rows of positions.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
@@ -126,7 +127,7 @@ class Places(Protocol):
 
 
 @dataclass(eq=False, repr=False)
-class Relation(Brief):
+class Relation(Brief, ABC):
     """Constraints between bodies that are no joint; `kind` is what messages call it."""
 
     kind: ClassVar[str] = ""
@@ -136,13 +137,13 @@ class Relation(Brief):
 
     name: str
 
+    @abstractmethod
     def residual(self, places: Places, direction: str) -> ca.SX:
         """What the relation keeps at zero [m]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def readings(self, places: Places, multipliers: dict[str, ca.SX]) -> list[Reading]:
         """What a user can read of it."""
-        raise NotImplementedError
 
     def idle(self, places: Places, multipliers: dict[str, ca.SX]) -> list[tuple[Joint, str, ca.SX]]:
         """What forces that do no work add to reactions: of which joint, along which direction, how much."""
