@@ -18,7 +18,7 @@ from alfmu.equations import Equations
 from alfmu.equations.evaluation import with_functions
 from alfmu.kernel import passes, stream, tables
 from alfmu.kernel.memory import Layout
-from alfmu.kernel.passes import Code, Constants, in_line, written
+from alfmu.kernel.passes import Code, in_line, written
 from alfmu.kernel.scene import operations_header
 from alfmu.kernel.stream import Instructions
 from alfmu.runtime import compiled as build
@@ -141,7 +141,7 @@ def same_bits(a: NDArray, b: NDArray) -> bool:
 
 def code(f: ca.Function) -> Code:
     lengths = ([part(i) for i in range(n)] for part, n in ((f.nnz_in, f.n_in()), (f.nnz_out, f.n_out())))
-    return written(Instructions.of(f), Constants(), *lengths)
+    return written(Instructions.of(f), *lengths)
 
 
 def check(host: Host, packed: Callable, *functions: ca.Function) -> None:

@@ -29,7 +29,8 @@ LOOP_KIND, EACH_KIND, GATHER_KIND = (len(KINDS) + i for i in range(3))
 """Numbers of what else there is in a function: a loop; an operation in all passes of a loop; copies of values."""
 
 BEHIND = 2**40
-"""Added to places that count from behind the last constant: how many there are is known when all functions are."""
+"""Places of a function below zero by it are those of its constants, above it what stands behind the constants of the
+scene: where those are is known when all functions are."""
 
 NARROW = 2**16
 """Places that operands of 16 bits reach, and operations in a run of them."""
@@ -48,42 +49,36 @@ LINE, TABLE, BEFORE = range(3)
 
 
 class Constants:
-    """The constants of all functions of a scene, each once, by their bits."""
+    """The constants of a function, or of all functions of a scene, by their bits."""
 
     def __init__(self) -> None:
+        self.numbers: list[bytes] = []
         self._places: dict[bytes, int] = {}
-        self._asked: dict[bytes, int] = {}
+        self._blocks: dict[tuple[bytes, ...], int] = {}
 
     def place(self, value: float) -> int:
-        number = struct.pack("<d", value)
-        place = self._asked[number] = self._places.setdefault(number, len(self._places))
+        """The place of a number, which is added where it is missing."""
+        return self._place(struct.pack("<d", value))
+
+    def places(self, code: Code) -> NDArray:
+        """Where the constants of a function are: each once, or all in order where steps go from one to another."""
+        if not code.stepped:
+            return np.array([self._place(number) for number in code.constants], np.int64)
+        first = self._blocks.setdefault(code.constants, len(self.numbers))
+        if first == len(self.numbers):
+            self.numbers += code.constants
+        return first + np.arange(len(code.constants))
+
+    def _place(self, number: bytes) -> int:
+        place = self._places.setdefault(number, len(self.numbers))
+        if place == len(self.numbers):
+            self.numbers.append(number)
         return place
-
-    def asked(self) -> dict[bytes, int]:
-        """Numbers and places of all that is asked for from now on, in order."""
-        self._asked = {}
-        return self._asked
-
-    def takes(self, asked: dict[bytes, int]) -> bool:
-        """Whether all of these numbers have the places that they had, or get them now."""
-        count = len(self._places)
-        new = [number for number in asked if number not in self._places]
-        after = self._places | {number: count + i for i, number in enumerate(new)}
-        if any(after[number] != place for number, place in asked.items()):
-            return False
-        self._places = after
-        return True
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-    def packed(self) -> bytes:
-        return b"".join(self._places)
 
 
 @dataclass(frozen=True)
 class Code:
-    """A function of a scene. Places count from the first constant; with BEHIND, from behind the last."""
+    """A function of a scene. Places of its constants count from -BEHIND, others from its first argument at BEHIND."""
 
     inputs: list[int]
     """Length of each argument."""
@@ -96,34 +91,47 @@ class Code:
     entry and the step to the next, the place of the first and the step."""
     values: int
     """How many numbers the operations give."""
+    constants: tuple[bytes, ...]
     looped: bool
     """Whether there are loops, which have 32 bits."""
 
+    @property
+    def stepped(self) -> bool:
+        """Whether steps may go from one constant to another."""
+        return self.looped or bool(((self.results[:, 3] < 0) & (self.results[:, 4] != 0)).any())
 
-def written(instructions: Instructions, constants: Constants, inputs: list[int], outputs: list[int]) -> Code:
+    def placed(self, places: NDArray, constants: NDArray, count: int) -> NDArray:
+        """Places in a scene with so many constants, where those of the function have these."""
+        found = np.where(places >= BEHIND // 2, places - BEHIND + count, places)
+        own = places < -BEHIND // 2
+        found[own] = constants[places[own] + BEHIND]
+        return found
+
+
+def written(instructions: Instructions, inputs: list[int], outputs: list[int]) -> Code:
     """The words of a function with arguments and results of these lengths."""
     operations = Operations.of(instructions)
     if len(operations) > LONG:
-        made = _Writing(operations, constants, inputs, outputs).done(repeats(operations))
+        made = _Writing(operations, inputs, outputs).done(repeats(operations))
         if WORTH * len(made.words) < len(operations):
             return made
-    return _Writing(operations, constants, inputs, outputs).done([])
+    return _Writing(operations, inputs, outputs).done([])
 
 
 class _Writing:
     """A function while it is written, piece by piece."""
 
-    def __init__(self, operations: Operations, constants: Constants, inputs: list[int], outputs: list[int]):
+    def __init__(self, operations: Operations, inputs: list[int], outputs: list[int]):
         o = self._operations = operations
-        self._inputs, self._outputs, self._constants = inputs, outputs, constants
+        self._inputs, self._outputs, self._constants = inputs, outputs, Constants()
         self._words: list[int] = []
         self._end = BEHIND + sum(inputs)
         """Place of the next value."""
         self._arguments, self._results = (np.cumsum([0, *lengths]) for lengths in (inputs, outputs))
-        self._lines = [(sum(outputs), 0, 1, constants.place(0.0), 0)]  # what no operation gives is zero
+        self._lines = [(sum(outputs), 0, 1, self._constant(0.0), 0)]  # what no operation gives is zero
         used = np.unique(o.operand[o.kind == CONSTANT])
         self._number = np.zeros(len(o.constant), int)
-        self._number[used] = [constants.place(value) for value in o.constant[used].tolist()]
+        self._number[used] = [self._constant(value) for value in o.constant[used].tolist()]
         self._place = np.full(len(o), -1)
         """Of values that are known outside the pass that makes them."""
         self._local = self._kept = np.zeros(0, bool)
@@ -142,15 +150,19 @@ class _Writing:
         self._kept[o.made[0, (o.kind[0] == VALUE) & (o.result[0] >= 0)]] = True
         for piece in parts:
             self._piece(piece, carried.get(piece, {}))
-        words, values = np.array(self._words, np.int64), self._end - BEHIND - sum(self._inputs)
-        return Code(self._inputs, self._outputs, words, np.array(self._lines, np.int64), values, bool(carried))
+        words, lines = (np.array(x, np.int64) for x in (self._words, self._lines))
+        values, constants = self._end - BEHIND - sum(self._inputs), tuple(self._constants.numbers)
+        return Code(self._inputs, self._outputs, words, lines, values, constants, bool(carried))
+
+    def _constant(self, value: float) -> int:
+        return self._constants.place(value) - BEHIND
 
     def _piece(self, piece: Repeat, carried: dict[tuple[int, int], tuple[int, int]]) -> None:
         """A loop, or straight code, which has one pass."""
         part = slice(piece.start, piece.end)
         body = _Body(piece, self._operations, self._local, self._kept, self._found(part), carried)
         made = arranged(body.instructions())
-        at = {value: (self._constants.place(number), 0) for value, number in made.constants.items()}
+        at = {value: (self._constant(number), 0) for value, number in made.constants.items()}
         if piece.count == 1:
             at |= {value: body.sources[slot][1:] for value, (_, slot) in made.arguments.items()}
             self._straight(made.runs, at)
@@ -217,7 +229,7 @@ class _Writing:
                 listed += range(first, first + count * step, step) if step else [first] * count
                 continue
             gather()
-            nothing, one = map(self._constants.place, (-0.0, 1.0))
+            nothing, one = map(self._constant, (-0.0, 1.0))
             self._words += [EACH_KIND, count, KINDS.index("sum1"), nothing, 0, first, step, one, 0]
         gather()
         self._end += len(places)

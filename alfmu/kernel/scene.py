@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from . import passes
 from .arrangement import KINDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, LeastNorm, Loop, Solve
-from .passes import BEHIND, EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
+from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, UNARY, Instructions
 
 __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
@@ -70,32 +70,30 @@ class _Written:
     """Words that are kept at most: 64 MB."""
 
     def __init__(self) -> None:
-        self._known: OrderedDict[bytes, tuple[dict[bytes, int], Code]] = OrderedDict()
+        self._known: OrderedDict[bytes, Code] = OrderedDict()
         self._words = 0
         self._lock = Lock()
 
-    def get(self, key: bytes, constants: Constants, write: Callable[[], Code]) -> Code:
-        """What is known by a key where its constants have the same places here, or is written now."""
+    def get(self, key: bytes, write: Callable[[], Code]) -> Code:
+        """What is known by a key, or is written now."""
         with self._lock:
-            found = self._known.get(key)
-            if found is not None:
+            if key in self._known:
                 self._known.move_to_end(key)
-        if found is not None and constants.takes(found[0]):
-            return found[1]
-        found = constants.asked(), write()
+                return self._known[key]
+        made = write()
         with self._lock:
-            before = self._known.pop(key, None)
-            self._known[key] = found
-            self._words += len(found[1].words) - (len(before[1].words) if before else 0)
+            if key not in self._known:
+                self._known[key] = made
+                self._words += len(made.words)
             while self._words > self.MOST:
-                self._words -= len(self._known.popitem(last=False)[1][1].words)
-        return found[1]
+                self._words -= len(self._known.popitem(last=False)[1].words)
+        return made
 
 
 _WRITTEN = _Written()
 
 
-def code(f: ca.Function, constants: Constants, scene: str) -> Code:
+def code(f: ca.Function, scene: str) -> Code:
     """The operations of a function that calls no other.
 
     Scenes of one mechanism have most functions in common, each of which is written once.
@@ -108,7 +106,7 @@ def code(f: ca.Function, constants: Constants, scene: str) -> Code:
     key = hashlib.sha256(repr((inputs, outputs, passes.LONG, passes.WORTH)).encode())
     for each in (instructions.code, instructions.operands, instructions.place, instructions.constant):
         key.update(np.ascontiguousarray(each))
-    return _WRITTEN.get(key.digest(), constants, lambda: written(instructions, constants, inputs, outputs))
+    return _WRITTEN.get(key.digest(), lambda: written(instructions, inputs, outputs))
 
 
 class Writer:
@@ -139,22 +137,19 @@ class Writer:
         self.integer(data.size)
         self.parts.append(data.tobytes())
 
-    def code(self, made: Code, constants: int) -> None:
-        """A function whose places are known now."""
-
-        def placed(places: NDArray) -> NDArray:
-            return np.where(places >= BEHIND // 2, places - BEHIND + constants, places)
-
+    def code(self, made: Code, constants: NDArray, count: int) -> None:
+        """A function whose constants have these places among so many of the scene."""
+        words, results = (made.placed(places, constants, count) for places in (made.words, made.results))
         self.integers(made.inputs)
         self.integers(made.outputs)
-        wide = made.looped or constants + sum(made.inputs) + made.values > NARROW
+        wide = made.looped or count + sum(made.inputs) + made.values > NARROW
         self.integer(int(wide))
         kind = "<i4" if wide else "<u2"
-        self.integers(placed(made.words), kind)
+        self.integers(words, kind)
         if wide:
-            self.integers(placed(made.results).ravel())
+            self.integers(results.ravel())
             return
-        results = np.zeros(sum(made.outputs), np.int64)
-        for count, entry, entries, place, step in placed(made.results).tolist():
-            results[entry + entries * np.arange(count)] = place + step * np.arange(count)
-        self.integers(results, kind)
+        found = np.zeros(sum(made.outputs), np.int64)
+        for entries, entry, step, place, places in results.tolist():
+            found[entry + step * np.arange(entries)] = place + places * np.arange(entries)
+        self.integers(found, kind)

@@ -37,7 +37,7 @@ from .emit import compiled_code
 from .form import Call, Choice, Factor, LeastNorm, Loop, Routine, Step, called
 from .joined import joined
 from .memory import TIERS, Layout
-from .scene import CALLS, Code, Constants, Writer, code
+from .scene import CALLS, Constants, Writer, code
 from .standalone import READ, beginning, passed, standalone
 from .symbolic import ROUND_OFF, Watch
 from .trace import CAREFUL
@@ -271,10 +271,12 @@ def machine_code(equations: Equations, scene: bytes) -> list[str]:
 
 def function_sizes(equations: Equations) -> dict[str, int]:
     """Bytes of each function in a scene file."""
-    e, constants, found = alone(equations), Constants(), {}
-    for name in e.signatures:
+    e, found = alone(equations), {}
+    table = _Table(equations, e)
+    table.code()
+    for name, made in zip(e.functions, table.functions, strict=True):
         w = Writer()
-        w.code(code(e.functions[name], constants, e.name), len(constants))
+        w.code(*made, len(table.constants.numbers))
         found[name] = sum(map(len, w.parts))
     return found
 
@@ -333,7 +335,8 @@ class _Table:
             if length:
                 self._place(name, length)
         self.constants = Constants()
-        self.functions: list[Code] = [code(each, self.constants, e.name) for each in e.functions.values()]
+        made = [code(each, e.name) for each in e.functions.values()]
+        self.functions = [(each, self.constants.places(each)) for each in made]
         self.number = {name: i for i, name in enumerate(e.functions)}
         self.program = {name: i for i, name in enumerate(e.kernel)}
         self.programs = [self._program(program.steps) for program in e.kernel.values()]
@@ -371,7 +374,7 @@ class _Table:
         """What is called, and where its arguments and its results are; results have their places from here on."""
         if isinstance(step, Call):
             what = [self.number[step.function]]
-            lengths = self.functions[what[0]].outputs
+            lengths = self.functions[what[0]][0].outputs
         elif isinstance(step, LeastNorm):
             what, lengths = [step.side], [step.side]
         else:
@@ -437,10 +440,10 @@ class _Table:
         closure, constraints = (e.signatures[name]["outputs"] for name in ("closure", "constraints"))
         for shape in (*constraints[:2], *closure[:2]):
             self._pattern(w, shape)
-        w.reals(struct.unpack(f"<{len(self.constants)}d", self.constants.packed()))
+        w.reals(np.frombuffer(b"".join(self.constants.numbers), "<f8"))
         w.integer(len(self.functions))
         for each in self.functions:
-            w.code(each, len(self.constants))
+            w.code(*each, len(self.constants.numbers))
         w.integer(len(self.programs))
         for words in self.programs:
             w.integers(words)
