@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import reduce
 
 import casadi as ca
 from casadi import SX
@@ -32,6 +33,7 @@ from ..method.stepping import (
     judged,
     landing,
     newton,
+    rough,
     rule_beside,
 )
 from ..model.settings import FIXED
@@ -136,6 +138,34 @@ class _Step:
         if self.e.l:
             self.tracer.settle(self.calls)
 
+    @property
+    def kinked(self) -> bool:
+        """Whether rates of the scene have kinks: a step across one is judged by its rough estimate too."""
+        return self.tracer.kinks.numel_out(0) > 0
+
+    def cross(self, rule: Explicit | Collocation, places: list[str], rates: list[str], share: SX) -> None:
+        """The error of a step across a kink: a bound of what that did, if it is more.
+
+        `rates` are those of the velocities and states at the places, one after the other; `share` is the tolerance of
+        the step over that of an explicit one.
+        """
+        n, scene, states = self.e.n, self.scene, self.tracer.states
+        for i in places:
+            known = f"t{i} q{i} v{i} {self.tracer.inputs_name(i)} p"
+            self.calls("kinks", known, f"kinks{i}", lambda *x: self.tracer.kinks(*x, scene.p))
+
+        def found(z: SX, dt: SX, error: SX, *known: SX) -> SX:
+            q, v, x, *known = known if states else (*known[:2], None, *known[2:])
+            kinks, each = known[: len(places)], ca.vertcat(*known[len(places) :])
+            signs = ca.vertcat(*(ca.sign(kinks[0]) * ca.sign(x) for x in kinks[1:]))
+            left = ca.reshape(each, -1, len(places)) @ ca.DM(rough(rule)).T
+            bounds = dt * reduce(ca.fmax, ca.horzsplit(ca.fabs(left)))
+            size = scene.bound_size(z, q, v, x, ca.vertcat(dt * bounds[:n], bounds))
+            return ca.if_else(ca.mmin(signs) > 0, error, ca.fmax(error, size / share))
+
+        known = spaced("z step error q v", states, [f"kinks{i}" for i in places], rates, "k")
+        self.calls(f"{self.name}_rough", known, "error", found)
+
     def end(self, watches: Sequence[str], order: int, kept: Sequence[str] = ()) -> None:
         """The state after the step and what step control remembers; `kept` is the history and what is new of it."""
         names = ["z", "pace", "arrival", "q", "v", "work", *self.tracer.states, "p", "k", "error", *watches]
@@ -212,6 +242,10 @@ class _Explicit(_Step):
             error, least = error / share, None if least is None else least / share
         states = (scene.symbol("x"), error[2 * n + 1 :]) if self.e.states else ()
         calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error, least, *states))
+        if self.kinked:
+            places = [str(i + 1) for i in range(len(rule.nodes))]
+            known = [f"{x}{i}" for i in places for x in ("a", *["xdot"] * bool(self.e.states))]
+            self.cross(rule, places, known, getattr(scene.settings, allowed) if allowed else SX(1))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return Program(calls.steps, self.plan, rule.name, len(rates))
 
@@ -242,7 +276,7 @@ class _Implicit(_Step):
 
     def inputs(self, i: str) -> str:
         """Name of the inputs at a place, with the states there."""
-        return f"given{i}" if self.e.states else f"u{i}" if self.tracer.order else "u"
+        return self.tracer.inputs_name(i)
 
     def at(self, z: SX) -> tuple[SX, SX]:
         """Positions and velocities of z, with the states."""
@@ -419,6 +453,8 @@ class _Collocation(_Implicit):
             calls("moving", "step dq dv", "dq", lambda dt, dq, dv: dq + rule.gamma * dt * dv)
         self.project()
         calls("method_error", spaced("z q v", self.tracer.states, "dq dv renew p k"), "error floor", size)
+        if self.kinked:
+            self.cross(rule, ["0", *self.nodes], [self.rates_of("0"), "rates"], scene.settings.beside)
 
 
 class _Newmark(_Implicit):

@@ -93,7 +93,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     alike = {
         "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
         "singular error read_power renew before passes size most patient again projects within floor": 1,
-        "supply supplied suppliedn": 1,
+        "supply supplied suppliedn crossed": 1,
         "left stabilisation": 2,
         "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
         "q qz ql qn v vz vl vn a al an da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
@@ -558,20 +558,32 @@ class Scene:
         """Largest error of the constrained state beyond `least` (2 n), which is none, over the tolerance or over that
         where it is more; and `least` over the tolerance at most. `x` are the states and `change` their error."""
         if x is not None:
-            layout = Layout(self.e)
             size, floor = self.error_size(z, q, v, error, least)
-            larger = ca.fmax(ca.fabs(z[layout.states : layout.time]), ca.fabs(x))
-            return ca.fmax(size, ca.mmax(ca.fabs(change) / self.allowed_states(larger))), floor
+            return ca.fmax(size, ca.mmax(ca.fabs(change) / self._allowed_of_states(z, x))), floor
         n = self.e.n
         parts = error[:n], error[n : 2 * n]
         if self.e.l:
             _, C, _, solve = self._augmented(q)
             parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
-        allowed = self.allowed(ca.fmax(ca.fabs(z[: 2 * n]), ca.fabs(ca.vertcat(q, v))))
+        allowed = self._allowed_of(z, q, v)
         size = ca.fabs(ca.vertcat(*parts))
         if least is None:
             return ca.mmax(size / allowed), SX(0)
         return ca.mmax(ca.fmax(size - least, 0) / ca.fmax(allowed, least)), ca.mmax(least / allowed)
+
+    def bound_size(self, z: SX, q: SX, v: SX, x: SX | None, bounds: SX) -> SX:
+        """Largest of bounds of errors of q, v and states over the tolerance."""
+        allowed = self._allowed_of(z, q, v)
+        return ca.mmax(bounds / (allowed if x is None else ca.vertcat(allowed, self._allowed_of_states(z, x))))
+
+    def _allowed_of(self, z: SX, q: SX, v: SX) -> SX:
+        """Tolerance of q and v in a step from z."""
+        return self.allowed(ca.fmax(ca.fabs(z[: 2 * self.e.n]), ca.fabs(ca.vertcat(q, v))))
+
+    def _allowed_of_states(self, z: SX, x: SX) -> SX:
+        """Tolerance of states in a step from z."""
+        layout = Layout(self.e)
+        return self.allowed_states(ca.fmax(ca.fabs(z[layout.states : layout.time]), ca.fabs(x)))
 
     def nudged(self, q: SX, v: SX) -> tuple[SX, SX]:
         """q and v with their last digits changed."""

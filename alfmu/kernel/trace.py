@@ -16,19 +16,21 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from types import MappingProxyType
 
 import casadi as ca
 from casadi import SX
 
 from ..equations import Equations, Mobility
-from ..equations.evaluation import DENSE, EVALUATED, shared, with_functions
+from ..equations.evaluation import DENSE, EVALUATED, shared, symbols, with_functions
 from ..method import singular as branch
 from ..method.inputs import KEPT, extrapolated, reached
 from ..method.integrators import rk4
 from ..model.settings import Settings
 from . import rubbing
 from .form import Call, Choice, Loop, Plan, Program, Step, Steps, called
+from .kinks import kinks
 from .memory import GROSS, TIERS, Layout
 from .symbolic import MATRICES, Scene, Watch, lengths_of
 
@@ -191,15 +193,28 @@ class Tracer:
     def inputs(self, calls: Calls, i: str) -> str:
         """Name of the inputs at a stage: held over the communication step, or extrapolated to t with i in its name;
         with the states of the stage behind them where there are any."""
-        u = "u"
+        u = f"u{i}" if self.order else "u"
         if self.order:
-            u = f"u{i}"
             calls("inputs", f"past t{i}", u, lambda past, t: extrapolated(*self._kept(past), t, self.order, ca.if_else))
-        if not self.e.states:
-            return u
-        # The time tells where inputs that have derivatives are asked for (`alfmu.kernel.standalone`).
-        calls("given", f"t{i} {u} x{i}", f"given{i}", lambda t, u, x: ca.vertcat(u, x))
-        return f"given{i}"
+        if self.e.states:
+            # The time tells where inputs that have derivatives are asked for (`alfmu.kernel.standalone`).
+            calls("given", f"t{i} {u} x{i}", f"given{i}", lambda t, u, x: ca.vertcat(u, x))
+        return self.inputs_name(i)
+
+    def inputs_name(self, i: str) -> str:
+        """Name of the inputs at a stage, with the states there."""
+        return f"given{i}" if self.e.states else f"u{i}" if self.order else "u"
+
+    @cached_property
+    def kinks(self) -> ca.Function:
+        """kinks(t, q, v, u, p): what changes its sign where the rates of the motion or of states have a kink."""
+        x = symbols(self.e)
+        known = [x[name] for name in "qvupt"]
+        along = ca.vertcat(*(x[name] for name in "qvut"))
+        names = ["dynamics", *["state_rates"] * bool(self.e.states)]
+        found = ca.vertcat(*(kinks(self.e.functions[name], known, along) for name in names))
+        self.lengths["kinks"] = found.numel()
+        return shared("kinks", [x[name] for name in "tqvup"], [found])
 
     def here(self, calls: Calls) -> str:
         """Name of the inputs at a communication point, with the states there."""

@@ -9,6 +9,8 @@ from collections.abc import Callable, MutableSequence, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 __all__ = [
     "EXPLICIT5",
     "EXPLICIT5_SHORT",
@@ -28,6 +30,7 @@ __all__ = [
     "judged",
     "landing",
     "newton",
+    "rough",
     "rule_beside",
     "tolerance",
 ]
@@ -397,6 +400,23 @@ def explicit(
     if last is not None:
         others.append(last - first)
     return y, [dt * combined(weights[1:], others) for weights in method.errors], last
+
+
+def rough(method: Explicit | Collocation) -> list[tuple[float, ...]]:
+    """Weights of the rates, for a collocation method that at the begin first, of bounds of what a kink in a step does.
+
+    Estimates of high order miss most of it: the embedded methods have weights of 1e-4 in their first stages, a filter
+    takes it for what is stiff, and any single estimate vanishes for a kink at some place. The largest of these, which
+    are what a polynomial of second degree leaves of each rate, times the weight of that rate where it is above 1, is at
+    least two thirds of the error that a jump or a kink leaves, wherever it is in the step.
+    """
+    implicit = isinstance(method, Collocation)
+    nodes, weights = np.array(method.nodes), np.abs(method.matrix[-1] if implicit else method.weights)
+    if implicit:
+        nodes, weights = np.append(0.0, nodes), np.append(0.0, weights)
+    powers = np.vander(nodes, 3)
+    left = np.eye(len(nodes)) - powers @ np.linalg.pinv(powers)
+    return [tuple(row) for row in (np.maximum(weights, 1.0)[:, None] * left).tolist()]
 
 
 def collocation(

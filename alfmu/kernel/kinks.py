@@ -1,0 +1,48 @@
+"""Where a function has kinks: what changes its sign there.
+
+A comparison, a maximum, a minimum, an absolute value or a sign is smooth on either side of where its operands are
+equal. Methods of high order see little of a kink in the middle of a step by the error that they estimate.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+from casadi import SX
+
+from .stream import BINARY, Instructions
+
+__all__ = ["kinks"]
+
+_COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)
+"""Operations with a kink, or a jump, where both operands are equal."""
+
+_SIGNED = {ca.OP_FABS: 0, ca.OP_SIGN: 0, ca.OP_COPYSIGN: 1}
+"""Operations with one where an operand is zero, and which of them it is."""
+
+
+def kinks(f: ca.Function, arguments: list[SX], along: SX) -> SX:
+    """Of a function that calls no other at symbols as its arguments, what changes its sign where it has a kink; what
+    does not depend on the symbols `along` is left out."""
+    instructions = Instructions.of(f)
+    values: list[SX] = []
+    found: dict[tuple[int, int], SX] = {}
+    for k, code in enumerate(instructions.code.tolist()):
+        first, second = instructions.operands[:, k].tolist()
+        if code == ca.OP_INPUT:
+            which, entry = instructions.place[:, k].tolist()
+            values.append(arguments[which].nz[entry])
+        elif code == ca.OP_CONST:
+            values.append(SX(instructions.constant[k]))
+        elif code == ca.OP_OUTPUT:
+            values.append(values[first])
+        elif code in BINARY:
+            values.append(SX.binary(code, values[first], values[second]))
+        else:
+            values.append(SX.unary(code, values[first]))
+        if code in _COMPARED:
+            pair = min(first, second), max(first, second)
+            found.setdefault(pair, values[pair[0]] - values[pair[1]])
+        elif code in _SIGNED:
+            k = (first, second)[_SIGNED[code]]
+            found.setdefault((k, k), values[k])
+    return ca.vertcat(*(x for x in found.values() if ca.depends_on(x, along)))
