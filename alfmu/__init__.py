@@ -27,7 +27,7 @@ _HOME = {
     "Result": "result",
     "StepError": "model.errors",
     "WriteError": "model.errors",
-    "derive": "equations.derivation",
+    "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
     "linearize": "analysis.linearization",
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
     from .equations import Equations as Equations
-    from .equations.derivation import derive as derive
     from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
     from .model.errors import AlfmuError as AlfmuError
@@ -67,6 +66,7 @@ if TYPE_CHECKING:
     from .model.registry import mechanisms as mechanisms
     from .result import Result as Result
     from .runtime import Instance as Instance
+    from .runtime.reuse import derive as derive
     from .simulation import simulate as simulate
 
     __version__: str

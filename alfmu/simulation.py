@@ -21,7 +21,7 @@ from .model.settings import Settings
 from .result import Result, Signal, read_inputs
 from .runtime import Instance
 from .runtime.prepare import prepared, with_defaults
-from .runtime.reuse import derived, ready
+from .runtime.reuse import derive, ready
 
 if TYPE_CHECKING:
     from .analysis.equilibria import Equilibrium
@@ -124,7 +124,7 @@ def simulate(
 
         recipe = of(mechanism)
         how["declared"] = declared = recipe.declared()
-        equations, given = derived(declared), {**recipe.parameters, **given}
+        equations, given = derive(declared), {**recipe.parameters, **given}
         outputs = recipe.outputs if outputs is None else outputs
         freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
         start = start or recipe.start

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 import alfmu
+from alfmu.equations import derivation
+from alfmu.model.content import MOST
 from alfmu.runtime import prepare, reuse
 
 FILE = """
@@ -257,7 +259,7 @@ def traces(monkeypatch) -> list[str]:
 
 def fresh(m: alfmu.Mechanism, **how) -> alfmu.Result:
     """A run that shares nothing."""
-    return alfmu.simulate(alfmu.derive(m), 0.5, 0.05, **how)
+    return alfmu.simulate(derivation.derive(m), 0.5, 0.05, **how)
 
 
 def test_a_study_of_four_values_takes_one_trace(traces):
@@ -343,19 +345,19 @@ def test_auto_chooses_by_the_values_of_the_run(traces):
 
 
 def test_only_the_latest_mechanisms_are_kept(traces):
-    for k in range(reuse._MOST + 2):
+    for k in range(MOST + 2):
         m = pendulum()
         m.gravity(0.0, -float(k))
         alfmu.simulate(m, 0.1, 0.05)
-    assert len(reuse._KEPT) == reuse._MOST
+    assert len(reuse._KEPT) == MOST
 
 
 def test_only_the_latest_scenes_of_a_mechanism_are_kept(traces):
-    m, count = pendulum(), reuse._MOST + 2
+    m, count = pendulum(), MOST + 2
     for k in range(count):
         alfmu.simulate(m, 0.1, 0.05, parameters={"l": 1.0 + k}, freeze=["l"])
     (equations,) = reuse._KEPT.values()
-    assert len(equations.programs["ready"]) == reuse._MOST
+    assert len(equations.programs["ready"]) == MOST
     assert len(traces) == count
     alfmu.simulate(m, 0.1, 0.05, parameters={"l": float(count)}, freeze=["l"])
     assert len(traces) == count

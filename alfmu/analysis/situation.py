@@ -23,7 +23,7 @@ from ..model.mechanism import Mechanism
 from ..runtime import Instance
 from ..runtime.prepare import with_defaults
 from ..runtime.probe import Probe, mobility, row_shares, row_units
-from ..runtime.reuse import derived
+from ..runtime.reuse import derive
 
 __all__ = ["Situation", "Source", "State", "Subject", "Vector", "situation", "situation_of", "source", "subject"]
 
@@ -69,7 +69,7 @@ def source(mechanism: str | Path | Mechanism | Recipe | Equations, parameters: M
         return Source(with_defaults(mechanism, parameters), changes(mechanism), None, mechanism, parameters)
     recipe = of(mechanism)
     declared = recipe.declared()
-    plain, given = derived(declared), {**recipe.parameters, **parameters}
+    plain, given = derive(declared), {**recipe.parameters, **parameters}
     return Source(with_defaults(plain, given), changes(plain), declared, plain, given, recipe.outputs)
 
 

@@ -30,7 +30,7 @@ from ..model.mechanism import Mechanism
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
-from ..runtime.reuse import chosen, derived
+from ..runtime.reuse import chosen, derive
 from ..simulation import prepared, with_defaults
 from ..view.picture import model_png
 from . import native
@@ -186,7 +186,7 @@ def packed_scene(
     start: str = "declared",
 ) -> tuple[Equations, Equations]:
     """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `export`."""
-    every = derived(declared)
+    every = derive(declared)
     equations = chosen(every, parameters or {}, outputs, freeze)
     if start != "declared":
         from ..analysis.states import rest

@@ -31,7 +31,7 @@ from ..model.words import there_is
 from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
 from .probe import mobility, shared
-from .reuse import derived, ready
+from .reuse import derive, ready
 
 __all__ = ["Instance"]
 
@@ -66,7 +66,7 @@ class Instance:
     def __init__(self, mechanism: str | Path | Mechanism | Equations, settings: Settings | None = None):
         e = mechanism
         if not isinstance(e, Equations):
-            e, _ = ready(derived(load(e)), {}, None, None, DEFAULT)
+            e, _ = ready(derive(load(e)), {}, None, None, DEFAULT)
         self._given = (settings or default_settings(e)).checked(e.name, e.l)
         self._take(e)
 

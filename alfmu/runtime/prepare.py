@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -17,6 +18,7 @@ from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
+from ..model.content import latest
 from ..model.errors import InputError
 from ..model.settings import Settings
 from ..model.words import there_is
@@ -135,10 +137,17 @@ def _traced(equations: Equations, probe: Probe | None) -> Equations:
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
-    """The same equations with other defaults for parameters, start values, inputs and solver variables.
+    """The same equations with other defaults for parameters, start values, inputs and solver variables; made once for
+    the same values.
 
     Raises InputError where a name is unknown or a value out of bounds.
     """
+    known = equations.programs.setdefault("defaults", OrderedDict())
+    key = tuple(sorted((name, type(value).__name__, repr(value)) for name, value in values.items()))
+    return latest(known, key, lambda: _with_defaults(equations, values))
+
+
+def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
     found = variables_of(equations)
     known = {v.name: v for v in (*found.parameters, *found.inputs)}
     for name, value in values.items():

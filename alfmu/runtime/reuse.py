@@ -3,40 +3,36 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from threading import Lock
-from typing import Any, TypeVar
 
-from ..equations import Equations
-from ..equations.derivation import derive
+from ..equations import Equations, derivation
 from ..equations.specialisation import ALL, specialised
 from ..kernel import DEFAULT
-from ..model.content import content
+from ..model.content import content, latest
 from ..model.mechanism import Mechanism
 from ..model.settings import Settings
 from .prepare import decided, prepared, with_defaults
 
-_Made = TypeVar("_Made")
-
-__all__ = ["chosen", "derived", "ready"]
-
-_MOST = 8
-"""Mechanisms whose equations are kept, and scenes of each: the latest."""
+__all__ = ["chosen", "derive", "ready"]
 
 _DECISIONS = 1000
 """Choices of the method of integration that are kept of a mechanism, the latest."""
 
 _KEPT: OrderedDict[str, Equations] = OrderedDict()
-_LOCK = Lock()
 
 
-def derived(mechanism: Mechanism) -> Equations:
-    """The equations of a mechanism, derived once as long as nothing of its declaration changes."""
+def derive(mechanism: Mechanism) -> Equations:
+    """All equations of a mechanism, with names, units and every joint reaction; derived once as long as nothing of its
+    declaration changes.
+
+    Raises DeclarationError where the declaration has no equations: a body that nothing places, a joint that no
+    coordinate can close, an expression with a foreign symbol.
+    """
     key = content(mechanism)
     if key is None:
-        return derive(mechanism)
-    return _kept(_KEPT, key, lambda: derive(mechanism), _MOST)
+        return derivation.derive(mechanism)
+    return latest(_KEPT, key, lambda: derivation.derive(mechanism))
 
 
 def ready(
@@ -62,7 +58,7 @@ def ready(
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
     key = (*asked, kernel, method, e.chosen, *sorted(folded.items()))
     scenes = equations.programs.setdefault("ready", OrderedDict())
-    return _kept(scenes, key, lambda: prepared(specialised(e, outputs, freeze), kernel), _MOST), own
+    return latest(scenes, key, lambda: prepared(specialised(e, outputs, freeze), kernel)), own
 
 
 def chosen(
@@ -77,7 +73,7 @@ def chosen(
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
     known = equations.programs.setdefault("chosen", OrderedDict())
     key = (*asked, *sorted(values.items()))
-    return _kept(known, key, lambda: specialised(with_defaults(equations, values), outputs, freeze), _MOST)
+    return latest(known, key, lambda: specialised(with_defaults(equations, values), outputs, freeze))
 
 
 def _decided(equations: Equations, values: Mapping[str, float | str]) -> tuple[str, str]:
@@ -88,17 +84,4 @@ def _decided(equations: Equations, values: Mapping[str, float | str]) -> tuple[s
         return e.chosen, e.reason
 
     known = equations.programs.setdefault("decided", OrderedDict())
-    return _kept(known, tuple(sorted(values.items())), choose, _DECISIONS)
-
-
-def _kept(known: OrderedDict[Any, _Made], key: object, make: Callable[[], _Made], most: int) -> _Made:
-    """What was made before for a key, or is made now; of all that is known, the latest stay."""
-    with _LOCK:
-        found = known.get(key)
-    made = make() if found is None else found
-    with _LOCK:
-        known[key] = made
-        known.move_to_end(key)
-        while len(known) > most:
-            known.popitem(last=False)
-    return made
+    return latest(known, tuple(sorted(values.items())), choose, _DECISIONS)

@@ -22,7 +22,6 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from ..equations import Equations
-from ..equations.derivation import derive
 from ..files import atomic, write
 from ..model.errors import AlfmuError, AssemblyError, InputError
 from ..model.mechanism import Mechanism, Start
@@ -30,7 +29,7 @@ from ..model.words import there_is
 from ..result import Result
 from ..runtime import Instance
 from ..runtime.probe import Probe
-from ..runtime.reuse import derived
+from ..runtime.reuse import derive
 from ..simulation import Progress, simulate, with_defaults
 from . import plane, space
 from .pages import page
@@ -204,7 +203,7 @@ def drawing(
     shapes = geometry(mechanism, parameters)
     if at:
         return _drawing_at(mechanism, shapes, at, parameters or {}, size)
-    every = equations or derived(mechanism)
+    every = equations or derive(mechanism)
     equations = with_defaults(every, parameters or {})
     columns = _start(shapes, equations)
     caption = "" if columns else f"{mechanism.name} declares no bodies and no points"
