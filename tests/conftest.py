@@ -1,5 +1,6 @@
 """Fixtures shared by the tests: FMUs exported once a session, a browser."""
 
+import gc
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,6 +9,9 @@ from typing import Any
 import pytest
 
 import alfmu
+
+gc.set_threshold(200_000, 20, 50)
+"""Traced scenes are millions of objects, which the collector would go through again and again: a fifth of the time."""
 
 
 @pytest.fixture(scope="session")

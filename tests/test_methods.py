@@ -13,6 +13,7 @@ from oracles.slider_crank import SliderCrank
 from scenes import derived, made, sampled
 
 import alfmu
+from alfmu.equations.interface import default_settings
 from alfmu.fmi.drive import Fmu
 from alfmu.kernel.memory import SETTINGS
 from alfmu.method.singular import LEAST_DISTANCE
@@ -204,7 +205,7 @@ def test_auto_says_what_it_chose_and_why(capsys):
 
     for name, expected in (("four_bar", "explicit"), ("flyball_governor", "stiff")):
         e = prepared(with_defaults(derived(name), {"solver.method": "auto"}), "oracle")
-        assert (e.solver["method"], e.chosen) == ("auto", expected)
+        assert (default_settings(e).method, e.chosen) == ("auto", expected)
         assert e.reason.startswith(f"{expected}: the fastest small motion at the start has ")
         again = prepared(e)
         assert (again.chosen, again.reason) == (expected, e.reason)

@@ -11,7 +11,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import derived, readings, started
+from scenes import by_rk4, derived, readings, started
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -414,7 +414,7 @@ def test_rows_of_loops_pass_their_singular_positions(loops, coordinates, step):
 
 @cache
 def scene_of_row(loops: int, coordinates: str) -> alfmu.Equations:
-    return prepared(derived("n_four_bar", loops=loops, coordinates=coordinates), "compiled")
+    return prepared(by_rk4("n_four_bar", loops=loops, coordinates=coordinates), "compiled")
 
 
 @pytest.mark.parametrize("coordinates", ["mixed", "joint"])

@@ -42,6 +42,8 @@ KINDS = (*SUMS, ca.OP_DIV, SINE_COSINE, *(x for x in (*BINARY, *UNARY) if x not 
 _CYCLES = {ca.OP_DIV: 20, SINE_COSINE: 50, "sum2": 17, "products": 17, "sum4": 23}
 """From the operands of an operation to its result, both in memory; 14 of others."""
 
+_COSTS = [_CYCLES.get(kind, 14) for kind in KINDS]
+
 _NUMBER = {kind: i for i, kind in enumerate(KINDS)}
 
 
@@ -136,23 +138,15 @@ class _Form:
 
     def _joined(self, found: dict[int, list[_Term]], a: int, b: int, difference: bool) -> list[_Term]:
         """The summands of a + b or a - b; what becomes part of it is no longer a sum of its own."""
-        ways = [(a, b, difference, False)]
-        if not difference or self._is_product(found, b):  # a - b = -b + a
-            ways.append((b, a, False, difference))
-        single = [x for x in (a, b) if self._uses[x] == 1]
-
-        def gain(way: tuple[int, int, bool, bool]) -> tuple[bool, bool, int]:
-            first, second, *_ = way
-            begins = first in single and first in found
-            return self._is_product(found, second), begins, len(found[first]) if begins else 0
-
-        first, second, minus, turned = max(ways, key=gain)
-        _, begins, _ = gain((first, second, minus, turned))
-        terms = found.pop(first) if begins else [_Term(False, first)]
-        if turned:
-            terms = [terms[0]._replace(negative=True)]
-        last = found.pop(second)[0] if self._is_product(found, second) else _Term(False, second)
-        return [*terms, last._replace(negative=minus)]
+        begins = [len(found[x]) if self._uses[x] == 1 and x in found else 0 for x in (a, b)]
+        products = [self._is_product(found, x) for x in (a, b)]
+        turned = (not difference or products[1]) and (products[0], begins[1]) > (products[1], begins[0])
+        first, second = (b, a) if turned else (a, b)
+        terms = found.pop(first) if begins[turned] else [_Term(False, first)]
+        if turned and difference:  # a - b = -b + a
+            terms = [_Term(True, *terms[0][1:])]
+        last = found.pop(second)[0] if products[not turned] else _Term(False, second)
+        return [*terms, _Term(difference and not turned, *last[1:])]
 
     def _is_product(self, found: dict[int, list[_Term]], k: int) -> bool:
         """Whether a value is a product that is used once."""
@@ -171,7 +165,6 @@ class _Form:
         # Constants cost nothing; of others, those first that most products have.
         heap = [(x not in self._constants, -len(places), x) for x, places in of.items()]
         heapify(heap)
-        made = {k: list(terms) for k, terms in sums.items()}
         while left:
             rank, count, factor = heappop(heap)
             places = [place for place in of[factor] if place in left]
@@ -181,8 +174,8 @@ class _Form:
             for k, i in places:
                 term = left.pop((k, i))
                 other = term.second if term.first == factor else term.first
-                made[k][i] = _Term(False, self._negative(factor), other)
-        return made
+                sums[k][i] = _Term(False, self._negative(factor), other)
+        return sums
 
     def _write(self, k: int, terms: list[_Term]) -> None:
         """A sum as operations."""
@@ -290,9 +283,10 @@ def _users(operations: list[Operation]) -> tuple[list[list[int]], list[int]]:
     users: list[list[int]] = [[] for _ in operations]
     missing = [0] * len(operations)
     for i, operation in enumerate(operations):
-        for j in {maker[x] for x in operation.operands if x in maker}:
+        makers = {maker[x] for x in operation.operands if x in maker}
+        for j in makers:
             users[j].append(i)
-            missing[i] += 1
+        missing[i] = len(makers)
     return users, missing
 
 
@@ -305,9 +299,14 @@ def _urgency(operations: list[Operation], users: list[list[int]], missing: list[
             left[user] -= 1
             if not left[user]:
                 order.append(user)
-    found = [(0, 0)] * len(operations)
+    kinds, found = [operation.kind for operation in operations], [(0, 0)] * len(operations)
     for i in reversed(order):
-        kind, after = operations[i].kind, [(found[j], operations[j].kind) for j in users[i]]
-        changes = min((x[0] - (other != kind) for x, other in after), default=0)
-        found[i] = changes, min((x[1] for x, _ in after), default=0) - _CYCLES.get(KINDS[kind], 14)
+        kind, changes, cycles = kinds[i], 0, 0
+        for j in users[i]:
+            later, most = found[j]
+            if (after := later - (kinds[j] != kind)) < changes:
+                changes = after
+            if most < cycles:
+                cycles = most
+        found[i] = changes, cycles - _COSTS[kind]
     return found

@@ -158,28 +158,33 @@ def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> E
             raise InputError(f"{equations.name} has no input or parameter {name!r}; {there_is(name, names)}")
     own = {setting(name): value for name, value in values.items() if setting(name) != name}
     Settings(**own).checked(equations.name, equations.l)
+    before = default_settings(equations)
+    own = {name: value for name, value in own.items() if value != getattr(before, name)}
+    changing = [name for name in values if setting(name) == name]
+    if not own and all(name in known and float(values[name]) == known[name].start for name in changing):
+        return equations
     changed = {
         field: [replace(v, start=float(values.get(v.name, v.start))) for v in getattr(equations, field)]
         for field in ("parameters", "starts", "start_rates", "compliances", "inputs")
     }
     changed["states"] = [replace(v, start=float(values.get(f"start.{v.name}", v.start))) for v in equations.states]
     changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]
-    e, before = replace(equations, **changed, solver={**equations.solver, **own}), default_settings(equations)
+    e = replace(equations, **changed, solver={**equations.solver, **own})
     same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)
     return e if same else untraced(replace(e, chosen="", reason=""))
 
 
 def retraced(equations: Equations, settings: Settings) -> Equations:
     """The same equations, traced with the method of integration and the order of inputs that settings ask for."""
-    e = equations
-    wanted = {name: getattr(settings, name) for name in _TRACED}
-    default = {name: getattr(Settings, name) for name in _TRACED}
-    if e.kernel and all(e.solver.get(name, default[name]) == value for name, value in wanted.items()):
+    e, before = equations, default_settings(equations)
+    wanted = {name: getattr(settings, name) for name in _TRACED if getattr(settings, name) != getattr(before, name)}
+    if e.kernel and not wanted:
         return e
     known = e.programs.setdefault("traced", {})
-    chosen = tuple(wanted.values())
+    chosen = tuple(sorted(wanted.items()))
     if chosen not in known:
-        known[chosen] = again(replace(e, solver={**e.solver, **wanted}, chosen="", reason=""))
+        changed = replace(e, solver={**e.solver, **wanted}, chosen="", reason="") if wanted else e
+        known[chosen] = again(changed)
     return known[chosen]
 
 
