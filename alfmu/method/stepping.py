@@ -32,7 +32,6 @@ __all__ = [
     "newton",
     "rough",
     "rule_beside",
-    "tolerance",
 ]
 
 State = Any
@@ -525,13 +524,6 @@ def share(method: Explicit | Collocation) -> tuple[float, float]:
     """
     factor = SHORT_SHARE if method is EXPLICIT5_SHORT else SHARE
     return factor, (method.estimate + 1) / (method.order + 1) if isinstance(method, Collocation) else 1.0
-
-
-def tolerance(method: Explicit | Collocation, run: float) -> float:
-    """The tolerance of a step that keeps a run within a tolerance."""
-    factor, exponent = share(method)
-    long = isinstance(method, Explicit) and method is not EXPLICIT5_SHORT
-    return factor * run**exponent * (min(1.0, STEADY / run) ** LOOSER if long else 1.0)
 
 
 SPLIT = 2.0

@@ -20,7 +20,10 @@ from alfmu.method import implicit
 from alfmu.method import singular as branch
 from alfmu.method.inputs import Past
 from alfmu.method.stepping import (
+    EXPLICIT5_SHORT,
+    LOOSER,
     SHORTEST,
+    STEADY,
     Collocation,
     Control,
     Explicit,
@@ -31,7 +34,7 @@ from alfmu.method.stepping import (
     explicit,
     explicit_rule,
     rule_beside,
-    tolerance,
+    share,
 )
 from alfmu.model.errors import StepError
 from alfmu.model.settings import FIXED
@@ -49,6 +52,13 @@ RETURNS = 4
 """Passes of the derivative of the return to the branch."""
 
 Rule = Explicit | Collocation | implicit.Newmark
+
+
+def tolerance(method: Explicit | Collocation, run: float) -> float:
+    """The tolerance of a step that keeps a run within a tolerance, as the runtime has it (`of_step` in instance.c)."""
+    factor, exponent = share(method)
+    long = isinstance(method, Explicit) and method is not EXPLICIT5_SHORT
+    return factor * run**exponent * (min(1.0, STEADY / run) ** LOOSER if long else 1.0)
 
 
 def by_method(instance: Instance, method: str, order: int = 0) -> Adaptive:
