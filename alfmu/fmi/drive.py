@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import zipfile
 import zlib
@@ -38,13 +39,19 @@ except ModuleNotFoundError as error:
 
 __all__ = ["Fmu", "validate"]
 
-_LOG: list[str] = []
-"""Messages of the call under way; one list for all, for fmpy hands every message to the newest instance's logger."""
+_LOGGER = logging.getLogger("alfmu")
+
+_LOG: list[tuple[int, str]] = []
+"""Status and text of the messages of the call under way; one list for all, for fmpy hands every message to the newest
+instance's logger."""
+
+_WARNING = 1
+"""Status of a warning, in FMI 2 and 3."""
 
 
 def _logged(*said) -> None:
-    """What an FMU logs; the message comes last, whatever the version of FMI."""
-    _LOG.append((said[-1] or b"").decode(errors="replace"))
+    """What an FMU logs; status, category and message come last, whatever the version of FMI."""
+    _LOG.append((said[-3], (said[-1] or b"").decode(errors="replace")))
 
 
 LARGEST = 4e9
@@ -108,6 +115,8 @@ class Fmu:
             self._stack = stack.pop_all()
         self.mechanism, self.options = _facts(self._folder / "resources" / OPTIONS) or ("", {})
         """The mechanism, and the options that it was exported with, if alfmu exported it; as the FMU says."""
+        self._logs = not (self.mechanism and (self._folder / "resources" / "slavemodule.txt").is_file())
+        """Whether warnings are to be handed on: those of alfmu's own Python code come from the same logger."""
         self.begun = False
 
     def __repr__(self) -> str:
@@ -231,13 +240,17 @@ class Fmu:
     def _call(self, function: str, *arguments, **named):
         _LOG.clear()
         try:
-            return getattr(self.slave, function)(*arguments, **named)
+            result = getattr(self.slave, function)(*arguments, **named)
         except FMICallException as error:
             raise StepError(self._why(f"{self.name}: {function} failed ({error})")) from None
+        for status, text in _LOG if self._logs else ():
+            if status == _WARNING:
+                _LOGGER.warning("%s", text)
+        return result
 
     def _why(self, what: str) -> str:
         """What failed, with the FMU's own words where it left any."""
-        words = [line.split("InputError('")[-1].split("Error('")[-1].removesuffix("')") for line in _LOG]
+        words = [line.split("InputError('")[-1].split("Error('")[-1].removesuffix("')") for _, line in _LOG]
         return words[-1] if words and words[-1] else what
 
 
