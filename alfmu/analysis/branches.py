@@ -115,7 +115,10 @@ def _leads_on(loops: Loops, y: Vector, way: Vector) -> int:
 
 
 def polished(loops: Loops, y: Vector) -> Vector | None:
-    """The singular place nearest by: Newton's method for Phi = 0, C' mu = 0, mu' mu = 1; None where there is none."""
+    """The singular place nearest by: Newton's method for Phi = 0, C' mu = 0, mu' mu = 1; None where there is none.
+
+    Where laws of time leave no freedom, the time at which they pass it is found too.
+    """
     begin, n = y, len(y)
     U, _, _ = np.linalg.svd(loops.matrix(y))
     mu = U[:, loops.rank - 1]
@@ -129,8 +132,11 @@ def polished(loops: Loops, y: Vector) -> Vector | None:
         left = np.concatenate([loops.gaps(y), C.T @ mu, [(mu @ mu - 1) / 2]])
         if np.abs(left).max() < 1e-13:
             break
-        J = np.block([[C, np.zeros((len(C), len(mu)))], [bent, C.T], [np.zeros((1, n)), mu[None]]])
+        along = loops.along_time(y) if where.equations.timed and not loops.freedom else C
+        J = np.block([[along, np.zeros((len(C), len(mu)))], [bent, C.T], [np.zeros((1, n)), mu[None]]])
         d = np.linalg.lstsq(J, left, rcond=1e-9)[0]
+        if loops.freedom:
+            d[loops.moving : n] = 0.0
         y, mu = y - d[:n], mu - d[n:]
         if not np.isfinite(y).all() or np.abs(y - begin).max() > 0.1:
             return None

@@ -21,6 +21,7 @@ from ..files import write
 from ..model.errors import InputError
 from ..model.words import counted
 from .branches import polished, ways
+from .laws import check_at_rest, held_still
 from .loops import STEP, Loops, plain
 from .situation import Situation, Subject, Vector, subject
 from .small import ZERO, Small, small_motions
@@ -253,7 +254,11 @@ def equilibrium(
     the start, and, to find other assemblies, anywhere. Redundant constraints, singular positions and massless bodies
     are no obstacle; where a position is singular, its stability is not judged.
 
-    Raises AlfmuError where a name or a value is at fault, or the loops cannot be closed.
+    Inputs that move something are held where they are, and laws of time as they are at that instant. Dry friction is
+    left out: positions where it balances the loads lie about those that are found.
+
+    Raises AlfmuError where a name or a value is at fault, or the loops cannot be closed, InputError where a law of time
+    moves something at that instant, or where further states do not settle.
     """
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
         raise InputError(f"{mechanism}: starts is {starts!r}; it must be a whole number, 0 or above")
@@ -262,9 +267,18 @@ def equilibrium(
 
 def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
     """The same of a situation."""
+    frictions = ", ".join(x.name for x in where.equations.frictions)
+    where, moved = held_still(where.without_friction())
+    check_at_rest(where, where.at_rest(where.state.q))
     search = _Search(Loops(where, settled=True))
     found = search.all(starts)
     notes = search.notes(found)
+    if moved:
+        notes.append(f"inputs that move something are held where they are: {', '.join(moved)}")
+    if frictions:
+        notes.append(
+            f"dry friction is left out ({frictions}): where it holds, positions beside these are positions of rest too"
+        )
     return Equilibria(where.name, where.state.t, tuple(found), 1 + starts, tuple(notes))
 
 
@@ -404,11 +418,13 @@ class _Search:
 
     def _anywhere(self, starts: int) -> Iterator[Vector]:
         """Places where the loops are closed, wherever that is."""
-        loops, n = self.loops, len(self.loops.home)
+        loops, n, moving = self.loops, len(self.loops.home), self.loops.moving
         count = starts if loops.freedom == 1 else starts - starts // 2
-        for numbers in _evenly(n, count if loops.situation.held.any() else 0):
+        for places in _evenly(moving, count if loops.situation.held.any() else 0):
+            numbers = np.pad(places, (0, n - moving))
             spread = np.where(loops.units == "m", 1.5, np.where(loops.units == "rad", np.pi, 1.0))
             middle = np.where(loops.units == "rad", loops.home, 0.0)
+            spread[loops.moving :], middle[loops.moving :] = 0.0, loops.home[loops.moving :]
             y = loops.closed(middle + spread * (2 * numbers - 1))
             if y is not None:
                 yield y
@@ -456,6 +472,7 @@ class _Search:
     def _judged(self, y: Vector, connected: bool) -> Equilibrium:
         loops, where = self.loops, self.loops.situation
         e, state = where.equations, loops.state(y)
+        check_at_rest(where, state)
         here = replace(where, state=state)
         mobility, _ = where.mobility(state.q)
         N, _, lam = loops.balance(y)
@@ -482,7 +499,7 @@ class _Search:
         return Equilibrium(
             where.name,
             state.t,
-            {} if e.resting else dict(zip((c.name for c in e.coordinates), state.q.tolist(), strict=True)),
+            dict(zip((c.name for c in where.coordinates), state.q.tolist(), strict=False)),
             dict(zip((x.name for x in e.inputs), state.u.tolist(), strict=False)),
             dict(zip((x.name for x in e.states), state.u[len(e.inputs) :].tolist(), strict=True)),
             dict(zip((c.name for c in e.outputs), outputs.tolist(), strict=True)),

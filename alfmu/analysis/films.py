@@ -32,7 +32,9 @@ def motion_of(where: Situation, shape: Mapping[str, complex], amplitude: float) 
     where the loops cannot be closed so far away.
     """
     loops, e = Loops(where), where.equations
-    way = np.array([shape[c.name] for c in e.coordinates]) / loops.scale
+    way = np.zeros(e.n)
+    way[: len(where.coordinates)] = [shape[c.name] for c in where.coordinates]
+    way /= loops.scale
     way = way * (amplitude / max(np.abs(way).max(), 1e-300))
     phases = np.linspace(0.0, 2 * math.pi, FRAMES + 1)
     rows, y, before = [], loops.home.copy(), np.zeros_like(loops.home)
@@ -56,7 +58,7 @@ def motion_of(where: Situation, shape: Mapping[str, complex], amplitude: float) 
 
 def _readings(where: Situation, q: Vector) -> Vector:
     e = where.equations
-    return where.value("readings", where.state.at_rest(q), a=np.zeros(e.n), lam=np.zeros(e.l))
+    return where.value("readings", where.at_rest(q), a=np.zeros(e.n), lam=np.zeros(e.l))
 
 
 def film(

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..equations import Row
+from ..equations import Equations, Row
 from ..files import write
 from ..model.errors import AlfmuError, InputError
 from ..model.words import counted
@@ -22,10 +22,11 @@ from ..result import Signal
 from ..runtime import Instance
 from ..simulation import Progress, communication_points
 from .branches import STRAIGHT, Way, polished, ways
+from .laws import prescribed
 from .loops import STEP, Loops, plain
 from .situation import Situation, Source, Subject, Vector, source, subject
 from .small import independent
-from .states import motion
+from .states import begun, motion
 
 __all__ = ["Branch", "Freedoms", "Group", "SingularPosition", "freedoms", "mobility"]
 
@@ -161,7 +162,7 @@ class Freedoms:
     def lines(self) -> list[str]:
         """A text for readers."""
         lines = [f"{self.mechanism}: {counted(self.freedom, 'degree')} of freedom"]
-        lines += [f"told by: {', '.join(self.independent) or 'nothing, it is rigid'}"]
+        lines += [f"told by: {', '.join(self.independent) or 'nothing, as constraints leave no freedom'}"]
         lines += [f"redundant constraints: {self.redundant}"]
         for group in self.groups:
             lines += [f"  {group.redundant} of {len(group.rows)}: {', '.join(group.rows)}"]
@@ -238,7 +239,7 @@ def mobility(
         return freedoms(subject(mechanism, parameters))
     found = source(mechanism, parameters or {})
     stop_time = found.equations.stop_time if stop_time is None else stop_time
-    where = subject(mechanism, parameters)
+    where = begun(mechanism, parameters or {}, inputs or {})
     if not stop_time:
         return freedoms(where)
     times = communication_points(where.name, stop_time, found.equations.interval)
@@ -253,7 +254,9 @@ def freedoms(
     progress: Progress = iter,
 ) -> Freedoms:
     """The same of a situation, and along the motion at instants [s] if there are any."""
+    where = where.without_friction()
     e, here = where.equations, where.start
+    rubbing = [x.row for x in e.frictions]
     loops = Loops(where)
     singular = here.freedom_here > here.freedom
     start = _singular(loops, loops.home, where.state.t, where.state.v) if singular else None
@@ -261,6 +264,7 @@ def freedoms(
     groups = _groups(loops, beside)
     matrices = [np.abs(loops.matrix(y)) for y in (loops.home, beside)]
     names = [_name(row) for row in e.rows]
+    off = [i for i in range(e.l) if not where.held[i] and i not in rubbing]
     held = np.flatnonzero(where.held)
     idle = [names[i] for k, i in enumerate(held) if max(C[k].max(initial=0.0) for C in matrices) < TOUCHED]
     way = _Way(loops, where)
@@ -274,15 +278,21 @@ def freedoms(
         tuple(e.coordinates[i].name for i in independent(where, loops.motions(beside))),
         groups,
         tuple(idle),
-        tuple(name for name, on in zip(names, where.held, strict=True) if not on),
+        tuple(names[i] for i in off),
         start,
         tuple(way.singular),
         (where.state.t, way.until),
         way.least,
         way.least_at,
         tuple(way.changes),
-        tuple(way.notes),
+        (*prescribed(where), *_left_out(e), *way.notes),
     )
+
+
+def _left_out(e: Equations) -> list[str]:
+    """What is said of dry friction."""
+    names = ", ".join(x.name for x in e.frictions)
+    return [f"dry friction ({names}) is no constraint here, though a joint that sticks has no motion"] * bool(names)
 
 
 def _name(row: Row) -> str:
@@ -291,12 +301,12 @@ def _name(row: Row) -> str:
 
 def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
     """A regular place: the start, or one on a branch that begins there, that of the motion if there is one."""
-    where, e = loops.situation, loops.situation.equations
+    where = loops.situation
     if start is None:
         return loops.home
     if start.branches:
         branch = start.branches[start.followed or 0]
-        way = np.array([branch.way[c.name] for c in e.coordinates]) / loops.scale
+        way = np.array([branch.way[c.name] for c in where.coordinates]) / loops.scale
         found = loops.closed(loops.home + STEP * way / np.abs(way).max())
         if found is not None and where.mobility(found * loops.scale)[0].freedom_here == loops.freedom:
             return found
@@ -307,7 +317,7 @@ def _groups(loops: Loops, y: Vector) -> tuple[Group, ...]:
     """Constraints in force that depend on each other at a regular place."""
     where = loops.situation
     names = [_name(row) for row, on in zip(where.equations.rows, where.held, strict=True) if on]
-    null = np.linalg.svd(loops.matrix(y))[0][:, loops.rank :]
+    null = loops.parts(loops.matrix(y))[0][:, loops.rank :]
     together = np.abs(null @ null.T) > TOUCHED
     left, found = {int(i) for i in np.flatnonzero(together.diagonal())}, []
     while left:
@@ -329,7 +339,9 @@ def _singular(loops: Loops, y: Vector, t: float, v: Vector) -> SingularPosition:
     motions = loops.situation.mobility(y * loops.scale)[0].freedom_here
     found: list[Way] = []
     reason, followed = "", None
-    if loops.freedom != 1:
+    if e.timed:
+        reason = "branches are not told where laws of time or inputs move something"
+    elif loops.freedom != 1:
         reason = f"branches are not told apart: with {loops.freedom} degrees of freedom they are surfaces, not lines"
     elif motions > MOST:
         reason = f"branches are not told apart: of {motions} motions there may be {2 ** (motions - 1)}"
@@ -344,13 +356,13 @@ def _singular(loops: Loops, y: Vector, t: float, v: Vector) -> SingularPosition:
     if speed > 0 and found:
         cosines = [abs(each.way @ (v / loops.scale)) / speed for each in found]
         followed = int(np.argmax(cosines)) if max(cosines) > 1 - STRAIGHT / 4 else None
-    names = [c.name for c in e.coordinates]
+    names = [c.name for c in loops.situation.coordinates]
     each = []
     for branch in found:
         way = branch.way * loops.scale
         rates = way / way[np.argmax(np.abs(way))] + 0.0
-        each.append(Branch(dict(zip(names, rates.tolist(), strict=True)), branch.ends, branch.singular))
-    place = dict(zip(names, (y * loops.scale).tolist(), strict=True))
+        each.append(Branch(dict(zip(names, rates.tolist(), strict=False)), branch.ends, branch.singular))
+    place = dict(zip(names, (y * loops.scale).tolist(), strict=False))
     return SingularPosition(t, place, motions, tuple(each), followed, reason)
 
 
@@ -374,12 +386,15 @@ class _Way:
         passed: list[tuple[float, Vector, Vector, float]] = []
         on, freedom = loops.situation.held, loops.freedom
         try:
-            for t, where in motion(source, times, inputs):
+            for t, there in motion(source, times, inputs):
+                where = there.without_friction()
                 if not np.array_equal(where.held, on):
                     loops, on, passed = Loops(where), where.held, []
                     if loops.freedom != freedom:
                         freedom = loops.freedom
                         self.changes.append((t, freedom))
+                elif where.equations.followed:  # whose numbers are others at each instant
+                    loops = Loops(where)
                 y, v = where.state.q / loops.scale, where.state.v / loops.scale
                 size = float(loops.sizes(y)[-1]) if loops.rank else 1.0
                 passed.append((t, y, v, size))
@@ -417,6 +432,8 @@ class _Way:
         if told.freedom_here > told.freedom:
             v = (at(min(t + 1e-4 * (t2 - t0), t2)) - at(max(t - 1e-4 * (t2 - t0), t0))) * loops.scale
             self.least, self.least_at = min(self.least, float(loops.sizes(y)[-1])), t
+            if loops.situation.equations.timed and not loops.freedom:
+                t = float(y[-1])
             if self.singular and abs(self.singular[-1].time - t) < 0.5 * (t2 - t0):
                 return
             self.singular.append(_singular(loops, y, t, v))

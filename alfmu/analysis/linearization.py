@@ -72,7 +72,9 @@ class Linearization:
     """Small motions about a state: x' = A x + B u + x'0, y = y0 + C x + D u, with x, u, y changes from the state.
 
     `states` are independent coordinates NAME, their rates der(NAME), and further states of the mechanism where it has
-    any; `inputs` and `outputs` have the names of FMI.
+    any; `inputs` and `outputs` have the names of FMI. An input that moves something acts by its value, its rate and its
+    acceleration: those that are no inputs of the mechanism are called der(NAME) and der(NAME,2). Where laws of time
+    move something, time stands still at the state.
     """
 
     mechanism: str
@@ -91,6 +93,9 @@ class Linearization:
     """Of states, inputs and outputs at the state, by name."""
     drift: Vector
     """x' at the state (2f,): zero at rest."""
+    frictions: Mapping[str, str]
+    """What joints with dry friction do, by name: "sticks" (held as by a lock), "slides" (by the law of its friction),
+    "held by others", "left out" (at a position of rest, which is told without dry friction)."""
     notes: tuple[str, ...]
     situation: Situation = field(repr=False)
     small: Small = field(repr=False)
@@ -102,7 +107,11 @@ class Linearization:
     @property
     def at_rest(self) -> bool:
         """Whether the state is a position of rest."""
-        return bool(np.abs(self.drift).max(initial=0.0) <= 1e-9 * max(1.0, np.abs(self.A).max(initial=0.0)))
+        where, moves = self.situation, [self.drift]
+        if where.equations.timed:  # What is prescribed is in no state.
+            moves += [x[: len(where.coordinates)] for x in (where.state.v, self.small.a)]
+        most = max(np.abs(x).max(initial=0.0) for x in moves)
+        return bool(most <= 1e-9 * max(1.0, np.abs(self.A).max(initial=0.0)))
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
@@ -112,15 +121,15 @@ class Linearization:
     @property
     def modes(self) -> tuple[Mode, ...]:
         """The modes, the slowest first, one for each pair of eigenvalues; along a motion those of the frozen state."""
-        found_values, vectors = np.linalg.eig(self.A)
+        found_values, vectors = np.linalg.eig(self.A) if len(self.A) else (np.zeros(0), np.zeros((0, 0)))
         values, order = ordered(found_values.astype(complex))
         f = len(self.small.independent)
-        names, found = [c.name for c in self.situation.equations.coordinates], []
+        names, found = [c.name for c in self.situation.coordinates], []
         for value, k in zip(values, order, strict=True):
             if value.imag < 0:
                 continue
-            shape = (self.small.S @ vectors[:f, k]).astype(complex)
-            size = shape[np.argmax(np.abs(shape))] or 1.0
+            shape = (self.small.S[: len(names)] @ vectors[:f, k]).astype(complex)
+            size = (shape[np.argmax(np.abs(shape))] if len(shape) else 0.0) or 1.0
             others = dict(zip(self.states[2 * f :], (vectors[2 * f :, k] / size).tolist(), strict=True))
             found.append(Mode(complex(value), {**dict(zip(names, (shape / size).tolist(), strict=True)), **others}))
         return tuple(found)
@@ -164,6 +173,7 @@ class Linearization:
         names = {name: list(getattr(self, name)) for name in ("states", "inputs", "outputs", "notes")}
         known = {"mechanism": self.mechanism, "time": self.time, "at_rest": self.at_rest}
         more = {"units": dict(self.units), "values": dict(self.values), "drift": self.drift.tolist()}
+        more |= {"frictions": dict(self.frictions)} if self.frictions else {}
         return {**known, **names, **more, **matrices, "modes": modes}
 
     def save(self, path: str | Path) -> None:
@@ -179,7 +189,9 @@ class Linearization:
         lines = [f"{self.mechanism}: linearised at t = {self.time:g} s, {how}", f"state: {state or 'none'}"]
         if self.inputs:
             lines += ["inputs: " + ", ".join(f"{x} = {self.values[x]:g} {self.units[x]}" for x in self.inputs)]
-        lines += ["mode  eigenvalue [1/s]            frequency [Hz]  damping [1]  most in"]
+        if self.frictions:
+            lines += ["dry friction: " + ", ".join(f"{name} {what}" for name, what in self.frictions.items())]
+        lines += ["mode  eigenvalue [1/s]            frequency [Hz]  damping [1]  most in"] * bool(self.states)
         for k, mode in enumerate(self.modes):
             value = mode.eigenvalue
             text = f"{value.real + 0.0:.6g}" + f" +- {value.imag:.6g}i" * (value.imag > 0)
@@ -251,6 +263,9 @@ def linearize(
     parameters, start values and inputs by name, `inputs` gives inputs over time as `simulate` takes them. `outputs`
     are names or patterns of the outputs that C and D have, None for all but monitors.
 
+    A joint with dry friction is held where it sticks, and has the law of its friction where it slides; at a position of
+    rest it is left out, as `equilibrium` does.
+
     Raises AlfmuError where a name or a value is at fault, and InputError at a singular position, where motions are not
     functions of independent coordinates.
     """
@@ -278,11 +293,11 @@ def linearized(where: Situation, outputs: Sequence[str] | None = None, wanted: S
     states = [*(c.name for c in own), *(f"der({c.name})" for c in own), *(x.name for x in more)]
     of_states = [*(c.unit for c in own), *(rate_of(c.unit) for c in own), *(x.unit for x in more)]
     units = dict(zip(states, of_states, strict=True))
-    units |= {v.name: v.unit for v in (*e.inputs, *(e.outputs[i] for i in kept))}
+    units |= {v.name: v.unit for v in (*small.driving, *(e.outputs[i] for i in kept))}
     now = np.concatenate([s.q[small.independent], s.v[small.independent], s.u[len(e.inputs) :]])
     values = {names[i]: float(small.readings[i]) for i in kept}
     values |= dict(zip(states, now.tolist(), strict=True))
-    values |= dict(zip((v.name for v in e.inputs), s.u[: len(e.inputs)].tolist(), strict=True))
+    values |= {v.name: v.value for v in small.driving}
     drift = np.concatenate([s.v[small.independent], small.a[small.independent], small.rates])
     return Linearization(
         where.name,
@@ -292,11 +307,12 @@ def linearized(where: Situation, outputs: Sequence[str] | None = None, wanted: S
         small.by_state[kept],
         small.by_input[kept],
         tuple(states),
-        tuple(v.name for v in e.inputs),
+        tuple(v.name for v in small.driving),
         tuple(names[i] for i in kept),
         units,
         values,
         drift,
+        where.frictions,
         tuple(_notes(where, mobility.redundant)),
         where,
         small,
@@ -312,6 +328,10 @@ def _notes(where: Situation, redundant: int) -> list[str]:
         )
     if where.equations.switches:
         notes.append("locks and released joints stay as they are")
+    if where.equations.timed:
+        notes.append("what is prescribed is as it is at this instant: time stands still")
+    if "sticks" in where.frictions.values():
+        notes.append("a joint that sticks is held, as long as its load stays within its limit")
     return notes
 
 

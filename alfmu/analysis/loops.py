@@ -2,7 +2,7 @@
 
 Coordinates are divided by one size each (`Loops.scale`): 1 for angles, the size of the mechanism for lengths, so that
 steps of all coordinates compare. Rows are divided by their units. The letters y, N stand for q and a basis of motions
-in these coordinates.
+in these coordinates. Where time is the last coordinate it is in y, and in no motion.
 """
 
 from __future__ import annotations
@@ -56,7 +56,9 @@ class Loops:
         self.size: float = float(lengths.max(initial=0.0)) or 1.0
         self.scale: Vector = np.where(self.units == "m", self.size, 1.0)
         self.freedom: int = situation.start.freedom
-        self.rank: int = 0 if e.resting else e.n - self.freedom
+        self.rank: int = 0 if e.resting else e.dependent - self.freedom
+        self.moving: int = e.dependent
+        """How many of the coordinates move, without time."""
         self._rows = situation.held
         self._weights = 1 / situation.units[self._rows]
         self.home: Vector = situation.state.q / self.scale
@@ -71,7 +73,7 @@ class Loops:
     def state(self, y: Vector) -> State:
         """At rest at a place, further states with it."""
         self._at(y)
-        return replace(self.situation.state.at_rest(y * self.scale), u=self._u.copy())
+        return replace(self.situation.at_rest(y * self.scale), u=self._u.copy())
 
     def _at(self, y: Vector) -> None:
         """Evaluate what a place tells, once; further states have the values there at which they rest."""
@@ -108,10 +110,24 @@ class Loops:
         """Rows (l, n) in force, in these coordinates."""
         return self._weights[:, None] * C[self._rows] * self.scale
 
+    def along_time(self, y: Vector) -> NDArray[np.float64]:
+        """The same matrix with the rates of rows in its column of time, where that is a coordinate."""
+        found, e = self.matrix(y), self.situation.equations
+        found[:, e.dependent] = self._weights * self.situation.value("Phi_dot", self.state(y))[self._rows]
+        return found
+
     def motions(self, y: Vector, count: int | None = None) -> NDArray[np.float64]:
         """The motions (n, count) that constraints hold least, orthonormal; `freedom` of them where none is said."""
         count = self.freedom if count is None else count
-        return np.linalg.svd(self.matrix(y))[2][len(y) - count :].T
+        return self.parts(self.matrix(y))[2][self.moving - count :].T
+
+    def parts(self, matrix: NDArray[np.float64]) -> tuple[Any, Any, Any]:
+        """U, s, V of rows (k, n) by the coordinates that move, each row of V (moving, n) with a zero for time; None
+        where they are not finite."""
+        if not np.isfinite(matrix).all():
+            return None, None, None
+        U, s, V = np.linalg.svd(matrix[:, : self.moving])
+        return U, s, np.pad(V, ((0, 0), (0, matrix.shape[1] - self.moving)))
 
     def sizes(self, y: Vector) -> Vector:
         """Singular values of the constraint matrix: how much the constraints hold, in `rank` directions."""
@@ -131,7 +147,7 @@ class Loops:
             if left <= CLOSED / 100 or (left <= CLOSED and left > before / 2):
                 far = near is not None and np.abs(y - near).max() > 2 * STEP
                 return None if far else y
-            U, s, V = _parts(self.matrix(y))
+            U, s, V = self.parts(self.matrix(y))
             if U is None:
                 return None
             U, s, V = U[:, : self.rank], s[: self.rank], V[: self.rank]
@@ -171,6 +187,7 @@ class Loops:
         """Coordinates (n,) that are angles after whole turns of which everything is as before, loads included."""
         places = [self.home, self.home + 0.3 + 0.1 * np.arange(len(self.home))]
         found = self.units == "rad"
+        places[1][self.moving :] = self.home[self.moving :]
         for i in np.flatnonzero(found):
             turned = np.where(np.arange(len(found)) == i, 2 * np.pi, 0.0)
             found[i] = all(self._alike(y, y + turned) for y in places)
@@ -223,10 +240,10 @@ class Loops:
         """Motions N (n, count), the loads along them, and multipliers of rows in force that balance the others best."""
         F, C = self.loads(y), self.matrix(y)
         count = self.freedom if count is None else count
-        U, s, V = _parts(C)
+        U, s, V = self.parts(C)
         if V is None or not np.isfinite(F).all():
             return np.zeros((len(y), count)), np.full(count, np.inf), np.zeros(len(C))
-        rank = len(y) - count
+        rank = self.moving - count
         lam = U[:, :rank] @ ((V[:rank] @ F) * _inverses(s[:rank]))
         return V[rank:].T, V[rank:] @ F, lam
 
@@ -240,11 +257,6 @@ class Loops:
             Ru, Gq = (self.situation.change(name, s, a=still, lam=full)[0] for name in ("inputs", "rates"))
             Rq = Rq - Ru[:, -len(self._x) :] @ np.linalg.solve(self._by_x, Gq)
         return -N.T @ (self.scale[:, None] * Rq * self.scale) @ N
-
-
-def _parts(C: NDArray[np.float64]) -> tuple[Any, Any, Any]:
-    """U, s, V of a matrix, all of them; None where it is not finite."""
-    return np.linalg.svd(C) if np.isfinite(C).all() else (None, None, None)
 
 
 def _inverses(s: Vector) -> Vector:

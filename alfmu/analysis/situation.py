@@ -14,23 +14,27 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ..equations import Equations, Mobility
-from ..equations.changes import changes
+from ..equations import Equations, Mobility, Variable
+from ..equations.changes import LEVELS, changes, signal_numbers
 from ..equations.evaluation import ARGUMENTS
 from ..fmi.recipe import Recipe, of
 from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
+from ..model.motion import COEFFICIENTS
 from ..runtime import Instance
 from ..runtime.prepare import with_defaults
 from ..runtime.probe import Probe, mobility, row_shares, row_units
 from ..runtime.reuse import derive
 
-__all__ = ["Situation", "Source", "State", "Subject", "Vector", "situation", "situation_of", "source", "subject"]
+__all__ = ["LEFT_OUT", "Situation", "Source", "State", "Subject", "Vector", "situation", "situation_of", "source", "subject"]
 
 Vector = NDArray[np.float64]
 Subject = str | Path | Mechanism | Recipe | Equations | Instance
 """What can be analysed."""
 
+
+LEFT_OUT = "left out"
+"""What is said of a joint whose dry friction does not count."""
 
 NONE = Mobility(0, 0, 0)
 """Of equations of states alone, whose one coordinate stands for none."""
@@ -82,9 +86,6 @@ class State:
     u: Vector
     t: float
 
-    def at_rest(self, q: Vector) -> State:
-        """At rest in another place (n,)."""
-        return replace(self, q=np.array(q), v=np.zeros_like(self.v))
 
 
 @dataclass(frozen=True)
@@ -100,8 +101,10 @@ class Situation:
     """Of the rows (l,), as the start found them."""
     shares: Vector
     """Weights (l,) by whose inverse redundant constraints share a load."""
-    mobility: Callable[[Vector], tuple[Mobility, Vector]]
-    """Degrees of freedom near a place (n,), and a place beside it that tells them, by the rule of the runtime."""
+    told: Callable[[Vector, str], tuple[Mobility, Vector]]
+    """What `mobility` gives, for a place and a word of `COUNTED_ROWS`."""
+    rubs: bool = False
+    """Whether dry friction counts: joints that stick are held, those that slide have the law of their friction."""
 
     @property
     def equations(self) -> Equations:
@@ -112,6 +115,11 @@ class Situation:
         return self.equations.name
 
     @property
+    def coordinates(self) -> Sequence[Variable]:
+        """The coordinates that move, without time."""
+        return () if self.equations.resting else self.equations.coordinates[: self.equations.dependent]
+
+    @property
     def parameters(self) -> dict[str, float]:
         """Parameters of the mechanism by name."""
         return dict(zip((x.name for x in self.equations.parameters), self.p.tolist(), strict=False))
@@ -120,6 +128,35 @@ class Situation:
     def start(self) -> Mobility:
         """Degrees of freedom and redundant constraints at the start."""
         return self.mobility(self.state.q)[0]
+
+    def mobility(self, q: Vector) -> tuple[Mobility, Vector]:
+        """Degrees of freedom near a place (n,), and a place beside it that tells them, by the rule of the runtime."""
+        return self.told(q, "in force" if self.rubs else "without friction")
+
+    def at_rest(self, q: Vector) -> State:
+        """At rest in another place (n,); time goes on."""
+        e, v = self.equations, np.zeros_like(self.state.v)
+        v[e.dependent :] = 1.0
+        return replace(self.state, q=np.array(q), v=v)
+
+    @property
+    def frictions(self) -> dict[str, str]:
+        """What joints with dry friction do, by name: "sticks", "slides", "held by others", or `LEFT_OUT`."""
+        e, words = self.equations, {0.0: "sticks", 1.0: "slides"}
+        slips = [abs(float(self.p[len(e.parameters) + x.slip])) for x in e.frictions]
+        return {
+            x.name: words.get(slip, "held by others") if self.rubs else LEFT_OUT
+            for x, slip in zip(e.frictions, slips, strict=True)
+        }
+
+    def without_friction(self) -> Situation:
+        """The same as if no joint had dry friction."""
+        if not self.rubs:
+            return self
+        e, p, held = self.equations, self.p.copy(), self.held.copy()
+        held[[x.row for x in e.frictions]] = False
+        p[[len(e.parameters) + x.slip for x in e.frictions]] = 0.0
+        return replace(self, p=p, held=held, rubs=False)
 
     def known(self, s: State, **more: Any) -> dict[str, Any]:
         """Numbers of a state by the letters of the equations."""
@@ -138,69 +175,85 @@ class Situation:
         return [np.array(each) for each in (results if isinstance(results, tuple) else (results,))]
 
 
-def situation(source: Source) -> Situation:
-    """The situation at the start that the defaults give, with what the runtime finds there.
+def situation(source: Source, time: float = 0.0, rubs: bool = False) -> Situation:
+    """The situation at the start that the defaults give, at a time [s] where there are laws of time, with what the
+    runtime finds there; with `rubs` as dry friction has it, which takes a traced scene.
 
     Raises AssemblyError where there is no such start.
     """
-    e = _plain(source.equations)
-    probe = Probe.of(e)
+    e = source.equations
+    begin = time if e.timed else 0.0
+    if e.frictions and rubs:
+        unit = Instance(_by_rk4(e))
+        unit.time = begin
+        unit.initialize()
+        return replace(situation_of(unit), source=source)
+    probe = Probe.of(e, begin)
     if probe is None:
-        Instance(replace(e, solver={**e.solver, "method": "rk4"})).initialize()  # says why there is no start
+        unit = Instance(_by_rk4(e))
+        unit.time = begin
+        unit.initialize()  # says why there is no start
         raise InputError(f"{e.name}: the start cannot be found from the equations alone; analyse an Instance")
     if probe.unit.text:
         warnings.warn(probe.unit.text, AlfmuWarning, stacklevel=3)
 
-    def told(q: Vector) -> tuple[Mobility, Vector]:
+    def told(q: Vector, rows: str) -> tuple[Mobility, Vector]:
         if e.resting:
             return NONE, q
         probe.place(q)
-        return mobility(probe.unit, e.n)[1:]
+        return mobility(probe.unit, e.n, rows)[1:]
 
     x = probe.numbers
     state = State(x["q"].copy(), x["v"].copy(), x["u"].copy(), float(x["t"][0]))
-    return Situation(source, state, x["p"].copy(), probe.penalty > 0, probe.units, probe.shares, told)
+    found = Situation(source, state, _here(e, x["p"], x["q"]), probe.penalty > 0, probe.units, probe.shares, told, True)
+    return found.without_friction() if e.frictions else found
 
 
 def situation_of(instance: Instance) -> Situation:
     """The situation of a running instance, which is left as it is."""
     if not instance.initialized:
         raise InputError(f"{instance.name}: its state is known after initialising; call initialize() first")
-    e, memory = _plain(instance.equations), instance.memory
+    e, memory = instance.equations, instance.memory
     penalty = instance.penalty
 
-    def told(q: Vector) -> tuple[Mobility, Vector]:
+    def told(q: Vector, rows: str) -> tuple[Mobility, Vector]:
         if e.resting:
             return NONE, q
         before = instance.q.copy()
         instance.q[:] = q
         try:
-            return instance._mobility()
+            return instance._mobility(rows)
         finally:
             instance.q[:] = before
 
     u = np.array(instance.driven)
     state = State(instance.q.copy(), instance.v.copy(), u, instance.time)
-    numbers = memory["p"].copy(), penalty > 0, row_units(e, memory["k"]), row_shares(e, memory["k"], penalty)
-    return Situation(Source(e, changes(e), None, e, {}), state, *numbers, told)
+    rows = penalty > 0, row_units(e, memory["k"]), row_shares(e, memory["k"], penalty)
+    return Situation(Source(e, changes(e), None, e, {}), state, _here(e, memory["p"], instance.q), *rows, told, True)
 
 
-def _plain(equations: Equations) -> Equations:
-    """The equations; InputError where they have what analyses do not know."""
-    for there, what in (
-        (equations.timed, "places or constraints that depend on time or are prescribed by inputs"),
-        (equations.frictions, "dry friction that sticks"),
-    ):
-        if there:
-            raise InputError(
-                f"{equations.name}: it has {what}, of which positions of rest, linearisations and degrees of freedom "
-                "are not told; declare it without"
-            )
-    return equations
+def _by_rk4(equations: Equations) -> Equations:
+    """Equations of which a scene takes little to trace."""
+    return replace(equations, solver={**equations.solver, "method": "rk4"})
 
 
-def subject(mechanism: Subject, parameters: Mapping[str, float | str] | None = None, time: float = 0.0) -> Situation:
-    """The situation of what is analysed, with other defaults, at a time [s] for which loads are taken.
+def _here(equations: Equations, p: Vector, q: Vector) -> Vector:
+    """Numbers p with signals as polynomials from the time of q (n,) on, by what accelerations follow from."""
+    p = p.copy()
+    for begin in signal_numbers(equations):
+        numbers = p[begin + 1 : begin + 1 + COEFFICIENTS]
+        signal, at = np.polynomial.Polynomial(numbers), q[-1] - p[begin]
+        taylor = [signal.deriv(k)(at) / math.factorial(k) for k in range(LEVELS)]
+        numbers[:] = 0.0
+        numbers[:LEVELS] = taylor
+        p[begin] = q[-1]
+    return p
+
+
+def subject(
+    mechanism: Subject, parameters: Mapping[str, float | str] | None = None, time: float = 0.0, rubs: bool = False
+) -> Situation:
+    """The situation of what is analysed, with other defaults, at a time [s] for which loads and laws are taken.
 
     Raises AlfmuError where a name or a value is at fault, or the mechanism cannot start.
     """
@@ -210,5 +263,5 @@ def subject(mechanism: Subject, parameters: Mapping[str, float | str] | None = N
         return situation_of(mechanism)
     if isinstance(time, bool) or not isinstance(time, (int, float, np.number)) or not math.isfinite(time):
         raise InputError(f"{mechanism}: the time is {time!r}; it must be a finite number in s")
-    found = situation(source(mechanism, parameters or {}))
+    found = situation(source(mechanism, parameters or {}), float(time), rubs)
     return replace(found, state=replace(found.state, t=float(time)))

@@ -9,6 +9,10 @@ are
 
 so that constraints of any rank and massless bodies are no obstacle, and the multipliers drop out. Their changes, which
 outputs may show, are those of least norm: W lam = C y with weights W of the rows, as the runtime reads them.
+
+Where laws of time or signals s move something, C v + Phi_t and xi have their rates, and time stands still: dq = S dz +
+Q ds with C Q = -Phi_s, and so on for rates and accelerations. Dry friction of joints that slide has multipliers of its
+own, mu = law(q, v, a, lam, mu), which depend on all others.
 """
 
 from __future__ import annotations
@@ -19,7 +23,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..equations.changes import LEVELS
 from ..model.errors import InputError
+from .laws import Driving, driving
 from .loops import Loops
 from .situation import Situation, Vector
 
@@ -37,6 +43,12 @@ EARLIER = 0.3
 ZERO = 1e-7
 """real part over the largest eigenvalue [1]: a smaller one cannot be told from none, as a double root moves by the
 square root of round-off."""
+
+SETTLED = 1e-13
+"""change of the multipliers of dry friction over their size [1]: Newton's method has found them below it."""
+
+PASSES = 50
+"""number of its steps [1]: without a solution after them the joints jam."""
 
 CONSISTENT = 1e-6
 """part of a change of the constraints that no motion follows, over the change [1]: above it the position is too near a
@@ -75,6 +87,8 @@ class Small:
     by_input: Matrix
     load: float
     """The largest acceleration of z [per s2]: none at rest."""
+    driving: list[Driving]
+    """Inputs u: those of the mechanism, and behind them derivatives of signals."""
 
     @property
     def A(self) -> Matrix:
@@ -128,11 +142,11 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
     """
     e, s, held = where.equations, where.state, where.held
     loops = Loops(where)
-    n, rank = e.n, e.n - freedom
+    n, rank = e.n, e.dependent - freedom
     units = where.units[held]
     M, C = where.value("M", s), where.value("C", s)[held] / units[:, None]
     F, xi = where.value("f", s) - where.value("d", s), where.value("xi", s)[held] / units
-    U, sizes, V = np.linalg.svd(C * loops.scale)
+    U, sizes, V = loops.parts(C * loops.scale)
     left = U[:, rank:]
     inverse = loops.scale[:, None] * (V[:rank].T / sizes[:rank]) @ U[:, :rank].T  # of C, of least norm
     N = V[rank:].T
@@ -150,9 +164,6 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
             f"{where.name}: a motion of {', '.join(e.coordinates[i].name for i in z)} has no mass here; give a mass to "
             "what moves"
         )
-    asked = followed(xi)
-    acceleration = np.linalg.solve(mass, S.T @ (F - M @ asked)) if freedom else np.zeros(0)
-    a = asked + S @ acceleration
     # Multipliers of least norm: W lam = C y.
     lengths = np.isin(np.flatnonzero(held), e.lengths)
     weights = np.where(lengths, 0.0, 1 / (where.shares[held] * units**2))
@@ -165,41 +176,127 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
         wanted = left.T @ (more - weights.reshape(-1, *[1] * (lam.ndim - 1)) * lam)
         return lam + left @ np.linalg.solve(left.T @ (weights[:, None] * left), wanted)
 
-    lam = shared(inverse.T @ (F - M @ a))
-    full = np.zeros(e.l)
-    full[held] = lam / units
+    def answered(force: Matrix, right: Matrix, more: Matrix | float = 0.0) -> tuple[Matrix, Matrix, Matrix]:
+        """Accelerations of z and of q, and multipliers (l, ...), that forces (n, ...) and C a = right make."""
+        asked = followed(right)
+        moved = np.linalg.solve(mass, S.T @ (force - M @ asked)) if freedom else np.zeros((0, *force.shape[1:]))
+        a = asked + S @ moved
+        lam = np.zeros((e.l, *force.shape[1:]))
+        lam[held] = (shared(inverse.T @ (force - M @ a), more).T / units).T
+        return moved, a, lam
+
+    slides = [x.row for x in e.frictions if where.rubs and not held[x.row]]
+    pushed = -where.value("C", s)[slides].T
+    by_mu = answered(pushed, np.zeros((len(units), len(slides))))
+    by_mu[2][slides] += np.eye(len(slides))
+    acceleration, a, full = answered(F, xi)
+    if slides:
+        mu = _rubbed(where, (a, full), by_mu)
+        acceleration, a, full = (x + y @ mu for x, y in zip((acceleration, a, full), by_mu, strict=True))
+    lam = full[held] * units
     Rq, Rv, Xq, Xv = where.change("tangents", s, a=a, lam=full)
     Ru, Xu = where.change("inputs", s, a=a, lam=full)
-    (turned,) = where.change("turned", s, w=s.v)
+    (turned,) = where.change("turning", s)
     Xq, Xv, Xu, turned = (x[held] / units[:, None] for x in (Xq, Xv, Xu, turned))
     T = followed(-turned @ S)
     _check(where, C @ T + turned @ S, turned @ S)
-    still = np.zeros((n, len(s.u)))
-    ways = [(S, T), (np.zeros_like(S), S), (still, still)]
     (turned_y,) = where.change("turned", s, w=inverse @ (weights * lam))
     turned_y = turned_y[held] / units[:, None]
     Yq, Yv, Ya, Ylam, Yu = where.change("readings", s, a=a, lam=full)
-    made = []
-    for k, (dq, dv) in enumerate(ways):
-        right = Xq @ dq + Xv @ dv + (Xu if k == 2 else 0.0)
-        da = followed(right)
-        _check(where, C @ da - right, right)
-        R = Rq @ dq + Rv @ dv + (Ru if k == 2 else 0.0)
-        change = np.linalg.solve(mass, S.T @ (R - M @ da)) if freedom else np.zeros((0, R.shape[1]))
-        da = da + S @ change
-        dlam = shared(inverse.T @ (R - M @ da), turned_y @ dq) / units[:, None]
-        dy = Yq @ dq + Yv @ dv + Ya @ da + Ylam[:, held] @ dlam + (Yu if k == 2 else 0.0)
-        made.append((change, dy))
-    (P, by_z), (Q, by_rate), (B, by_u) = made
-    y = where.value("readings", s, a=a, lam=full)
-    inputs = len(e.inputs)
-    X, U, by_x, by_u = B[:, inputs:], B[:, :inputs], by_u[:, inputs:], by_u[:, :inputs]
+    Lq, Lv, La, Llam, Lu, Ls = _laws(where, a, full, slides)
     Gq, Gv, Gu = where.change("rates", s)
+
+    def changed(dq: Matrix, dv: Matrix, R: Matrix, X: Matrix, y: Matrix, law: Matrix) -> tuple[Matrix, Matrix]:
+        """Changes of the acceleration of z and of the outputs with dq, dv, and with what R, X, outputs and laws of
+        friction change by themselves."""
+        right = Xq @ dq + Xv @ dv + X
+        found = answered(Rq @ dq + Rv @ dv + R, right, turned_y @ dq)
+        _check(where, C @ found[1] - right, right)
+        if slides:
+            asked = Lq @ dq + Lv @ dv + law + La @ found[1] + Llam @ found[2]
+            mu = np.linalg.solve(np.eye(len(slides)) - La @ by_mu[1] - Llam @ by_mu[2], asked)
+            found = tuple(x + y @ mu for x, y in zip(found, by_mu, strict=True))
+        change, da, dlam = found
+        return change, Yq @ dq + Yv @ dv + Ya @ da + Ylam @ dlam + y
+
+    def none(rows: int) -> Matrix:
+        return np.zeros((rows, 1))
+
+    alone = none(n), none(len(units)), none(len(e.outputs)), none(len(slides))
+    P, by_z = changed(S, T, *alone)
+    Q, by_rate = changed(np.zeros_like(S), S, *alone)
+    still = np.zeros((n, len(s.u)))
+    B, by_u = changed(still, still, Ru, Xu, Yu, Lu)
+    inputs, given = len(e.inputs), driving(where)
+    X, U, by_x, by_u = B[:, inputs:], B[:, :inputs], by_u[:, inputs:], by_u[:, :inputs]
     G = np.hstack([Gq @ S + Gv @ T, Gv @ S, Gu[:, inputs:]])
+    U, Gu, by_input = (
+        np.hstack([each, np.zeros((len(each), len(given) - inputs))]) for each in (U, Gu[:, :inputs], by_u)
+    )
+    if e.followed:
+        places, rates, Rs, Xs, Ys, Gs = where.change("signals", s, a=a, lam=full)
+        places, rates, Xs = (x[held] / units[:, None] for x in (places, rates, Xs))
+        dq = followed(-places)
+        _check_driven(where, C @ dq + places, given)
+        turn = rates + turned @ dq
+        dv = followed(-turn)
+        _check(where, C @ dv + turn, turn)
+        by_signal = (*changed(dq, dv, Rs, Xs, Ys, Ls), Gq @ dq + Gv @ dv + Gs)
+        for column, each in enumerate(given):
+            if each.signal >= 0:
+                level = each.signal * LEVELS + each.level
+                for matrix, found in zip((U, by_input, Gu), by_signal, strict=True):
+                    matrix[:, column] += found[:, level] / (1, 1, 2)[each.level]
+    y = where.value("readings", s, a=a, lam=full)
     rates = where.value("state_rates", s)
     by_state = np.hstack([by_z, by_rate, by_x])
     load = float(np.abs(acceleration).max(initial=0.0))
-    return Small(z, S, T, mass, P, Q, X, U, G, Gu[:, :inputs], rates, a, full, y, by_state, by_u, load)
+    return Small(z, S, T, mass, P, Q, X, U, G, Gu, rates, a, full, y, by_state, by_input, load, given)
+
+
+def _laws(where: Situation, a: Vector, lam: Vector, slides: Sequence[int]) -> list[Matrix]:
+    """Derivatives of the multipliers of joints that slide, by q, v, a, lam, u and signals."""
+    e = where.equations
+    if not slides:
+        sizes = (e.n, e.n, e.n, e.l, len(where.state.u), LEVELS * len(e.followed))
+        return [np.zeros((0, size)) for size in sizes]
+    which = [k for k, x in enumerate(e.frictions) if x.row in slides]
+    return [each[which] for each in where.change("rubbing", where.state, a=a, lam=lam)]
+
+
+def _rubbed(
+    where: Situation, smooth: tuple[Vector, Vector], by_mu: tuple[Matrix, Matrix, Matrix]
+) -> Vector:
+    """Multipliers of joints that slide, by Newton's method from none; InputError where they jam."""
+    (a, lam), (_, by_a, by_lam) = smooth, by_mu
+    e, rows = where.equations, [x.row for x in where.equations.frictions if not where.held[x.row]]
+    which, mu = [k for k, x in enumerate(e.frictions) if x.row in rows], np.zeros(len(rows))
+    for _ in range(PASSES):
+        here = {"a": a + by_a @ mu, "lam": lam + by_lam @ mu}
+        _, _, La, Llam, _, _ = _laws(where, here["a"], here["lam"], rows)
+        missed = where.value("rubbing", where.state, **here)[which] - mu
+        step = np.linalg.solve(np.eye(len(rows)) - La @ by_a - Llam @ by_lam, missed)
+        mu = mu + step
+        if np.abs(step).max() <= SETTLED * np.abs(mu).max():
+            return mu
+    names = ", ".join(e.frictions[k].name for k in which)
+    raise InputError(
+        f"{where.name}, t = {where.state.t:.6g} s: no friction of {names} agrees with its load; the joints jam here, or "
+        "are about to: take a state farther from that"
+    )
+
+
+def _check_driven(where: Situation, missed: Matrix, given: Sequence[Driving]) -> None:
+    """InputError where a signal cannot change by itself."""
+    for each in given:
+        if each.signal >= 0 and not each.level:
+            opened = np.abs(missed[:, each.signal * LEVELS]).max(initial=0.0)
+            if opened > CONSISTENT:
+                raise InputError(
+                    f"{where.name}, t = {where.state.t:.6g} s: the input {each.name} cannot change by itself, as other "
+                    f"motions or constraints hold what it moves (they would open by {opened:.1e} for a unit of it); "
+                    "leave one of them out, or drive both by one input"
+                )
 
 
 def _check(where: Situation, missed: Matrix, wanted: Matrix) -> None:

@@ -43,7 +43,7 @@ def states(
     if isinstance(at, Equilibrium):
         return [at.situation]
     if at in PLACES if isinstance(at, str) else isinstance(mechanism, Instance) and at == 0:
-        where = _with_inputs(subject(mechanism, parameters), inputs)
+        where = begun(mechanism, parameters, inputs, rubs=at != "equilibrium")
         if at == "equilibrium":
             return [equilibria(where).nearest.situation]
         return [where]
@@ -51,7 +51,7 @@ def states(
     if isinstance(mechanism, Instance):
         raise InputError(f"{mechanism.name}: an Instance is looked at in its present state; step it to the time first")
     if set(times) == {0.0}:
-        return [_with_inputs(situation(source(mechanism, parameters)), inputs)] * len(times)
+        return [begun(mechanism, parameters, inputs, rubs=True)] * len(times)
     found = dict(motion(source(mechanism, parameters), sorted(set(times)), inputs))
     return [found[t] for t in times]
 
@@ -74,7 +74,21 @@ def rest(
         return start
     if start not in STARTS:
         raise InputError(f"{equations.name}: start is {start!r}; it must be {in_words(STARTS)}, or an Equilibrium")
-    return equilibria(_with_inputs(situation(source(equations, {})), inputs or {})).nearest
+    return equilibria(begun(equations, {}, inputs or {})).nearest
+
+
+def begun(
+    mechanism: Subject, parameters: Mapping[str, float | str], inputs: Mapping[str, Signal], rubs: bool = False
+) -> Situation:
+    """The situation at the start with inputs as they are at its time; see `subject`."""
+    where = subject(mechanism, parameters, rubs=rubs)
+    found, e = _with_inputs(where, inputs), where.equations
+    moving = {e.inputs[x.input + k].name for x in e.followed for k in range(1 + x.derivatives)}
+    given = {v.name: float(x) for v, x in zip(e.inputs, found.state.u, strict=False) if v.name in inputs}
+    if isinstance(mechanism, Instance) or not (moving & set(given) or (rubs and e.frictions and given)):
+        return found
+    # What they move, or hold by friction, begins elsewhere.
+    return subject(mechanism, {**parameters, **given}, rubs=rubs)
 
 
 def _times(mechanism: Any, at: Any) -> list[float]:

@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import casadi as ca
 
+from ..model.motion import COEFFICIENTS
 from .evaluation import ARGUMENTS, symbols
 from .types import Equations
 
-__all__ = ["changes", "value"]
+__all__ = ["LEVELS", "changes", "signal_numbers", "value"]
+
+LEVELS = 3
+"""Value, rate and acceleration of a signal: what accelerations and reactions follow from."""
+
+
+def signal_numbers(equations: Equations) -> list[int]:
+    """Places in p of the numbers of each signal: `since`, and behind it the coefficients of its polynomial."""
+    e, length = equations, 1 + COEFFICIENTS
+    end = len(e.parameters) + len(e.held)
+    return [end - length * (len(e.followed) - k) for k in range(len(e.followed))]
 
 
 def changes(equations: Equations) -> dict[str, ca.Function]:
@@ -15,10 +26,16 @@ def changes(equations: Equations) -> dict[str, ca.Function]:
 
     With R = F - M a - C' lam and X = xi - C a, what (4) and (3) lack: tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n),
     Xq, Xv (l, n); inputs(q, v, a, lam, u, p, t): Ru, Xu. turned(w, q, u, p, t): derivative (l, n) by q of C w, for w
-    (n,). readings(q, v, a, lam, u, p, t): derivatives of all outputs by q, v, a, lam, u. rates(q, v, u, p, t): those of
-    the rates of further states by q, v, u, where u are the inputs and behind them these states. And what a place alone
-    tells, place(q, u, p, t): C (l, n) dense, Phi, and at rest f, the rates of further states, and their derivative by
-    these.
+    (n,), and turning(q, v, u, p, t) that of C v + Phi_t. readings(q, v, a, lam, u, p, t): derivatives of all outputs by
+    q, v, a, lam, u. rates(q, v, u, p, t): those of the rates of further states by q, v, u, where u are the inputs and
+    behind them these states. And what a place alone tells, place(q, u, p, t): C (l, n) dense, Phi, and at rest f, the
+    rates of further states, and their derivative by these.
+
+    Where there are signals, signals(q, v, a, lam, u, p, t): derivatives of Phi, C v + Phi_t, R, X, the outputs and the
+    rates of states by `LEVELS` coefficients of each polynomial, the constant one first. Where there is dry friction,
+    rubbing(q, v, a, lam, u, p, t): derivatives of its multipliers by q, v, a, lam, u, and by these coefficients. Where
+    time is a coordinate, moving(q, p): Phi_t, xi at rest, the kinetic energy of what moves by itself and its second
+    rate, each zero where nothing does.
     """
     known = equations.programs
     if "changes" not in known:
@@ -29,21 +46,35 @@ def changes(equations: Equations) -> dict[str, ca.Function]:
         R = value(e, "f", x) - value(e, "d", x) - M @ a - C.T @ lam
         X, y = value(e, "xi", x) - C @ a, value(e, "readings", x)
         state = {"q": q, "v": v, "a": a, "lam": lam, "u": u, "p": p, "t": t}
-        turned = {"w": w, "q": q, "u": u, "p": p, "t": t}
-        x_dot = value(e, "state_rates", x)
-        rates = {"q": q, "v": v, "u": u, "p": p, "t": t}
-        still = {**x, "v": ca.SX.zeros(e.n)}
-        at_rest = ca.substitute(x_dot, v, still["v"])
-        by_x = ca.jacobian(at_rest, u)[:, len(e.inputs) :]
         place = {"q": q, "u": u, "p": p, "t": t}
+        x_dot, Phi_dot = value(e, "state_rates", x), value(e, "Phi_dot", x) if e.timed else C @ v
+        rates = {"q": q, "v": v, "u": u, "p": p, "t": t}
+        # Time goes on at rest.
+        rest = ca.vertcat(ca.SX.zeros(e.dependent), ca.SX.ones(int(e.timed)))
+        still = {**x, "v": rest}
+        at_rest = ca.substitute(x_dot, v, rest)
+        by_x = ca.jacobian(at_rest, u)[:, len(e.inputs) :]
         made = {
             "tangents": (state, [ca.jacobian(each, by) for each in (R, X) for by in (q, v)]),
             "inputs": (state, [ca.jacobian(R, u), ca.jacobian(X, u)]),
-            "turned": (turned, [ca.jacobian(C @ w, q)]),
+            "turned": ({"w": w, **place}, [ca.jacobian(C @ w, q)]),
+            "turning": (rates, [ca.jacobian(Phi_dot, q)]),
             "rates": (rates, [ca.jacobian(x_dot, each) for each in (q, v, u)]),
             "place": (place, [ca.densify(C), value(e, "Phi", x), value(e, "f", still), at_rest, ca.densify(by_x)]),
             "readings": (state, [ca.jacobian(y, each) for each in (q, v, a, lam, u)]),
         }
+        levels = [p[begin + 1 + k] for begin in signal_numbers(e) for k in range(LEVELS)]
+        signals = ca.vertcat(*levels) if levels else ca.SX(0, 1)
+        if e.followed:
+            moving = value(e, "Phi", x), Phi_dot, R, X, y, x_dot
+            made["signals"] = (state, [ca.jacobian(each, signals) for each in moving])
+        if e.frictions:
+            laws = value(e, "rubbing", x)[: len(e.frictions)]
+            made["rubbing"] = (state, [ca.jacobian(laws, each) for each in (q, v, a, lam, u, signals)])
+        if e.timed:
+            T = value(e, "kinetic_energy", still)
+            second = ca.jacobian(ca.jacobian(T, q[-1]), q[-1])
+            made["moving"] = ({"q": q, "p": p}, [value(e, "Phi_dot", still), value(e, "xi", still), T, second])
         known["changes"] = {
             name: ca.Function(name, list(arguments.values()), values, list(arguments), _results(values))
             for name, (arguments, values) in made.items()

@@ -186,6 +186,9 @@ typedef enum {
     BRAKES  /* redundant constraints that the scene is not traced for */
 } Outcome;
 
+/* Constraints of which degrees of freedom are told (`COUNTED_ROWS` in probe.py). */
+typedef enum { ROWS_IN_FORCE, ALL_ROWS, NO_FRICTION } Counted_rows;
+
 /* Phases of life, as bits, so that a call can name all in which it is legal. */
 typedef enum {
     INSTANTIATED = 1,
@@ -267,7 +270,7 @@ Outcome instance_output_derivatives(
 double *instance_time(Instance *i);
 void at_time(Instance *i, double time);
 int dependent(const Scene *scene);
-Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place);
+Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place);
 Outcome instance_penalize(Instance *i, const double *penalties);
 
 size_t state_size(const Instance *i);

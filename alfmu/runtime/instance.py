@@ -412,8 +412,9 @@ class Instance:
         """Degrees of freedom and redundant constraints, in general and at the present position."""
         return self._mobility()[0]
 
-    def _mobility(self) -> tuple[Mobility, NDArray[np.float64]]:
-        outcome, found, place = mobility(self._unit, self.equations.n)
+    def _mobility(self, rows: str = "in force") -> tuple[Mobility, NDArray[np.float64]]:
+        """What `mobility` gives, of rows by a word of `probe.COUNTED_ROWS`, and a place (n,) near that tells it."""
+        outcome, found, place = mobility(self._unit, self.equations.n, rows)
         self._judged(outcome)
         return found, place
 

@@ -225,9 +225,9 @@ API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
     return (int)instance_stabilise(i, zeta, omega, projection);
 }
 
-API int alfmu_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place)
+API int alfmu_mobility(Instance *i, int which, int *freedom, int *redundant, int *here, double *place)
 {
-    return (int)instance_mobility(i, all, freedom, redundant, here, place);
+    return (int)instance_mobility(i, (Counted_rows)which, freedom, redundant, here, place);
 }
 
 /* Whether redundant constraints would brake the motion that begins at the start. */

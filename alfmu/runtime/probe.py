@@ -18,7 +18,7 @@ from ..method import formulations as method
 from ..method import implicit
 from .library import DONE, Scene, Unit
 
-__all__ = ["SINGULAR", "Probe", "mobility", "row_shares", "row_units", "shared"]
+__all__ = ["COUNTED_ROWS", "SINGULAR", "Probe", "mobility", "row_shares", "row_units", "shared"]
 
 SINGULAR = (RuntimeError, np.linalg.LinAlgError)
 """What SciPy and NumPy raise where the augmented mass cannot be factorised, as next to a motion of hardly any mass."""
@@ -30,13 +30,18 @@ _SHARED = 1e-7
 """Change of an output by a unit of load that redundant constraints share, up to which it is none."""
 
 
-def mobility(unit: Unit, n: int, every: bool = False) -> tuple[int, Mobility, NDArray[np.float64]]:
+COUNTED_ROWS = ("in force", "all", "without friction")
+"""Constraints of which degrees of freedom are told, as `Counted_rows` in alfmu.h; "without friction" leaves out of
+those in force what joints that stick by dry friction hold."""
+
+
+def mobility(unit: Unit, n: int, rows: str = "in force") -> tuple[int, Mobility, NDArray[np.float64]]:
     """The outcome, degrees of freedom and redundant constraints, and a place (n,) near the present one that tells them.
 
-    Of the constraints in force, or with `every` of all.
+    Of the constraints that a word of `COUNTED_ROWS` stands for.
     """
-    found, place = [ctypes.c_int() for _ in range(3)], np.empty(n)
-    outcome = unit.scene.library.alfmu_mobility(unit.address, every, *map(ctypes.byref, found), place.ctypes.data)
+    found, place, which = [ctypes.c_int() for _ in range(3)], np.empty(n), COUNTED_ROWS.index(rows)
+    outcome = unit.scene.library.alfmu_mobility(unit.address, which, *map(ctypes.byref, found), place.ctypes.data)
     return outcome, Mobility(*(x.value for x in found)), place
 
 
@@ -110,12 +115,13 @@ class Probe:
     """Weights (l,) by whose inverse redundant constraints share a load, see `row_shares`."""
 
     @classmethod
-    def of(cls, equations: Equations) -> Self | None:
-        """None where the defaults have no start, so that nothing is known of it."""
+    def of(cls, equations: Equations, time: float = 0.0) -> Self | None:
+        """None where the defaults have no start at this time [s], so that nothing is known of it."""
         e = equations
         # With room for constraints that would brake, which are looked for where coordinates are few.
         room = replace(e, kernel={}, brakes=e.n <= DENSE)
         unit = Unit(Scene(packed_start(room)))
+        unit.time = time
         if unit.initialize() != DONE:
             return None
         layout, library = Layout(room), unit.scene.library
@@ -139,7 +145,7 @@ class Probe:
 
     def mobility(self, every: bool = False) -> Mobility:
         """Of the constraints in force, or with `every` of all."""
-        return mobility(self.unit, self.equations.n, every)[1]
+        return mobility(self.unit, self.equations.n, "all" if every else "in force")[1]
 
     def shared(self) -> list[str]:
         _, found, place = mobility(self.unit, self.equations.n)

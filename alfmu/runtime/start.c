@@ -1174,8 +1174,9 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     i->used = used;
 }
 
-/* Of the constraints in force, or of all of them; also a place (n) near the present one at which they are told. */
-Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, int *here, double *place)
+/* Of the constraints in force, of all of them, or of those in force without what dry friction holds; also a place (n) near the
+   present one at which they are told. */
+Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place)
 {
     const Scene *s = i->scene;
     unsigned char *held;
@@ -1188,10 +1189,12 @@ Outcome instance_mobility(Instance *i, int all, int *freedom, int *redundant, in
     if (!s->l)
         return DONE;
     held = (unsigned char *)take(i, (size_t)s->l);
-    for (int r = 0; r < s->l; r++) {
-        held[r] = all || i->penalty[r] > 0.0;
+    for (int r = 0; r < s->l; r++)
+        held[r] = which == ALL_ROWS || i->penalty[r] > 0.0;
+    for (int k = 0; k < s->frictions && which == NO_FRICTION; k++)
+        held[s->friction[k].row] = 0;
+    for (int r = 0; r < s->l; r++)
         *redundant += held[r];
-    }
     *freedom = freedom_near(i, field(i, s->z), held, here, place) - s->timed;
     *here -= s->timed;
     *redundant -= dependent(s) - *freedom;

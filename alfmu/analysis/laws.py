@@ -1,0 +1,105 @@
+"""Laws of time and signals in analyses: which inputs move something, and whether all that is prescribed is at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..equations.changes import signal_numbers
+from ..model.errors import InputError
+from ..model.motion import COEFFICIENTS
+from ..model.units import rate_of
+from ..model.words import counted
+from .situation import Situation, State
+
+__all__ = ["Driving", "check_at_rest", "driving", "held_still", "prescribed"]
+
+RESTING = 1e-9
+"""rate and second rate [m/s, rad/s, m/s2, rad/s2] of what is prescribed: it is at rest below them."""
+
+
+@dataclass(frozen=True)
+class Driving:
+    """An input of a linearisation: one of the mechanism, or a derivative of a signal that the mechanism has none for."""
+
+    name: str
+    unit: str
+    value: float
+    signal: int = -1
+    """Which of the signals it tells of; -1 for none."""
+    level: int = 0
+    """What of it: 0 its value, 1 its rate, 2 its acceleration."""
+
+
+def driving(where: Situation) -> list[Driving]:
+    """Inputs of the mechanism, and behind them rates and accelerations of signals that are none of them."""
+    e = where.equations
+    found = [Driving(v.name, v.unit, float(x)) for v, x in zip(e.inputs, where.state.u, strict=False)]
+    for k, (followed, begin) in enumerate(zip(e.followed, signal_numbers(e), strict=True)):
+        own = e.inputs[followed.input]
+        units = own.unit, rate_of(own.unit), rate_of(rate_of(own.unit))
+        for level, unit in enumerate(units):
+            if level <= followed.derivatives:
+                found[followed.input + level] = replace(found[followed.input + level], signal=k, level=level)
+            else:
+                value = float(where.p[begin + 1 + level] * (1, 1, 2)[level])
+                found.append(Driving(f"der({own.name}{',2' * (level == 2)})", unit, value, k, level))
+    return found
+
+
+def held_still(where: Situation) -> tuple[Situation, list[str]]:
+    """The same with the signals held where they are, and the names of those that moved."""
+    e, p, moved = where.equations, where.p.copy(), []
+    for followed, begin in zip(e.followed, signal_numbers(e), strict=True):
+        rates = p[begin + 2 : begin + 1 + COEFFICIENTS]
+        if np.abs(rates).max() > RESTING:
+            moved.append(e.inputs[followed.input].name)
+        rates[:] = 0.0
+    return replace(where, p=p), moved
+
+
+def check_at_rest(where: Situation, state: State) -> None:
+    """InputError where a law of time moves something in this state: there is no position of rest then."""
+    e = where.equations
+    if not e.timed:
+        return
+    rates, seconds, kinetic, changing = (each.ravel() for each in where.change("moving", state))
+    moving = where.held & ((np.abs(rates) > RESTING) | (np.abs(seconds) > RESTING))
+    told = ""
+    if moving.any():
+        row = int(np.argmax(moving))
+        name = f"{e.rows[row].name} {e.rows[row].direction}".strip()
+        told = f"the law of {name} has a rate of {abs(rates[row]):.3g} and an acceleration of {abs(seconds[row]):.3g}"
+    elif max(kinetic[0], changing[0]) > RESTING**2:
+        told = f"{_carried(where, state)} by a law of time"
+    if told:
+        raise InputError(
+            f"{where.name}, t = {state.t:.6g} s: {told}, so that nothing is at rest; name a time at which all laws "
+            "stand still (their rates and accelerations are zero), or let an input prescribe the motion, which is held"
+        )
+
+
+def _carried(where: Situation, state: State) -> str:
+    """What moves although no coordinate does, for a message."""
+    e = where.equations
+    y = where.value("readings", state, a=np.zeros(e.n), lam=np.zeros(e.l))
+    kinds = ("vx", "vy", "vz", "ax", "ay", "az", "angular_velocity", "angular_acceleration")
+    for variable, x in zip(e.outputs, y, strict=True):
+        body, _, what = variable.name.partition(".")
+        if what in kinds and abs(x) > RESTING:
+            return f"{body} is carried ({variable.name} = {x:.3g} {variable.unit})"
+    return "a body is carried"
+
+
+def prescribed(where: Situation) -> Sequence[str]:
+    """What a reader should know of laws of time and signals, where there are any."""
+    e = where.equations
+    if not e.timed:
+        return ()
+    names = [row.name for row, on in zip(e.rows, where.held, strict=True) if on and row.direction == "motion"]
+    if not names:
+        return ("places that depend on time or inputs are where these have them",)
+    each = "it counts as a constraint" if len(names) == 1 else "each counts as a constraint"
+    return (f"{counted(len(names), 'motion')} by a law ({', '.join(names)}): {each}",)
