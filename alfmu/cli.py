@@ -746,7 +746,7 @@ def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any
         from .equations.specialisation import starting_at
 
         found = rest(equations, recipe.start, inputs)
-        equations = starting_at(equations, found.q, found.states)
+        equations = starting_at(equations, found.q, found.states, found.kept)
         print(f"start at rest: {found.said()}")
     unit = instance(specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT)
     source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit

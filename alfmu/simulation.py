@@ -135,7 +135,7 @@ def simulate(
         from .analysis.states import rest
 
         found = rest(with_defaults(equations, given), start, inputs)
-        scene, left = starting_at(with_defaults(scene, left), found.q, found.states), {}
+        scene, left = starting_at(with_defaults(scene, left), found.q, found.states, found.kept), {}
         facts["start"] = dict(found.coordinates)
     stop_time = equations.stop_time if stop_time is None else stop_time
     step = equations.interval if communication_step is None else communication_step

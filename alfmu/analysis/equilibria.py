@@ -106,6 +106,11 @@ class Equilibrium:
         """Coordinates (n,) [m or rad]."""
         return self.situation.state.q
 
+    @property
+    def kept(self) -> Vector:
+        """Numbers beside the parameters that its place follows from: what locks keep, and signals."""
+        return self.situation.p[len(self.situation.equations.parameters) :]
+
     def said(self) -> str:
         """In a line, for readers."""
         shown = ", ".join(f"{name} = {plain(x)}" for name, x in list(self.coordinates.items())[:_SHOWN])

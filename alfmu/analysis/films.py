@@ -32,7 +32,7 @@ def motion_of(where: Situation, shape: Mapping[str, complex], amplitude: float) 
     where the loops cannot be closed so far away.
     """
     loops, e = Loops(where), where.equations
-    way = np.zeros(e.n)
+    way = np.zeros(e.n, complex)
     way[: len(where.coordinates)] = [shape[c.name] for c in where.coordinates]
     way /= loops.scale
     way = way * (amplitude / max(np.abs(way).max(), 1e-300))

@@ -14,7 +14,7 @@ from ..model.units import rate_of
 from ..model.words import counted
 from .situation import Situation, State
 
-__all__ = ["Driving", "check_at_rest", "driving", "held_still", "prescribed"]
+__all__ = ["Driving", "check_at_rest", "driving", "held_still", "moved_by_law", "prescribed"]
 
 RESTING = 1e-9
 """rate and second rate [m/s, rad/s, m/s2, rad/s2] of what is prescribed: it is at rest below them."""
@@ -60,21 +60,23 @@ def held_still(where: Situation) -> tuple[Situation, list[str]]:
     return replace(where, p=p), moved
 
 
-def check_at_rest(where: Situation, state: State) -> None:
-    """InputError where a law of time moves something in this state: there is no position of rest then."""
+def moved_by_law(where: Situation, state: State) -> str:
+    """What a law of time or a signal moves in this state, for a message; empty where all of them stand still."""
     e = where.equations
     if not e.timed:
-        return
+        return ""
     rates, seconds, kinetic, changing = (each.ravel() for each in where.change("moving", state))
     moving = where.held & ((np.abs(rates) > RESTING) | (np.abs(seconds) > RESTING))
-    told = ""
     if moving.any():
         row = int(np.argmax(moving))
         name = f"{e.rows[row].name} {e.rows[row].direction}".strip()
-        told = f"the law of {name} has a rate of {abs(rates[row]):.3g} and an acceleration of {abs(seconds[row]):.3g}"
-    elif max(kinetic[0], changing[0]) > RESTING**2:
-        told = f"{_carried(where, state)} by a law of time"
-    if told:
+        return f"the law of {name} has a rate of {abs(rates[row]):.3g} and an acceleration of {abs(seconds[row]):.3g}"
+    return f"{_carried(where, state)} by a law of time" if max(kinetic[0], changing[0]) > RESTING**2 else ""
+
+
+def check_at_rest(where: Situation, state: State) -> None:
+    """InputError where a law of time moves something in this state: there is no position of rest then."""
+    if told := moved_by_law(where, state):
         raise InputError(
             f"{where.name}, t = {state.t:.6g} s: {told}, so that nothing is at rest; name a time at which all laws "
             "stand still (their rates and accelerations are zero), or let an input prescribe the motion, which is held"

@@ -19,6 +19,7 @@ from ..model.units import rate_of
 from ..model.words import counted, there_is
 from ..result import Signal
 from .films import film
+from .laws import moved_by_law
 from .situation import Situation, Subject, Vector
 from .small import Small, ordered, small_motions
 from .states import states
@@ -107,11 +108,8 @@ class Linearization:
     @property
     def at_rest(self) -> bool:
         """Whether the state is a position of rest."""
-        where, moves = self.situation, [self.drift]
-        if where.equations.timed:  # What is prescribed is in no state.
-            moves += [x[: len(where.coordinates)] for x in (where.state.v, self.small.a)]
-        most = max(np.abs(x).max(initial=0.0) for x in moves)
-        return bool(most <= 1e-9 * max(1.0, np.abs(self.A).max(initial=0.0)))
+        still = np.abs(self.drift).max(initial=0.0) <= 1e-9 * max(1.0, np.abs(self.A).max(initial=0.0))
+        return bool(still) and not moved_by_law(self.situation, self.situation.state)
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:

@@ -81,14 +81,19 @@ def begun(
     mechanism: Subject, parameters: Mapping[str, float | str], inputs: Mapping[str, Signal], rubs: bool = False
 ) -> Situation:
     """The situation at the start with inputs as they are at its time; see `subject`."""
-    where = subject(mechanism, parameters, rubs=rubs)
-    found, e = _with_inputs(where, inputs), where.equations
-    moving = {e.inputs[x.input + k].name for x in e.followed for k in range(1 + x.derivatives)}
-    given = {v.name: float(x) for v, x in zip(e.inputs, found.state.u, strict=False) if v.name in inputs}
-    if isinstance(mechanism, Instance) or not (moving & set(given) or (rubs and e.frictions and given)):
-        return found
-    # What they move, or hold by friction, begins elsewhere.
-    return subject(mechanism, {**parameters, **given}, rubs=rubs)
+    where = subject(mechanism, parameters, rubs=rubs and not inputs)
+    if not inputs:
+        return where
+    e = where.equations
+    held, given = e.inputs, {name: signal_of(signal)(where.state.t) for name, signal in inputs.items()}
+    moving = {held[x.input + k].name for x in e.followed for k in range(1 + x.derivatives)}
+    elsewhere = [name for name in given if name in moving | {x.name for x in e.switches}]
+    if isinstance(mechanism, Instance):
+        if elsewhere:
+            raise InputError(f"{where.name}: {elsewhere[0]} moves or holds an Instance; set() it there, and step on")
+    elif elsewhere or (rubs and e.frictions):  # The mechanism begins elsewhere, or joints stick where they slid.
+        return subject(mechanism, {**parameters, **given}, rubs=rubs)
+    return _with_inputs(where, given)
 
 
 def _times(mechanism: Any, at: Any) -> list[float]:
@@ -100,15 +105,13 @@ def _times(mechanism: Any, at: Any) -> list[float]:
     return [float(t) for t in times]
 
 
-def _with_inputs(where: Situation, inputs: Mapping[str, Signal]) -> Situation:
-    """The same with inputs as they are at its time."""
-    if not inputs:
-        return where
+def _with_inputs(where: Situation, inputs: Mapping[str, float]) -> Situation:
+    """The same with other inputs."""
     u, names = where.state.u.copy(), [v.name for v in where.equations.inputs]
-    for name, signal in inputs.items():
+    for name, value in inputs.items():
         if name not in names:
             raise InputError(f"{where.name} has no input {name!r}; {there_is(name, names)}")
-        u[names.index(name)] = signal_of(signal)(where.state.t)
+        u[names.index(name)] = value
     return replace(where, state=replace(where.state, u=u))
 
 

@@ -41,14 +41,20 @@ def specialised(
     return e if outputs is None else _keeping(e, outputs)
 
 
-def starting_at(equations: Equations, q: NDArray[np.float64], states: Mapping[str, float] | None = None) -> Equations:
+def starting_at(
+    equations: Equations,
+    q: NDArray[np.float64],
+    states: Mapping[str, float] | None = None,
+    kept: Sequence[float] | NDArray[np.float64] = (),
+) -> Equations:
     """The same equations that start at rest at q (n,) with their defaults: other start values, and guesses moved along.
 
     Further states, by name, start at the given values. With other defaults they start beside it, as far as guesses and
-    start values lead. What is traced stays.
+    start values lead. What is traced stays. `kept` are the numbers of `Equations.held`, which guesses contain where
+    laws of time and signals move something.
     """
     e, x = equations, symbols(equations)
-    p = [v.start for v in e.parameters] + [0.0] * len(e.held)  # no guess depends on what locks keep
+    p = [v.start for v in e.parameters] + (list(kept) or [0.0] * len(e.held))
     s = [float(v.start) for v in e.starts]
     missed = np.array(e.functions["ties"](q, p, s)).ravel()
     for i, way in zip(e.tied, missed, strict=True):

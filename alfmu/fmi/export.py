@@ -193,7 +193,7 @@ def packed_scene(
 
         begun = with_defaults(every, parameters or {})
         found = rest(begun, start)
-        every, equations = (starting_at(e, found.q, found.states) for e in (begun, equations))
+        every, equations = (starting_at(e, found.q, found.states, found.kept) for e in (begun, equations))
     native.checked(equations)
     equations = prepared(equations, kernel or DEFAULT)
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing
