@@ -50,15 +50,17 @@ guesses otherwise. Names of coordinates: `alfmu info NAME`."""
 
 _EQUILIBRIUM = """Inputs and start values are those that --set gives; `alfmu simulate --start equilibrium` begins in the
 nearest stable position that is found. Stability is that of small motions; where it cannot be judged, as at a singular
-position, the reason is shown. Positions that are not found from the places tried may exist."""
+position, the reason is shown. Positions that are not found from the places tried may exist. Inputs that move something
+are held, laws of time have to stand still at the time of --at, dry friction is left out."""
 
 _LINEARIZE = """States are independent coordinates NAME and their rates der(NAME), inputs and outputs have their names
-in FMI. Along a motion the equations are those of the state as if it stood still. At a singular position nothing can be
-said, and the command fails."""
+in FMI. Along a motion the equations are those of the state as if it stood still, laws of time with it. An input that
+moves something acts by its value, its rate and its acceleration; joints with dry friction stick or slide as they do in
+the state. At a singular position nothing can be said, and the command fails."""
 
 _MOBILITY = """Constraints that are redundant at every position are named with those that they depend on. Where more
 motions begin than there are degrees of freedom the position is singular: its branches are given by the rates of
-coordinates."""
+coordinates. Prescribed motions count as constraints, dry friction does not."""
 
 _LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
 the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or

@@ -1,4 +1,4 @@
-"""Analyses of mechanisms with prescribed motions, laws of time and dry friction, against closed forms and differences."""
+"""Analyses where motions are prescribed or joints rub dryly, against closed forms and differences."""
 
 from functools import cache
 
@@ -76,7 +76,7 @@ def test_a_held_crank_has_the_torque_that_holds_it():
         assert rest.coordinates == {"th": 0.3}
         lin = alfmu.linearize(m, parameters={"A.angle": 0.3}, outputs=["A.torque"])
         assert (lin.states, lin.inputs) == ((), ("A.angle", *names))
-        assert lin.D == pytest.approx(np.array([[-G / 2 * np.sin(0.3), 0.0, 1 / 3]]), rel=1e-13)
+        assert np.abs(lin.D - [[-G / 2 * np.sin(0.3), 0.0, 1 / 3]]).max() < 1e-12
         assert lin.at_rest
     assert alfmu.mobility(crank(None), stop_time=0.0).freedom == 0
 
@@ -97,9 +97,9 @@ def test_a_load_on_a_trolley_that_follows_a_signal_swings_in_closed_form():
     rest = alfmu.equilibrium(m, parameters={"place": 0.3}).nearest
     assert rest.coordinates["swing"] == pytest.approx(-np.pi / 2, abs=1e-12)
     lin = alfmu.linearize(m, "equilibrium", inputs={"place": 0.3}, outputs=["rope.ax", "trolley.x"])
-    assert lin.A == pytest.approx(np.array([[0, 1], [-0.75 * G, 0]]), abs=1e-12)
-    assert lin.B == pytest.approx(np.array([[0, 0, 0], [0, 0, -0.75]]), abs=1e-12)
-    assert lin.D == pytest.approx(np.array([[0, 0, 0.25], [1, 0, 0]]), abs=1e-12)
+    assert np.abs(lin.A - [[0, 1], [-0.75 * G, 0]]).max() < 1e-12
+    assert np.abs(lin.B - [[0, 0, 0], [0, 0, -0.75]]).max() < 1e-12
+    assert np.abs(lin.D - [[0, 0, 0.25], [1, 0, 0]]).max() < 1e-12
     run = alfmu.simulate(by_rk4(m), 0.5, 0.1, start="equilibrium", inputs={"place": 0.3})
     assert np.ptp(run["rope.angle"]) < 1e-10
     assert np.abs(run["trolley.x"] - 0.3).max() < 1e-12
@@ -180,7 +180,7 @@ def acceleration(th: mp.mpf, rate: mp.mpf) -> mp.mpf:
     g = mp.mpf("9.81")
 
     def left(a):
-        x, y = (-rate**2 * f / 2 + h * a / 2 for f, h in ((mp.cos(th), -mp.sin(th)), (mp.sin(th), mp.cos(th))))
+        x, y = (-(rate**2) * f / 2 + h * a / 2 for f, h in ((mp.cos(th), -mp.sin(th)), (mp.sin(th), mp.cos(th))))
         load = mp.sqrt(x**2 + (y + g) ** 2)
         return a / 3 + g / 2 * mp.cos(th) + mp.mpf(MU) * mp.mpf(R) * load
 
@@ -200,7 +200,7 @@ def test_a_joint_that_slides_has_the_law_of_its_friction():
 def test_a_joint_that_sticks_is_held_and_positions_of_rest_are_told_without_friction():
     stuck = alfmu.linearize(journal(-1.55), outputs=["A.friction_torque"])
     assert (stuck.states, stuck.frictions, stuck.at_rest) == ((), {"A": "sticks"}, True)
-    assert stuck.D == pytest.approx(np.array([[-1.0]]), abs=1e-12)
+    assert np.abs(stuck.D - [[-1.0]]).max() < 1e-12
     assert stuck.values["A.friction_torque"] == pytest.approx(G / 2 * np.cos(-1.55), rel=1e-12)
     assert any("held, as long as its load" in note for note in stuck.notes)
     found = alfmu.equilibrium(journal(-1.55))

@@ -21,7 +21,7 @@ from ..files import write
 from ..model.errors import InputError
 from ..model.words import counted
 from .branches import polished, ways
-from .laws import check_at_rest, held_still
+from .laws import check_at_rest, driving, held_still
 from .loops import STEP, Loops, plain
 from .situation import Situation, Subject, Vector, subject
 from .small import ZERO, Small, small_motions
@@ -505,7 +505,7 @@ class _Search:
             where.name,
             state.t,
             dict(zip((c.name for c in where.coordinates), state.q.tolist(), strict=False)),
-            dict(zip((x.name for x in e.inputs), state.u.tolist(), strict=False)),
+            {x.name: x.value for x in driving(where)[: len(e.inputs)]},
             dict(zip((x.name for x in e.states), state.u[len(e.inputs) :].tolist(), strict=True)),
             dict(zip((c.name for c in e.outputs), outputs.tolist(), strict=True)),
             stability,

@@ -22,7 +22,7 @@ RESTING = 1e-9
 
 @dataclass(frozen=True)
 class Driving:
-    """An input of a linearisation: one of the mechanism, or a derivative of a signal that the mechanism has none for."""
+    """An input of a linearisation: one of the mechanism, or a derivative of a signal that is none."""
 
     name: str
     unit: str
@@ -34,17 +34,20 @@ class Driving:
 
 
 def driving(where: Situation) -> list[Driving]:
-    """Inputs of the mechanism, and behind them rates and accelerations of signals that are none of them."""
+    """Inputs of the mechanism, and behind them rates and accelerations of signals that are none of them.
+
+    Those of signals have the values of the motion, not those that have been set since.
+    """
     e = where.equations
     found = [Driving(v.name, v.unit, float(x)) for v, x in zip(e.inputs, where.state.u, strict=False)]
     for k, (followed, begin) in enumerate(zip(e.followed, signal_numbers(e), strict=True)):
         own = e.inputs[followed.input]
         units = own.unit, rate_of(own.unit), rate_of(rate_of(own.unit))
         for level, unit in enumerate(units):
+            value = float(where.p[begin + 1 + level] * (1, 1, 2)[level])
             if level <= followed.derivatives:
-                found[followed.input + level] = replace(found[followed.input + level], signal=k, level=level)
+                found[followed.input + level] = Driving(e.inputs[followed.input + level].name, unit, value, k, level)
             else:
-                value = float(where.p[begin + 1 + level] * (1, 1, 2)[level])
                 found.append(Driving(f"der({own.name}{',2' * (level == 2)})", unit, value, k, level))
     return found
 

@@ -26,7 +26,18 @@ from ..runtime.prepare import with_defaults
 from ..runtime.probe import Probe, mobility, row_shares, row_units
 from ..runtime.reuse import derive
 
-__all__ = ["LEFT_OUT", "Situation", "Source", "State", "Subject", "Vector", "situation", "situation_of", "source", "subject"]
+__all__ = [
+    "LEFT_OUT",
+    "Situation",
+    "Source",
+    "State",
+    "Subject",
+    "Vector",
+    "situation",
+    "situation_of",
+    "source",
+    "subject",
+]
 
 Vector = NDArray[np.float64]
 Subject = str | Path | Mechanism | Recipe | Equations | Instance
@@ -85,7 +96,6 @@ class State:
     v: Vector
     u: Vector
     t: float
-
 
 
 @dataclass(frozen=True)

@@ -264,9 +264,7 @@ def _laws(where: Situation, a: Vector, lam: Vector, slides: Sequence[int]) -> li
     return [each[which] for each in where.change("rubbing", where.state, a=a, lam=lam)]
 
 
-def _rubbed(
-    where: Situation, smooth: tuple[Vector, Vector], by_mu: tuple[Matrix, Matrix, Matrix]
-) -> Vector:
+def _rubbed(where: Situation, smooth: tuple[Vector, Vector], by_mu: tuple[Matrix, Matrix, Matrix]) -> Vector:
     """Multipliers of joints that slide, by Newton's method from none; InputError where they jam."""
     (a, lam), (_, by_a, by_lam) = smooth, by_mu
     e, rows = where.equations, [x.row for x in where.equations.frictions if not where.held[x.row]]
@@ -281,8 +279,8 @@ def _rubbed(
             return mu
     names = ", ".join(e.frictions[k].name for k in which)
     raise InputError(
-        f"{where.name}, t = {where.state.t:.6g} s: no friction of {names} agrees with its load; the joints jam here, or "
-        "are about to: take a state farther from that"
+        f"{where.name}, t = {where.state.t:.6g} s: no friction of {names} agrees with its load; the joints jam here, "
+        "or are about to: take a state farther from that"
     )
 
 

@@ -18,9 +18,9 @@ from ..runtime import Instance
 from ..runtime.reuse import ready
 from ..simulation import instance, signal_of
 from .equilibria import Equilibrium, equilibria
-from .situation import Situation, Source, Subject, situation, situation_of, source, subject
+from .situation import Situation, Source, Subject, situation_of, source, subject
 
-__all__ = ["PLACES", "motion", "rest", "states"]
+__all__ = ["PLACES", "begun", "motion", "rest", "states"]
 
 PLACES = ("start", "equilibrium")
 """Words that say where a mechanism is looked at."""
