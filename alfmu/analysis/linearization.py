@@ -291,7 +291,7 @@ def linearized(where: Situation, outputs: Sequence[str] | None = None, wanted: S
     states = [*(c.name for c in own), *(f"der({c.name})" for c in own), *(x.name for x in more)]
     of_states = [*(c.unit for c in own), *(rate_of(c.unit) for c in own), *(x.unit for x in more)]
     units = dict(zip(states, of_states, strict=True))
-    units |= {v.name: v.unit for v in (*small.driving, *(e.outputs[i] for i in kept))}
+    units |= {v.name: v.unit for v in small.driving} | {v.name: v.unit for v in (e.outputs[i] for i in kept)}
     now = np.concatenate([s.q[small.independent], s.v[small.independent], s.u[len(e.inputs) :]])
     values = {names[i]: float(small.readings[i]) for i in kept}
     values |= dict(zip(states, now.tolist(), strict=True))

@@ -384,13 +384,7 @@ def derive(mechanism: Mechanism) -> Equations:
                 f"{m.name}: nothing places {body.name}{m.declared_at(body.name)}, a body in relative coordinates; give "
                 "a joint that ends on it its coordinate"
             )
-    for body in space.relative_bodies(m) if m.moves else ():
-        if ca.depends_on(ca.vertcat(body.position, ca.vec(body.rotation)), m.time):
-            raise DeclarationError(
-                f"{m.name}: {body.name}{m.declared_at(body.name)}, a body in relative coordinates, is carried by what "
-                "depends on time; give it coordinates of its own (leave out relative), and prescribe how its joint "
-                "moves by motion()"
-            )
+    space.check_points(m)
     coordinates = m.coordinates or (() if m.moves else (_rest(),))
     q, v, a = (stack([getattr(c, letter) for c in coordinates]) for letter in "qva")
     own, n, t = (q, v), q.numel(), m.time

@@ -3,7 +3,8 @@
 A body is placed by a joint on another one, or by coordinates of its own. Each coordinate c has a column of its joint:
 the angular velocity w and the velocity u of the body's anchor that a unit of its rate gives. Accelerations go outwards
 from body to body; forces and moments about the anchors come back, and do w.n + u.f along c (Newton and Euler). The mass
-matrix takes for a column the momentum of all that the joint carries, as if it were one body. Expressions therefore
+matrix takes for a column the momentum of all that the joint carries, as if it were one body. Where a law or an input
+moves the point of a joint on one of its bodies, the coordinates of that point have columns, too. Expressions therefore
 grow with the number of bodies, the mass matrix with the number of its entries. (Featherstone, Rigid Body Dynamics
 Algorithms, chapters 5 and 6, in ground axes.)
 """
@@ -18,18 +19,19 @@ from functools import cached_property
 
 import casadi as ca
 
-from ..model.mechanism import Constraint, Lock, Mechanism, Rigidity, Scalar, stack, symbolic
+from ..model.errors import DeclarationError
+from ..model.mechanism import Constraint, Lock, Mechanism, Motion, Rigidity, Scalar, stack, symbolic
 from ..model.mechanism import Joint as PlanarJoint
 from ..model.relations import SpatialRolling
 from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, angular_velocity, spin_matrix
 from .types import Variable
 
-__all__ = ["SpatialMotion", "Wrench", "applied", "gravity", "loads", "outputs", "relative_bodies"]
+__all__ = ["SpatialMotion", "Wrench", "applied", "check_points", "gravity", "loads", "outputs", "relative_bodies"]
 
 Wrench = tuple[ca.SX, ca.SX]
 """A force (3,) and a moment (3,) about a body's anchor, in ground axes."""
 
-Closing = tuple[PlanarJoint | SpatialJoint | SpatialFreedom | Rigidity | Constraint | Lock, str]
+Closing = tuple[PlanarJoint | SpatialJoint | SpatialFreedom | Rigidity | Constraint | Lock | Motion, str]
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,19 @@ def relative_bodies(m: Mechanism) -> list[SpatialBody]:
     return [body for body in m.spatial_bodies if body.placed_by is not None]
 
 
+def check_points(m: Mechanism) -> None:
+    """DeclarationError where coordinates move a point of a joint that places a body: it would do work there."""
+    own = stack([c.q for c in m.coordinates])
+    for joint in (body.placed_by for body in relative_bodies(m)):
+        for marker in (joint.first, joint.second) if joint and m.coordinates else ():
+            if ca.depends_on(stack(marker.point), own):
+                raise DeclarationError(
+                    f"{m.name}: a point of {marker.body.name}{m.declared_at(joint.name)} at which {joint.name} places "
+                    f"{joint.second.body.name} depends on coordinates; parameters, time and inputs may move it, or "
+                    f"give {joint.second.body.name} coordinates of its own (leave out relative)"
+                )
+
+
 class SpatialMotion:
     """How bodies in space move with the rates v and the accelerations a, zero where they are left out."""
 
@@ -98,11 +113,33 @@ class SpatialMotion:
                 found = [Column(place[i], nothing, ca.SX([i == k for k in range(3)])) for i in range(3)]
                 found += [Column(attitude[i], matrix[:, i], nothing) for i in range(4)]
             else:
-                joint = body.placed_by
-                assert joint is not None
-                found = [Column(c, *column) for c, column in zip(joint.coordinates or (), joint.columns, strict=True)]
+                joint = self._joint(body)
+                found = self._of_joint(joint)
+                if joint.drifts:
+                    found = [Column(c.coordinate, c.w, c.u + ca.cross(c.w, joint.reach)) for c in found]
+                    found += self._moved(joint.beyond, body)
             self._columns[body] = found
         return self._columns[body]
+
+    def _of_joint(self, joint: SpatialJoint) -> list[Column]:
+        """What the coordinates of a joint give its second body at the joint's point, and those of that point on the
+        first body, where it moves there."""
+        first = joint.first.body
+        found = [Column(c, *column) for c, column in zip(joint.coordinates or (), joint.columns, strict=True)]
+        return found + self._moved(stack(joint.first.point) - stack(first.anchor[0]), first)
+
+    def _moved(self, local: ca.SX, body: SpatialBody) -> list[Column]:
+        """Columns of the coordinates (3,) of a point in a body's frame, those that move."""
+        return [
+            Column(x, ca.SX.zeros(3), body.rotation[:, i])
+            for i, x in enumerate(ca.vertsplit(local))
+            if ca.depends_on(x, self.q)
+        ]
+
+    @staticmethod
+    def _joint(body: SpatialBody) -> SpatialJoint:
+        assert body.placed_by is not None
+        return body.placed_by
 
     def rates(self, coordinate: Scalar) -> tuple[ca.SX, ca.SX]:
         """First and second rate of an expression in the coordinates."""
@@ -128,7 +165,7 @@ class SpatialMotion:
             before, arm = self.moving(joint.first.body), joint.first.arm + joint.slide
         spin, spin_rate, slip, push = before.spin, before.spin_rate, nothing, nothing
         carrier = before.spin
-        for column in self.columns(body):
+        for column in self.columns(body) if joint is None else self._of_joint(joint):
             rate, second = self.rates(column.coordinate)
             turn = column.w * rate
             spin_rate = spin_rate + ca.cross(carrier, turn) + column.w * second
@@ -137,7 +174,13 @@ class SpatialMotion:
                 carrier = carrier + turn
         speed = before.speed + ca.cross(before.spin, arm) + slip
         carried = before.acceleration + before.bending @ arm + 2 * ca.cross(before.spin, slip)
-        return Moving(spin, spin_rate, speed, carried + push)
+        found = Moving(spin, spin_rate, speed, carried + push)
+        if joint is None or not joint.drifts:
+            return found
+        rates = [self.rates(x) for x in ca.vertsplit(joint.beyond)]
+        slip, push = (body.rotation @ ca.vertcat(*each) for each in zip(*rates, strict=True))
+        carried = found.acceleration + found.bending @ joint.reach + 2 * ca.cross(spin, slip)
+        return Moving(spin, spin_rate, speed + ca.cross(spin, joint.reach) + slip, carried + push)
 
     def velocity(self, marker: SpatialMarker) -> ca.SX:
         """Velocity (3,) of a point."""
@@ -175,7 +218,7 @@ class SpatialMotion:
         for body in reversed(self.order):
             if body in found and body.placed_by is not None:
                 joint, (force, moment) = body.placed_by, found[body]
-                arm = joint.first.arm + joint.slide
+                arm = _way(joint)
                 _add_to(found, joint.first.body, (force, moment + ca.cross(arm, force)))
         return found
 
@@ -213,13 +256,13 @@ class SpatialMotion:
                 for i, each in enumerate(self.columns(body)[: j - first[body] + 1], first[body]):
                     entries[i, j] = ca.dot(each.w, turning) + ca.dot(each.u, momentum)
                 while at.placed_by is not None and at.placed_by.first.body is not self.mechanism.spatial_ground:
-                    arm = at.placed_by.first.arm + at.placed_by.slide
+                    arm = _way(at.placed_by)
                     turning = turning + ca.cross(arm, momentum)
                     at = at.placed_by.first.body
                     for i, each in enumerate(self.columns(at), first[at]):
                         entries[i, j] = ca.dot(each.w, turning) + ca.dot(each.u, momentum)
             if joint is not None and (carrier := joint.first.body) is not self.mechanism.spatial_ground:
-                arm = joint.first.arm + joint.slide
+                arm = _way(joint)
                 shifted = inertia + mass * _square(arm, arm) + _square(arm, moment) + _square(moment, arm)
                 before = whole.get(carrier, (ca.SX(0), ca.SX.zeros(3), ca.SX.zeros(3, 3)))
                 more = mass, moment + mass * arm, shifted
@@ -231,6 +274,12 @@ class SpatialMotion:
                 M[i, j] = M[j, i] = entry
         U = ca.jacobian(stack(coordinates), self.q)
         return U.T @ M @ U
+
+
+def _way(joint: SpatialJoint) -> ca.SX:
+    """The way (3,) from the anchor of the first body of a joint to that of the second, in ground axes."""
+    way = joint.first.arm + joint.slide
+    return way + joint.reach if joint.drifts else way
 
 
 def _add_to(loads: dict[SpatialBody, Wrench], body: SpatialBody, wrench: Wrench) -> None:
@@ -286,9 +335,10 @@ def applied(
     for (closure, direction), x in zip(closures, ca.vertsplit(lam), strict=True):
         if isinstance(closure, SpatialJoint | SpatialRolling):
             multipliers.setdefault(closure, {})[direction] = x
-        elif isinstance(closure, Lock) and isinstance(closure.of, SpatialJoint | SpatialFreedom):
-            slope = ca.cos(closure.of.free - closure.value) if closure.of.wrapped else 1.0
-            _effort(found, closure.of, -slope * x)
+        elif isinstance(closure, Lock | Motion) and isinstance(closure.of, SpatialJoint | SpatialFreedom):
+            beside = closure.of.free - (0.0 if closure.value is None else closure.value)
+            beside -= closure.law if isinstance(closure, Motion) else 0.0
+            _effort(found, closure.of, -(ca.cos(beside) if closure.of.wrapped else 1.0) * x)
     for each, own in multipliers.items():
         if isinstance(each, SpatialRolling):
             _push(found, each.centre, *each.wrench(own))
@@ -410,7 +460,13 @@ def outputs(
             continue
         force, moment = joint.reaction(own)
         if joint.coordinates is not None:
-            force, moment = reaction(joint, *needed[joint.second.body])
+            force, moment = needed[joint.second.body]
+            moment = moment + ca.cross(joint.reach, force) if joint.drifts else moment
+            for law, effort in _driven(m, joint, force, moment, efforts):
+                what, unit = ("torque", "N.m") if law.kind == "revolute" else ("driving_force", "N")
+                name = j if len(joint.freedoms) == 1 else law.name
+                add(f"{name}.{what}", effort, unit, f"{what.replace('_', ' ')} that the motion takes, on {pair}")
+            force, moment = reaction(joint, force, moment)
         add(j + ".force.{}", force, "N", f"force along {{}} on {pair}")
         if joint.kind != "spherical":
             add(
@@ -420,6 +476,24 @@ def outputs(
                 f"moment along {{}} on {pair}, about the joint's point on {joint.second.body.name}",
             )
     return values, found
+
+
+def _driven(
+    m: Mechanism,
+    joint: SpatialJoint,
+    force: ca.SX,
+    moment: ca.SX,
+    efforts: Sequence[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]],
+) -> list[tuple[SpatialFreedom, ca.SX]]:
+    """Free motions of a joint that laws of time prescribe, and what each takes of the load that the joint hands on."""
+    found, own = [], stack([c.q for c in m.coordinates])
+    for which, coordinate, (w, u) in zip(joint.freedoms, joint.coordinates or (), joint.columns, strict=False):
+        x = symbolic(coordinate)
+        if ca.depends_on(x, m.time) and not ca.depends_on(x, own):
+            along = joint.freedom(which)
+            others = [x for of, x in efforts if of == along or (of is joint and len(joint.freedoms) == 1)]
+            found.append((along, ca.dot(w, moment) + ca.dot(u, force) - sum(others, ca.SX(0))))
+    return found
 
 
 def _about(joint: SpatialJoint, which: str) -> str:

@@ -1971,6 +1971,8 @@ class Mechanism:
                     "declare joints with coordinates from the ground outwards"
                 )
             second.placed_by = joint
+            moving = (self._symbols[key_of(x)].kind for each in joint.second.point for x in symbols_in(each))
+            joint.drifts = any(kind not in CONSTANT for kind in moving)
         Mechanism.spatial_joints.of(self).append(joint)
         return joint
 

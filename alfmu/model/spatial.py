@@ -162,14 +162,17 @@ class SpatialBody(Brief):
 
     @cached_property
     def anchor(self) -> tuple[Vector, ca.SX]:
-        """The point that the coordinates place, in the body's frame and in ground axes.
+        """A point fixed on the body that the coordinates place, in the body's frame and in ground axes.
 
-        The centre of mass in absolute coordinates, the joint's point in relative ones.
+        The joint's point in relative coordinates; the centre of mass in absolute ones, and where that point moves on
+        the body.
         """
         if self.own is not None:
             return self.center, self.own[0]
-        second = self._joint.second
-        return (second.x, second.y, second.z), self._joint.first.place + self._joint.slide
+        joint = self._joint
+        local = self.center if joint.drifts else joint.second.point
+        place = joint.first.place + joint.slide
+        return local, place + joint.reach if joint.drifts else place
 
     def turned(self, point: Vector) -> ca.SX:
         """A point of the body's frame, from its anchor, in ground axes (3,)."""
@@ -229,9 +232,14 @@ class SpatialMarker(Brief):
     z: Scalar
 
     @property
+    def point(self) -> Vector:
+        """The point in the body's frame [m]."""
+        return self.x, self.y, self.z
+
+    @property
     def arm(self) -> ca.SX:
         """The way (3,) to the point from its body's anchor, in ground axes."""
-        return self.body.turned((self.x, self.y, self.z))
+        return self.body.turned(self.point)
 
     @property
     def place(self) -> ca.SX:
@@ -256,6 +264,8 @@ class SpatialJoint(Brief):
     """Way [m] along the axis of a screw in one turn."""
     length: Scalar = 0.0
     """Of a rod [m]."""
+    drifts: bool = False
+    """Whether its point on the second body, which it places, moves on that body."""
 
     @property
     def directions(self) -> tuple[str, ...]:
@@ -330,6 +340,16 @@ class SpatialJoint(Brief):
         for coordinate, (_, along) in zip(self.coordinates or (), self.columns, strict=True):
             found += coordinate * along
         return found
+
+    @cached_property
+    def reach(self) -> ca.SX:
+        """The way (3,) from a second point that drifts to the anchor of its body, in ground axes."""
+        return self.second.body.rotation @ self.beyond
+
+    @property
+    def beyond(self) -> ca.SX:
+        """The same in the frame of that body."""
+        return ca.vertcat(*(ca.SX(a) - b for a, b in zip(self.second.body.center, self.second.point, strict=True)))
 
     @cached_property
     def columns(self) -> list[tuple[ca.SX, ca.SX]]:
