@@ -36,10 +36,17 @@ UNITS = {
 """Coordinates of the joint under test."""
 
 
-def pair(kind: str, relative: bool) -> alfmu.Mechanism:
-    """A free base, an arm on it by the joint under test, a tool hinged to the arm; all loads and springs there are."""
+def pair(kind: str, relative: bool, leaning: bool = False) -> alfmu.Mechanism:
+    """A free base, an arm on it by the joint under test, a tool hinged to the arm; all loads and springs there are.
+
+    `leaning` has its axes depend on a parameter, at whose value 0 they are as without.
+    """
     m = alfmu.Mechanism("pair")
     m.gravity(*GRAVITY)
+    axis, other = AXIS, SECOND
+    if leaning:
+        lean = m.parameter("lean", 0.2, "rad")
+        axis, other = (1.0 + lean, 2.0 * ca.cos(lean), -0.5), (0.3, -1.0, 0.4 * ca.exp(lean))
     base = m.spatial_body("base", mass=MASS, inertia=INERTIA, center=CENTERS["base"])
     arm = m.spatial_body("arm", mass=MASS, inertia=INERTIA, center=CENTERS["arm"], relative=relative)
     tool = m.spatial_body("tool", mass=0.4, inertia=(0.02, 0.03, 0.04), center=CENTERS["tool"], relative=relative)
@@ -47,12 +54,12 @@ def pair(kind: str, relative: bool) -> alfmu.Mechanism:
     one = None if c is None or len(c) != 1 else c[0]
     first, second = base.at(*AT), arm.at(*ON)
     joint = {
-        "revolute": lambda: m.spatial_revolute("J", first, second, axis=AXIS, second_axis=SECOND, coordinate=one),
-        "prismatic": lambda: m.spatial_prismatic("J", first, second, axis=AXIS, coordinate=one),
-        "screw": lambda: m.spatial_screw("J", first, second, axis=AXIS, second_axis=SECOND, lead=LEAD, coordinate=one),
-        "cylindrical": lambda: m.cylindrical("J", first, second, axis=AXIS, second_axis=SECOND, coordinates=c),
+        "revolute": lambda: m.spatial_revolute("J", first, second, axis=axis, second_axis=other, coordinate=one),
+        "prismatic": lambda: m.spatial_prismatic("J", first, second, axis=axis, coordinate=one),
+        "screw": lambda: m.spatial_screw("J", first, second, axis=axis, second_axis=other, lead=LEAD, coordinate=one),
+        "cylindrical": lambda: m.cylindrical("J", first, second, axis=axis, second_axis=other, coordinates=c),
         "universal": lambda: m.universal("J", first, second, axis=AXIS, second_axis=ACROSS, coordinates=c),
-        "planar": lambda: m.planar("J", first, second, axis=AXIS, second_axis=SECOND, coordinates=c),
+        "planar": lambda: m.planar("J", first, second, axis=axis, second_axis=other, coordinates=c),
         "spherical": lambda: m.spherical("J", first, second, coordinates=c),
         "weld": lambda: m.spatial_weld("J", first, second),
     }[kind]()
@@ -108,6 +115,21 @@ def absolute(r: dict[str, float]) -> tuple[list[float], list[float]]:
         q += [*(r[f"{body}.{k}"] for k in "xyz"), *e]
         v += [*(r[f"{body}.v{k}"] for k in "xyz"), -w @ e[1:] / 2, *((e[0] * w + np.cross(w, e[1:])) / 2)]
     return q, v
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "screw", "planar"])
+def test_axes_are_expressions_in_parameters_as_well(kind):
+    """At another value than the default, closed by constraints and by coordinates, against axes that are numbers."""
+    q, v = state(kind, 1)
+    leaning, plain = (alfmu.derive(pair(kind, True, each)) for each in (True, False))
+    r, s = evaluate(leaning, q, v, [1.5, -2.0], p=[0.0]), evaluate(plain, q, v, [1.5, -2.0])
+    largest = max(map(abs, s.values()))
+    assert max(abs(r[name] - x) for name, x in s.items()) < 1e-12 * largest
+    closed = alfmu.derive(pair(kind, False, True))
+    c = evaluate(closed, *absolute(r), [1.5, -2.0], p=[0.0])
+    assert max(abs(c[name] - s[name]) for name in s if ".force." in name or ".moment." in name) < 1e-8 * largest
+    drawn = geometry(pair(kind, True, True), {"lean": 0.0}).space
+    assert next(x for x in drawn.pivots if x.name == "J").axis == AXIS
 
 
 @pytest.mark.parametrize(("seed", "kind"), list(enumerate(UNITS)))

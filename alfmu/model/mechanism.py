@@ -1063,8 +1063,8 @@ class Mechanism:
         first: SpatialMarker,
         second: SpatialMarker,
         *,
-        axis: Sequence[float],
-        second_axis: Sequence[float] | None = None,
+        axis: Sequence[Scalar],
+        second_axis: Sequence[Scalar] | None = None,
         coordinate: Scalar | None = None,
     ) -> SpatialJoint:
         """A hinge in space: the two markers coincide, and so does an axis fixed on both bodies.
@@ -1072,7 +1072,7 @@ class Mechanism:
         `axis` gives its direction in the frame of the first body, `second_axis` in that of the second (the same numbers
         if left out). The angle, output `<name>.angle` [rad], is zero where the triads of `spatial.right_handed` on both
         coincide: for one and the same axis, where the frames are parallel. `coordinate` is this angle and places the
-        second body, which is `relative`; a hinge without one closes a loop.
+        second body, which is `relative`; a hinge without one closes a loop. Axes may be expressions in parameters.
         """
         axes, placing = self._axes(name, axis, second_axis), self._placing(name, "revolute", coordinate)
         return self._join_in_space(SpatialJoint(name, "revolute", first, second, axes, placing))
@@ -1083,8 +1083,8 @@ class Mechanism:
         first: SpatialMarker,
         second: SpatialMarker,
         *,
-        axis: Sequence[float],
-        second_axis: Sequence[float] | None = None,
+        axis: Sequence[Scalar],
+        second_axis: Sequence[Scalar] | None = None,
         coordinates: Sequence[Scalar] | ca.SX | None = None,
     ) -> SpatialJoint:
         """A sleeve on a shaft: the second marker on an axis through the first, free to slide along it and to turn.
@@ -1100,7 +1100,7 @@ class Mechanism:
         first: SpatialMarker,
         second: SpatialMarker,
         *,
-        axis: Sequence[float],
+        axis: Sequence[Scalar],
         coordinate: Scalar | None = None,
     ) -> SpatialJoint:
         """A slider in space: the second marker on an axis through the first, the frames of both bodies parallel.
@@ -1116,9 +1116,9 @@ class Mechanism:
         first: SpatialMarker,
         second: SpatialMarker,
         *,
-        axis: Sequence[float],
+        axis: Sequence[Scalar],
         lead: Scalar,
-        second_axis: Sequence[float] | None = None,
+        second_axis: Sequence[Scalar] | None = None,
         coordinate: Scalar | None = None,
     ) -> SpatialJoint:
         """A nut on a screw: as `cylindrical`, and one turn of the second body moves it `lead` [m] along the axis.
@@ -1148,7 +1148,7 @@ class Mechanism:
         numbers: the frames are parallel where both angles are zero. `coordinates` are the angles [rad] about the first
         and then about the second axis, and place the second body.
         """
-        axes = self._axes(name, axis, second_axis)
+        axes = self._axes(name, axis, second_axis, "a universal joint")
         across = sum(a * b for a, b in zip(*axes, strict=True)) / (math.hypot(*axes[0]) * math.hypot(*axes[1]))
         if abs(across) > 1e-9:
             raise DeclarationError(
@@ -1165,8 +1165,8 @@ class Mechanism:
         first: SpatialMarker,
         second: SpatialMarker,
         *,
-        axis: Sequence[float],
-        second_axis: Sequence[float] | None = None,
+        axis: Sequence[Scalar],
+        second_axis: Sequence[Scalar] | None = None,
         coordinates: Sequence[Scalar] | ca.SX | None = None,
     ) -> SpatialJoint:
         """A plate on a table: the second marker in a plane through the first, free to slide in it and to turn about its
@@ -1361,8 +1361,8 @@ class Mechanism:
                 "of spatial_ground first, and one of a body"
             )
         radius = self._constant_length(f"the radius of rolling {name}", radius)
-        up, _ = self._axes(f"rolling {name}", normal, None)
-        disc = None if axis is None else right_handed(self._axes(f"rolling {name}", axis, None)[0])[2]
+        up, _ = self._axes(f"rolling {name}", normal, None, "a plane")
+        disc = None if axis is None else right_handed(self._axes(f"rolling {name}", axis, None, "a disc")[0])[2]
         return self._relate(SpatialRolling(name, plane, centre, radius, disc, right_handed(up)))
 
     def relations(self) -> list[Relation]:
@@ -1973,6 +1973,8 @@ class Mechanism:
             second.placed_by = joint
             moving = (self._symbols[key_of(x)].kind for each in joint.second.point for x in symbols_in(each))
             joint.drifts = any(kind not in CONSTANT for kind in moving)
+        at = [tuple(float(self._at_defaults(joint.name, x)) for x in axis) for axis in joint.axes]
+        joint.nominal = at[0], at[1]
         Mechanism.spatial_joints.of(self).append(joint)
         return joint
 
@@ -1989,18 +1991,26 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: {what} are {count}; give {len(units)} [{', '.join(units)}]")
         return tuple(self._quantity(what, x, u, PLACE) for x, u in zip(_entries(given), units, strict=True))
 
-    def _axes(
-        self, name: str, axis: Sequence[float], second: Sequence[float] | None
-    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def _axes(self, name: str, axis: Any, second: Any, what: str = "") -> tuple[Vector, Vector]:
+        """Axes on both bodies; numbers alone where `what` says of which joint they are to stay so."""
         axes = []
         for x in (axis, axis if second is None else second):
-            numbers = [a for a in _entries(x) if isinstance(a, float | int | np.number)] if _several(x) else []
-            if len(numbers) != 3 or len(_entries(x)) != 3 or not 0 < math.hypot(*numbers) < math.inf:
+            entries = _entries(x) if _several(x) else []
+            if what and any(isinstance(a, ca.SX) for a in entries):
+                raise DeclarationError(f"{self.name}: the axis of {name}, {what}, is an expression; give numbers")
+            known = [a for a in entries if isinstance(a, float | int | np.number | ca.SX)]
+            if len(known) != 3 or len(entries) != 3 or not 0 < self._size_of_axis(name, known) < math.inf:
                 raise DeclarationError(
                     f"{self.name}: the axis {shown(x)} of {name} has no direction; give three numbers, not all zero"
                 )
-            axes.append(tuple(numbers))
-        return axes[0], axes[1]
+            axes.append((known[0], known[1], known[2]))
+        return axes[0], axes[0] if second is None else axes[1]
+
+    def _size_of_axis(self, name: str, axis: Sequence[Scalar]) -> float:
+        """The length of an axis at the defaults of parameters."""
+        what = f"the axis of {name}"
+        given = [self._quantity(what, x, "1", CONSTANT) if isinstance(x, ca.SX) else x for x in axis]
+        return math.hypot(*(self._at_defaults(what, x) for x in given))
 
     def _at_defaults(self, what: str, value: Scalar) -> float:
         """A number, or an expression in parameters at their defaults; DeclarationError where that is not finite."""

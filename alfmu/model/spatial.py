@@ -258,12 +258,14 @@ class SpatialJoint(Brief):
     kind: str
     first: SpatialMarker
     second: SpatialMarker
-    axes: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    axes: tuple[Vector, Vector] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
     coordinates: tuple[Scalar, ...] | None = None
     lead: Scalar = 0.0
     """Way [m] along the axis of a screw in one turn."""
     length: Scalar = 0.0
     """Of a rod [m]."""
+    nominal: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    """The axes at the defaults of parameters: they say which normals are taken."""
     drifts: bool = False
     """Whether its point on the second body, which it places, moves on that body."""
 
@@ -278,7 +280,7 @@ class SpatialJoint(Brief):
         return SPATIAL_FREEDOMS[self.kind]
 
     @property
-    def driven_axis(self) -> tuple[float, ...] | None:
+    def driven_axis(self) -> Vector | None:
         """Direction of its free motion in the frame of the second body, None where it has several or none."""
         return self.axes[1] if len(self.freedoms) == 1 else None
 
@@ -296,7 +298,7 @@ class SpatialJoint(Brief):
     def triad(self, second: bool = False) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Two normals and the axis of the joint, a right-handed triad fixed on one of the bodies, in ground axes."""
         turn = (self.second if second else self.first).body.rotation
-        normal, other, axis = (turn @ ca.SX(list(x)) for x in right_handed(self.axes[second]))
+        normal, other, axis = (turn @ _column(x) for x in right_handed(self.axes[second], self.nominal[second]))
         return normal, other, axis
 
     # Relative coordinates ---------------------------------------------------------------------------------------
@@ -317,9 +319,9 @@ class SpatialJoint(Brief):
             return rotation(ca.vertcat(*self.coordinates or ()))
         if self.kind == "universal":
             (one, two), angles = map(_unit, self.axes), ("angle1", "angle2")
-            turns = [_about_axes(x, x, self._coordinate(which)) for x, which in zip((one, two), angles, strict=True)]
+            turns = [_about_axes((x, x), self._coordinate(which)) for x, which in zip((one, two), angles, strict=True)]
             return turns[0] @ turns[1]
-        return _about_axes(*self.axes, self._coordinate("angle") if "angle" in self.freedoms else 0.0)
+        return _about_axes(self.axes, self._coordinate("angle") if "angle" in self.freedoms else 0.0, self.nominal)
 
     @cached_property
     def relative_attitude(self) -> ca.SX:
@@ -331,7 +333,10 @@ class SpatialJoint(Brief):
             return product(about(one, self._coordinate("angle1")), about(two, self._coordinate("angle2")))
         angle = self._coordinate("angle") if "angle" in self.freedoms else 0.0
         turned = about(_unit(self.axes[0]), angle)
-        return turned if self.axes[0] == self.axes[1] else product(turned, _attitude(_about_axes(*self.axes, 0.0)))
+        if _same(*self.axes):
+            return turned
+        mounted = _about_axes(self.axes, 0.0, self.nominal)
+        return product(turned, _attitude(mounted, _about_axes(self.nominal, 0.0)))
 
     @cached_property
     def slide(self) -> ca.SX:
@@ -501,7 +506,7 @@ class SpatialFreedom(Brief):
         return "revolute" if self.joint.freedoms[self.which] == "rad" else "prismatic"
 
     @property
-    def driven_axis(self) -> tuple[float, ...] | None:
+    def driven_axis(self) -> Vector | None:
         """Its direction in the frame of the second body, None where it is fixed on the first one alone."""
         return self.joint.axes[1] if self.which in ("angle", "angle2", "position") else None
 
@@ -526,9 +531,28 @@ class SpatialFreedom(Brief):
         return self.joint.is_wrapped(self.which)
 
 
-def _unit(axis: tuple[float, ...]) -> tuple[float, float, float]:
+def _column(vector: Vector) -> ca.SX:
+    """Numbers or expressions as a column (3,)."""
+    plain = not any(isinstance(x, ca.SX) for x in vector)
+    return ca.SX(list(vector)) if plain else ca.vertcat(*vector)
+
+
+def _length(axis: Vector) -> Scalar:
+    """The length of a direction."""
+    if any(isinstance(x, ca.SX) for x in axis):
+        return ca.norm_2(ca.vertcat(*axis))
+    return math.hypot(*axis)
+
+
+def _same(first: Vector, second: Vector) -> bool:
+    """Whether two axes are given by the same numbers or expressions."""
+    plain = not any(isinstance(x, ca.SX) for x in (*first, *second))
+    return first == second if plain else all(a is b for a, b in zip(first, second, strict=True))
+
+
+def _unit(axis: Vector) -> Vector:
     """A direction of unit length."""
-    x, y, z = (a / math.hypot(*axis) for a in axis)
+    x, y, z = (a / _length(axis) for a in axis)
     return x, y, z
 
 
@@ -536,10 +560,18 @@ def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
-def _about_axes(first: tuple, second: tuple, angle: Scalar) -> ca.SX:
+def _about_axes(
+    axes: tuple[Vector, Vector], angle: Scalar, nominal: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+) -> ca.SX:
     """The rotation matrix (3, 3) that turns by an angle [rad] from where the triads of two axes coincide."""
-    (n, o, x), (n2, o2, x2) = ([np.array(each) for each in right_handed(axis)] for axis in (first, second))
-    if first == second:  # exact for an axis of the frame
+    triads = (right_handed(axis, near) for axis, near in zip(axes, nominal or (None, None), strict=True))
+    if any(isinstance(x, ca.SX) for axis in axes for x in axis):
+        (n, o, x), (n2, o2, x2) = ([_column(each) for each in triad] for triad in triads)
+        if _same(*axes):
+            return x @ x.T + ca.cos(angle) * (ca.SX.eye(3) - x @ x.T) + ca.sin(angle) * ca.skew(x)
+        return x @ x2.T + ca.cos(angle) * (n @ n2.T + o @ o2.T) + ca.sin(angle) * (o @ n2.T - n @ o2.T)
+    (n, o, x), (n2, o2, x2) = ([np.array(each) for each in triad] for triad in triads)
+    if _same(*axes):  # exact for an axis of the frame
         fixed, cosine = np.outer(x, x), np.eye(3) - np.outer(x, x)
         sine = np.array([[0.0, -x[2], x[1]], [x[2], 0.0, -x[0]], [-x[1], x[0], 0.0]])
     else:
@@ -549,26 +581,43 @@ def _about_axes(first: tuple, second: tuple, angle: Scalar) -> ca.SX:
     return parts[0] + ca.cos(angle) * parts[1] + ca.sin(angle) * parts[2]
 
 
-def _attitude(turn: ca.SX) -> ca.SX:
-    """Euler parameters (4,) of a rotation matrix (3, 3) of numbers."""
+def _attitude(turn: ca.SX, nominal: ca.SX) -> ca.SX:
+    """Euler parameters (4,) of a rotation matrix (3, 3) that is near one of numbers."""
     from scipy.spatial.transform import Rotation
 
-    x, y, z, w = Rotation.from_matrix(np.array(ca.DM(turn))).as_quat()
-    return ca.SX([w, x, y, z])
+    x, y, z, w = Rotation.from_matrix(np.array(ca.DM(nominal))).as_quat()
+    if turn.is_constant():
+        return ca.SX([w, x, y, z])
+    k = int(np.argmax(np.abs([w, x, y, z])))
+    squares = _squares(turn)  # 4 e e'
+    return squares[:, k] / (2 * ca.sqrt(squares[k, k])) * float(np.sign([w, x, y, z][k]))
 
 
-def right_handed(axis: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+def _squares(R: ca.SX) -> ca.SX:
+    """The matrix (4, 4) of products of the Euler parameters of a rotation matrix, four times each."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    found = ca.SX(4, 4)
+    found[0, 0] = 1 + trace
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        found[i + 1, i + 1] = 1 + 2 * R[i, i] - trace
+        found[0, i + 1] = found[i + 1, 0] = R[k, j] - R[j, k]
+        found[i + 1, j + 1] = found[j + 1, i + 1] = R[i, j] + R[j, i]
+    return found
+
+
+def right_handed(axis: Vector, nominal: tuple[float, ...] | None = None) -> tuple[Vector, Vector, Vector]:
     """Two normals of a direction and the direction itself, of unit length and right-handed.
 
-    The first normal is the next coordinate axis, made square to the direction: exact for an axis of the frame.
+    The first normal is the next coordinate axis, made square to the direction: exact for an axis of the frame. Of an
+    expression in parameters, `nominal` is the direction at their defaults, which says what the next axis is.
     """
-    length = math.hypot(*axis)
-    x = tuple(a / length for a in axis)
-    largest = max(range(3), key=lambda i: abs(x[i]))
+    x = _unit(axis)
+    near = axis if nominal is None else nominal
+    largest = max(range(3), key=lambda i: abs(near[i]))
     start = [float(i == (largest + 1) % 3) for i in range(3)]
     along = sum(a * b for a, b in zip(start, x, strict=True))
     normal = [a - along * b for a, b in zip(start, x, strict=True)]
-    size = math.hypot(*normal)
-    n = tuple(a / size for a in normal)
+    size = _length((normal[0], normal[1], normal[2]))
+    n = normal[0] / size, normal[1] / size, normal[2] / size
     other = x[1] * n[2] - x[2] * n[1], x[2] * n[0] - x[0] * n[2], x[0] * n[1] - x[1] * n[0]
     return n, other, x

@@ -38,7 +38,7 @@ from ..runtime.shipped import library
 from ..simulation import communication_points
 from .pages import filled, text_of
 from .picture import Shapes, geometry, view_of
-from .shapes import by_law
+from .shapes import by_law, ends_of
 from .surface import FONTS
 
 __all__ = ["live", "needed", "written_by_alfmu"]
@@ -473,21 +473,22 @@ def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
 
     joints, ties = [], []
     for joint in m.spatial_joints:
-        first, second = place(joint.first), place(joint.second)
+        if (ends := ends_of(m, joint)) is None:
+            continue
+        first, second = map(place, ends)
         turns = joint.kind not in ("spherical", "weld")
-        on = second if joint.second.body is not m.spatial_ground else first
-        axis = joint.axes[on is second]
-        unit = (np.array(axis) / np.linalg.norm(axis)).tolist()
+        axis = ca.vertcat(*joint.axes[second["body"] == joint.second.body.name])
+        unit = [drawn.number(x) for x in ca.vertsplit(axis / ca.norm_2(axis))]
         if joint.kind == "distance":
             ties.append({"kind": "rod", "first": first, "second": second})
         elif joint.kind != "prismatic":
-            joints.append({"name": joint.name, "kind": joint.kind, **on, "axis": unit if turns else None})
+            joints.append({"name": joint.name, "kind": joint.kind, **second, "axis": unit if turns else None})
     for spring in m.springs:
         between = spring.between
         if isinstance(between, tuple) and not isinstance(between[0], Marker):
             strengths = {"spring": spring.stiffness, "damper": spring.damping}
             kind = "-".join(name for name, strength in strengths.items() if not ca.SX(strength).is_zero())
-            if kind:
+            if kind and not by_law(m, *between[0].point, *between[1].point):
                 ties.append({"kind": kind, "first": place(between[0]), "second": place(between[1])})
     pins, bars = _pins(drawn)
     named = {*points, *(each["name"] for each in (*pins, *bars))}

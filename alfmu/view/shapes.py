@@ -15,7 +15,7 @@ from ..model.mechanism import Joint, Marker, Mechanism, Point, Scalar, Spring, k
 from ..model.spatial import SpatialBody, SpatialMarker
 from .surface import Vector
 
-__all__ = ["Shapes", "by_law", "geometry"]
+__all__ = ["Shapes", "by_law", "ends_of", "geometry"]
 
 GROUND = "ground"
 
@@ -242,7 +242,7 @@ def _in_plane(
         x, y = centers[marker.body]
         return Anchor(marker.body.name, round(number(marker.x) - x, 12), round(number(marker.y) - y, 12))
 
-    drawn = {j: ends for j in m.joints if (ends := _ends(m, j)) is not None}
+    drawn = {j: ends for j in m.joints if (ends := ends_of(m, j)) is not None}
     joints = tuple(Hinge(j.name, j.kind, *map(anchor, ends)) for j, ends in drawn.items())
     joints += tuple(_pins(m, joints, anchor, number))
     guided = [j for j in drawn if j.kind in ("prismatic", "point_on_line") and not _telescopes(j)]
@@ -292,7 +292,7 @@ def by_law(m: Mechanism, *places: Scalar) -> bool:
     return any(isinstance(x, ca.SX) and ca.depends_on(x, m.time) for x in places)
 
 
-def _ends(m: Mechanism, joint: Any) -> tuple[Any, Any] | None:
+def ends_of(m: Mechanism, joint: Any) -> tuple[Any, Any] | None:
     """The points of a joint on its bodies; where one moves by a law, that of the other, which is at the same place.
 
     None where a picture cannot tell: of a guide or a rod whose points move so, or where both do.
@@ -369,12 +369,16 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     def flat(at: Anchor) -> Spot:
         return Spot(at.body, at.x, at.y, 0.0)
 
+    def direction(axis: Sequence[Scalar]) -> Vector3:
+        x, y, z = map(number, axis)
+        return x, y, z
+
     frames = [Frame(b.name, "body", tuple(f"{b.name}.{q}" for q in POSE)) for b in m.spatial_bodies]
     frames += [Frame(x.name, "plane", tuple(f"{x.name}.{q}" for q in ("x", "y", "angle"))) for x in plane.links]
     pivots = [
-        Pivot(j.name, j.kind, *map(spot, ends), None if j.kind == "spherical" else j.axes[0])
+        Pivot(j.name, j.kind, *map(spot, ends), None if j.kind == "spherical" else direction(j.axes[0]))
         for j in m.spatial_joints
-        if j.kind != "distance" and (ends := _ends(m, j)) is not None
+        if j.kind != "distance" and (ends := ends_of(m, j)) is not None
     ]
     pivots += [Pivot(j.name, j.kind, flat(j.first), flat(j.second), (0.0, 0.0, 1.0)) for j in plane.joints]
     drawn: dict[str, Spot] = {}
@@ -426,7 +430,7 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
     arrows = [
         Arrow(j.name, kind, "reaction", spot(ends[1]), tuple(f"{j.name}.{kind}.{q}" for q in "xyz"), None)
         for j in m.spatial_joints
-        if (ends := _ends(m, j)) is not None
+        if (ends := ends_of(m, j)) is not None
         for kind in ("force", "moment")[: {"spherical": 1, "distance": 0}.get(j.kind, 2)]
     ]
     inputs = {key_of(x.symbol): x.name for x in m.inputs}
@@ -434,7 +438,8 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
         name = inputs.get(key_of(drive.effort))
         if name and not isinstance(drive.joint, Joint) and drive.joint.driven_axis:
             kind = "force" if drive.joint.kind == "prismatic" else "moment"
-            arrows.append(Arrow(name, kind, "applied", spot(drive.joint.second), (name,), drive.joint.driven_axis))
+            axis = direction(drive.joint.driven_axis)
+            arrows.append(Arrow(name, kind, "applied", spot(drive.joint.second), (name,), axis))
     for load in m.spatial_loads:
         for kind, vector in (("force", load.force), ("moment", load.torque)):
             names = tuple(inputs.get(key_of(x), "") for x in vector)

@@ -530,7 +530,7 @@ class Space extends Canvas {
     for (const joint of this.about.joints) {
       const at = this.place(row, joint.body, joint.point);
       if (joint.axis) {
-        const tip = joint.axis.map((a) => a * 0.06 * this.size), frame = this.frames[joint.body];
+        const tip = joint.axis.map((i) => this.numbers[i] * 0.06 * this.size), frame = this.frames[joint.body];
         const local = joint.point.map((i) => this.numbers[i]);
         const ends = [-1, 1].map((k) => local.map((x, i) => x + k * tip[i]));
         rod(...ends.map((p) => (frame ? this.moved(row, frame, p) : p)), 11, "#c3ccd5");
