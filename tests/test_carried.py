@@ -12,6 +12,7 @@ from test_motion import by_rk4
 from test_spatial_joints import absolute
 
 import alfmu
+from alfmu.view.live import live
 
 G = 9.81
 INERTIA = ((0.04, -0.006, 0.004), (-0.006, 0.05, 0.003), (0.004, 0.003, 0.06))
@@ -171,3 +172,9 @@ def test_an_fmu_carries_such_a_tree(kind, tmp_path):
     run = alfmu.simulate(pendulum("relative"), 0.1, 0.01, parameters=given)
     for name in names:
         assert found[name] == pytest.approx(run[name], rel=1e-11), name
+
+
+def test_a_live_page_shows_a_hinge_whose_point_a_law_moves(tmp_path):
+    m, path = pendulum("relative"), tmp_path / "page.html"
+    live(m, by_rk4(m), path)
+    assert '"joints":[{"name":"A","kind":"revolute","body":"bar"' in path.read_text()
