@@ -309,6 +309,13 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
         metavar="S",
         help="follow the motion so long, in s; 0 for the start alone (default: the mechanism's own)",
     )
+    sub.add_argument(
+        "--at",
+        metavar="S",
+        type=float,
+        default=0.0,
+        help="time in s for which laws of time give the start",
+    )
     sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
 
     what = "check an FMU: fmpy's validation, a run, reset, rewind, reproducibility, its reference results"
@@ -813,6 +820,7 @@ def _mobility(chosen: argparse.Namespace) -> None:
         _recipe(chosen, chosen.mechanism),
         stop_time=chosen.stop_time,
         inputs=inputs,
+        time=chosen.at,
         progress=_progress("following the motion"),
     )
     _analysed(chosen, [found], path, found.save)

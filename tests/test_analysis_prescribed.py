@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import scenes
 from scipy.optimize import brentq
+from scipy.signal import lsim
 from test_analysis import differences
 from test_motion import by_rk4, crank, linkage, swing
 
@@ -74,6 +75,7 @@ def test_a_held_crank_has_the_torque_that_holds_it():
         (rest,) = alfmu.equilibrium(m, parameters={"A.angle": 0.3})
         assert rest.outputs["A.torque"] == pytest.approx(G / 2 * np.cos(0.3), rel=1e-13)
         assert rest.coordinates == {"th": 0.3}
+        assert rest.held_by == [f"A.torque = {rest.outputs['A.torque']:.6g} N.m"]
         lin = alfmu.linearize(m, parameters={"A.angle": 0.3}, outputs=["A.torque"])
         assert (lin.states, lin.inputs) == ((), ("A.angle", *names))
         assert np.abs(lin.D - [[-G / 2 * np.sin(0.3), 0.0, 1 / 3]]).max() < 1e-12
@@ -105,6 +107,21 @@ def test_a_load_on_a_trolley_that_follows_a_signal_swings_in_closed_form():
     assert np.abs(run["trolley.x"] - 0.3).max() < 1e-12
 
 
+def test_a_small_run_responds_to_a_signal_as_the_linear_system_does():
+    """The load swings on while the trolley goes to and fro by a thousandth of a metre."""
+    m, size, times = by_rk4(crane()), 1e-3, np.linspace(0.0, 2.0, 201)
+    given = {
+        "place": lambda t: size * (1 - np.cos(4 * t)),
+        "place_rate": lambda t: 4 * size * np.sin(4 * t),
+        "place_acceleration": lambda t: 16 * size * np.cos(4 * t),
+    }
+    lin = alfmu.linearize(m, "equilibrium", outputs=["rope.angle", "hook.force.x"])
+    run = alfmu.simulate(m, 2.0, 0.01, start="equilibrium", inputs=given)
+    _, y, _ = lsim(lin.to_scipy(), np.column_stack([f(times) for f in given.values()]), times)
+    for name, found in zip(lin.outputs, y.T, strict=True):
+        assert np.abs(run[name] - lin.values[name] - found).max() < 1e-3 * np.abs(found).max(), name
+
+
 def vibrating() -> alfmu.Mechanism:
     """A bar of 1 kg and 1 m on a hinge that goes up and down by 0.1 cos(20 t) m."""
     m = alfmu.Mechanism("vibrating")
@@ -130,7 +147,10 @@ def test_a_law_that_moves_has_no_position_of_rest_and_one_that_stands_still_has(
         alfmu.equilibrium(crank(lambda t: 1 - ca.cos(t)))
     with pytest.raises(alfmu.InputError, match=r"bar is carried \(bar.ay = -40 m/s2\) by a law of time"):
         alfmu.equilibrium(vibrating())
-    rest = alfmu.equilibrium(crank(lambda t: 0.3 + (t - 1) ** 3), time=1.0).nearest
+    late = crank(lambda t: 0.3 + (t - 1) ** 3)
+    rest = alfmu.equilibrium(late, time=1.0).nearest
+    with pytest.raises(alfmu.InputError, match="cannot start in a position of rest at t = 1 s"):
+        alfmu.simulate(late, 0.1, start=rest)
     assert rest.outputs["A.torque"] == pytest.approx(G / 2 * np.cos(0.3), rel=1e-12)
 
 
@@ -142,6 +162,10 @@ def test_motions_count_as_constraints_and_singular_positions_on_their_way_are_fo
     assert [each.time for each in found.singular] == pytest.approx([time], abs=1e-8)
     assert (found.singular[0].motions, found.singular[0].branches) == (1, ())
     assert "1 motion by a law (A): it counts as a constraint" in found.notes
+    assert alfmu.mobility(linkage(swing), time=time).freedom_here == 1
+    assert alfmu.mobility(linkage(swing), time=time + 0.1).freedom_here == 0
+    with pytest.raises(alfmu.InputError, match="give time or stop_time"):
+        alfmu.mobility(linkage(swing), time=time, stop_time=1.0)
     both = alfmu.mobility(linkage(swing, motors="AD"), stop_time=0.0)
     assert [(set(group.rows), group.redundant) for group in both.groups] == [
         ({"B x", "C x", "A motion", "D motion"}, 1)

@@ -107,6 +107,15 @@ class Equilibrium:
         return self.situation.state.q
 
     @property
+    def held_by(self) -> list[str]:
+        """What prescribed motions take to hold it, for readers."""
+        where, units = self.situation, {v.name: v.unit for v in self.situation.equations.outputs}
+        rows = zip(where.equations.rows, where.held, strict=True)
+        motions = [row.name for row, on in rows if on and row.direction == "motion"]
+        names = [f"{name}.{what}" for name in motions for what in ("torque", "force", "driving_force")]
+        return [f"{name} = {self.outputs[name]:.6g} {units[name]}" for name in names if name in self.outputs]
+
+    @property
     def kept(self) -> Vector:
         """Numbers beside the parameters that its place follows from: what locks keep, and signals."""
         return self.situation.p[len(self.situation.equations.parameters) :]
@@ -218,6 +227,7 @@ class Equilibria(Sequence[Equilibrium]):
             if each.stability == "not judged":
                 lines += [f"     {each.reason}"]
             lines += [f"     {text}" for text in _columns({**each.coordinates, **each.states})]
+            lines += ["     held by " + ", ".join(each.held_by)] * bool(each.held_by)
             lines += [f"     balance within {each.residual:.1e} N, N.m"]
         return [*lines, *self.notes]
 

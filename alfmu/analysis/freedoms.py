@@ -222,6 +222,7 @@ def mobility(
     stop_time: float | None = None,
     parameters: Mapping[str, float | str] | None = None,
     inputs: Mapping[str, Signal] | None = None,
+    time: float = 0.0,
     progress: Progress = iter,
 ) -> Freedoms:
     """Degrees of freedom, redundant and idle constraints by name, and singular positions with their branches.
@@ -229,7 +230,8 @@ def mobility(
     `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, of which the present position alone is told.
     The motion is followed from the start to `stop_time` [s], by default that of the mechanism's own experiment, 0 for
     the start alone. `parameters` sets parameters, start values and inputs by name, `inputs` gives inputs over time and
-    `progress` shows how far it is, as `simulate` takes them.
+    `progress` shows how far it is, as `simulate` takes them. With `time` [s] the start is that which laws of time give
+    at this instant, and it alone is told. Motions that are prescribed count as constraints, dry friction does not.
 
     Raises AlfmuError where a name or a value is at fault, or the loops cannot be closed.
     """
@@ -238,8 +240,13 @@ def mobility(
             raise InputError(f"{mechanism.name}: of an Instance the present position is told; leave stop_time out")
         return freedoms(subject(mechanism, parameters))
     found = source(mechanism, parameters or {})
-    stop_time = found.equations.stop_time if stop_time is None else stop_time
-    where = begun(mechanism, parameters or {}, inputs or {})
+    if stop_time and time:
+        raise InputError(
+            f"{found.equations.name}: the position at {time!r} s alone is told, and a motion is followed from 0 s; "
+            "give time or stop_time"
+        )
+    stop_time = (0.0 if time else found.equations.stop_time) if stop_time is None else stop_time
+    where = begun(mechanism, parameters or {}, inputs or {}, time)
     if not stop_time:
         return freedoms(where)
     times = communication_points(where.name, stop_time, found.equations.interval)

@@ -71,6 +71,11 @@ def rest(
                 f"{equations.name}: the run cannot start in a position of rest of {start.mechanism}, which has other "
                 "coordinates"
             )
+        if equations.timed and start.time:
+            raise InputError(
+                f"{equations.name}: the run cannot start in a position of rest at t = {start.time:g} s, as it begins "
+                "at 0 s, and laws of time move the mechanism; take one at 0 s"
+            )
         return start
     if start not in STARTS:
         raise InputError(f"{equations.name}: start is {start!r}; it must be {in_words(STARTS)}, or an Equilibrium")
@@ -78,10 +83,14 @@ def rest(
 
 
 def begun(
-    mechanism: Subject, parameters: Mapping[str, float | str], inputs: Mapping[str, Signal], rubs: bool = False
+    mechanism: Subject,
+    parameters: Mapping[str, float | str],
+    inputs: Mapping[str, Signal],
+    time: float = 0.0,
+    rubs: bool = False,
 ) -> Situation:
-    """The situation at the start with inputs as they are at its time; see `subject`."""
-    where = subject(mechanism, parameters, rubs=rubs and not inputs)
+    """The situation at a start with inputs as they are at its time [s]; see `subject`."""
+    where = subject(mechanism, parameters, time, rubs and not inputs)
     if not inputs:
         return where
     e = where.equations
@@ -92,7 +101,7 @@ def begun(
         if elsewhere:
             raise InputError(f"{where.name}: {elsewhere[0]} moves or holds an Instance; set() it there, and step on")
     elif elsewhere or (rubs and e.frictions):  # The mechanism begins elsewhere, or joints stick where they slid.
-        return subject(mechanism, {**parameters, **given}, rubs=rubs)
+        return subject(mechanism, {**parameters, **given}, time, rubs)
     return _with_inputs(where, given)
 
 
