@@ -495,10 +495,12 @@ def test_further_states_rest_and_are_linearised_with_the_motion():
     integral = controlled.state("integral", "1")
     error = 0.5 - controlled.coordinates[0].q
     controlled.derivative(integral, error)
-    controlled.drive(controlled.joints[0], integral + 20 * error)
+    lagging = controlled.state("lagging", "1")
+    controlled.derivative(lagging, (integral + 20 * error - lagging) / 0.01)
+    controlled.drive(controlled.joints[0], lagging)
     with pytest.raises(alfmu.InputError, match="its states \\(integral\\) have no values of their own"):
         alfmu.equilibrium(controlled)
-    assert len(alfmu.linearize(controlled).eigenvalues) == 3
+    assert len(alfmu.linearize(controlled).eigenvalues) == 4
     assert alfmu.mobility(controlled, stop_time=0.0).freedom == 1
     alone = alfmu.Mechanism("filter")
     filtered = alone.state("filtered", "1")

@@ -84,17 +84,26 @@ class Loops:
         self._run()
         for _ in range(SETTLED if len(self._x) else 0):
             rates = self._values[3]
-            if not np.isfinite(self._by_x).all() or np.linalg.cond(self._by_x) > 1 / NOTHING:
-                names = ", ".join(x.name for x in self.situation.equations.states)
+            if unsettled := self._unsettled():
                 raise InputError(
-                    f"{self.situation.name}: its states ({names}) have no values of their own at which they rest, as "
-                    "the integral of a controller; positions of rest are told of states that settle by themselves"
+                    f"{self.situation.name}: its states ({', '.join(unsettled)}) have no values of their own at which "
+                    "they rest, as the integral of a controller; positions of rest are told of states that settle by "
+                    "themselves"
                 )
             before = self._u.copy()
             self._u[len(before) - len(self._x) :] -= np.linalg.solve(self._by_x, rates)
             self._run()
             if np.abs(self._u - before).max() <= 1e-15 * np.abs(self._u).max(initial=0.0):
                 break
+
+    def _unsettled(self) -> list[str]:
+        """States whose rates no values of the states bring to zero, here."""
+        names = [x.name for x in self.situation.equations.states]
+        if not np.isfinite(self._by_x).all():
+            return names
+        U, sizes, _ = np.linalg.svd(self._by_x)
+        free = np.abs(U[:, sizes <= NOTHING * sizes[0]]).max(axis=1, initial=0.0)
+        return [name for name, part in zip(names, free, strict=True) if part > NOTHING]
 
     def gaps(self, y: Vector) -> Vector:
         """How far each constraint in force is open, in units of its row."""
