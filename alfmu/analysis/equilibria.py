@@ -22,7 +22,7 @@ from ..model.errors import InputError
 from ..model.words import counted
 from .branches import polished, ways
 from .laws import check_at_rest, driving, held_still
-from .loops import STEP, Loops, plain
+from .loops import STEP, Loops, WithStates, plain
 from .situation import Situation, Subject, Vector, subject
 from .small import ZERO, Small, small_motions
 
@@ -270,10 +270,11 @@ def equilibrium(
     are no obstacle; where a position is singular, its stability is not judged.
 
     Inputs that move something are held where they are, and laws of time as they are at that instant. Dry friction is
-    left out: positions where it balances the loads lie about those that are found.
+    left out: positions where it balances the loads lie about those that are found. Further states are at rest, too:
+    where they do not settle by themselves, as the integral of a controller, they determine the position.
 
     Raises AlfmuError where a name or a value is at fault, or the loops cannot be closed, InputError where a law of time
-    moves something at that instant, or where further states do not settle.
+    moves something at that instant.
     """
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
         raise InputError(f"{mechanism}: starts is {starts!r}; it must be a whole number, 0 or above")
@@ -285,9 +286,16 @@ def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:
     frictions = ", ".join(x.name for x in where.equations.frictions)
     where, moved = held_still(where.without_friction())
     check_at_rest(where, where.at_rest(where.state.q))
-    search = _Search(Loops(where, settled=True))
+    loops = Loops(where, settled=True)
+    unsettled = loops.unsettled()
+    search = _Search(WithStates(where) if unsettled else loops)
     found = search.all(starts)
     notes = search.notes(found)
+    if unsettled and not found:
+        notes[-1] = (
+            f"no position was found where loads balance and the rate of {', '.join(unsettled)} vanishes, which further "
+            "states alone do not bring to zero"
+        )
     if moved:
         notes.append(f"inputs that move something are held where they are: {', '.join(moved)}")
     if frictions:
@@ -350,9 +358,9 @@ class _Search:
         """The start, and places on ways that lead from there."""
         loops = self.loops
         yield loops.home
-        if loops.freedom == 1:
+        if loops.freedom == 1 and not isinstance(loops, WithStates):
             yield from self._on_the_ways()
-        elif loops.freedom > 1 and starts:
+        elif loops.freedom > 0 and starts:
             yield from self._around(starts // 2)
 
     def _on_the_ways(self) -> Iterator[Vector]:
@@ -422,7 +430,7 @@ class _Search:
         from scipy.special import ndtri
 
         loops = self.loops
-        N = loops.motions(loops.home)
+        N = loops.motions(loops.home)[:, : loops.freedom]
         for numbers in _evenly(loops.freedom + 1, count):
             way = N @ ndtri(0.5 + (numbers[1:] - 0.5) * (1 - 1e-9))
             if not way.any():
@@ -437,9 +445,10 @@ class _Search:
         count = starts if loops.freedom == 1 else starts - starts // 2
         for places in _evenly(moving, count if loops.situation.held.any() else 0):
             numbers = np.pad(places, (0, n - moving))
-            spread = np.where(loops.units == "m", 1.5, np.where(loops.units == "rad", np.pi, 1.0))
-            middle = np.where(loops.units == "rad", loops.home, 0.0)
-            spread[loops.moving :], middle[loops.moving :] = 0.0, loops.home[loops.moving :]
+            units = np.pad(loops.units, (0, n - len(loops.units)))
+            spread = np.where(units == "m", 1.5, np.where(units == "rad", np.pi, 1.0))
+            middle = np.where(units == "rad", loops.home, 0.0)
+            spread[moving:], middle[moving:] = 0.0, loops.home[moving:]
             y = loops.closed(middle + spread * (2 * numbers - 1))
             if y is not None:
                 yield y
@@ -526,7 +535,7 @@ class _Search:
             isolated,
             float(where.value("potential_energy", state)[0]),
             where.value("f", state),
-            float(np.abs(y - loops.home).max(initial=0.0)),
+            float(np.abs(y - loops.home)[: e.n].max(initial=0.0)),
             here,
         )
 

@@ -19,7 +19,7 @@ from ..equations.arrays import ArrayFunctions
 from ..model.errors import InputError
 from .situation import Situation, State, Vector
 
-__all__ = ["CLOSED", "STEP", "Loops", "plain"]
+__all__ = ["CLOSED", "STEP", "Loops", "WithStates", "plain"]
 
 CLOSED = 1e-12
 """largest gap [units of a row]: loops are closed below it."""
@@ -37,6 +37,9 @@ help twice, the place is given up."""
 SETTLED = 20
 """number of steps of Newton's method [1] that find the values at which further states rest; one where rates are linear
 in them."""
+
+FARTHER = 10.0
+"""number of loads [1], as the largest stiffness gives over one size, that a step of STEP changes by further states."""
 
 NOTHING = 1e-10
 """singular value over the largest [1]: a direction that constraints hold less is hardly corrected."""
@@ -87,8 +90,7 @@ class Loops:
             if unsettled := self._unsettled():
                 raise InputError(
                     f"{self.situation.name}: its states ({', '.join(unsettled)}) have no values of their own at which "
-                    "they rest, as the integral of a controller; positions of rest are told of states that settle by "
-                    "themselves"
+                    "they rest in some positions; start it where they have"
                 )
             before = self._u.copy()
             self._u[len(before) - len(self._x) :] -= np.linalg.solve(self._by_x, rates)
@@ -96,8 +98,17 @@ class Loops:
             if np.abs(self._u - before).max() <= 1e-15 * np.abs(self._u).max(initial=0.0):
                 break
 
+    def unsettled(self) -> list[str]:
+        """States whose rates no values of the states bring to zero at home, as that of the integral of a controller."""
+        e = self.situation.equations
+        if not e.states:
+            return []
+        plain = Loops(self.situation)
+        plain._at(self.home)
+        return plain._unsettled()
+
     def _unsettled(self) -> list[str]:
-        """States whose rates no values of the states bring to zero, here."""
+        """The same where these numbers were evaluated."""
         names = [x.name for x in self.situation.equations.states]
         if not np.isfinite(self._by_x).all():
             return names
@@ -194,17 +205,18 @@ class Loops:
     @cached_property
     def turns(self) -> NDArray[np.bool_]:
         """Coordinates (n,) that are angles after whole turns of which everything is as before, loads included."""
-        places = [self.home, self.home + 0.3 + 0.1 * np.arange(len(self.home))]
+        home = self.home[: len(self.units)]
+        places = [home, home + 0.3 + 0.1 * np.arange(len(home))]
         found = self.units == "rad"
-        places[1][self.moving :] = self.home[self.moving :]
+        places[1][self.moving :] = home[self.moving :]
         for i in np.flatnonzero(found):
             turned = np.where(np.arange(len(found)) == i, 2 * np.pi, 0.0)
             found[i] = all(self._alike(y, y + turned) for y in places)
         return found
 
     def _alike(self, y: Vector, other: Vector) -> bool:
-        """Whether loops and loads are the same at two places."""
-        pairs = [(self.gaps(a), self.matrix(a).ravel(), self.loads(a)) for a in (y, other)]
+        """Whether loops, loads and rates of further states are the same at two places."""
+        pairs = [(self.gaps(a), self.matrix(a).ravel(), self.loads(a), self._values[3].copy()) for a in (y, other)]
         limits = [1e-9 * max(1.0, np.abs(x).max(initial=0.0)) for x in pairs[0]]
         return all(np.abs(a - b).max(initial=0.0) <= limit for a, b, limit in zip(*pairs, limits, strict=True))
 
@@ -266,6 +278,86 @@ class Loops:
             Ru, Gq = (self.situation.change(name, s, a=still, lam=full)[0] for name in ("inputs", "rates"))
             Rq = Rq - Ru[:, -len(self._x) :] @ np.linalg.solve(self._by_x, Gq)
         return -N.T @ (self.scale[:, None] * Rq * self.scale) @ N
+
+
+class WithStates(Loops):
+    """Places with further states beside them, as positions of rest need that determine both together.
+
+    A place is y and behind it the states over a size each. Its motions are those of the mechanism and the states; what
+    has to vanish is the loads along the former and the rates of the latter, in units of a load.
+    """
+
+    def __init__(self, situation: Situation):
+        super().__init__(situation)
+        e, s = situation.equations, situation.state
+        self._states = len(e.states)
+        home = self.home
+        N, loads, lam = super().balance(home)
+        Rx, Gq, Gx = self._by_states(super().state(home), np.zeros(e.l))
+        self._load: float = max(np.abs(x).max(initial=0.0) for x in (loads, super().stiffness(home, N, lam))) or 1.0
+        rates = [np.abs(x).max(axis=1, initial=0.0) for x in (Gq @ (self.scale[:, None] * N), Gx)]
+        rates.append(np.abs(situation.value("state_rates", s)))
+        self._rate = np.maximum.reduce(rates)
+        self._rate[self._rate == 0.0] = 1.0
+        pushed = [self.scale[:, None] * Rx, self._load * Gx / self._rate[:, None]]
+        most = np.maximum.reduce([np.abs(x).max(axis=0, initial=0.0) for x in pushed])
+        self._sizes = FARTHER * self._load / np.where(most > 0.0, most, self._load)
+        self.home = np.append(home, s.u[len(e.inputs) :] / self._sizes)
+
+    def _by_states(self, s: State, lam: Vector) -> tuple[NDArray[np.float64], ...]:
+        """Derivatives of loads by further states, and of their rates by coordinates and by themselves."""
+        inputs, still = len(self.situation.equations.inputs), np.zeros(len(s.q))
+        Ru = self.situation.change("inputs", s, a=still, lam=lam)[0]
+        Gq, _, Gu = self.situation.change("rates", s)
+        return Ru[:, inputs:], Gq, Gu[:, inputs:]
+
+    def _split(self, y: Vector) -> Vector:
+        """The place alone; further states are evaluated with the values that y has."""
+        x = y[len(self.units) :] * self._sizes
+        if not np.array_equal(x, self._u[len(self._u) - self._states :]):
+            self._u[len(self._u) - self._states :] = x
+            self._q[:] = np.nan
+        return y[: len(self.units)]
+
+    def state(self, y: Vector) -> State:
+        return super().state(self._split(y) if len(y) > len(self.units) else y)
+
+    def closed(self, y: Vector, near: Vector | None = None) -> Vector | None:
+        n = len(self.units)
+        found = super().closed(self._split(y), None if near is None else near[:n])
+        return None if found is None else np.append(found, y[n:])
+
+    def motions(self, y: Vector, count: int | None = None) -> NDArray[np.float64]:
+        return self._beside(super().motions(self._split(y), count))
+
+    def _beside(self, N: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Motions of the mechanism, and behind them further states."""
+        m = self._states
+        return np.block([[N, np.zeros((len(N), m))], [np.zeros((m, N.shape[1])), np.eye(m)]])
+
+    def balance(self, y: Vector, count: int | None = None) -> tuple[NDArray[np.float64], Vector, Vector]:
+        place = self._split(y)
+        N, r, lam = super().balance(place, count)
+        self._at(place)
+        return self._beside(N), np.append(r, self._load * self._values[3] / self._rate), lam
+
+    def stiffness(self, y: Vector, N: NDArray[np.float64], lam: Vector) -> NDArray[np.float64]:
+        place, n, m = self._split(y), len(self.units), self._states
+        own = N[:n, : N.shape[1] - m]
+        full = np.zeros(len(self._rows))
+        full[self._rows] = self._weights * lam
+        Rx, Gq, Gx = self._by_states(super().state(place), full)
+        weight = (self._load / self._rate)[:, None]
+        by_x = [own.T @ (self.scale[:, None] * Rx) * self._sizes, weight * Gx * self._sizes]
+        by_z = [-super().stiffness(place, own, lam), weight * Gq @ (self.scale[:, None] * own)]
+        return -np.hstack([np.vstack(by_z), np.vstack(by_x)])
+
+    def nearer(self, y: Vector, to: Vector) -> Vector:
+        n = len(self.units)
+        return np.append(super().nearer(y[:n], to[:n]), y[n:])
+
+    def same(self, y: Vector, other: Vector, within: float) -> bool:
+        return self.apart(y, other) <= within
 
 
 def _inverses(s: Vector) -> Vector:
