@@ -132,6 +132,18 @@ def test_axes_are_expressions_in_parameters_as_well(kind):
     assert next(x for x in drawn.pivots if x.name == "J").axis == AXIS
 
 
+def test_an_axis_that_moves_or_has_to_be_numbers_is_refused():
+    m = alfmu.Mechanism("leaning")
+    arm = m.spatial_body("arm", mass=MASS, inertia=INERTIA)
+    at, lean = (m.spatial_ground.at(), arm.at()), m.parameter("lean", 0.0, "rad")
+    with pytest.raises(alfmu.DeclarationError, match="the axis of J depends on time"):
+        m.spatial_revolute("J", *at, axis=(m.time, 0, 1))
+    with pytest.raises(alfmu.DeclarationError, match="has no direction; give three numbers, not all zero"):
+        m.spatial_revolute("J", *at, axis=(lean, 0, 0))
+    with pytest.raises(alfmu.DeclarationError, match="the axis of J is an expression; give a number"):
+        m.universal("J", *at, axis=(1, 0, 0), second_axis=(0, 1, lean))
+
+
 @pytest.mark.parametrize(("seed", "kind"), list(enumerate(UNITS)))
 def test_a_tree_and_constraints_agree_and_every_body_balances(seed, kind):
     """At a random state: accelerations and reactions in relative and in absolute coordinates, and Newton and Euler."""

@@ -73,8 +73,8 @@ def relative_bodies(m: Mechanism) -> list[SpatialBody]:
 def check_points(m: Mechanism) -> None:
     """DeclarationError where coordinates move a point of a joint that places a body: it would do work there."""
     own = stack([c.q for c in m.coordinates])
-    for joint in (body.placed_by for body in relative_bodies(m)):
-        for marker in (joint.first, joint.second) if joint and m.coordinates else ():
+    for joint in (each for each in m.spatial_joints if each.coordinates is not None and m.coordinates):
+        for marker in (joint.first, joint.second):
             if ca.depends_on(stack(marker.point), own):
                 raise DeclarationError(
                     f"{m.name}: a point of {marker.body.name}{m.declared_at(joint.name)} at which {joint.name} places "

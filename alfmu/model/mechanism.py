@@ -1148,7 +1148,7 @@ class Mechanism:
         numbers: the frames are parallel where both angles are zero. `coordinates` are the angles [rad] about the first
         and then about the second axis, and place the second body.
         """
-        axes = self._axes(name, axis, second_axis, "a universal joint")
+        axes = self._direction(name, axis), self._direction(name, second_axis)
         across = sum(a * b for a, b in zip(*axes, strict=True)) / (math.hypot(*axes[0]) * math.hypot(*axes[1]))
         if abs(across) > 1e-9:
             raise DeclarationError(
@@ -1361,8 +1361,8 @@ class Mechanism:
                 "of spatial_ground first, and one of a body"
             )
         radius = self._constant_length(f"the radius of rolling {name}", radius)
-        up, _ = self._axes(f"rolling {name}", normal, None, "a plane")
-        disc = None if axis is None else right_handed(self._axes(f"rolling {name}", axis, None, "a disc")[0])[2]
+        up = self._direction(f"rolling {name}", normal)
+        disc = None if axis is None else right_handed(self._direction(f"rolling {name}", axis))[2]
         return self._relate(SpatialRolling(name, plane, centre, radius, disc, right_handed(up)))
 
     def relations(self) -> list[Relation]:
@@ -1973,8 +1973,8 @@ class Mechanism:
             second.placed_by = joint
             moving = (self._symbols[key_of(x)].kind for each in joint.second.point for x in symbols_in(each))
             joint.drifts = any(kind not in CONSTANT for kind in moving)
-        at = [tuple(float(self._at_defaults(joint.name, x)) for x in axis) for axis in joint.axes]
-        joint.nominal = at[0], at[1]
+        (a, b, c), (d, e, f) = ([self._at_defaults(joint.name, x) for x in axis] for axis in joint.axes)
+        joint.nominal = (a, b, c), (d, e, f)
         Mechanism.spatial_joints.of(self).append(joint)
         return joint
 
@@ -1991,13 +1991,11 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: {what} are {count}; give {len(units)} [{', '.join(units)}]")
         return tuple(self._quantity(what, x, u, PLACE) for x, u in zip(_entries(given), units, strict=True))
 
-    def _axes(self, name: str, axis: Any, second: Any, what: str = "") -> tuple[Vector, Vector]:
-        """Axes on both bodies; numbers alone where `what` says of which joint they are to stay so."""
+    def _axes(self, name: str, axis: Any, second: Any) -> tuple[Vector, Vector]:
+        """Axes on both bodies: numbers, or expressions in parameters."""
         axes = []
         for x in (axis, axis if second is None else second):
             entries = _entries(x) if _several(x) else []
-            if what and any(isinstance(a, ca.SX) for a in entries):
-                raise DeclarationError(f"{self.name}: the axis of {name}, {what}, is an expression; give numbers")
             known = [a for a in entries if isinstance(a, float | int | np.number | ca.SX)]
             if len(known) != 3 or len(entries) != 3 or not 0 < self._size_of_axis(name, known) < math.inf:
                 raise DeclarationError(
@@ -2005,6 +2003,12 @@ class Mechanism:
                 )
             axes.append((known[0], known[1], known[2]))
         return axes[0], axes[0] if second is None else axes[1]
+
+    def _direction(self, name: str, axis: Any) -> tuple[float, float, float]:
+        """A direction that is three numbers."""
+        x, y, z = self._axes(name, axis, None)[0]
+        what = f"the axis of {name}"
+        return self._plain(what, x), self._plain(what, y), self._plain(what, z)
 
     def _size_of_axis(self, name: str, axis: Sequence[Scalar]) -> float:
         """The length of an axis at the defaults of parameters."""

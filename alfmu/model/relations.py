@@ -465,9 +465,9 @@ class SpatialRolling(Relation):
     plane: Any
     centre: Any
     radius: Scalar
-    axis: tuple[float, ...] | None
+    axis: tuple[Scalar, Scalar, Scalar] | None
     """Of a disc, in its body's frame; None of a ball."""
-    triad: tuple[tuple[float, ...], ...]
+    triad: tuple[tuple[Scalar, Scalar, Scalar], ...]
     """Two directions along the plane and its normal, of unit length."""
 
     def residual(self, places: Places, direction: str) -> ca.SX:

@@ -16,7 +16,6 @@ its point on the joint from that of the other body, so that every expression is 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -264,8 +263,8 @@ class SpatialJoint(Brief):
     """Way [m] along the axis of a screw in one turn."""
     length: Scalar = 0.0
     """Of a rod [m]."""
-    nominal: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
-    """The axes at the defaults of parameters: they say which normals are taken."""
+    nominal: tuple[Vector, Vector] = ((0.0, 0.0, 1.0), (0.0, 0.0, 1.0))
+    """The axes at the defaults of parameters, as numbers: they say which normals are taken."""
     drifts: bool = False
     """Whether its point on the second body, which it places, moves on that body."""
 
@@ -416,12 +415,12 @@ class SpatialJoint(Brief):
             # With u1 on the first body, u2 on the second: R1 u1, R1 u2, R1 (u1 x u2), or these of R2.
             one, two = map(_unit, self.axes)
             body, across, on_other = (
-                (self.first.body, two, self.second.body.rotation @ ca.SX([*two]))
+                (self.first.body, two, self.second.body.rotation @ _column(two))
                 if which == "angle1"
-                else (self.second.body, one, self.first.body.rotation @ ca.SX(list(one)))
+                else (self.second.body, one, self.first.body.rotation @ _column(one))
             )
-            both = body.rotation @ ca.SX(_cross(one, two))
-            return ca.atan2(ca.dot(on_other, both), ca.dot(on_other, body.rotation @ ca.SX(list(across))))
+            both = body.rotation @ _column(_cross(one, two))
+            return ca.atan2(ca.dot(on_other, both), ca.dot(on_other, body.rotation @ _column(across)))
         along = {"position": axis, "position1": normal, "position2": other}[which]
         return ca.dot(along, self.second.place - self.first.place)
 
@@ -533,8 +532,7 @@ class SpatialFreedom(Brief):
 
 def _column(vector: Vector) -> ca.SX:
     """Numbers or expressions as a column (3,)."""
-    plain = not any(isinstance(x, ca.SX) for x in vector)
-    return ca.SX(list(vector)) if plain else ca.vertcat(*vector)
+    return ca.vertcat(*map(ca.SX, vector))
 
 
 def _length(axis: Vector) -> Scalar:
@@ -556,20 +554,18 @@ def _unit(axis: Vector) -> Vector:
     return x, y, z
 
 
-def _cross(a: Sequence[float], b: Sequence[float]) -> list[float]:
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-def _about_axes(
-    axes: tuple[Vector, Vector], angle: Scalar, nominal: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-) -> ca.SX:
+def _about_axes(axes: tuple[Vector, Vector], angle: Scalar, nominal: tuple[Vector, Vector] | None = None) -> ca.SX:
     """The rotation matrix (3, 3) that turns by an angle [rad] from where the triads of two axes coincide."""
     triads = (right_handed(axis, near) for axis, near in zip(axes, nominal or (None, None), strict=True))
     if any(isinstance(x, ca.SX) for axis in axes for x in axis):
-        (n, o, x), (n2, o2, x2) = ([_column(each) for each in triad] for triad in triads)
+        (i, j, k), (i2, j2, k2) = ([_column(each) for each in triad] for triad in triads)
         if _same(*axes):
-            return x @ x.T + ca.cos(angle) * (ca.SX.eye(3) - x @ x.T) + ca.sin(angle) * ca.skew(x)
-        return x @ x2.T + ca.cos(angle) * (n @ n2.T + o @ o2.T) + ca.sin(angle) * (o @ n2.T - n @ o2.T)
+            return k @ k.T + ca.cos(angle) * (ca.SX.eye(3) - k @ k.T) + ca.sin(angle) * ca.skew(k)
+        return k @ k2.T + ca.cos(angle) * (i @ i2.T + j @ j2.T) + ca.sin(angle) * (j @ i2.T - i @ j2.T)
     (n, o, x), (n2, o2, x2) = ([np.array(each) for each in triad] for triad in triads)
     if _same(*axes):  # exact for an axis of the frame
         fixed, cosine = np.outer(x, x), np.eye(3) - np.outer(x, x)
@@ -605,15 +601,15 @@ def _squares(R: ca.SX) -> ca.SX:
     return found
 
 
-def right_handed(axis: Vector, nominal: tuple[float, ...] | None = None) -> tuple[Vector, Vector, Vector]:
+def right_handed(axis: Vector, nominal: Vector | None = None) -> tuple[Vector, Vector, Vector]:
     """Two normals of a direction and the direction itself, of unit length and right-handed.
 
     The first normal is the next coordinate axis, made square to the direction: exact for an axis of the frame. Of an
     expression in parameters, `nominal` is the direction at their defaults, which says what the next axis is.
     """
     x = _unit(axis)
-    near = axis if nominal is None else nominal
-    largest = max(range(3), key=lambda i: abs(near[i]))
+    near = [abs(float(a)) for a in _unit(axis if nominal is None else nominal)]
+    largest = near.index(max(near))
     start = [float(i == (largest + 1) % 3) for i in range(3)]
     along = sum(a * b for a, b in zip(start, x, strict=True))
     normal = [a - along * b for a, b in zip(start, x, strict=True)]
