@@ -630,16 +630,6 @@ def test_dry_friction_in_space_is_refused():
         m.friction(hinge, coulomb=0.2, radius=0.1)
 
 
-def test_dry_friction_beside_a_prescribed_motion_is_refused():
-    m = Mechanism("driven")
-    crank = m.body("crank", mass=1.0, inertia=0.1)
-    hinge = m.revolute("hinge", m.ground.at(0, 0), crank.at(0, 0), coordinate=m.coordinate("th", "rad"))
-    m.friction(hinge, coulomb=0.2, radius=0.1)
-    m.motion(hinge, 2 * m.time)
-    with pytest.raises(DeclarationError, match=r"hinge.*has dry friction, which is not possible where places depend"):
-        alfmu.derive(m)
-
-
 def test_methods_without_dry_friction_are_refused_by_name(incline):
     with pytest.raises(InputError, match=r"trapezoidal has no dry friction, which guide has; use auto, rk4"):
         alfmu.simulate(incline, 0.1, 0.01, parameters={"solver.method": "trapezoidal"})

@@ -393,11 +393,6 @@ def derive(mechanism: Mechanism) -> Equations:
         v, a = (ca.vertcat(x, ca.SX.sym(f"time_{letter}")) for x, letter in ((v, "v"), (a, "a")))
     locks = [c for c in m.closures if isinstance(c, Lock) or (isinstance(c, Motion) and c.value is not None)]
     frictions = [lock for lock in locks if isinstance(lock, Friction)]
-    if m.moves and frictions:
-        raise DeclarationError(
-            f"{m.name}: {frictions[0].name}{m.declared_at(frictions[0].name)} has dry friction, which is not possible "
-            "where places depend on time or motions are prescribed; give viscous friction, or drive it by torques"
-        )
     begin = ca.SX.sym("begin")
     kept = [("time", begin), *(("signal", x) for signal in m.signals for x in signal.numbers)] if m.moves else []
     inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])

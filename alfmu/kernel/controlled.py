@@ -410,13 +410,13 @@ class _Collocation(_Implicit):
         if self.e.works:
             for i in self.nodes:
                 self._place(self.calls, i)
-                if self.e.frictions:
+                if self.e.frictions and not self.tracer.supplies:
                     known = f"t{i} q{i} v{i} {self.inputs(i)}"
                     rubbing.power(self.calls, known, f"guess{i}", f"power{i}", "rubbing_power_at_node")
                     continue
                 known = f"q{i}", f"v{i}", self.inputs(i), "p", f"t{i}"
                 self.calls.made.append(Call("power", known, (f"power{i}",)))
-                self.tracer._supply(self.calls, i, {"u": self.inputs(i)})
+                self.tracer._supply(self.calls, i, {"u": self.inputs(i)}, whole=True)
                 self.tracer._supplied(self.calls, i)
             powers = [f"power{i}" for i in self.nodes]
 

@@ -19,7 +19,7 @@ from ..method.singular import NOISE_FLOOR
 from .form import Loop, Step
 from .symbolic import MATRICES, Scene, Watch
 
-__all__ = ["power", "rub", "told"]
+__all__ = ["power", "rub", "supply", "told"]
 
 
 class Calls(Protocol):
@@ -121,6 +121,13 @@ def _rubbed(scene: Scene, q: SX, v: SX, a: SX, lam: SX, power: SX, watch: SX, ru
         power,
         seen._replace(change=ca.if_else(found, seen.change, math.inf)).vector(),
     )
+
+
+def supply(scene: Scene, t: SX, q: SX, v: SX, a: SX, lam: SX, u: SX) -> SX:
+    """Power of what moves by itself and of friction, where time is a coordinate."""
+    rates = scene.e.sliding(q, v, scene.p)
+    lost = sum((rates[i] * lam[each.row] for i, each in enumerate(scene.e.frictions)), SX(0))
+    return scene.supply(t, q, v, a, lam, u) - lost / scene.scale
 
 
 def power(calls: Calls, known: str, a: str, result: str, name: str = "rubbing_power") -> None:

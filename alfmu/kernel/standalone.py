@@ -339,7 +339,7 @@ class _Patient(Alternatives):
         self._brought(last, f"q{i}", "placed", f"v{i}")
         names = {"u": u, "t0": f"t{i}", "a0": f"a{i}", "watch0": watch}
         self.evaluation(last, "0", names, most="patient")
-        self._supply(last, "0", names, f"supplied{i}")
+        self._supply(last, "0", names, f"supplied{i}", whole=True)
 
         def given_up(watch: SX) -> SX:
             lost = scene.unconverged(plan, [Watch.of(watch)])

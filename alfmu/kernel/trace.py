@@ -347,7 +347,7 @@ class Tracer:
             self._brought(limit, place, "placed", f"v{i}")
             names = {"u": u, "t0": f"t{i}", "a0": a, "watch0": watch}
             self.evaluation(limit, "0", names)
-            self._supply(limit, "0", names, place.replace("place", "supply"))
+            self._supply(limit, "0", names, place.replace("place", "supply"), whole=True)
             self._reached(limit, watch)
         limit(
             f"mean{own}",
@@ -365,11 +365,11 @@ class Tracer:
         else:
             self._brought(direct, f"q{i}", "placed", f"v{i}")
         self.evaluation(direct, "0", names)
-        self._supply(direct, "0", names, f"supplied{i}")
+        self._supply(direct, "0", names, f"supplied{i}", whole=True)
         if not kept:
             self._reached(direct, f"watch{i}")
         calls.choice(f"zone{i}", limit, direct)
-        if self.e.frictions:
+        if self.e.frictions and not self.supplies:
             rubbing.power(calls, f"t{i} q{i} v{i} {u}", f"a{i}", f"power{i}")
         else:
             calls.made.append(Call("power", (f"q{i}", f"v{i}", u, "p", f"t{i}"), (f"power{i}",)))
@@ -379,12 +379,15 @@ class Tracer:
         """Whether the work of what moves by itself counts."""
         return self.e.timed and self.e.works
 
-    def _supply(self, calls: Calls, i: str, names: Mapping[str, str], to: str = "") -> None:
-        """Power of what moves by itself, after an evaluation with these names."""
+    def _supply(self, calls: Calls, i: str, names: Mapping[str, str], to: str = "", whole: bool = False) -> None:
+        """Power of what moves by itself, after an evaluation with these names; with `whole` that of friction, too, where
+        the power of the evaluation is not used."""
         if self.supplies:
+            scene, rubs = calls.scene, whole and bool(self.e.frictions)
             t, q, v, a, lam = (names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam"))
             known = f"{t} {q} {v} {a} {lam} {names.get('u', 'u')} p k"
-            calls("supply", known, to or f"supplied{i}", calls.scene.supply)
+            supply = (lambda *x: rubbing.supply(scene, *x)) if rubs else scene.supply
+            calls("rubbing_supply" if rubs else "supply", known, to or f"supplied{i}", supply)
 
     def _supplied(self, calls: Calls, i: str) -> None:
         """The power of all."""

@@ -17,6 +17,9 @@
 /* Rate [rad/s, m/s] of a joint that is at rest. */
 #define REST 1e-9
 
+/* Rate [rad/s, m/s] at which a joint that others held, or a motion, moves: its direction is beyond doubt. */
+#define MOVING (2 * REST)
+
 /* How near the rate of a joint that stops is brought to zero, over the largest in this step, but for what is REST. */
 #define STOPPED 1e-13
 
@@ -100,9 +103,9 @@ Outcome say_jam(Instance *i)
             strncat(names, part, sizeof names - strlen(names) - 1);
         }
     return say(i, FAILED,
-        "%s, t = %.6g s: a jam: no sliding motion has friction as large as its load (%s); the load grows with its own "
+        "%s, t = %.6g s: a jam: no sliding motion has friction as large as its load (%s)%s; the load grows with its own "
         "friction without bound: take smaller coefficients of friction, smaller radii or a longer guide",
-        s->name, *instance_time(i), names);
+        s->name, *instance_time(i), names, s->timed ? ", and a law of time asks for one" : "");
 }
 
 /* Constraints of joints that stick put in force, and those of others not. */
@@ -410,7 +413,7 @@ Outcome friction_begin(Instance *i)
 /* Events -------------------------------------------------------------------------------------------------------------- */
 
 /* How far each joint is from its event, below zero beyond it: the rate in the direction in which it slides, the room of the
-   multiplier where it sticks, over its limit. */
+   multiplier where it sticks, over its limit, the rate that it lacks to move where others hold it. */
 static void rooms(Instance *i, double *found)
 {
     const Scene *s = i->scene;
@@ -424,8 +427,8 @@ static void rooms(Instance *i, double *found)
     for (int k = 0; k < s->frictions; k++)
         if (fabs(*slip(i, k)) == 1.0)
             found[k] *= *slip(i, k);
-        else if (*slip(i, k) != 0.0) /* Held by others. */
-            found[k] = -fabs(found[k]);
+        else if (*slip(i, k) != 0.0)
+            found[k] = MOVING - fabs(found[k]);
 }
 
 /* The least of those that meet an event in this step. */
@@ -603,7 +606,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
             break;
         rooms(i, after);
         for (size_t k = 0; k < count; k++) {
-            meets[k] = *slip(i, (int)k) == 0.0 ? !(after[k] >= 0.0) : !(after[k] >= -REST);
+            meets[k] = !(after[k] >= (fabs(*slip(i, (int)k)) == 1.0 ? -REST : 0.0));
             any |= meets[k];
         }
         if (!any && looks && sticks(i) < (int)count && *time - from > LOOKED_INTO) {

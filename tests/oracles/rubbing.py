@@ -5,7 +5,7 @@ as its load says; no constraint, no multiplier and no projection takes part.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -96,6 +96,15 @@ class Crank:
                 break
             friction = found
         return y[0], friction
+
+    def driving(self, th: float, rate: float) -> float:
+        """The torque that turns the crank at a constant rate."""
+        signs = np.sign(self.rates(th) * rate)
+
+        def second(torque: float) -> float:
+            return replace(self, torque=lambda _: torque).solved(0.0, th, rate, signs)[0]
+
+        return brentq(second, -1e3, 1e3, xtol=1e-12)
 
     def run(self, th: float, rate: float, times: np.ndarray) -> tuple[np.ndarray, list[str]]:
         """Angle and rate of the crank at times (2, k), and what happened on the way: names of events."""
