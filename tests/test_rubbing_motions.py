@@ -153,7 +153,7 @@ CRANK, ROD, PUSHED, RUBS = 0.3, 0.4, 50.0, 1.2
 
 @pytest.fixture(scope="module")
 def press() -> alfmu.Equations:
-    """A crank at `speed` t + `growth` t^3 pushes a ram by a rod without mass; it jams where the rod leans by atan(1/mu)."""
+    """A crank at speed t + growth t^3 pushes a ram by a rod without mass; it jams where the rod leans by atan(1/mu)."""
     m = Mechanism("press", "A ram in a guide that rubs")
     begin = m.parameter("begin", 3.4, "rad")
     speed, growth = m.parameter("speed", 0.0, "rad/s"), m.parameter("growth", 0.0, "1")

@@ -380,8 +380,8 @@ class Tracer:
         return self.e.timed and self.e.works
 
     def _supply(self, calls: Calls, i: str, names: Mapping[str, str], to: str = "", whole: bool = False) -> None:
-        """Power of what moves by itself, after an evaluation with these names; with `whole` that of friction, too, where
-        the power of the evaluation is not used."""
+        """Power of what moves by itself, after an evaluation with these names; with `whole` that of friction, too,
+        where the power of the evaluation is not used."""
         if self.supplies:
             scene, rubs = calls.scene, whole and bool(self.e.frictions)
             t, q, v, a, lam = (names.get(x + i, x + i) for x in ("t", "q", "v", "a", "lam"))
