@@ -182,6 +182,32 @@ def test_a_journal_carries_what_its_own_friction_adds(spinning, method, mu):
     assert run["monitor.step_error"].max() < 1e-9
 
 
+def test_a_bar_between_two_points_rubs_as_one_with_an_angle():
+    """Its angle is known within a turn; it goes through pi, far from where it stuck last."""
+
+    def pendulum(natural: bool) -> Mechanism:
+        m = Mechanism("pendulum", "A bar in a journal")
+        angle = m.start("angle", 0.3, "rad", rate=9.0)
+        if natural:
+            end = m.coordinate("x", "m", start=ca.cos(angle)), m.coordinate("y", "m", start=ca.sin(angle))
+            bar = m.bar("bar", mass=1.0, length=1.0, between=(m.ground.at(0, 0), m.point(*end)))
+        else:
+            bar = m.bar("bar", mass=1.0, length=1.0)
+        th = None if natural else m.coordinate("th", "rad", start=angle)
+        journal = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th)
+        m.friction(journal, coulomb=0.6, radius=0.2)
+        m.gravity(0, -G)
+        return m
+
+    parameters = {"solver.method": "rk4", "solver.step_size": 0.01}
+    runs = [alfmu.simulate(pendulum(x), 3.0, 0.1, parameters=parameters) for x in (False, True)]
+    assert np.ptp(runs[0]["bar.angle"]) > 4.0
+    assert 0.0 in runs[0]["A.slip"]
+    np.testing.assert_array_equal(runs[0]["A.slip"], runs[1]["A.slip"])
+    for name in ("bar.angle", "A.friction_torque"):
+        np.testing.assert_allclose(runs[1][name], runs[0][name], atol=1e-6)
+
+
 def test_a_jam_is_reported(spinning):
     """With k above 1 no deceleration is as large as the load that it makes (Painleve): 5 < mu here."""
     jam = {"g": 0.0, "mu": 5.1, "aside": 0.1}
@@ -505,6 +531,22 @@ def test_friction_of_a_shared_load_is_settled_by_compliances(caplog):
     assert not caplog.records
 
 
+def test_what_is_switched_on_may_share_the_load_of_friction(caplog):
+    """Only one guide of the sledge is closed at first: its friction is unique until the other one is closed, too."""
+    m = sledge()
+    m.release("smooth")
+    i = alfmu.Instance(m)
+    i.set("smooth.released", True)
+    i.initialize()
+    i.step(0.1)
+    assert i.get("rough.friction_force") == pytest.approx(-0.3 * 3.0 * G, rel=1e-12)
+    assert not caplog.records
+    i.set("smooth.released", False)
+    i.step(0.1)
+    assert i.get("rough.friction_force") == pytest.approx(-0.3 * 3.0 * G / 2, rel=1e-12)
+    assert "share the load of rough, so that its friction is not unique" in caplog.text
+
+
 # FMUs ---------------------------------------------------------------------------------------------------------------
 
 
@@ -620,14 +662,6 @@ def _declared(line: str) -> None:
 def test_a_declaration_that_makes_no_sense_is_refused(line, said):
     with pytest.raises(DeclarationError, match=said):
         _declared(line)
-
-
-def test_dry_friction_in_space_is_refused():
-    m = Mechanism("space")
-    body = m.spatial_body("body", mass=1.0, inertia=(1.0, 1.0, 1.0))
-    hinge = m.spatial_revolute("hinge", m.spatial_ground.at(0, 0, 0), body.at(0, 0, 0), axis=(0, 0, 1))
-    with pytest.raises(DeclarationError, match="hinge: a joint in space has viscous friction alone"):
-        m.friction(hinge, coulomb=0.2, radius=0.1)
 
 
 def test_methods_without_dry_friction_are_refused_by_name(incline):

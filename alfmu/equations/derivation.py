@@ -243,7 +243,10 @@ class Kinematics:
             return closure.residual(direction)
         if isinstance(closure, Lock | Motion):
             beside = self._beside(closure)
-            return ca.sin(beside) if self.locked(closure)[1] else beside
+            if not self.locked(closure)[1]:
+                return beside
+            # The multiplier of friction is the torque wherever the joint slides, far from where it stuck.
+            return ca.remainder(beside, 2 * math.pi) if isinstance(closure, Friction) else ca.sin(beside)
         if direction == "length":
             square, length = self._apart(closure)
             return (square - length**2) / (2 * length)
@@ -477,11 +480,12 @@ def derive(mechanism: Mechanism) -> Equations:
         values += efforts_kept
         outputs += kept_outputs
     rows_of_locks = {x: closures.index((x, "locked")) for x in locks if isinstance(x, Lock)}
+    efforts_in_space = _efforts_in_space(m, plain, q, v)
+    spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
+    loads |= {o.name: x for o, x in zip(spatial_outputs, spatial_values, strict=True)}
     rubs = rubbing(locks, rows_of_locks, plain.free, loads, (q, v, a), lam)
     values += rubs.values
     outputs += rubs.outputs
-    efforts_in_space = _efforts_in_space(m, plain, q, v)
-    spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
     values += spatial_values
     outputs += spatial_outputs
     for joint in m.spatial_joints:

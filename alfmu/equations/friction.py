@@ -9,16 +9,24 @@ so that friction enters M a + d = f - C' lambda as all reactions do. Where more 
 motions to hold, some are held by others: they have a share of their limit static L, or all of it. The load L is that of
 the joint itself: in a journal its radius times the force; in a guide whose edges are b apart, the sum of |N/2 + M/b|
 and |N/2 - M/b| of force N and moment M about the point half-way, which is the larger one of |N| and 2 |M|/b.
+
+In space N and M/b are vectors across the axis. A journal with bearings b apart carries them as a guide does, and a
+force along its axis by a collar; a guide carries a moment about its axis by a key at a radius r, which adds |M|/r. In a
+screw of radius r with p = lead/(2 pi) the flank carries what the force W along the axis and friction T itself leave,
+
+    L = |W (r^2 + p^2) - T p| / r.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 
-from ..model.mechanism import Friction, Joint, Lock, Scalar, stack
+from ..model.mechanism import AnyJoint, Friction, Lock, Scalar, stack, symbolic
+from ..model.spatial import SpatialJoint
 from .types import Rubbing, Variable
 
 __all__ = ["LIMITED", "SHARED", "Rubs", "rubbing"]
@@ -47,7 +55,7 @@ class Rubs:
 def rubbing(
     locks: Sequence[Lock],
     rows: Mapping[Lock, int],
-    free: Callable[[Joint], ca.SX],
+    free: Callable[[AnyJoint], ca.SX],
     reactions: Mapping[str, ca.SX],
     motion: tuple[ca.SX, ca.SX, ca.SX],
     lam: ca.SX,
@@ -64,7 +72,7 @@ def rubbing(
     for i, x in enumerate(frictions):
         displacement = free(x.of)
         rate = ca.jtimes(displacement, q, v)
-        load = _load(x, reactions)
+        load = _load(x, reactions, -lam[rows[x]])
         coefficient = x.coulomb
         if x.stribeck is not None:
             coefficient = x.coulomb + (x.static - x.coulomb) * ca.exp(-((rate / x.stribeck) ** 2))
@@ -88,12 +96,36 @@ def rubbing(
     return found
 
 
-def _load(x: Friction, reactions: Mapping[str, ca.SX]) -> ca.SX:
-    """The load of a joint."""
+def _load(x: Friction, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX:
+    """The load of a joint, which has this friction."""
+    if isinstance(x.of, SpatialJoint):
+        return _load_in_space(x, x.of, reactions, friction)
     if x.radius is not None:
-        along, across = (reactions[f"{x.name}.force.{axis}"] for axis in "xy")
-        return x.radius * ca.sqrt(along**2 + across**2 + _NOTHING)
+        return x.radius * _size([reactions[f"{x.name}.force.{axis}"] for axis in "xy"])
     force = ca.fabs(reactions[f"{x.name}.force"])
     if x.length is None:
         return force
     return ca.fmax(force, 2 / x.length * ca.fabs(reactions[f"{x.name}.moment"]))
+
+
+def _load_in_space(x: Friction, joint: SpatialJoint, reactions: Mapping[str, ca.SX], friction: ca.SX) -> ca.SX:
+    """The same of a joint in space: parts of its reaction along its axis and two normals."""
+    triad = joint.triad()
+    force, moment = (
+        [ca.dot(each, stack([reactions[f"{x.name}.{what}.{axis}"] for axis in "xyz"])) for each in triad]
+        for what in ("force", "moment")
+    )
+    if joint.kind == "screw":
+        pitch, radius = joint.lead / (2 * math.pi), symbolic(x.radius)
+        return ca.fabs(force[2] * (radius**2 + pitch**2) - friction * pitch) / radius
+    across = _size(force[:2])
+    if x.length is not None:
+        ends = -moment[1] / x.length, moment[0] / x.length
+        across = sum(_size([f / 2 + way * end for f, end in zip(force, ends, strict=False)]) for way in (1, -1))
+    if joint.kind == "prismatic":
+        return across if x.radius is None else across + ca.fabs(moment[2]) / x.radius
+    return x.radius * across + (0 if x.collar is None else x.collar * ca.fabs(force[2]))
+
+
+def _size(vector: Sequence[ca.SX]) -> ca.SX:
+    return ca.sqrt(sum((each**2 for each in vector), ca.SX(_NOTHING)))

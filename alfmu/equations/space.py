@@ -20,7 +20,7 @@ from functools import cached_property
 import casadi as ca
 
 from ..model.errors import DeclarationError
-from ..model.mechanism import Constraint, Lock, Mechanism, Motion, Rigidity, Scalar, stack, symbolic
+from ..model.mechanism import Constraint, Friction, Lock, Mechanism, Motion, Rigidity, Scalar, stack, symbolic
 from ..model.mechanism import Joint as PlanarJoint
 from ..model.relations import SpatialRolling
 from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, angular_velocity, spin_matrix
@@ -338,7 +338,8 @@ def applied(
         elif isinstance(closure, Lock | Motion) and isinstance(closure.of, SpatialJoint | SpatialFreedom):
             beside = closure.of.free - (0.0 if closure.value is None else closure.value)
             beside -= closure.law if isinstance(closure, Motion) else 0.0
-            _effort(found, closure.of, -(ca.cos(beside) if closure.of.wrapped else 1.0) * x)
+            turned = closure.of.wrapped and not isinstance(closure, Friction)
+            _effort(found, closure.of, -(ca.cos(beside) if turned else 1.0) * x)
     for each, own in multipliers.items():
         if isinstance(each, SpatialRolling):
             _push(found, each.centre, *each.wrench(own))

@@ -61,8 +61,9 @@ def _respond(scene: Scene, M: SX, C: SX, D: SX, L: SX) -> tuple[SX, SX]:
 
 
 def _shared(scene: Scene, M: SX, C: SX, lam: SX) -> SX:
-    """Multipliers as joints of given compliances share them."""
-    return scene.distributed(M, C, lam) if scene.e.compliances else lam
+    """Multipliers as outputs tell them: as joints share them, by compliances or in the least norm of joints."""
+    shares = scene.e.lengths and any(x.output in (scene.e.shared or ()) for x in scene.e.frictions)
+    return scene.distributed(M, C, lam) if scene.e.compliances or shares else lam
 
 
 def _rub(

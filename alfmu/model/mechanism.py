@@ -276,6 +276,25 @@ class Joint(Brief):
         return DIRECTIONS[self.kind]
 
 
+_DRY_FRICTION: dict[tuple[str, bool], tuple[tuple[str, ...], str]] = {
+    ("revolute", False): (("radius",), "a revolute joint is a journal; give its radius [m], and no length or collar"),
+    ("prismatic", False): (
+        ("length",),
+        "a prismatic joint has no radius or collar; give the length [m] between its edges, or nothing",
+    ),
+    ("revolute", True): (
+        ("radius", "length", "collar"),
+        "a revolute joint is a journal; give its radius [m], and perhaps the length [m] between its bearings and the "
+        "radius [m] of its collar",
+    ),
+    ("prismatic", True): (
+        ("radius", "length"),
+        "a prismatic joint has no collar; give the length [m] between its edges, the radius [m] of its key, or nothing",
+    ),
+    ("screw", True): (("radius",), "a screw takes the radius [m] of its thread, and no length or collar"),
+}
+"""What dry friction of each kind of joint, in the plane or in space, can be told, and what is said of anything else."""
+
 AnyMarker = Marker | SpatialMarker
 AnyJoint = Joint | SpatialJoint | SpatialFreedom
 
@@ -334,6 +353,7 @@ class Friction(Lock):
     radius: Scalar | None
     length: Scalar | None
     stribeck: Scalar | None
+    collar: Scalar | None
 
 
 @dataclass(frozen=True, repr=False)
@@ -1539,19 +1559,24 @@ class Mechanism:
         radius: Scalar | None = None,
         length: Scalar | None = None,
         stribeck: Scalar | None = None,
+        collar: Scalar | None = None,
     ) -> None:
-        """Friction in a revolute or prismatic joint: viscous, and dry in proportion to the reaction of the joint.
+        """Friction in a revolute, prismatic or screw joint: viscous, and dry in proportion to the joint's reaction.
 
         `viscous` [N.m.s/rad or N.s/m] resists in proportion to the rate. `coulomb` is the coefficient of dry friction
-        while the joint slides, `static` that at which it begins to slide (the same where it is not given). A revolute
-        joint in the plane is a journal of `radius` [m]: its torque is coefficient times radius times the force that it
-        carries. A prismatic one bears at two edges that are `length` [m] apart, which carry its force and its moment;
-        without `length` its force alone rubs. With `stribeck` [rad/s or m/s] the coefficient goes from the static one
-        at rest to the Coulomb one at such rates. A joint that sticks is held as by a lock.
+        while the joint slides, `static` that at which it begins to slide (the same where it is not given). With
+        `stribeck` [rad/s or m/s] the coefficient goes from the static one at rest to the Coulomb one at such rates. A
+        joint that sticks is held as by a lock.
+
+        A revolute joint is a journal of `radius` [m]: its torque is coefficient times radius times the force across its
+        axis. A prismatic one bears at two edges that are `length` [m] apart, which carry its force and its moment;
+        without `length` its force alone rubs. In space a journal may have a `length` between two bearings, too, and a
+        `collar` of that radius [m] for the force along its axis; a guide may have a key at a `radius` for the moment
+        about its axis; a screw takes the `radius` of its thread. What is not given carries without friction.
         """
         along = self._free(joint, "friction()")
         dry = not symbolic(coulomb).is_zero() or static is not None
-        if not dry and (given := [x for x in (radius, length, stribeck) if x is not None]):
+        if not dry and (given := [x for x in (radius, length, stribeck, collar) if x is not None]):
             raise DeclarationError(
                 f"{self.name}: the friction of {joint.name} has {counted(len(given), 'number')} of dry friction and no "
                 "coefficient; give coulomb"
@@ -1559,7 +1584,7 @@ class Mechanism:
         if not dry or not symbolic(viscous).is_zero():
             self.spring_damper(joint, damping=viscous)
         if dry:
-            self._dry_friction(joint, along, coulomb, static, radius, length, stribeck)
+            self._dry_friction(joint, along, coulomb, static, radius, length, stribeck, collar)
 
     def _dry_friction(
         self,
@@ -1570,23 +1595,21 @@ class Mechanism:
         radius: Scalar | None,
         length: Scalar | None,
         stribeck: Scalar | None,
+        collar: Scalar | None,
     ) -> None:
-        name, turns = joint.name, along == "rad"
-        if not isinstance(joint, Joint):
+        name = joint.name
+        if isinstance(joint, SpatialFreedom):
             raise DeclarationError(
-                f"{self.name}: dry friction of {name}: a joint in space has viscous friction alone; leave coulomb, "
-                "static, radius, length and stribeck out"
+                f"{self.name}: dry friction of {name}: a {joint.joint.kind} joint slides in any direction of several, "
+                "for which there is viscous friction alone; make it of joints with one free motion each, or leave "
+                "coulomb, static, radius, length, stribeck and collar out"
             )
-        if turns and (radius is None or length is not None):
-            raise DeclarationError(
-                f"{self.name}: dry friction of {name}: a revolute joint is a journal; give its radius [m], and no "
-                "length"
-            )
-        if not turns and radius is not None:
-            raise DeclarationError(
-                f"{self.name}: dry friction of {name}: a prismatic joint has no radius; give the length [m] between "
-                "its edges, or nothing"
-            )
+        takes, text = _DRY_FRICTION[joint.kind, isinstance(joint, SpatialJoint)]
+        given = {"radius": radius, "length": length, "collar": collar}
+        if any(x is not None and each not in takes for each, x in given.items()) or (
+            joint.kind != "prismatic" and radius is None
+        ):
+            raise DeclarationError(f"{self.name}: dry friction of {name}: {text}")
         if static is None and stribeck is not None:
             raise DeclarationError(
                 f"{self.name}: dry friction of {name}: stribeck leads from the static coefficient to the Coulomb one; "
@@ -1605,9 +1628,8 @@ class Mechanism:
                 f"{self.name}: the friction of {name} has static = {static:g} below coulomb = {coulomb:g}; a joint "
                 "that sticks holds at least what it rubs with"
             )
-        radius, length = (
-            None if x is None else self._length(what(letter, name), x, CONSTANT)
-            for letter, x in (("radius", radius), ("length", length))
+        radius, length, collar = (
+            None if x is None else self._length(what(letter, name), x, CONSTANT) for letter, x in given.items()
         )
         if stribeck is not None:
             stribeck = self._quantity(what("rate stribeck", name), stribeck, rate_of(along), CONSTANT)
@@ -1620,7 +1642,7 @@ class Mechanism:
         self._claim(f"{name}.slip", "1", "an output")
         at, slip = ca.SX.sym(f"{name}.sticks_at"), ca.SX.sym(f"{name}.slip")
         Mechanism.closures.of(self).append(
-            Friction(name, joint, along, at, slip, coulomb, static, radius, length, stribeck)
+            Friction(name, joint, along, at, slip, coulomb, static, radius, length, stribeck, collar)
         )
 
     # Pictures ---------------------------------------------------------------------------------------------------

@@ -92,16 +92,22 @@ int jammed(Instance *i)
     return !(grip[0] <= JAM_SETTLED * JAM_SETTLED) || !(grip[1] > JAM_PIVOT);
 }
 
+/* The name of a joint behind others. */
+static void list(const Instance *i, int k, char *names, size_t size)
+{
+    const Scene *s = i->scene;
+    char part[64];
+    snprintf(part, sizeof part, "%s%.40s", *names ? ", " : "", s->rows[s->friction[k].row].name);
+    strncat(names, part, size - strlen(names) - 1);
+}
+
 Outcome say_jam(Instance *i)
 {
     const Scene *s = i->scene;
     char names[300] = "";
     for (int k = 0; k < s->frictions; k++)
-        if (fabs(*slip(i, k)) == 1.0 || *slip(i, k) == SHARED) {
-            char part[64];
-            snprintf(part, sizeof part, "%s%.40s", *names ? ", " : "", s->rows[s->friction[k].row].name);
-            strncat(names, part, sizeof names - strlen(names) - 1);
-        }
+        if (fabs(*slip(i, k)) == 1.0 || *slip(i, k) == SHARED)
+            list(i, k, names, sizeof names);
     return say(i, FAILED,
         "%s, t = %.6g s: a jam: no sliding motion has friction as large as its load (%s)%s; the load grows with its own "
         "friction without bound: take smaller coefficients of friction, smaller radii or a longer guide",
@@ -397,16 +403,38 @@ static Outcome friction_checked(Instance *i)
     return wrong ? friction_event(i, NULL) : DONE;
 }
 
-/* The start of a run. */
+/* Whether constraints in force depend on each other at regular positions, where no joint sticks. */
+static int redundant(const Instance *i)
+{
+    int held = 0;
+    for (int r = 0; r < i->scene->l; r++)
+        held += i->penalty[r] > 0.0;
+    return held > (int)*i->rank;
+}
+
+/* The start of a run, and where constraints have come into force or not; no joint sticks. */
 Outcome friction_begin(Instance *i)
 {
     const Scene *s = i->scene;
+    char names[300] = "";
+    const int unsettled = redundant(i) && !(s->compliances && i->compliances[0] > 0.0);
+    int switched = 0;
     for (int k = 0; k < s->frictions; k++)
-        if (s->friction[k].shared && !(s->compliances && i->compliances[0] > 0.0))
-            warn(i, WARNED_OF_FRICTION,
-                "%s: redundant constraints share the load of %s, so that its friction is not unique, and the motion is not "
-                "either: loads of least norm are taken; give compliances of constraints (--compliances) to settle it",
-                s->name, s->rows[s->friction[k].row].name);
+        if (unsettled && s->friction[k].shared)
+            list(i, k, names, sizeof names);
+    for (int k = 0; k < s->switches; k++)
+        switched |= i->wanted[k] != s->switched[k].start;
+    if (unsettled && switched && !*names)
+        warn(i, WARNED_OF_FRICTION,
+            "%s, t = %.6g s: with what is switched on or off constraints are redundant; where they share the load of joints "
+            "with dry friction, it is not unique: loads of least norm are taken; give compliances of constraints "
+            "(--compliances) to settle it",
+            s->name, *instance_time(i));
+    if (*names)
+        warn(i, WARNED_OF_FRICTION,
+            "%s: redundant constraints share the load of %s, so that its friction is not unique, and the motion is not "
+            "either: loads of least norm are taken; give compliances of constraints (--compliances) to settle it",
+            s->name, names);
     return s->gripping < 0 ? DONE : friction_event(i, NULL);
 }
 

@@ -29,6 +29,10 @@ _RETURNS = 4
 _SHARED = 1e-7
 """Change of an output by a unit of load that redundant constraints share, up to which it is none."""
 
+_STRAIN = 1e6
+"""Load that redundant constraints share, beside which others are small: friction follows from the size of a load, which
+a small share across it does not change."""
+
 
 COUNTED_ROWS = ("in force", "all", "without friction")
 """Constraints of which degrees of freedom are told, as `Counted_rows` in alfmu.h; "without friction" leaves out of
@@ -81,7 +85,7 @@ def shared(
         lam[held] = share
         found = np.maximum(found, np.abs(read(lam) - read(nothing)))
         if count:
-            rubs = np.maximum(rubs, np.abs(limits(lam) - limits(nothing)))
+            rubs = np.maximum(rubs, np.abs(limits(_STRAIN * lam) - limits(nothing)) / _STRAIN)
     names = [v.name for v, size in zip(e.outputs, found, strict=True) if size > _SHARED]
     return [*names, *(x.output for x, size in zip(e.frictions, rubs, strict=True) if size > _SHARED)]
 
