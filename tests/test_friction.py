@@ -205,7 +205,7 @@ def test_a_bar_between_two_points_rubs_as_one_with_an_angle():
     assert 0.0 in runs[0]["A.slip"]
     np.testing.assert_array_equal(runs[0]["A.slip"], runs[1]["A.slip"])
     for name in ("bar.angle", "A.friction_torque"):
-        np.testing.assert_allclose(runs[1][name], runs[0][name], atol=1e-6)
+        np.testing.assert_allclose(runs[1][name], runs[0][name], atol=1e-5)
 
 
 def test_a_jam_is_reported(spinning):
