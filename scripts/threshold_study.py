@@ -33,7 +33,7 @@ SHARED = ("casadi", "matplotlib.figure", "scipy.integrate", "tqdm")
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "singular.md"
 BEGIN, END = "<!-- thresholds: begin -->", "<!-- thresholds: end -->"
-MODULES = ("method.singular", "kernel.thresholds")
+MODULES = ("method.singular", "method.friction", "kernel.thresholds")
 FACTORS = {"half": 0.5, "twice": 2.0}
 FAR = {"a hundredth": 0.01, "a hundredfold": 100.0}
 """Factors by which a constant is told that nothing depends on: those of `--far` alone."""
@@ -105,8 +105,10 @@ class Found(NamedTuple):
     evaluations: int
 
 
-def references() -> dict[str, Any]:
-    """The exact motions that cases are judged by; no constant of the modules is part of them."""
+def references(cases: Sequence[str]) -> dict[str, Any]:
+    """The exact motions that these cases are judged by; no constant of the modules is part of them."""
+    if set(cases) <= set(RUBBING):
+        return {}
     import singular_study as study
 
     th, torque, w = study.np.array(study.phases(STARTS)).T
@@ -288,6 +290,60 @@ def _prescribed(_: Any) -> Found:
     return Found(float(np.abs(run["A.torque"] - exact).max()), run.counters.evaluations)
 
 
+def _rubs(_: Any, name: str) -> Found:
+    """Mechanisms with dry friction, as the tests have them: the error of what each is about."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    import numpy as np
+    import test_friction as rubbing
+    import test_rubbing_motions as moved
+    from oracles.rubbing import Crank
+
+    import alfmu
+
+    def run(m: Any, stop: float, dt: float, **given: float) -> Any:
+        parameters = {"solver.relative_tolerance": 1e-9, **given}
+        return alfmu.simulate(alfmu.derive(m), stop, dt, parameters=parameters)
+
+    if name == "belt":
+        r = run(moved.belt("law"), 3.0, 0.05)
+        error = np.abs(r["block.x"] - moved.on_a_belt(r.time)).max()
+    elif name == "near jam":
+        k = 4.9 / 5.0
+        c = k / math.sqrt(1 - k**2)
+        r = run(rubbing.rotor(), 2.0, 0.02, g=0.0, mu=4.9, aside=0.1)
+        error = np.abs(r["disc.angular_velocity"] * (1 + c * 20.0 * r.time) / 20.0 - 1).max()
+    elif name == "wedge":
+        least = rubbing.pushed(0.15, 0.2, 1.0)
+        mass = rubbing.pushed(0.15, 0.2, 1.0, 1.0) - least
+        r = run(rubbing.wedge(), 1.5, 0.01, growth=50.0)
+        error = np.abs(r["wedge.position"] - 50.0 * np.maximum(r.time - least / 50.0, 0.0) ** 3 / 6 / mass).max()
+    elif name == "crank rubs":
+        of = rubbing.L1, rubbing.L2, *rubbing.MASSES, rubbing.MU, rubbing.RADII, rubbing.EDGES
+        times = np.arange(101) * 0.01
+        exact, _ = Crank(*of, lambda t: 6.5 * math.sin(4.0 * t)).run(0.7, 9.0, times)
+        r = run(rubbing.crank(6.5), 1.0, 0.01)
+        error = np.abs(r["crank.angle"] - exact[0]).max()
+    elif name == "dwell":
+        r = run(moved.dwell(), 2.0, 0.05)
+        error = np.abs(r["A.torque"] - moved.torque_of_dwell(r)).max()
+    elif name == "jam":
+        try:
+            run(moved.pressing(), 1.0, 0.01, speed=2.0)
+        except alfmu.AlfmuError as error:
+            time = re.search(r"t = (\S+) s: a jam", str(error))
+            if time:
+                return Found(abs(float(time[1]) - (moved.JAM - 3.4) / 2.0), 0)
+            raise
+        raise alfmu.StepError("the jam is not reported")
+    else:
+        r = run(rubbing.pentagon(), 2.0, 0.01)
+        error = r["monitor.step_error"].max()
+    return Found(float(error), r.counters.evaluations)
+
+
+RUBBING = ("belt", "near jam", "wedge", "crank rubs", "dwell", "jam", "pentagon")
+"""Cases with dry friction, for constants of friction alone."""
+
 CASES: dict[str, Callable[[Any], Found]] = {
     "five-bar": partial(_driven, name="five_bar", torques=FIVE_BAR, dt=0.02),
     "starts": _starts,
@@ -302,6 +358,7 @@ CASES: dict[str, Callable[[Any], Found]] = {
     "bennett": partial(_regular, name="bennett", stop=0.4),
     "governor": partial(_regular, name="flyball_governor", stop=0.01),
     "prescribed": _prescribed,
+    **{name: partial(_rubs, name=name) for name in RUBBING},
 }
 """Runs, by the name that the page gives them."""
 
@@ -311,6 +368,21 @@ SLOW = {
     "prescribed": ("FROZEN", "LATER"),
 }
 """Cases that are slow to derive, or are about some constants: those that they are run for."""
+
+OF_FRICTION = (
+    *("LAW_PASSES", "LAW_ENOUGH", "JAM_SETTLED", "JAM_PIVOT", "REST", "MOVING", "STOPPED", "NEARLY_STOPPED"),
+    *("EXCEEDED", "IDLE", "IDLER", "SHARING_ROUNDS", "STEADY_SHARE", "NO_ROOM", "SLIDING_ROUNDS", "SEARCHED"),
+    *("RIGHT_THERE", "SEEN_BETWEEN", "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST"),
+    "LEFT_TO_RK4",
+)
+"""Constants that nothing without dry friction depends on."""
+
+
+def about(name: str, case: str) -> bool:
+    """Whether a case is run for a constant."""
+    if (name in OF_FRICTION) != (case in RUBBING):
+        return False
+    return case not in SLOW or name in SLOW[case]
 
 
 def _own_runtime() -> None:
@@ -348,7 +420,7 @@ def variant(changed: tuple[str, str, Any], exact: Mapping[str, Any], cases: Sequ
 
     found: dict[str, Found | str] = {}
     for case in cases:
-        if module and case in SLOW and name not in SLOW[case]:
+        if module and not about(name, case):
             continue
         try:
             found[case] = CASES[case](exact.get(case))
@@ -421,7 +493,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name in SHARED:
             import_module(name)
         with get_context("fork").Pool(os.cpu_count(), maxtasksperchild=1) as pool:
-            run = partial(variant, exact=pool.apply(references), cases=chosen.cases or list(CASES))
+            cases = [case for case in chosen.cases or CASES if any(about(x.name, case) for x in wanted)]
+            run = partial(variant, exact=pool.apply(references, (cases,)), cases=cases)
             results = pool.imap(run, jobs)
             usual = next(results)
             for case, x in usual.items():

@@ -44,7 +44,7 @@ def rub(calls: Calls, known: str, a: str, lam: str, power: str, watch: str) -> N
     calls("rub_begin", "k", "rubs rubbed", lambda: (SX(1), SX.zeros(2)))
     names = f"{known} p k {matrices} {a} {lam} {watch} moved pressed"
     again(f"{kind}_rub", names, f"{a} {lam} {watch} rubs rubbed", lambda *x: _rub(scene, *x))
-    calls.made.append(Loop("rubs", method.MOST, again.steps))
+    calls.made.append(Loop("rubs", method.LAW_PASSES, again.steps))
     names = f"{q} {v} p k {a} {lam} {power} {watch} rubbed"
     calls(f"{kind}_rubbed", names, f"{a} {power} {watch}", lambda *x: _rubbed(scene, *x))
 
@@ -101,7 +101,7 @@ def _rub(
     lacking = sum((x**2 for x in residues), SX(0)) / size
     held = ca.vertcat(lacking, ca.mmin(ca.vertcat(*pivots)))
     # Multipliers converge after accelerations.
-    more = 1 - (following <= tolerance**2 * ca.sumsqr(after) + _TINY) * (lacking <= method.ENOUGH**2)
+    more = 1 - (following <= tolerance**2 * ca.sumsqr(after) + _TINY) * (lacking <= method.LAW_ENOUGH**2)
     return after, lam, watch, more, held
 
 
@@ -112,7 +112,7 @@ _TINY = 1e-300
 def _rubbed(scene: Scene, q: SX, v: SX, a: SX, lam: SX, power: SX, watch: SX, rubbed: SX) -> tuple[SX, SX, SX]:
     """a and watch, which are not finite where no friction was found, and the power with that of friction."""
     frictions = scene.e.frictions
-    found = ca.logic_and(rubbed[0] <= method.SETTLED**2, rubbed[1] > 0)
+    found = ca.logic_and(rubbed[0] <= method.JAM_SETTLED**2, rubbed[1] > 0)
     rates = scene.e.sliding(q, v, scene.p)
     for i, each in enumerate(frictions if scene.e.works else ()):
         power -= rates[i] * lam[each.row] / scene.scale

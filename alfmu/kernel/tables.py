@@ -232,8 +232,8 @@ def layout_header() -> str:
         "POLYNOMIAL": 1 + COEFFICIENTS,
         "LIMITED": LIMITED,
         "SHARED": SHARED,
-        "JAM_PIVOT": friction.PIVOT,
-        "JAM_SETTLED": friction.SETTLED,
+        "JAM_PIVOT": friction.JAM_PIVOT,
+        "JAM_SETTLED": friction.JAM_SETTLED,
     }
     for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):
         found |= {vector: len(names), **{f"{vector}_{name.upper()}": i for i, name in enumerate(names)}}

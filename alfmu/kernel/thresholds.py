@@ -137,3 +137,70 @@ SEEN_FLOOR = 0.1
 STUCK = 20
 """number of tries [1]: no motion goes on where so many cannot be judged near a singular position before the step is
 covered that was wanted at the first of them."""
+
+REST = 1e-9
+"""rate [rad/s or m/s]: a joint with dry friction that is slower rests; projections leave 1e-15 of velocities near 1."""
+
+MOVING = 2.0
+"""ratio of rates [1]: a joint that others, or a motion, held at rest moves from so many REST on, so that its direction
+is beyond doubt."""
+
+STOPPED = 1e-13
+"""rate over the largest in the step [1]: so near zero the rate of a joint is brought where it stops or turns round."""
+
+NEARLY_STOPPED = 0.01
+"""rate over REST [1]: no nearer is it brought to zero, as it rests then."""
+
+EXCEEDED = 1e-9
+"""excess of a multiplier over its limit [1]: the joint lets go there, so that what decides is beyond doubt."""
+
+IDLE = 1e-12
+"""second rate over the largest without friction [1]: a joint that rests is held where it has no more; in rad/s^2 or
+m/s^2 where the largest is below 1."""
+
+IDLER = 100.0
+"""ratio of second rates [1]: a joint that began to slide, and has less than so many IDLE as others hold it, rests."""
+
+SHARING_ROUNDS = 200
+"""number of rounds [1]: in so many the joints at rest take the shares of their limits that hold them; five joints take
+some ten."""
+
+STEADY_SHARE = 1e-9
+"""change of a share [1]: no other round is made where all change by less."""
+
+NO_ROOM = 1e-7
+"""room of a joint over its limit [1]: one with less cannot stick, as the next change of its load would let it go."""
+
+SLIDING_ROUNDS = 3
+"""number of rounds for each joint [1]: so often joints that rest are asked again as one more of them slides."""
+
+SEARCHED = 60
+"""number of tries [1]: so often a step is made again that ends where a joint stops or lets go; it takes some ten."""
+
+RIGHT_THERE = 1.0 / 1024
+"""part of a step [1]: an event of a joint that has only begun to move is looked for so far behind its begin first."""
+
+SEEN_BETWEEN = 16
+"""number of places [1]: at so many a rate within a step is looked at, by the cubic through both ends."""
+
+LOOKED_INTO = 1e-7
+"""step [s]: shorter ones are not looked into, as no joint turns round twice in them."""
+
+AT_ONCE = 8
+"""number of events [1]: after so many at one instant no way to go on is found."""
+
+JAM_AHEAD = 1e-6
+"""time [s]: where a step fails, a jam is looked for ahead, from an internal step down to this."""
+
+JAM_SHORTER = 4.0
+"""ratio of times [1]: each is that much shorter than the one before."""
+
+ONE_STEP = 1e-9
+"""excess of a step [1]: what is left of a step up to an event is made in one where it is longer by no more."""
+
+EARLIEST = 1e-3
+"""time [s]: instants before this are told apart as those at this time, by its last digits."""
+
+LEFT_TO_RK4 = 16.0
+"""ratio of steps [1]: what is left of a step up to an event, and is shorter than so many of the shortest steps under
+error control, is made by RK4."""

@@ -8,19 +8,20 @@ Where friction goes on from none without a fold, all pivots of I - D are positiv
 from collections.abc import Sequence
 from typing import Any
 
-__all__ = ["ENOUGH", "MOST", "PIVOT", "SETTLED", "newton"]
+__all__ = ["JAM_PIVOT", "JAM_SETTLED", "LAW_ENOUGH", "LAW_PASSES", "newton"]
 
-MOST = 12
-"""Most passes of Newton's method in an evaluation: from no friction to round-off it takes three to five."""
+LAW_PASSES = 12
+"""number of passes [1]: most of Newton's method in an evaluation; from no friction to round-off it takes some four."""
 
-ENOUGH = 1e-7
-"""What the last pass may find left of a law, over the friction: Newton's method then leaves round-off."""
+LAW_ENOUGH = 1e-7
+"""what is left of a law over the friction [1]: Newton's method makes no other pass, as this one then left round-off."""
 
-SETTLED = 1e-6
-"""What the last pass may leave of a law, over the friction: a pass that is no better has found none."""
+JAM_SETTLED = 1e-6
+"""what the last pass leaves of a law over the friction [1]: a pass that is no better has found none."""
 
-PIVOT = 1e-3
-"""Pivot of I - D beside which a motion that cannot go on has met a jam; 1 without friction, negative beyond a fold."""
+JAM_PIVOT = 1e-3
+"""pivot of I - D [1]: where it is less a motion that cannot go on has met a jam; it is 1 without friction, and negative
+beyond a fold."""
 
 Number = Any
 

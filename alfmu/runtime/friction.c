@@ -14,38 +14,6 @@
 #include <stdio.h>
 #include <string.h>
 
-/* Rate [rad/s, m/s] of a joint that is at rest. */
-#define REST 1e-9
-
-/* Rate [rad/s, m/s] at which a joint that others held, or a motion, moves: its direction is beyond doubt. */
-#define MOVING (2 * REST)
-
-/* How near the rate of a joint that stops is brought to zero, over the largest in this step, but for what is REST. */
-#define STOPPED 1e-13
-
-/* How far a multiplier exceeds its limit where the joint lets go, over that limit: what decides then is beyond doubt. */
-#define HELD 1e-9
-
-/* Second rate [rad/s^2, m/s^2] of a joint that is held, or over the largest without friction where that is more. */
-#define IDLE 1e-12
-
-/* Rounds in which joints take the shares that hold them, and the change of a share that asks for another one. */
-#define SWEEPS 200
-#define STEADY_SHARE 1e-9
-
-/* Room of a joint, over its limit, that is none: it cannot stick. */
-#define NO_ROOM 1e-7
-
-/* Tries of a step that ends at an event. */
-#define SEARCHED 60
-
-/* Places at which the rate within a step is looked at, and the shortest step [s] that is looked into. */
-#define PLACES_IN_A_STEP 16
-#define LOOKED_INTO 1e-7
-
-/* Events at one instant, after which no way to go on is found. */
-#define AT_ONCE 8
-
 static double *slip(const Instance *i, int k)
 {
     return i->kept + i->scene->friction[k].slip;
@@ -307,7 +275,7 @@ static Outcome decide(Instance *i, unsigned char *rests)
     unsigned char *began = (unsigned char *)take(i, (size_t)count);
     double settled = 0.0;
     memcpy(began, rests, (size_t)count);
-    for (int again = 0; again <= 3 * count; again++) {
+    for (int again = 0; again <= SLIDING_ROUNDS * count; again++) {
         double idle = IDLE;
         int moves = 1, any = 0;
         for (int k = 0; k < count; k++)
@@ -323,7 +291,7 @@ static Outcome decide(Instance *i, unsigned char *rests)
         }
         for (int k = 0; k < count; k++)
             idle = fmax(idle, IDLE * fabs((i->workspace + s->grip)[2 * count + k]));
-        for (int pass = 0; any && moves && pass < SWEEPS; pass++) {
+        for (int pass = 0; any && moves && pass < SHARING_ROUNDS; pass++) {
             moves = 0;
             for (int k = 0; k < count; k++)
                 if (rests[k]) {
@@ -333,7 +301,7 @@ static Outcome decide(Instance *i, unsigned char *rests)
                 }
             parameters(i);
         }
-        settled = 1e2 * idle;
+        settled = IDLER * idle;
         if (!one_slides(i, rests, idle) && !one_rests(i, rests, began, idle))
             break;
     }
@@ -397,7 +365,7 @@ static Outcome friction_checked(Instance *i)
     if (!wrong && sticks(i)) {
         grip = gripped(i);
         for (int k = 0; k < count; k++)
-            wrong |= *slip(i, k) == 0.0 && !(fabs(grip[k]) <= (1.0 + HELD) * grip[count + k]);
+            wrong |= *slip(i, k) == 0.0 && !(fabs(grip[k]) <= (1.0 + EXCEEDED) * grip[count + k]);
     }
     i->used = used;
     return wrong ? friction_event(i, NULL) : DONE;
@@ -450,13 +418,13 @@ static void rooms(Instance *i, double *found)
         const double *grip = gripped(i);
         for (int k = 0; k < s->frictions; k++)
             if (*slip(i, k) == 0.0)
-                found[k] = 1.0 + HELD - fabs(grip[k]) / (grip[s->frictions + k] + DBL_MIN);
+                found[k] = 1.0 + EXCEEDED - fabs(grip[k]) / (grip[s->frictions + k] + DBL_MIN);
     }
     for (int k = 0; k < s->frictions; k++)
         if (fabs(*slip(i, k)) == 1.0)
             found[k] *= *slip(i, k);
         else if (*slip(i, k) != 0.0)
-            found[k] = MOVING - fabs(found[k]);
+            found[k] = MOVING * REST - fabs(found[k]);
 }
 
 /* The least of those that meet an event in this step. */
@@ -484,8 +452,8 @@ static int dips(double before, double after, double bend_before, double bend_aft
     const double square = 3 * change - 2 * slope - end, cube = slope + end - 2 * change;
     if (!(slope < 0.0 && end > 0.0))
         return 0;
-    for (int k = 1; k < PLACES_IN_A_STEP; k++) {
-        const double x = (double)k / PLACES_IN_A_STEP;
+    for (int k = 1; k < SEEN_BETWEEN; k++) {
+        const double x = (double)k / SEEN_BETWEEN;
         if (before + x * (slope + x * (square + x * cube)) < -REST)
             return 1;
     }
@@ -500,7 +468,7 @@ static int jams_ahead(Instance *i)
     double *z = field(i, s->z), *kept = take(i, (size_t)s->n);
     int found = jammed(i);
     memcpy(kept, z, (size_t)s->n * sizeof *z);
-    for (double ahead = i->values[s->step_size]; !found && ahead > 1e-6; ahead /= 4) {
+    for (double ahead = i->values[s->step_size]; !found && ahead > JAM_AHEAD; ahead /= JAM_SHORTER) {
         for (int c = 0; c < s->n; c++)
             z[c] = kept[c] + ahead * z[s->n + c];
         found = jammed(i);
@@ -517,8 +485,8 @@ static Outcome moved(Instance *i, double end, double dt, int all)
     Outcome outcome = DONE;
     do {
         const double from = *time, left = end - from;
-        const int last = left <= dt * (1 + 1e-9);
-        if (ended(i) || (method(i) && left > 16 * GIVEN_UP)) {
+        const int last = left <= dt * (1 + ONE_STEP);
+        if (ended(i) || (method(i) && left > LEFT_TO_RK4 * GIVEN_UP)) {
             outcome = covered(i, end, dt, 1);
         } else {
             const double step = last ? left : dt;
@@ -561,15 +529,15 @@ static Outcome found_event(Instance *i, const Kept *kept, const double *before, 
     double *now = take(i, (size_t)count);
     const double start = kept->state[s->time];
     double low = start, high = *instance_time(i), at_low = least(before, meets, count), at_high = least(after, meets, count);
-    double scale = fmax(fmax(fabs(at_low), fabs(at_high)), REST / STOPPED * 1e-2), weight_low = 1.0, weight_high = 1.0;
+    double scale = fmax(fmax(fabs(at_low), fabs(at_high)), NEARLY_STOPPED * REST / STOPPED), weight_low = 1.0, weight_high = 1.0;
     double there = at_high;
     Outcome outcome = DONE;
     for (int pass = 0; pass < SEARCHED && outcome == DONE; pass++) {
         double t;
-        if (fabs(there) <= STOPPED * scale || high - low <= 4 * DBL_EPSILON * fmax(fabs(high), 1e-3))
+        if (fabs(there) <= STOPPED * scale || high - low <= 4 * DBL_EPSILON * fmax(fabs(high), EARLIEST))
             break;
         if (at_low <= 0.0) /* It has only begun to move: the event may be right here, or later. */
-            t = low + (high - low) / 1024;
+            t = low + (high - low) * RIGHT_THERE;
         else if (pass % 8 == 7)
             t = (low + high) / 2;
         else
@@ -620,7 +588,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         double limit = end;
         int any = 0;
         /* What a joint that sticks carries is looked at as often as that. */
-        if (sticks(i) && end - from > i->values[s->step_size] * (1 + 1e-9))
+        if (sticks(i) && end - from > i->values[s->step_size] * (1 + ONE_STEP))
             limit = from + i->values[s->step_size];
         limit = fmin(limit, from + within);
         within = INFINITY;

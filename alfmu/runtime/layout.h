@@ -130,6 +130,27 @@
 #define UNSEEN 16
 #define SEEN_FLOOR 0.1
 #define STUCK 20
+#define REST 1e-09
+#define MOVING 2.0
+#define STOPPED 1e-13
+#define NEARLY_STOPPED 0.01
+#define EXCEEDED 1e-09
+#define IDLE 1e-12
+#define IDLER 100.0
+#define SHARING_ROUNDS 200
+#define STEADY_SHARE 1e-09
+#define NO_ROOM 1e-07
+#define SLIDING_ROUNDS 3
+#define SEARCHED 60
+#define RIGHT_THERE 0.0009765625
+#define SEEN_BETWEEN 16
+#define LOOKED_INTO 1e-07
+#define AT_ONCE 8
+#define JAM_AHEAD 1e-06
+#define JAM_SHORTER 4.0
+#define ONE_STEP 1e-09
+#define EARLIEST 0.001
+#define LEFT_TO_RK4 16.0
 
 #define SCENE_COUNTS(X) \
     X(parameters) \
