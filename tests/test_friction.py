@@ -11,6 +11,7 @@ from oracles.rubbing import Crank
 
 import alfmu
 from alfmu import Mechanism
+from alfmu.cli import main
 from alfmu.model.errors import AlfmuError, DeclarationError, InputError
 
 G = 9.81
@@ -529,6 +530,15 @@ def test_friction_of_a_shared_load_is_settled_by_compliances(caplog):
     np.testing.assert_allclose(run["rough.force"], 3.0 * G / 4, rtol=1e-10)
     np.testing.assert_allclose(run["sledge.vx"], 2.0 - 0.3 * G / 4 * run.time, rtol=1e-10)
     assert not caplog.records
+
+
+def test_info_names_joints_whose_friction_is_not_unique(tmp_path, monkeypatch, capsys):
+    path = tmp_path / "gliding.py"
+    path.write_text("import test_friction\n\n\ndef gliding():\n    return test_friction.sledge()\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert main(["info", str(path), "--set", "solver.method=rk4"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "friction is not unique, nor is the motion, unless compliances settle it: rough" in lines
 
 
 def test_what_is_switched_on_may_share_the_load_of_friction(caplog):

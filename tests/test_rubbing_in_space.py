@@ -3,8 +3,10 @@
 import math
 
 import casadi as ca
+import fmpy
 import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -170,8 +172,7 @@ def test_a_guide_carries_moments_by_edges_and_a_key(axis, relative):
 # A screw -------------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def jack() -> alfmu.Equations:
+def loaded_screw() -> Mechanism:
     m = Mechanism("jack", "A load on a screw")
     mu, torque = m.parameter("mu", 0.15, "1"), m.parameter("torque", 0.0, "N.m")
     lead = 2 * math.pi * PITCH
@@ -181,7 +182,12 @@ def jack() -> alfmu.Equations:
     m.friction(screw, coulomb=mu, radius=THREAD)
     m.drive(screw, torque)
     m.gravity(0, 0, -G)
-    return alfmu.derive(m)
+    return m
+
+
+@pytest.fixture(scope="module")
+def jack() -> alfmu.Equations:
+    return alfmu.derive(loaded_screw())
 
 
 NUT, PITCH, THREAD = (500.0, 0.15), 2e-3, 0.02
@@ -211,6 +217,20 @@ def test_a_screw_that_locks_itself_holds_its_load(jack):
     assert set(run["screw.slip"]) == {0.0}
     assert np.abs(run["screw.angular_velocity"]).max() < 1e-15
     np.testing.assert_allclose(run["screw.friction_torque"], NUT[0] * G * PITCH, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["python", "native"])
+def test_a_screw_rubs_in_an_fmu(tmp_path, jack, kind):
+    path = alfmu.export(loaded_screw(), tmp_path / "jack.fmu", kind=kind, parameters=RK4)
+    assert validate_fmu(str(path)) == []
+    torque = NUT[0] * G * THREAD * math.tan(math.atan(PITCH / THREAD) + math.atan(0.15)) + 1.0
+    names = ["screw.angle", "screw.slip", "screw.force.z"]
+    given = {"torque": torque}
+    found = fmpy.simulate_fmu(str(path), stop_time=0.5, output_interval=0.1, start_values=given, output=names)
+    library = alfmu.simulate(jack, 0.5, 0.1, parameters=RK4 | given)
+    for name in names:
+        np.testing.assert_allclose(found[name], library[name], rtol=1e-14)
+    assert set(found["screw.slip"]) == {1.0}
 
 
 # Loads that are shared -----------------------------------------------------------------------------------------------

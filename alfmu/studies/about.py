@@ -157,6 +157,7 @@ def in_short(a: About) -> list[str]:
         _fitted(f"constraints ({e.l})", [f"{row.name} {row.direction}".strip() for row in e.rows]),
         _freedom(a),
         *([_fitted("not unique, as redundant constraints share a load", a.shared)] if a.shared else []),
+        *_friction(a),
         _fitted("parameters", [f"{v.name} = {_start(v)} {v.unit}".removesuffix(" 1") for v in own]),
         _fitted("at the start", [f"{v.name} = {_start(v)} {v.unit}" for v in starts]),
         _fitted("inputs", [f"{v.name} [{v.unit}]" for v in a.inputs]),
@@ -173,6 +174,12 @@ def in_short(a: About) -> list[str]:
     return [*lines, *a.notes]
 
 
+def _friction(a: About) -> list[str]:
+    """What is said of joints whose friction follows from a load that is not unique."""
+    names = [x.name for x in a.equations.frictions if x.output in a.shared]
+    return [_fitted("friction is not unique, nor is the motion, unless compliances settle it", names)] if names else []
+
+
 def in_all(a: About) -> list[str]:
     """All of it, in lines."""
     m, e = a.mechanism, a.equations
@@ -185,6 +192,7 @@ def in_all(a: About) -> list[str]:
     if a.shared:
         each = _merged((name,) for name in a.shared)
         lines += [f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}"]
+    lines += _friction(a)
     titles = {"parameters and start values": a.parameters, "inputs": a.inputs, "outputs": a.outputs}
     for title, variables in titles.items():
         starts = ["" if title == "outputs" else _start(v) for v in variables]
