@@ -362,20 +362,23 @@ CASES: dict[str, Callable[[Any], Found]] = {
 }
 """Runs, by the name that the page gives them."""
 
+DECIDING = (
+    *("LAW_PASSES", "LAW_ENOUGH", "JAM_SETTLED", "JAM_PIVOT", "REST", "MOVING", "STOPPED", "NEARLY_STOPPED"),
+    *("EXCEEDED", "IDLE", "IDLER", "SHARING_ROUNDS", "STEADY_SHARE", "NO_ROOM", "SLIDING_ROUNDS", "SEARCHED"),
+    *("RIGHT_THERE", "SEEN_BETWEEN"),
+)
+"""Constants that decide of sticking and sliding."""
+
+OF_FRICTION = (*DECIDING, "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST", "LEFT_TO_RK4")
+"""Constants that nothing without dry friction depends on."""
+
 SLOW = {
     "bennett": ("ASIDE", "FAR_RATIO", "REGULAR", "RANKED"),
     "governor": ("ASIDE", "FAR_RATIO", "SMALL_PIVOT", "REGULAR_PRODUCT", "BRANCH_MARGIN"),
     "prescribed": ("FROZEN", "LATER"),
+    **dict.fromkeys(("crank rubs", "pentagon"), DECIDING),
 }
 """Cases that are slow to derive, or are about some constants: those that they are run for."""
-
-OF_FRICTION = (
-    *("LAW_PASSES", "LAW_ENOUGH", "JAM_SETTLED", "JAM_PIVOT", "REST", "MOVING", "STOPPED", "NEARLY_STOPPED"),
-    *("EXCEEDED", "IDLE", "IDLER", "SHARING_ROUNDS", "STEADY_SHARE", "NO_ROOM", "SLIDING_ROUNDS", "SEARCHED"),
-    *("RIGHT_THERE", "SEEN_BETWEEN", "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST"),
-    "LEFT_TO_RK4",
-)
-"""Constants that nothing without dry friction depends on."""
 
 
 def about(name: str, case: str) -> bool:

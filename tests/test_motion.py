@@ -610,3 +610,43 @@ def test_input_derivatives_of_fmi_2_are_the_rate_of_a_signal(tmp_path):
             angle = dict(zip([v.name for v in fmu.outputs], fmu.read(), strict=True))["bar.angle"]
             errors.append(abs(angle - wave(0.4)))
     assert errors[1] < errors[0] / 5
+
+
+def skew_loop(held: str) -> alfmu.Mechanism:
+    """A sleeve on a post, a rod on a ball joint, and a sleeve whose angle a lock or a motion holds."""
+    m = alfmu.Mechanism("loop")
+    post = [m.coordinate("turn", "rad", start=0.3), m.coordinate("height", "m", start=0.1)]
+    ball = [m.coordinate(f"e{k}", "1", start=x) for k, x in enumerate((0.9, 0.2, 0.3, 0.1))]
+    arm = m.spatial_body("arm", mass=1.0, inertia=(0.01, 0.02, 0.025), center=(0.1, 0, 0.05), relative=True)
+    rod = m.spatial_body("rod", mass=2.0, inertia=(0.03, 0.02, 0.04), center=(0.1, 0.1, 0), relative=True)
+    A = m.cylindrical("A", m.spatial_ground.at(), arm.at(), axis=(0, 0, 1), coordinates=post)
+    m.spherical("S", arm.at(0.3, 0, 0), rod.at(), coordinates=ball)
+    at = m.spatial_ground.at(0.4, 0.3, 0.2), rod.at(0.3, 0.1, 0)
+    K = m.cylindrical("K", *at, axis=(1, 0.2, 0.1), second_axis=(0, 1, 0))
+    m.gravity(0, 0, -G)
+    m.drive(A.freedom("angle"), 3.0)
+    if held == "lock":
+        m.lock(K.freedom("angle"))
+    else:
+        m.motion(K.freedom("angle"), m.parameter("at", 0.0, "rad") + 0.0 * m.time)
+    return m
+
+
+def test_reactions_feel_the_motion_of_a_joint_that_closes_a_loop_in_space():
+    """A motion that stands still does what a lock does, wherever the bodies are and whatever the multipliers."""
+    random, found = np.random.default_rng(3), []
+    q, v, a, lam = (random.normal(size=k) for k in (6, 6, 6, 6))
+    for held in ("lock", "motion"):
+        e = alfmu.derive(skew_loop(held))
+        timed = held == "motion"
+        assert (e.n - timed, e.l) == (6, 6)
+        x = [np.append(each, one) if timed else each for each, one in ((q, 0.0), (v, 1.0), (a, 0.0))]
+        p = [0.4, 0.0] if timed else [0.4]  # where it is held; the time at which the run begins
+        y = np.array(e.functions["readings"](*x, lam, [], p, 0.0)).ravel()
+        found.append({o.name: value for o, value in zip(e.outputs, y, strict=True)})
+    locked, moved = found
+    for joint in "ASK":
+        for axis in "xyz":
+            assert moved[f"{joint}.force.{axis}"] == pytest.approx(locked[f"{joint}.force.{axis}"], rel=1e-12)
+    for axis in "xy":
+        assert moved[f"A.moment.{axis}"] == pytest.approx(locked[f"A.moment.{axis}"], rel=1e-12)
