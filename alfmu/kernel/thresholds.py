@@ -162,8 +162,8 @@ IDLER = 100.0
 """ratio of second rates [1]: a joint that began to slide, and has less than so many IDLE as others hold it, rests."""
 
 SHARING_ROUNDS = 200
-"""number of rounds [1]: in so many the joints at rest take the shares of their limits that hold them; five joints take
-some ten."""
+"""number of rounds [1]: in so many the joints at rest take the shares of their limits that hold them; half of them are
+as good for five joints."""
 
 STEADY_SHARE = 1e-9
 """change of a share [1]: no other round is made where all change by less."""
@@ -175,7 +175,8 @@ SLIDING_ROUNDS = 3
 """number of rounds for each joint [1]: so often joints that rest are asked again as one more of them slides."""
 
 SEARCHED = 60
-"""number of tries [1]: so often a step is made again that ends where a joint stops or lets go; it takes some ten."""
+"""number of tries [1]: so often a step is made again that ends where a joint stops or lets go; a few events take more
+than 30."""
 
 RIGHT_THERE = 1.0 / 1024
 """part of a step [1]: an event of a joint that has only begun to move is looked for so far behind its begin first."""

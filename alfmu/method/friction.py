@@ -11,7 +11,7 @@ from typing import Any
 __all__ = ["JAM_PIVOT", "JAM_SETTLED", "LAW_ENOUGH", "LAW_PASSES", "newton"]
 
 LAW_PASSES = 12
-"""number of passes [1]: most of Newton's method in an evaluation; from no friction to round-off it takes some four."""
+"""number of passes [1]: most of Newton's method in an evaluation; near a jam it takes more than six."""
 
 LAW_ENOUGH = 1e-7
 """what is left of a law over the friction [1]: Newton's method makes no other pass, as this one then left round-off."""
