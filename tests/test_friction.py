@@ -13,6 +13,7 @@ import alfmu
 from alfmu import Mechanism
 from alfmu.cli import main
 from alfmu.model.errors import AlfmuError, DeclarationError, InputError
+from alfmu.runtime.prepare import with_defaults
 
 G = 9.81
 METHODS = ("auto", "rk4", "stiff")
@@ -545,7 +546,7 @@ def test_what_is_switched_on_may_share_the_load_of_friction(caplog):
     """Only one guide of the sledge is closed at first: its friction is unique until the other one is closed, too."""
     m = sledge()
     m.release("smooth")
-    i = alfmu.Instance(m)
+    i = alfmu.Instance(with_defaults(alfmu.derive(m), {"solver.method": "rk4"}))
     i.set("smooth.released", True)
     i.initialize()
     i.step(0.1)

@@ -67,9 +67,8 @@ def on_a_belt(times: np.ndarray) -> np.ndarray:
     return SPEED * times - whole * slipped(stop) - [slipped(min(t, stop)) for t in rest]
 
 
-@pytest.mark.parametrize("method", ["auto", "rk4"])
-def test_a_block_on_a_moving_belt_sticks_and_slips(method):
-    parameters = {"solver.method": method, "solver.relative_tolerance": 1e-8, "solver.step_size": 0.004}
+def test_a_block_on_a_moving_belt_sticks_and_slips():
+    parameters = {"solver.method": "rk4", "solver.step_size": 0.004}
     run = alfmu.simulate(belt("law"), 3.0, 0.05, parameters=parameters)
     np.testing.assert_allclose(run["block.x"], on_a_belt(run.time), atol=5e-8)
     sticks = run["guide.slip"] == 0
