@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, groupby
 
@@ -10,7 +10,7 @@ import casadi as ca
 
 from ..equations import Equations
 from ..equations.evaluation import with_functions
-from .form import Call, Choice, Loop, Program, Step, Steps, taken
+from .form import Call, Choice, Lanes, Loop, Program, Step, Steps, taken
 from .memory import Layout
 
 __all__ = ["LONGEST", "joined"]
@@ -43,15 +43,25 @@ class _Joining:
         """The same in fewer steps; `after` is what is wanted after them."""
         made: list[Step] = []
         at = 0
-        for alone, group in groupby(steps, lambda step: not isinstance(step, Call)):
+        for kind, group in groupby(steps, lambda step: next(x for x in (Call, Lanes, Step) if isinstance(step, x))):
             part = tuple(group)
             at += len(part)
-            if alone:
+            later = after.union(taken(steps[at:]))
+            if kind is Call:
+                made += self._together(program, part, later)
+            elif kind is Lanes:
+                made += self._side_by_side(program, part, later)
+            else:
                 for k, step in enumerate(part, at - len(part) + 1):
                     made.append(self._inside(program, step, after.union(taken(steps[k:]))))
-            else:
-                made += self._together(program, part, after.union(taken(steps[at:])))
         return tuple(made)
+
+    def _side_by_side(self, program: str, steps: Sequence[Lanes], wanted: set[str]) -> Iterator[Step]:
+        """The same for each lane by itself."""
+        lanes = [self._together(program, calls, wanted) for calls in zip(*(step.calls for step in steps), strict=True)]
+        for calls in zip(*lanes, strict=True):
+            alike = len({call.function for call in calls}) == 1
+            yield from [Lanes(calls)] if alike else calls
 
     def _inside(self, program: str, step: Step, later: set[str]) -> Step:
         if isinstance(step, Choice):

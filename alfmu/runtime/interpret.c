@@ -283,6 +283,102 @@ static void solve_dense(Instance *i, int size, const double *matrix, const doubl
             solution[k] = NAN;
 }
 
+/* A function for several sets of arguments side by side: each number is one of as many lanes, and an operation is done
+   in all of them, so that what it takes to find its operands is shared. Compilers that know no vectors make one call
+   after the other; the numbers are the same. */
+#if defined(__GNUC__)
+#define PART 2 /* lanes that a processor has at once everywhere */
+
+typedef double Part __attribute__((vector_size(8 * PART)));
+typedef union {
+    Part part[LANES / PART];
+    double lane[LANES];
+} Lanes;
+
+#define EACH_PART _Pragma("GCC unroll 8") for (int part = 0; part < LANES / PART; part++)
+#undef OPERAND
+#define OPERAND(k) r[at[k]].part[part]
+#undef SUM
+#define SUM(kind, operands, value) \
+    case kind: \
+        for (; count; count--, at += operands, d++) \
+            EACH_PART d->part[part] = value; \
+        break;
+#undef BINARY
+#define BINARY(kind, value) \
+    case kind: \
+        for (; count; count--, at += 2, d++) \
+            EACH_PART \
+            { \
+                const Part a = OPERAND(0), b = OPERAND(1); \
+                d->part[part] = value; \
+            } \
+        break;
+/* Others, which are few, lane by lane. */
+#define BINARY_BY_LANE(kind, value) \
+    case kind: \
+        for (; count; count--, at += 2, d++) \
+            for (int lane = 0; lane < LANES; lane++) { \
+                const double a = r[at[0]].lane[lane], b = r[at[1]].lane[lane]; \
+                d->lane[lane] = value; \
+            } \
+        break;
+#define UNARY_BY_LANE(kind, value) \
+    case kind: \
+        for (; count; count--, at++, d++) \
+            for (int lane = 0; lane < LANES; lane++) { \
+                const double a = r[at[0]].lane[lane]; \
+                d->lane[lane] = value; \
+            } \
+        break;
+
+static void runs_in_lanes(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
+{
+    while (at < end) {
+        const uint32_t head = *at++;
+        uint32_t count = *at++;
+        switch (head) {
+            SUMS
+            SUM(NEGATIVE_KIND, 1, -OPERAND(0))
+        case SINE_COSINE_KIND:
+            for (; count; count--, at++, d += 2)
+                for (int lane = 0; lane < LANES; lane++) {
+                    const double a = r[at[0]].lane[lane];
+                    d[0].lane[lane] = sin(a);
+                    d[1].lane[lane] = cos(a);
+                }
+            break;
+            BINARY_OPERATIONS(BINARY_BY_LANE)
+            UNARY_OPERATIONS(UNARY_BY_LANE)
+        }
+    }
+}
+
+static void call_lanes(Instance *i, const Function *f, int count, const int32_t *at)
+{
+    const int each = f->inputs + f->outputs, constants = i->scene->constant_count;
+    Lanes *r = (Lanes *)i->lanes, *d = r + constants;
+    const uint16_t *from = f->narrow + f->words;
+    for (int j = 0; j < f->inputs; j++, at++)
+        for (int e = 0; e < f->lengths[j]; e++, d++)
+            for (int lane = 0; lane < count; lane++)
+                d->lane[lane] = i->m[at[lane * each] + e];
+    runs_in_lanes(f->narrow, f->narrow + f->words, r, d);
+    for (int j = f->inputs; j < each; j++, at++)
+        for (int e = 0; e < f->lengths[j]; e++, from++)
+            for (int lane = 0; lane < count; lane++)
+                i->m[at[lane * each] + e] = r[*from].lane[lane];
+}
+#else
+#define call_lanes(i, f, count, at) one_by_one(i, f, count, at)
+#endif
+
+static void one_by_one(Instance *i, const Function *f, int count, const int32_t *at)
+{
+    for (; count; count--, at += f->inputs + f->outputs)
+        call_at(i, f, at);
+}
+
 static void run_code(Instance *i, const int32_t *at, const int32_t *end)
 {
     double *m = i->m;
@@ -329,6 +425,21 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
                 right[j] = m + at[4 + j];
             solve(at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
             at += 5 + at[1];
+            break;
+        }
+        case LANES_CODE: { /* how many calls, of which function, the arguments and results of each */
+            const int32_t count = at[0];
+            const Function *f = i->scene->functions + at[1];
+            const int each = f->inputs + f->outputs;
+            at += 2;
+            for (int32_t done = 0; done < count; done += LANES) {
+                const int some = count - done < LANES ? count - done : LANES;
+                if (f->narrow)
+                    call_lanes(i, f, some, at);
+                else
+                    one_by_one(i, f, some, at);
+                at += some * each;
+            }
             break;
         }
         case LEAST_NORM_CODE: /* unknowns; matrix, right-hand side; solution */
