@@ -17,6 +17,7 @@ from itertools import zip_longest
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from .stream import BINARY, UNARY, Instructions
 
@@ -86,7 +87,11 @@ class _Form:
 
     def __init__(self, instructions: Instructions):
         self._code = instructions.code.tolist()
-        self._operands = list(zip(*instructions.operands.tolist(), strict=True))
+        # The sign of a number is its own: what stands for the same number is no operation.
+        self._same = same = (instructions.code == ca.OP_COPYSIGN) & (instructions.operands[0] == instructions.operands[1])
+        origin = np.where(same, instructions.operands[0], np.arange(len(same)))
+        operands = np.where(instructions.operands < 0, -1, origin[instructions.operands])
+        self._operands = list(zip(*operands.tolist(), strict=True))
         self._places = list(zip(*instructions.place.tolist(), strict=True))
         numbers = instructions.constant.tolist()
         self._count = len(self._code)
@@ -110,14 +115,14 @@ class _Form:
                 results.append((*self._places[k], a))
             elif code in (ca.OP_SIN, ca.OP_COS):
                 angles.setdefault(a, ([], []))[code == ca.OP_COS].append(k)
-            elif code not in (*_JOINED, ca.OP_CONST):
+            elif code not in (*_JOINED, ca.OP_CONST) and not self._same[k]:
                 operands = (self._one, a) if code == ca.OP_INV else (a, b) if code in BINARY else (a,)
                 self._add(ca.OP_DIV if code == ca.OP_INV else code, operands, k)
         for angle, wanted in angles.items():
             for pair in zip_longest(*wanted):
                 made = tuple(self._new() if k is None else k for k in pair)
                 self._operations.append(Operation(_NUMBER[SINE_COSINE], (angle,), made))
-        return Arrangement(arguments, self._constants, in_runs(self._operations), results)
+        return Arrangement(arguments, self._constants, in_runs(self._operations, self._as), results)
 
     # Sums ----------------------------------------------------------------------------------------------------------
 
@@ -220,6 +225,26 @@ class _Form:
             return term.first, self._minus_one if term.negative else self._one
         return term.first, term.second
 
+    def _as(self, operation: Operation, kind: int) -> Operation | None:
+        """The same as an operation of another kind, with factors of one and summands of minus zero; None where it
+        cannot be one."""
+        one, minus, nothing = self._one, self._minus_one, self._nothing
+        own, other, x = KINDS[operation.kind], KINDS[kind], operation.operands
+        ways = {
+            ("plus", "sum1"): lambda: (x[0], x[1], one),
+            ("minus", "sum1"): lambda: (x[0], x[1], minus),
+            ("product", "sum1"): lambda: (nothing, *x),
+            ("negative", "sum1"): lambda: (nothing, x[0], minus),
+            ("negative", "product"): lambda: (x[0], minus),
+            ("sum1", "sum2"): lambda: (*x, nothing, one),
+            ("products", "sum2"): lambda: (nothing, *x),
+            ("product", "products"): lambda: (*x, nothing, one),
+            ("plus", "products"): lambda: (x[0], one, x[1], one),
+            ("minus", "products"): lambda: (x[0], one, x[1], minus),
+        }
+        found = ways.get((own, other))
+        return Operation(kind, found(), operation.made) if found else None
+
     # Values --------------------------------------------------------------------------------------------------------
 
     def _negative(self, k: int) -> int:
@@ -246,7 +271,11 @@ class _Form:
         return self._shared[bits]
 
 
-def in_runs(operations: list[Operation]) -> list[list[Operation]]:
+import os
+FEW = int(os.environ.get("FEW", 2))
+
+
+def in_runs(operations: list[Operation], other=None) -> list[list[Operation]]:
     """The same operations, each after those that make its operands, in few runs of equal ones.
 
     The next run is of the kind that has an operation on which the longest sequence of other kinds waits, and takes all
@@ -266,14 +295,29 @@ def in_runs(operations: list[Operation]) -> list[list[Operation]]:
     while any(ready):
         waiting = min(filter(None, ready), key=lambda each: each[0])
         run: list[Operation] = []
+        kind = operations[waiting[0][-1]].kind
         runs.append(run)
-        while waiting:
-            i = heappop(waiting)[-1]
-            run.append(operations[i])
+
+        def done(i):
             for user in users[i]:
                 missing[user] -= 1
                 if not missing[user]:
                     add(user)
+
+        again = True
+        while again:
+            again = False
+            while waiting:
+                i = heappop(waiting)[-1]
+                run.append(operations[i])
+                done(i)
+            if other:
+                for k, each in enumerate(ready):
+                    if each and len(each) <= FEW and other(operations[each[0][-1]], kind):
+                        i = heappop(each)[-1]
+                        run.append(other(operations[i], kind))
+                        done(i)
+                        again = True
     return runs
 
 

@@ -257,10 +257,11 @@ limit side by side."""
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    e, handed = standalone(equations), {*Layout(equations).fields, *HANDED.values(), *READ}
+    e = standalone(equations)
     if e.n <= DENSE:
-        e = replace(e, kernel=e.kernel | {name: laned(e.kernel[name], handed) for name in LIMITS if name in e.kernel})
-    return _ordered(joined(e, (*HOT, *LIMITS), handed))
+        known = Layout(e).fields
+        e = replace(e, kernel=e.kernel | {name: laned(e.kernel[name], known) for name in LIMITS if name in e.kernel})
+    return _ordered(joined(e, (*HOT, *LIMITS), READ))
 
 
 def _ordered(e: Equations) -> Equations:

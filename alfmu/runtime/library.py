@@ -149,6 +149,37 @@ class Scene:
             self.library.alfmu_scene_free(self.address)
 
 
+class _Method(ctypes.Structure):
+    """A function in C as Python knows one (PyMethodDef)."""
+
+    _fields_ = (("name", c_char_p), ("function", c_void_p), ("flags", c_int), ("doc", c_char_p))
+
+
+_BY_ARRAY = 0x80
+"""Flag of a function that takes its arguments as an array, and how many there are (METH_FASTCALL)."""
+
+
+@cache
+def _built_in(c: ctypes.CDLL) -> _Method | None:
+    """`alfmu_step` as a built-in function; None where Python is another than CPython."""
+    if sys.implementation.name != "cpython":
+        return None
+    names = "PyFloat_AsDouble PyLong_AsVoidPtr PyErr_Occurred PyEval_SaveThread PyEval_RestoreThread PyLong_FromLong"
+    addresses = [ctypes.cast(getattr(ctypes.pythonapi, name), c_void_p).value for name in names.split()]
+    c.alfmu_python((c_void_p * len(addresses))(*addresses))
+    return _Method(b"step", ctypes.cast(c.alfmu_python_step, c_void_p).value, _BY_ARRAY, None)
+
+
+def _step_of(c: ctypes.CDLL, address: int) -> Callable[[float, float], int]:
+    """`alfmu_step` of an instance."""
+    method = _built_in(c)
+    if method is None:
+        return partial(c.alfmu_step, c_void_p(address))
+    make = ctypes.pythonapi.PyCFunction_NewEx
+    make.restype, make.argtypes = ctypes.py_object, (c_void_p, ctypes.py_object, c_void_p)
+    return make(ctypes.addressof(method), address, None)
+
+
 class Unit:
     """One instance of a scene: calls by value reference, each with an outcome."""
 
@@ -159,7 +190,7 @@ class Unit:
         if not self.address:
             raise MemoryError("there is no memory for an instance")
         address = self.address
-        self.step: Callable[[float, float], int] = partial(c.alfmu_step, c_void_p(address))
+        self.step: Callable[[float, float], int] = _step_of(c, address)
         """A communication step from a start with a length [s]; its outcome."""
         self._read, self._get = c.alfmu_read, c.alfmu_get
         self._outputs = (c_double * (len(scene.names) - scene.first_output))()
