@@ -6,7 +6,7 @@ itself. Values that each repetition keeps for itself get names of their own; wha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 
 from .form import Call, Choice, Lanes, Loop, Program, Step, Steps, every, renamed, taken

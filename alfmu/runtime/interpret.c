@@ -283,11 +283,21 @@ static void solve_dense(Instance *i, int size, const double *matrix, const doubl
             solution[k] = NAN;
 }
 
-/* A function for several sets of arguments side by side: each number is one of as many lanes, and an operation is done
-   in all of them, so that what it takes to find its operands is shared. Compilers that know no vectors make one call
-   after the other; the numbers are the same. */
+/* A function for several sets of arguments side by side, each number in a lane of its own: an operation is done in all
+   lanes, so that what it takes to find its operands is shared. The numbers are those of one call after the other, which
+   compilers without vectors make. */
 #if defined(__GNUC__)
-#define PART 2 /* lanes that a processor has at once everywhere */
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
+#if __has_attribute(target_clones)
+#define BY_PROCESSOR __attribute__((target_clones("avx2", "default")))
+#endif
+#endif
+#if defined(BY_PROCESSOR) /* The loader chooses what this processor has. */
+#define PART 4
+#else
+#define BY_PROCESSOR
+#define PART 2
+#endif
 
 typedef double Part __attribute__((vector_size(8 * PART)));
 typedef union {
@@ -332,7 +342,7 @@ typedef union {
             } \
         break;
 
-static void runs_in_lanes(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
+BY_PROCESSOR static void runs_in_lanes(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
 {
     while (at < end) {
         const uint32_t head = *at++;
@@ -359,18 +369,20 @@ static void call_lanes(Instance *i, const Function *f, int count, const int32_t 
     const int each = f->inputs + f->outputs, constants = i->scene->constant_count;
     Lanes *r = (Lanes *)i->lanes, *d = r + constants;
     const uint16_t *from = f->narrow + f->words;
-    for (int j = 0; j < f->inputs; j++, at++)
-        for (int e = 0; e < f->lengths[j]; e++, d++)
-            for (int lane = 0; lane < count; lane++)
-                d->lane[lane] = i->m[at[lane * each] + e];
+    for (int j = 0; j < f->inputs; d += f->lengths[j++], at++)
+        for (int lane = 0; lane < count; lane++) {
+            const double *x = i->m + at[lane * each];
+            for (int e = 0; e < f->lengths[j]; e++)
+                d[e].lane[lane] = x[e];
+        }
     runs_in_lanes(f->narrow, f->narrow + f->words, r, d);
-    for (int j = f->inputs; j < each; j++, at++)
-        for (int e = 0; e < f->lengths[j]; e++, from++)
-            for (int lane = 0; lane < count; lane++)
-                i->m[at[lane * each] + e] = r[*from].lane[lane];
+    for (int j = f->inputs; j < each; from += f->lengths[j++], at++)
+        for (int lane = 0; lane < count; lane++) {
+            double *y = i->m + at[lane * each];
+            for (int e = 0; e < f->lengths[j]; e++)
+                y[e] = r[from[e]].lane[lane];
+        }
 }
-#else
-#define call_lanes(i, f, count, at) one_by_one(i, f, count, at)
 #endif
 
 static void one_by_one(Instance *i, const Function *f, int count, const int32_t *at)
@@ -434,9 +446,11 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
             at += 2;
             for (int32_t done = 0; done < count; done += LANES) {
                 const int some = count - done < LANES ? count - done : LANES;
+#if defined(__GNUC__)
                 if (f->narrow)
                     call_lanes(i, f, some, at);
                 else
+#endif
                     one_by_one(i, f, some, at);
                 at += some * each;
             }
