@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, groupby
 
@@ -19,17 +20,26 @@ LONGEST = 40000
 """Instructions up to which calls are joined; the programs of a larger scene stay calls of small functions."""
 
 
-def joined(equations: Equations, programs: Iterable[str], handed: Iterable[str] = ()) -> Equations:
+def joined(
+    equations: Equations, programs: Iterable[str], handed: Iterable[str] = (), rare: Collection[str] = ()
+) -> Equations:
     """The same equations, the calls of these programs joined as far as choices, loops and routines let them be.
 
-    `handed` are values that they give to other programs, beside the fields of the memory.
+    `handed` are values that they give to other programs, beside the fields of the memory. Calls of `rare` programs are
+    joined where the function that they become serves more than once: it would take more room than time otherwise.
     """
     e = equations
     joining, fields = _Joining(e), {*Layout(e).fields, *handed}
     kernel: dict[str, Program] = dict(e.kernel)
-    for name in programs:
-        if name in kernel:
-            kernel[name] = replace(kernel[name], steps=joining.steps(name, kernel[name].steps, fields))
+
+    def join(names: Iterable[str]) -> None:
+        for name in names:
+            if name in kernel:
+                kernel[name] = replace(kernel[name], steps=joining.steps(name, kernel[name].steps, fields))
+
+    join(programs)
+    joining.serving_again({name: kernel[name] for name in rare if name in kernel}, fields)
+    join(rare)
     return replace(with_functions(e, joining.functions), kernel=kernel)
 
 
@@ -38,6 +48,21 @@ class _Joining:
         self._e = equations
         self.functions: dict[str, ca.Function] = {}
         self._known: dict[tuple, str] = {}
+        self._serves: Counter[tuple] = Counter()
+        self._wanted: Callable[[tuple], bool] = lambda key: True
+        """Whether calls are joined to a function."""
+
+    def serving_again(self, programs: Mapping[str, Program], after: set[str]) -> None:
+        """From now on calls are joined to functions alone that serve more than once in these programs."""
+
+        def counted(key: tuple) -> bool:
+            self._serves[key] += 1
+            return False
+
+        self._wanted = counted
+        for name, program in programs.items():
+            self.steps(name, program.steps, after)
+        self._wanted = lambda key: self._serves[key] > 1
 
     def steps(self, program: str, steps: Steps, after: set[str]) -> Steps:
         """The same in fewer steps; `after` is what is wanted after them."""
@@ -83,6 +108,8 @@ class _Joining:
             return tuple(numbers.setdefault(name, len(numbers)) for name in names)
 
         key = *((x.function, numbered(x.arguments), numbered(x.results)) for x in calls), numbered(outputs)
+        if key not in self._known and not self._wanted(key):
+            return calls
         if key not in self._known:
             self._known[key] = f"{program}_{len(self.functions)}"
             self.functions[self._known[key]] = self._function(self._known[key], calls, inputs, outputs)

@@ -250,18 +250,16 @@ def layout_header() -> str:
     return "\n".join([head, "", "#ifndef ALFMU_LAYOUT_H", "#define ALFMU_LAYOUT_H", "", *lines, "", "#endif", ""])
 
 
-LIMITS = ("branch", "limit")
-"""Programs that take limits in every step near a singular position: their calls are joined, those at the places of a
-limit side by side."""
-
-
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
     e = standalone(equations)
-    if e.n <= DENSE:
-        known = Layout(e).fields
-        e = replace(e, kernel=e.kernel | {name: laned(e.kernel[name], known) for name in LIMITS if name in e.kernel})
-    return _ordered(joined(e, (*HOT, *LIMITS), READ))
+    if e.n > DENSE:
+        return _ordered(joined(e, HOT, READ))
+    # Near singular positions, RK4 takes limits in every step; other methods have other programs there.
+    steps = [] if "method" in e.kernel else ["branch"]
+    fields, kernel = Layout(e).fields, e.kernel
+    kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
+    return _ordered(joined(replace(e, kernel=kernel), (*HOT, *steps), READ, ["limit"]))
 
 
 def _ordered(e: Equations) -> Equations:
