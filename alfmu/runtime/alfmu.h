@@ -323,6 +323,10 @@ void hand_over(Instance *i);
 /* The program that leads to the end of a step by a formulation. */
 int move_by(const Scene *s, int formulation);
 
+/* Registers with what they begin with, once there is room for them: `lanes` from the first place that suits. */
+double *lanes_from(double *place);
+void registers_begin(Instance *i);
+
 /* A function of the scene on arrays; a program on the memory. */
 void call(Instance *i, int which, const double *const *x, double *const *y);
 void run(Instance *i, int program);

@@ -116,13 +116,6 @@ static size_t divided(Instance *i, double *numbers)
     return count;
 }
 
-/* The next place at which lanes fill lines of a cache. */
-static double *aligned(double *place)
-{
-    const size_t line = LANES * sizeof *place, behind = (uintptr_t)place % line;
-    return place + (behind ? (line - behind) / sizeof *place : 0);
-}
-
 Instance *instance_new(const Scene *s)
 {
     const size_t side = (size_t)(s->n + s->l + s->ties + 1);
@@ -153,16 +146,13 @@ Instance *instance_new(const Scene *s)
     i->before = i->workspace + s->workspace;
     i->scratch = i->before + i->count;
     i->registers = i->scratch + i->room;
-    i->lanes = aligned(i->registers + s->registers);
+    i->lanes = lanes_from(i->registers + s->registers);
     i->spare = i->lanes + LANES * (size_t)s->lane_registers;
     i->past_before = i->spare + s->spare;
     i->kept_before = i->past_before + s->past_size;
     i->dense = i->kept_before + s->held + s->followed_count * HEARD;
     i->read_at = i->dense + least_norm_work(s->dense, s->dense);
-    memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *numbers);
-    if (s->lane_registers)
-        for (int k = 0; k < LANES * s->constant_count; k++)
-            i->lanes[k] = s->constants[k / LANES];
+    registers_begin(i);
     instance_reset(i);
     return i;
 }

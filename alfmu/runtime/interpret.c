@@ -463,6 +463,23 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
         }
 }
 
+/* The first place, of some, at which lanes fill whole lines of a cache. */
+double *lanes_from(double *place)
+{
+    const size_t line = LANES * sizeof *place, behind = (uintptr_t)place % line;
+    return place + (behind ? (line - behind) / sizeof *place : 0);
+}
+
+/* What registers begin with. */
+void registers_begin(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (s->constant_count)
+        memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *i->registers);
+    for (int k = 0; s->lane_registers && k < LANES * s->constant_count; k++)
+        i->lanes[k] = s->constants[k / LANES];
+}
+
 void run(Instance *i, int program)
 {
     const Program *p = i->scene->programs + program;
