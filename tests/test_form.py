@@ -75,9 +75,11 @@ def test_what_repeats_on_other_values_is_done_side_by_side():
     first, *choices, last, end = laned(Program((*(step for k in range(6) for step in place(k)), after)), {"all"}).steps
     assert [type(step) for step in (first, *choices, last)] == [Lanes, *[Choice] * 6, Lanes]
     own = [call.results[0] for call in first.calls]
-    assert len(set(own)) == 6 and [choice.number for choice in choices] == own
+    assert len(set(own)) == 6
+    assert [choice.number for choice in choices] == own
     assert [call.arguments[0] for call in last.calls] == own
-    assert end == after and [call.results[0] for call in last.calls] == [*after.arguments]
+    assert end == after
+    assert [call.results[0] for call in last.calls] == [*after.arguments]
 
 
 def test_what_goes_on_from_each_other_is_done_in_turn():
