@@ -70,6 +70,7 @@ _SIGNATURES = {
     "initialize": (c_int, c_void_p),
     "ready": (c_int, c_void_p, c_double, c_double),
     "step": (c_int, c_void_p, c_double, c_double),
+    "python_step": (c_void_p, c_void_p),
     "read": (c_int, c_void_p, c_void_p),
     "state_size": (c_size_t, c_void_p),
     "save": (None, c_void_p, c_char_p),
@@ -149,35 +150,21 @@ class Scene:
             self.library.alfmu_scene_free(self.address)
 
 
-class _Method(ctypes.Structure):
-    """A function in C as Python knows one (PyMethodDef)."""
-
-    _fields_ = (("name", c_char_p), ("function", c_void_p), ("flags", c_int), ("doc", c_char_p))
-
-
-_BY_ARRAY = 0x80
-"""Flag of a function that takes its arguments as an array, and how many there are (METH_FASTCALL)."""
-
-
-@cache
-def _built_in(c: ctypes.CDLL) -> _Method | None:
-    """`alfmu_step` as a built-in function; None where Python is another than CPython."""
-    if sys.implementation.name != "cpython":
-        return None
-    names = "PyFloat_AsDouble PyLong_AsVoidPtr PyErr_Occurred PyEval_SaveThread PyEval_RestoreThread PyLong_FromLong"
-    addresses = [ctypes.cast(getattr(ctypes.pythonapi, name), c_void_p).value for name in names.split()]
-    c.alfmu_python((c_void_p * len(addresses))(*addresses))
-    return _Method(b"step", ctypes.cast(c.alfmu_python_step, c_void_p).value, _BY_ARRAY, None)
+_OF_PYTHON = (
+    *("PyFloat_AsDouble", "PyLong_AsVoidPtr", "PyErr_Occurred"),
+    *("PyEval_SaveThread", "PyEval_RestoreThread", "PyLong_FromLong"),
+)
+"""Functions of Python's C interface that the library calls, in its order."""
 
 
 def _step_of(c: ctypes.CDLL, address: int) -> Callable[[float, float], int]:
-    """`alfmu_step` of an instance."""
-    method = _built_in(c)
-    if method is None:
+    """`alfmu_step` of an instance: as a built-in function of CPython, by ctypes elsewhere."""
+    if sys.implementation.name != "cpython":
         return partial(c.alfmu_step, c_void_p(address))
+    functions = (ctypes.cast(getattr(ctypes.pythonapi, name), c_void_p).value for name in _OF_PYTHON)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.restype, make.argtypes = ctypes.py_object, (c_void_p, ctypes.py_object, c_void_p)
-    return make(ctypes.addressof(method), address, None)
+    return make(c.alfmu_python_step((c_void_p * len(_OF_PYTHON))(*functions)), address, None)
 
 
 class Unit:
