@@ -287,12 +287,12 @@ static void solve_dense(Instance *i, int size, const double *matrix, const doubl
    lanes, so that what it takes to find its operands is shared. The numbers are those of one call after the other, which
    compilers without vectors make. */
 #if defined(__GNUC__)
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute)
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute) && !defined(__SANITIZE_THREAD__)
 #if __has_attribute(target_clones)
 #define BY_PROCESSOR __attribute__((target_clones("avx2", "default")))
 #endif
 #endif
-#if defined(BY_PROCESSOR) /* The loader chooses what this processor has. */
+#if defined(BY_PROCESSOR) /* The loader chooses what this processor has, before a thread sanitizer is there. */
 #define PART 4
 #else
 #define BY_PROCESSOR
