@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "alfmu.h"
+#include "operations.h"
 
 #if defined(_WIN32)
 #define EXPORT __declspec(dllexport)
@@ -19,6 +20,7 @@ EXPORT void host_free(Scene *s);
 EXPORT int host_replace(Scene *s, Compiled *const *functions, int count, int spare, const char *identity);
 EXPORT int host_shape(const Scene *s, int which, int *wide);
 EXPORT int host_call(const Scene *s, int which, const double *x, double *y);
+EXPORT int host_length(const Scene *s);
 EXPORT int host_run(const Scene *s, int quick, double *m);
 
 Scene *host_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)
@@ -46,19 +48,24 @@ int host_shape(const Scene *s, int which, int *wide)
 /* What functions and programs need of an instance, each in memory of its own, so that a sanitizer sees its ends. */
 static int made(Instance *i, const Scene *s)
 {
+    double *room;
     memset(i, 0, sizeof *i);
     i->scene = s;
     i->registers = malloc((size_t)s->registers * sizeof(double) + 1);
+    room = malloc(LANES * ((size_t)s->lane_registers + 1) * sizeof(double));
+    i->lanes = room ? lanes_from(room) : NULL;
+    i->before = room; /* which nothing here has a use for */
     i->spare = malloc((size_t)s->spare * sizeof(double) + 1);
     i->m = calloc((size_t)s->size + (size_t)s->workspace + 1, sizeof(double));
-    if (i->registers && s->constant_count)
-        memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof(double));
-    return i->registers && i->spare && i->m;
+    if (i->registers && room)
+        registers_begin(i);
+    return i->registers && room && i->spare && i->m;
 }
 
 static void unmade(Instance *i)
 {
     free(i->registers);
+    free(i->before);
     free(i->spare);
     free(i->m);
 }
@@ -81,15 +88,21 @@ int host_call(const Scene *s, int which, const double *x, double *y)
     return done;
 }
 
-/* The quick step, or what is read at an instant, on a memory. */
+/* Numbers of a memory and of the workspace behind it. */
+int host_length(const Scene *s)
+{
+    return s->size + s->workspace;
+}
+
+/* The quick step, or what is read at an instant, on a memory and its workspace. */
 int host_run(const Scene *s, int quick, double *m)
 {
     Instance i;
     const int done = made(&i, s);
     if (done) {
-        memcpy(i.m, m, (size_t)s->size * sizeof *m);
+        memcpy(i.m, m, (size_t)host_length(s) * sizeof *m);
         run(&i, quick ? s->quick : s->instant);
-        memcpy(m, i.m, (size_t)s->size * sizeof *m);
+        memcpy(m, i.m, (size_t)host_length(s) * sizeof *m);
     }
     unmade(&i);
     return done;
@@ -118,7 +131,7 @@ static void signed_again(unsigned char *bytes, size_t size)
 
 static long refused, taken_anyway;
 
-/* Loads a scene; what is taken runs all its functions. Returns whether it was. */
+/* Loads a scene; what is taken runs all its functions, and its quick step in lanes. Returns whether it was. */
 static int tried(const unsigned char *bytes, size_t size)
 {
     char why[200] = "";
@@ -152,6 +165,14 @@ static int tried(const unsigned char *bytes, size_t size)
             host_call(s, which, x, y);
         free(x);
         free(y);
+    }
+    /* One that begins with calls in lanes; loops could take for ever. */
+    if (s->quick >= 0 && s->programs[s->quick].words && s->programs[s->quick].code[0] == LANES_CODE
+        && s->registers <= MOST_ROOM && s->lane_registers <= MOST_ROOM / LANES && s->size + s->workspace <= MOST_ROOM) {
+        Instance i;
+        if (made(&i, s))
+            run(&i, s->quick);
+        unmade(&i);
     }
     scene_free(s);
     return 1;

@@ -1,6 +1,20 @@
 """Programs of a scene as steps: the ways through them."""
 
-from alfmu.kernel.form import Call, Choice, Factor, Loop, Program, Solve, called, every, rewritten, taken
+from alfmu.kernel.form import (
+    Call,
+    Choice,
+    Factor,
+    Lanes,
+    Loop,
+    Program,
+    Solve,
+    called,
+    every,
+    renamed,
+    rewritten,
+    taken,
+)
+from alfmu.kernel.lanes import laned
 
 FIRST, INNER = Call("f", ("a",), ("b",)), Call("g", ("b", "c"), ("d",))
 STEPS = FIRST, Choice("near", (INNER,)), Loop("more", "most", (INNER, Choice("far", zero=(INNER,))))
@@ -30,3 +44,49 @@ def test_steps_are_rewritten_inside_choices_and_loops():
         Loop("more", "most", (INNER, INNER, Choice("far", zero=(INNER, INNER)))),
     )
     assert rewritten(STEPS, lambda step: [step]) == STEPS
+
+
+def test_calls_in_lanes_are_calls():
+    lanes = Lanes((FIRST, Call("f", ("c",), ("d",))))
+    assert list(called(Program((lanes,)))) == ["f", "f"]
+    assert taken([lanes], ["b", "d", "e"]) == ["e", "a", "c"]
+    assert rewritten([lanes], lambda call: [call, INNER]) == (lanes, Lanes((INNER, INNER)))
+
+
+def test_names_change_everywhere():
+    new = {"b": "B", "near": "N", "most": "M"}
+    first, choice, loop = renamed((Lanes((FIRST,)), *STEPS[1:]), new)
+    assert first == Lanes((Call("f", ("a",), ("B",)),))
+    assert choice == Choice("N", (Call("g", ("B", "c"), ("d",)),))
+    assert (loop.number, loop.most, loop.body[0].arguments) == ("more", "M", ("B", "c"))
+
+
+def place(k: int) -> tuple:
+    """What a program does at a place: values of one name that each place keeps for itself, and a result of its own."""
+    return (
+        Call("begin", (f"place{k}", "p"), ("near",)),
+        Choice("near", (Call("more", ("near",), ("near",)),)),
+        Call("end", ("near", "p"), (f"found{k}",)),
+    )
+
+
+def test_what_repeats_on_other_values_is_done_side_by_side():
+    after = Call("sum", tuple(f"found{k}" for k in range(6)), ("all",))
+    first, *choices, last, end = laned(Program((*(step for k in range(6) for step in place(k)), after)), {"all"}).steps
+    assert [type(step) for step in (first, *choices, last)] == [Lanes, *[Choice] * 6, Lanes]
+    own = [call.results[0] for call in first.calls]
+    assert len(set(own)) == 6
+    assert [choice.number for choice in choices] == own
+    assert [call.arguments[0] for call in last.calls] == own
+    assert end == after
+    assert [call.results[0] for call in last.calls] == [*after.arguments]
+
+
+def test_what_goes_on_from_each_other_is_done_in_turn():
+    """Also where the last of what all give is known later."""
+    chain = Program(tuple(Call("f", ("a",), ("a",)) for _ in range(6)))
+    assert laned(chain, {"a"}) == chain
+    same = Program(tuple(Call("f", (f"a{k}",), ("b",)) for k in range(6)))
+    assert laned(same, {"b"}) == same
+    few = Program(tuple(step for k in range(3) for step in place(k)))
+    assert laned(few, {f"found{k}" for k in range(3)}) == few

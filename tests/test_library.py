@@ -13,6 +13,7 @@ import pytest
 import alfmu
 from alfmu.equations import derivation
 from alfmu.model.content import MOST
+from alfmu.runtime import library as binding
 from alfmu.runtime import prepare, reuse
 
 FILE = """
@@ -420,3 +421,26 @@ def test_python_m_alfmu_is_the_command():
 
 def test_the_version_is_that_of_the_installation():
     assert alfmu.__version__ == importlib.metadata.version("alfmu")
+
+
+# Steps from Python --------------------------------------------------------------------------------------------------
+
+
+def test_a_step_is_a_built_in_function_where_python_is_cpython(monkeypatch):
+    """It gives what the call by ctypes gives, and refuses what is no number."""
+    instances = []
+    for name in (sys.implementation.name, "another"):
+        monkeypatch.setattr(sys.implementation, "name", name)
+        instances.append(alfmu.Instance(pendulum()))
+        instances[-1].initialize()
+    built_in, by_ctypes = (instance._unit.step for instance in instances)
+    assert "built-in" in repr(built_in)
+    assert "partial" in repr(by_ctypes)
+    for start, length in ((0.0, 0.01), (0.01, 0.01), (0.5, 0.01), (0.02, -1.0), (0, 1)):
+        assert built_in(start, length) == by_ctypes(start, length)
+        assert instances[0]._unit.text == instances[1]._unit.text
+    assert np.array_equal(instances[0].memory["z"], instances[1].memory["z"])
+    for arguments in (("x", 1.0), (0.02, None)):
+        with pytest.raises(TypeError):
+            built_in(*arguments)
+    assert built_in() == built_in(0.02) == binding.REFUSED

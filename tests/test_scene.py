@@ -3,7 +3,7 @@ files are refused."""
 
 import ctypes
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import alfmu
 from alfmu.equations import Equations
 from alfmu.equations.evaluation import with_functions
 from alfmu.kernel import passes, stream, tables
+from alfmu.kernel.form import Call, Lanes, Program, Steps
 from alfmu.kernel.memory import Layout
 from alfmu.kernel.passes import Code, in_line, written
 from alfmu.kernel.scene import operations_header
@@ -64,7 +65,9 @@ class Host:
         return y[:-1]
 
     def run(self, scene: ctypes.c_void_p, quick: bool, memory: NDArray) -> NDArray:
-        made = memory.copy()
+        """The memory and the workspace after a program."""
+        made = np.zeros(self._library.host_length(scene))
+        made[: len(memory)] = memory
         assert self._library.host_run(scene, int(quick), address(made))
         return made
 
@@ -108,8 +111,8 @@ def small() -> Equations:
 def packed(small, monkeypatch) -> Callable[..., tuple[bytes, int]]:
     """`packed(f, ...)`: a scene with these functions too, and the number of the first of them."""
 
-    def scene(*functions: ca.Function) -> tuple[bytes, int]:
-        own = with_functions(small, {f.name(): f for f in functions})
+    def scene(*functions: ca.Function, kernel: Mapping[str, Program] = small.kernel) -> tuple[bytes, int]:
+        own = replace(with_functions(small, {f.name(): f for f in functions}), kernel=kernel)
         monkeypatch.setattr(tables, "alone", lambda equations: own)
         return tables.packed(replace(prepared(derived("particle_on_circle"), "vm"))), len(small.functions)
 
@@ -462,6 +465,36 @@ def test_the_same_equations_give_the_same_bytes(chains):
     assert tables.packed(replace(chains[0])) == tables.packed(replace(chains[0]))
 
 
+# In lanes -------------------------------------------------------------------------------------------------------------
+
+PLACES = 11
+"""Calls at once, more than there are lanes, so that some are left."""
+
+
+def quick_step(small: Equations, packed: Callable, steps: Steps, *functions: ca.Function) -> bytes:
+    """A scene with this quick step of these functions."""
+    kernel = small.kernel | {"quick": replace(small.kernel["quick"], steps=steps)}
+    return packed(*functions, kernel=kernel)[0]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_calls_in_lanes_give_the_bits_of_one_after_the_other(host, small, packed, seed):
+    rng, z = np.random.default_rng(seed), ca.SX.sym("z", 10)
+    f = random_function(rng, (40, 300, 2000)[seed])
+    given = [(ca.sin(z[:5] + k), z[5] - k) for k in range(PLACES)]
+    begin = ca.Function("begin", [z], [each for pair in given for each in pair])
+    calls = tuple(Call(f.name(), (f"x{k}", f"p{k}"), (f"y{k}", f"w{k}")) for k in range(PLACES))
+    first = Call("begin", ("z",), tuple(name for call in calls for name in call.arguments))
+    memory = np.zeros(Layout(small).size)
+    memory[:10] = rng.uniform(0.5, 1.5, 10)
+    found = [
+        host.run(host.load(quick_step(small, packed, (first, *steps), begin, f)), True, memory)
+        for steps in (calls, [Lanes(calls)])
+    ]
+    assert same_bits(*found)
+    assert len(np.unique(found[0])) > 5 * PLACES
+
+
 # Compiled -------------------------------------------------------------------------------------------------------------
 
 
@@ -501,11 +534,15 @@ def test_a_result_may_be_written_over_an_argument_of_a_compiled_function():
 # Damage ---------------------------------------------------------------------------------------------------------------
 
 
-def test_damage_of_any_byte_is_refused_or_harmless(packed, short, tmp_path):
-    """Also with a check sum that agrees: every place that a scene names is checked, with loops of all kinds in it."""
+def test_damage_of_any_byte_is_refused_or_harmless(small, packed, short, tmp_path):
+    """Also with a check sum that agrees: every place that a scene names is checked, with loops of all kinds and calls
+    in lanes in it."""
     x, p = ca.SX.sym("x", N), ca.SX.sym("p")
     made = [ca.vertcat(*shapes()[name](x, p)[:20]) for name in ("two_chains", "out_of_line")]
-    scene, _ = packed(ca.Function("f", [x, p], made))
+    u, p_of = ca.SX.sym("u", 2), ca.SX.sym("p", 3)
+    g = ca.Function("g", [u, p_of], [ca.vertcat(ca.sin(u[0]) / p_of[0], ca.fmin(u[1], p_of[1] * p_of[2]))])
+    lanes = Lanes(tuple(Call("g", ("u", "p"), (f"y{k}",)) for k in range(3)))
+    scene = quick_step(small, packed, (lanes,), ca.Function("f", [x, p], made), g)
     assert len(scene) < 60000
     (tmp_path / "scene.bin").write_bytes(scene)
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"]

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import struct
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 from itertools import zip_longest
+from types import MappingProxyType
 from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from .stream import BINARY, UNARY, Instructions
 
@@ -45,6 +47,30 @@ _CYCLES = {ca.OP_DIV: 20, SINE_COSINE: 50, "sum2": 17, "products": 17, "sum4": 2
 _COSTS = [_CYCLES.get(kind, 14) for kind in KINDS]
 
 _NUMBER = {kind: i for i, kind in enumerate(KINDS)}
+
+
+FEW = 2
+"""Operations that become part of a run of another kind: what they cost more is less than a run of their own, above all
+where the processor has not learnt the sequence of runs."""
+
+NOTHING_NEUTRAL: Mapping[str, int] = MappingProxyType({})
+
+_AS: dict[tuple[str | int, str | int], tuple[int | str, ...]] = {
+    ("plus", "sum1"): (0, 1, "one"),
+    ("minus", "sum1"): (0, 1, "minus one"),
+    ("product", "sum1"): ("nothing", 0, 1),
+    ("negative", "sum1"): ("nothing", 0, "minus one"),
+    ("negative", "product"): (0, "minus one"),
+    ("sum1", "sum2"): (0, 1, 2, "nothing", "one"),
+    ("products", "sum2"): ("nothing", 0, 1, 2, 3),
+    ("product", "products"): (0, 1, "nothing", "one"),
+    ("plus", "products"): (0, "one", 1, "one"),
+    ("minus", "products"): (0, "one", 1, "minus one"),
+}
+"""Operands of an operation as one of another kind: its own by their places, and 1, -1, -0 by their names."""
+
+_BECOME = [[_NUMBER[one] for one, other in _AS if other == kind] for kind in KINDS]
+"""By kind, those whose operations can be of it."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +112,13 @@ class _Form:
 
     def __init__(self, instructions: Instructions):
         self._code = instructions.code.tolist()
-        self._operands = list(zip(*instructions.operands.tolist(), strict=True))
+        # The sign of a number is its own: what stands for the same number is no operation.
+        self._same = same = (instructions.code == ca.OP_COPYSIGN) & (
+            instructions.operands[0] == instructions.operands[1]
+        )
+        origin = np.where(same, instructions.operands[0], np.arange(len(same)))
+        operands = np.where(instructions.operands < 0, -1, origin[instructions.operands])
+        self._operands = list(zip(*operands.tolist(), strict=True))
         self._places = list(zip(*instructions.place.tolist(), strict=True))
         numbers = instructions.constant.tolist()
         self._count = len(self._code)
@@ -110,14 +142,15 @@ class _Form:
                 results.append((*self._places[k], a))
             elif code in (ca.OP_SIN, ca.OP_COS):
                 angles.setdefault(a, ([], []))[code == ca.OP_COS].append(k)
-            elif code not in (*_JOINED, ca.OP_CONST):
+            elif code not in (*_JOINED, ca.OP_CONST) and not self._same[k]:
                 operands = (self._one, a) if code == ca.OP_INV else (a, b) if code in BINARY else (a,)
                 self._add(ca.OP_DIV if code == ca.OP_INV else code, operands, k)
         for angle, wanted in angles.items():
             for pair in zip_longest(*wanted):
                 made = tuple(self._new() if k is None else k for k in pair)
                 self._operations.append(Operation(_NUMBER[SINE_COSINE], (angle,), made))
-        return Arrangement(arguments, self._constants, in_runs(self._operations), results)
+        neutral = {"one": self._one, "minus one": self._minus_one, "nothing": self._nothing}
+        return Arrangement(arguments, self._constants, in_runs(self._operations, neutral), results)
 
     # Sums ----------------------------------------------------------------------------------------------------------
 
@@ -246,35 +279,54 @@ class _Form:
         return self._shared[bits]
 
 
-def in_runs(operations: list[Operation]) -> list[list[Operation]]:
+def in_runs(operations: list[Operation], neutral: Mapping[str, int] = NOTHING_NEUTRAL) -> list[list[Operation]]:
     """The same operations, each after those that make its operands, in few runs of equal ones.
 
     The next run is of the kind that has an operation on which the longest sequence of other kinds waits, and takes all
-    of its kind that are ready.
+    of its kind that are ready. `neutral` are values by their names in `_AS`: with them a run also takes operations that
+    would be a short one of their own.
     """
     users, missing = _users(operations)
     urgency = _urgency(operations, users, missing)
     ready: list[list[tuple[int, int, int]]] = [[] for _ in KINDS]
+    runs = []
 
     def add(i: int) -> None:
         heappush(ready[operations[i].kind], (*urgency[i], i))
 
+    def done(i: int) -> None:
+        for user in users[i]:
+            missing[user] -= 1
+            if not missing[user]:
+                add(user)
+
+    def short(kind: int) -> int | None:
+        """A kind of which few operations are ready, all of which can be of this one."""
+        return next((x for x in _BECOME[kind] if 0 < len(ready[x]) <= FEW), None) if neutral else None
+
     for i, count in enumerate(missing):
         if not count:
             add(i)
-    runs = []
     while any(ready):
         waiting = min(filter(None, ready), key=lambda each: each[0])
+        kind = operations[waiting[0][-1]].kind
         run: list[Operation] = []
         runs.append(run)
-        while waiting:
-            i = heappop(waiting)[-1]
-            run.append(operations[i])
-            for user in users[i]:
-                missing[user] -= 1
-                if not missing[user]:
-                    add(user)
+        while waiting or (other := short(kind)) is not None:
+            i = heappop(waiting or ready[other])[-1]
+            run.append(_as(operations[i], kind, neutral))
+            done(i)
     return runs
+
+
+def _as(operation: Operation, kind: int, neutral: Mapping[str, int]) -> Operation:
+    """The same as an operation of another kind."""
+    if operation.kind == kind:
+        return operation
+    form = _AS[KINDS[operation.kind], KINDS[kind]]
+    return Operation(
+        kind, tuple(neutral[x] if isinstance(x, str) else operation.operands[x] for x in form), operation.made
+    )
 
 
 def _users(operations: list[Operation]) -> tuple[list[list[int]], list[int]]:

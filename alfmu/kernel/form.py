@@ -6,7 +6,7 @@ step of a program hands to later ones.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
 
@@ -16,6 +16,7 @@ __all__ = [
     "Call",
     "Choice",
     "Factor",
+    "Lanes",
     "LeastNorm",
     "Loop",
     "Plan",
@@ -26,6 +27,7 @@ __all__ = [
     "Steps",
     "called",
     "every",
+    "renamed",
     "rewritten",
     "taken",
 ]
@@ -38,6 +40,21 @@ class Call:
     function: str
     arguments: tuple[str, ...]
     results: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """Calls of one function, none of which takes what another one gives: made at once."""
+
+    calls: tuple[Call, ...]
+
+    @property
+    def arguments(self) -> tuple[str, ...]:
+        return tuple(name for call in self.calls for name in call.arguments)
+
+    @property
+    def results(self) -> tuple[str, ...]:
+        return tuple(name for call in self.calls for name in call.results)
 
 
 @dataclass(frozen=True)
@@ -83,7 +100,7 @@ class LeastNorm(Routine):
     """The least-squares solution of least norm of a system; `arguments` are its matrix (side, side) and its vector."""
 
 
-Step = Call | Choice | Loop | Routine
+Step = Call | Lanes | Choice | Loop | Routine
 
 Steps = tuple[Step, ...]
 
@@ -135,7 +152,7 @@ class Program:
 
 
 def every(steps: Iterable[Step]) -> Iterator[Step]:
-    """Each step in order, those inside choices and loops after their own."""
+    """Each step in order, those inside choices, loops and lanes after their own."""
     for step in steps:
         yield step
         yield from every(chain(*_inside(step)))
@@ -144,6 +161,8 @@ def every(steps: Iterable[Step]) -> Iterator[Step]:
 def _inside(step: Step) -> tuple[Steps, ...]:
     if isinstance(step, Choice):
         return step.nonzero, step.zero
+    if isinstance(step, Lanes):
+        return (step.calls,)
     return (step.body,) if isinstance(step, Loop) else ()
 
 
@@ -153,16 +172,38 @@ def called(program: Program) -> Iterator[str]:
 
 
 def rewritten(steps: Iterable[Step], change: Callable[[Call | Routine], Iterable[Step]]) -> Steps:
-    """The same steps, with what stands for each call and each routine in its place, inside choices and loops too."""
+    """The same steps, with what stands for each call and each routine in its place, inside choices, loops and
+    lanes too."""
 
     def each(step: Step) -> Iterable[Step]:
         if isinstance(step, Choice):
             return (replace(step, nonzero=rewritten(step.nonzero, change), zero=rewritten(step.zero, change)),)
         if isinstance(step, Loop):
             return (replace(step, body=rewritten(step.body, change)),)
+        if isinstance(step, Lanes):
+            return map(Lanes, zip(*map(change, step.calls), strict=True))
         return change(step)
 
     return tuple(chain(*map(each, steps)))
+
+
+def renamed(steps: Iterable[Step], names: Mapping[str, str]) -> Steps:
+    """The same steps on values of other names."""
+
+    def new(name: str) -> str:
+        return names.get(name, name)
+
+    def each(step: Step) -> Step:
+        if isinstance(step, Choice):
+            return Choice(new(step.number), renamed(step.nonzero, names), renamed(step.zero, names))
+        if isinstance(step, Loop):
+            most = new(step.most) if isinstance(step.most, str) else step.most
+            return Loop(new(step.number), most, renamed(step.body, names))
+        if isinstance(step, Lanes):
+            return Lanes(tuple(each(call) for call in step.calls))
+        return replace(step, arguments=tuple(map(new, step.arguments)), results=tuple(map(new, step.results)))
+
+    return tuple(map(each, steps))
 
 
 def taken(steps: Iterable[Step], wanted: Iterable[str] = ()) -> list[str]:

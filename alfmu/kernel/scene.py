@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 
 from . import passes
 from .arrangement import KINDS, SINE_COSINE, SUMS
-from .form import Call, Choice, Factor, LeastNorm, Loop, Solve
+from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
 from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, UNARY, Instructions
 
 __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
-CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm)
+CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
 """What a program is made of, in the order of their numbers."""
 
 

@@ -145,6 +145,8 @@ class Scene:
     def __init__(self, equations: Equations, weighted: bool, lengths: dict[str, int]):
         self.e, self.kind, self._lengths = equations, "weighted" if weighted else "plain", lengths
         self._symbols: dict[str, SX] = {}
+        self._factorisations: dict[tuple[int, ...], ca.Function] = {}
+        """By where the nonzeros stand of what they factorise."""
         e, self.p, self.k = equations, self.symbol("p"), self.symbol("k")
         self.settings = _Settings(*ca.vertsplit(self.k[: len(SETTINGS)]))
         self.scale = 1 / self.settings.alpha
@@ -750,13 +752,45 @@ class Scene:
         return {(row[i], column[i]): still[int(i)] for i in np.flatnonzero(same)}
 
     def factors(self, H: SX) -> tuple[SX, SX]:
-        """D and L of the LDL' factorisation of H, its coordinates in the order `Equations.order`."""
+        """D and L' - I of the LDL' factorisation of H, its coordinates in the order `Equations.order`."""
         order = self.e.order
-        return ca.ldl(H[order, order], False)[:2]
+        H = H[order, order]
+        if self.e.n > DENSE:
+            return ca.ldl(H, False)[:2]
+        pattern = *H.sparsity().colind(), *H.sparsity().row()
+        if pattern not in self._factorisations:
+            self._factorisations[pattern] = _factorisation(H.sparsity())
+        return self._factorisations[pattern](H)
 
     def solver(self, D: SX, L: SX) -> method.Solve:
-        """What solves with these factors."""
-        return lambda b: ca.ldl_solve(b, D, L, self.e.order)
+        """What solves with these factors: by one division a pivot, whose time is that of several products."""
+        order = self.e.order
+        if self.e.n > DENSE:
+            return lambda b: ca.ldl_solve(b, D, L, order)
+        inverse, upper, back = _once(1 / D), L + SX.eye(self.e.n), np.argsort(order).tolist()
+        return lambda b: ca.solve(upper, inverse * ca.solve(upper.T, b[order]))[back]
+
+
+def _once(quotient: SX) -> SX:
+    """The same, by which CasADi multiplies instead of dividing each product again."""
+    return ca.copysign(quotient, quotient)
+
+
+def _factorisation(pattern: ca.Sparsity) -> ca.Function:
+    """D and L' - I of the LDL' factorisation of a matrix with such nonzeros, as a function of it; by a division a
+    pivot."""
+    n, H = pattern.size1(), SX.sym("H", pattern)
+    pattern = pattern.ldl(False)[0]
+    D, inverse, upper, scaled = SX(n, 1), [SX(0)] * n, SX(pattern), SX(pattern)
+    rows = {column: pattern.row()[pattern.colind()[column] : pattern.colind()[column + 1]] for column in range(n)}
+    for column in range(n):
+        for row in rows[column]:
+            shared = [k for k in rows[row] if k in rows[column]]
+            scaled[row, column] = H[row, column] - sum(upper[k, row] * scaled[k, column] for k in shared)
+            upper[row, column] = scaled[row, column] * inverse[row]
+        D[column] = H[column, column] - sum(upper[k, column] * scaled[k, column] for k in rows[column])
+        inverse[column] = _once(1 / D[column])
+    return ca.Function("factors", [H], [D, upper])
 
 
 def _worst(seen: Sequence[Watch], near: SX, margin: SX) -> SX:

@@ -34,8 +34,9 @@ from . import memory, thresholds
 from .alternatives import OWN
 from .alternatives import formulations as carried
 from .emit import compiled_code
-from .form import Call, Choice, Factor, LeastNorm, Loop, Routine, Step, called
+from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Routine, Step, called
 from .joined import joined
+from .lanes import laned
 from .memory import TIERS, Layout
 from .scene import CALLS, Constants, Writer, code
 from .standalone import READ, beginning, passed, standalone
@@ -54,7 +55,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 10
+VERSION = 11
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -251,7 +252,14 @@ def layout_header() -> str:
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    return _ordered(joined(standalone(equations), HOT, READ))
+    e = standalone(equations)
+    if e.n > DENSE:
+        return _ordered(joined(e, HOT, READ))
+    # Near singular positions, RK4 takes limits in every step; other methods have other programs there.
+    steps = [] if "method" in e.kernel else ["branch"]
+    fields, kernel = Layout(e).fields, e.kernel
+    kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
+    return _ordered(joined(replace(e, kernel=kernel), (*HOT, *steps), READ, ["limit"]))
 
 
 def _ordered(e: Equations) -> Equations:
@@ -366,6 +374,9 @@ class _Table:
                 body = self._program(step.body)
                 most = step.most if isinstance(step.most, int) else -1 - self._at(step.most)
                 words += [self._at(step.number), most, len(body), *body]
+            elif isinstance(step, Lanes):
+                words += [len(step.calls), self.number[step.calls[0].function]]
+                words += [place for call in step.calls for place in self._called(call)[1:]]
             else:
                 words += self._called(step)
         return words

@@ -18,6 +18,7 @@
 #pragma GCC visibility push(hidden)
 #endif
 
+#define LANES 8 /* sets of arguments that a function is called for at once */
 #define MOST_ARGUMENTS 160 /* of a function, results included */
 /* Most internal steps, or tries of them, in one communication step, so that every call comes back: the five-bar makes a
    million in 4 s, the flexible four-bar by a stiff method in 17 s. */
@@ -108,6 +109,7 @@ typedef struct {
     const uint16_t *narrow;
     const int32_t *wide;
     size_t words;
+    int registers; /* numbers that it works on, constants included */
     Compiled *compiled; /* in its place, where there is one */
 } Function;
 
@@ -152,6 +154,7 @@ typedef struct {
     const Program *programs;
     int constant_count, function_count, program_count;
     int registers; /* numbers that the longest function works on, constants included */
+    int lane_registers; /* of functions that are called in lanes */
     int spare;     /* workspace of compiled functions */
     int dense;     /* unknowns of the largest dense system */
     struct Block *blocks;
@@ -223,7 +226,7 @@ typedef struct Instance {
     double *projection;    /* whether steps end with projections (10); below zero as the formulation has it */
     double *m;
     /* Beside them. */
-    double *workspace, *before, *scratch, *registers, *spare, *past_before, *kept_before, *dense;
+    double *workspace, *before, *scratch, *registers, *lanes, *spare, *past_before, *kept_before, *dense;
     Flags flags_before;
     double *read_at; /* q, v and inputs where outputs were read last */
     int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
@@ -322,6 +325,10 @@ void hand_over(Instance *i);
 
 /* The program that leads to the end of a step by a formulation. */
 int move_by(const Scene *s, int formulation);
+
+/* Registers with what they begin with, once there is room for them: `lanes` from the first place that suits. */
+double *lanes_from(double *place);
+void registers_begin(Instance *i);
 
 /* A function of the scene on arrays; a program on the memory. */
 void call(Instance *i, int which, const double *const *x, double *const *y);

@@ -132,7 +132,7 @@ Instance *instance_new(const Scene *s)
     if (s->frictions) /* What steps up to events remember. */
         i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
-    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + (size_t)s->spare
+    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare
             + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + least_norm_work(s->dense, s->dense)
             + 2 * (size_t)s->n + (size_t)s->inputs,
         sizeof *numbers);
@@ -146,12 +146,13 @@ Instance *instance_new(const Scene *s)
     i->before = i->workspace + s->workspace;
     i->scratch = i->before + i->count;
     i->registers = i->scratch + i->room;
-    i->spare = i->registers + s->registers;
+    i->lanes = lanes_from(i->registers + s->registers);
+    i->spare = i->lanes + LANES * (size_t)s->lane_registers;
     i->past_before = i->spare + s->spare;
     i->kept_before = i->past_before + s->past_size;
     i->dense = i->kept_before + s->held + s->followed_count * HEARD;
     i->read_at = i->dense + least_norm_work(s->dense, s->dense);
-    memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *numbers);
+    registers_begin(i);
     instance_reset(i);
     return i;
 }

@@ -283,6 +283,114 @@ static void solve_dense(Instance *i, int size, const double *matrix, const doubl
             solution[k] = NAN;
 }
 
+/* A function for several sets of arguments side by side, each number in a lane of its own: an operation is done in all
+   lanes, so that what it takes to find its operands is shared. The numbers are those of one call after the other, which
+   compilers without vectors make. */
+#if defined(__GNUC__)
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute) && !defined(__SANITIZE_THREAD__)
+#if __has_attribute(target_clones)
+#define BY_PROCESSOR __attribute__((target_clones("avx2", "default")))
+#endif
+#endif
+#if defined(BY_PROCESSOR) /* The loader chooses what this processor has, before a thread sanitizer is there. */
+#define PART 4
+#else
+#define BY_PROCESSOR
+#define PART 2
+#endif
+
+typedef double Part __attribute__((vector_size(8 * PART)));
+typedef union {
+    Part part[LANES / PART];
+    double lane[LANES];
+} Lanes;
+
+#define EACH_PART _Pragma("GCC unroll 8") for (int part = 0; part < LANES / PART; part++)
+#undef OPERAND
+#define OPERAND(k) r[at[k]].part[part]
+#undef SUM
+#define SUM(kind, operands, value) \
+    case kind: \
+        for (; count; count--, at += operands, d++) \
+            EACH_PART d->part[part] = value; \
+        break;
+#undef BINARY
+#define BINARY(kind, value) \
+    case kind: \
+        for (; count; count--, at += 2, d++) \
+            EACH_PART \
+            { \
+                const Part a = OPERAND(0), b = OPERAND(1); \
+                d->part[part] = value; \
+            } \
+        break;
+/* Others, which are few, lane by lane. */
+#define BINARY_BY_LANE(kind, value) \
+    case kind: \
+        for (; count; count--, at += 2, d++) \
+            for (int lane = 0; lane < LANES; lane++) { \
+                const double a = r[at[0]].lane[lane], b = r[at[1]].lane[lane]; \
+                d->lane[lane] = value; \
+            } \
+        break;
+#define UNARY_BY_LANE(kind, value) \
+    case kind: \
+        for (; count; count--, at++, d++) \
+            for (int lane = 0; lane < LANES; lane++) { \
+                const double a = r[at[0]].lane[lane]; \
+                d->lane[lane] = value; \
+            } \
+        break;
+
+BY_PROCESSOR static void runs_in_lanes(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
+{
+    while (at < end) {
+        const uint32_t head = *at++;
+        uint32_t count = *at++;
+        switch (head) {
+            SUMS
+            SUM(NEGATIVE_KIND, 1, -OPERAND(0))
+        case SINE_COSINE_KIND:
+            for (; count; count--, at++, d += 2)
+                for (int lane = 0; lane < LANES; lane++) {
+                    const double a = r[at[0]].lane[lane];
+                    d[0].lane[lane] = sin(a);
+                    d[1].lane[lane] = cos(a);
+                }
+            break;
+            BINARY_OPERATIONS(BINARY_BY_LANE)
+            UNARY_OPERATIONS(UNARY_BY_LANE)
+        }
+    }
+}
+
+static void call_lanes(Instance *i, const Function *f, int count, const int32_t *at)
+{
+    const int each = f->inputs + f->outputs, constants = i->scene->constant_count;
+    Lanes *r = (Lanes *)i->lanes, *d = r + constants;
+    const uint16_t *from = f->narrow + f->words;
+    for (int j = 0; j < f->inputs; d += f->lengths[j++], at++)
+        for (int lane = 0; lane < count; lane++) {
+            const double *x = i->m + at[lane * each];
+            for (int e = 0; e < f->lengths[j]; e++)
+                d[e].lane[lane] = x[e];
+        }
+    runs_in_lanes(f->narrow, f->narrow + f->words, r, d);
+    for (int j = f->inputs; j < each; from += f->lengths[j++], at++)
+        for (int lane = 0; lane < count; lane++) {
+            double *y = i->m + at[lane * each];
+            for (int e = 0; e < f->lengths[j]; e++)
+                y[e] = r[from[e]].lane[lane];
+        }
+}
+#endif
+
+static void one_by_one(Instance *i, const Function *f, int count, const int32_t *at)
+{
+    for (; count; count--, at += f->inputs + f->outputs)
+        call_at(i, f, at);
+}
+
 static void run_code(Instance *i, const int32_t *at, const int32_t *end)
 {
     double *m = i->m;
@@ -331,11 +439,45 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
             at += 5 + at[1];
             break;
         }
+        case LANES_CODE: { /* how many calls, of which function, the arguments and results of each */
+            const int32_t count = at[0];
+            const Function *f = i->scene->functions + at[1];
+            const int each = f->inputs + f->outputs;
+            at += 2;
+            for (int32_t done = 0; done < count; done += LANES) {
+                const int some = count - done < LANES ? count - done : LANES;
+#if defined(__GNUC__)
+                if (f->narrow)
+                    call_lanes(i, f, some, at);
+                else
+#endif
+                    one_by_one(i, f, some, at);
+                at += some * each;
+            }
+            break;
+        }
         case LEAST_NORM_CODE: /* unknowns; matrix, right-hand side; solution */
             solve_dense(i, at[0], m + at[1], m + at[2], m + at[3]);
             at += 4;
             break;
         }
+}
+
+/* The first place, of some, at which lanes fill whole lines of a cache. */
+double *lanes_from(double *place)
+{
+    const size_t line = LANES * sizeof *place, behind = (uintptr_t)place % line;
+    return place + (behind ? (line - behind) / sizeof *place : 0);
+}
+
+/* What registers begin with. */
+void registers_begin(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (s->constant_count)
+        memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *i->registers);
+    for (int k = 0; s->lane_registers && k < LANES * s->constant_count; k++)
+        i->lanes[k] = s->constants[k / LANES];
 }
 
 void run(Instance *i, int program)

@@ -173,6 +173,49 @@ API int alfmu_step(Instance *i, double start, double h)
     return (int)instance_step(i, start, h);
 }
 
+/* Functions of Python's own C interface, as the binding hands them over: the library is not linked with Python. */
+typedef struct {
+    double (*number)(void *object); /* PyFloat_AsDouble */
+    void *(*address)(void *object); /* PyLong_AsVoidPtr */
+    void *(*failed)(void);          /* PyErr_Occurred */
+    void *(*release)(void);         /* PyEval_SaveThread */
+    void (*acquire)(void *thread);  /* PyEval_RestoreThread */
+    void *(*object)(long number);   /* PyLong_FromLong */
+} Python;
+
+static Python python;
+
+/* `alfmu_step` for Python, which calls it in a tenth of the time that ctypes takes: self is the address of an instance, the
+   arguments are the start and the length; NULL is an exception. */
+static void *step_from_python(void *self, void *const *arguments, ptrdiff_t count)
+{
+    const double start = count > 0 ? python.number(arguments[0]) : NAN, h = count > 1 ? python.number(arguments[1]) : NAN;
+    void *instance = python.address(self), *thread;
+    int outcome;
+    if (python.failed())
+        return NULL;
+    thread = python.release();
+    outcome = alfmu_step(instance, start, h);
+    python.acquire(thread);
+    return python.object(outcome);
+}
+
+/* A function in C as Python knows one: PyMethodDef, with its arguments as an array (METH_FASTCALL). */
+typedef struct {
+    const char *name;
+    void *(*function)(void *self, void *const *arguments, ptrdiff_t count);
+    int flags;
+    const char *doc;
+} Method;
+
+/* What Python makes a built-in function of, which has to last as long as that does. */
+API const Method *alfmu_python_step(const Python *functions)
+{
+    static const Method method = {"step", step_from_python, 0x80, NULL};
+    python = *functions;
+    return &method;
+}
+
 /* Outputs at this instant; where they cannot be computed, those that can. */
 API int alfmu_read(Instance *i, double *values)
 {

@@ -70,6 +70,7 @@ _SIGNATURES = {
     "initialize": (c_int, c_void_p),
     "ready": (c_int, c_void_p, c_double, c_double),
     "step": (c_int, c_void_p, c_double, c_double),
+    "python_step": (c_void_p, c_void_p),
     "read": (c_int, c_void_p, c_void_p),
     "state_size": (c_size_t, c_void_p),
     "save": (None, c_void_p, c_char_p),
@@ -149,6 +150,23 @@ class Scene:
             self.library.alfmu_scene_free(self.address)
 
 
+_OF_PYTHON = (
+    *("PyFloat_AsDouble", "PyLong_AsVoidPtr", "PyErr_Occurred"),
+    *("PyEval_SaveThread", "PyEval_RestoreThread", "PyLong_FromLong"),
+)
+"""Functions of Python's C interface that the library calls, in its order."""
+
+
+def _step_of(c: ctypes.CDLL, address: int) -> Callable[[float, float], int]:
+    """`alfmu_step` of an instance: as a built-in function of CPython, by ctypes elsewhere."""
+    if sys.implementation.name != "cpython":
+        return partial(c.alfmu_step, c_void_p(address))
+    functions = (ctypes.cast(getattr(ctypes.pythonapi, name), c_void_p).value for name in _OF_PYTHON)
+    make = ctypes.pythonapi.PyCFunction_NewEx
+    make.restype, make.argtypes = ctypes.py_object, (c_void_p, ctypes.py_object, c_void_p)
+    return make(c.alfmu_python_step((c_void_p * len(_OF_PYTHON))(*functions)), address, None)
+
+
 class Unit:
     """One instance of a scene: calls by value reference, each with an outcome."""
 
@@ -159,7 +177,7 @@ class Unit:
         if not self.address:
             raise MemoryError("there is no memory for an instance")
         address = self.address
-        self.step: Callable[[float, float], int] = partial(c.alfmu_step, c_void_p(address))
+        self.step: Callable[[float, float], int] = _step_of(c, address)
         """A communication step from a start with a length [s]; its outcome."""
         self._read, self._get = c.alfmu_read, c.alfmu_get
         self._outputs = (c_double * (len(scene.names) - scene.first_output))()

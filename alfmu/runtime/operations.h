@@ -59,4 +59,4 @@
 #define GATHER_KIND 51
 #define OPERAND_COUNTS 3, 5, 9, 2, 4, 2, 2, 1, 2, 1, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 2, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1
 #define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)
-enum { CALL_CODE, CHOICE_CODE, LOOP_CODE, FACTOR_CODE, SOLVE_CODE, LEAST_NORM_CODE };
+enum { CALL_CODE, CHOICE_CODE, LOOP_CODE, FACTOR_CODE, SOLVE_CODE, LEAST_NORM_CODE, LANES_CODE };

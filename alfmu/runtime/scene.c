@@ -592,7 +592,7 @@ static int checked_loop(Checked *c, int64_t kind, int64_t count)
     return 1;
 }
 
-static void checked_function(Reader *r, const Function *f)
+static void checked_function(Reader *r, Function *f)
 {
     Checked c = {f, 0, r->scene->constant_count, r};
     for (int k = 0; k < f->inputs; k++)
@@ -626,10 +626,13 @@ static void checked_function(Reader *r, const Function *f)
     for (size_t k = 0; k < (size_t)f->results && !r->bad; k++)
         if (word(&c, f->words + k) < 0 || word(&c, f->words + k) >= c.known)
             spoil(r, "a function gives what it does not know");
-    if (c.known > MOST_NUMBERS)
+    if (c.known > MOST_NUMBERS) {
         spoil(r, "a function is too long");
-    else if ((int)c.known > r->scene->registers)
-        r->scene->registers = (int)c.known;
+        return;
+    }
+    f->registers = (int)c.known;
+    if (f->registers > r->scene->registers)
+        r->scene->registers = f->registers;
 }
 
 static void function(Reader *r, Function *f)
@@ -842,6 +845,23 @@ static void checked_program(Reader *r, const int32_t *code, size_t words, int de
                 r->scene->dense = c[0];
             at += 5;
             break;
+        case LANES_CODE: {
+            const Function *f = left > 1 ? s->functions + c[1] : NULL;
+            if (left < 2 || c[0] < 1 || !between(c[1], 0, s->function_count)
+                || (left - 2) / (unsigned)c[0] < (size_t)(f->inputs + f->outputs)) {
+                spoil(r, "a program calls what is not there");
+                return;
+            }
+            c += 2;
+            for (int32_t lane = 0; lane < code[at + 1]; lane++)
+                for (int k = 0; k < f->inputs + f->outputs; k++)
+                    if (!within(r, *c++, f->lengths[k]))
+                        spoil(r, "a program leaves the memory");
+            at = (size_t)(c - code);
+            if (f->narrow && f->registers > s->lane_registers)
+                r->scene->lane_registers = f->registers;
+            break;
+        }
         default:
             spoil(r, "a program has no step %d", (int)code[at]);
         }
