@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import chain, groupby
 
@@ -11,7 +10,7 @@ import casadi as ca
 
 from ..equations import Equations
 from ..equations.evaluation import with_functions
-from .form import Call, Choice, Lanes, Loop, Program, Step, Steps, taken
+from .form import Call, Choice, Loop, Program, Step, Steps, taken
 from .memory import Layout
 
 __all__ = ["LONGEST", "joined"]
@@ -20,26 +19,17 @@ LONGEST = 40000
 """Instructions up to which calls are joined; the programs of a larger scene stay calls of small functions."""
 
 
-def joined(
-    equations: Equations, programs: Iterable[str], handed: Iterable[str] = (), rare: Collection[str] = ()
-) -> Equations:
+def joined(equations: Equations, programs: Iterable[str], handed: Iterable[str] = ()) -> Equations:
     """The same equations, the calls of these programs joined as far as choices, loops and routines let them be.
 
-    `handed` are values that they give to other programs, beside the fields of the memory. Calls of `rare` programs are
-    joined where the function that they become serves more than once: it would take more room than time otherwise.
+    `handed` are values that they give to other programs, beside the fields of the memory.
     """
     e = equations
     joining, fields = _Joining(e), {*Layout(e).fields, *handed}
     kernel: dict[str, Program] = dict(e.kernel)
-
-    def join(names: Iterable[str]) -> None:
-        for name in names:
-            if name in kernel:
-                kernel[name] = replace(kernel[name], steps=joining.steps(name, kernel[name].steps, fields))
-
-    join(programs)
-    joining.serving_again({name: kernel[name] for name in rare if name in kernel}, fields)
-    join(rare)
+    for name in programs:
+        if name in kernel:
+            kernel[name] = replace(kernel[name], steps=joining.steps(name, kernel[name].steps, fields))
     return replace(with_functions(e, joining.functions), kernel=kernel)
 
 
@@ -48,45 +38,20 @@ class _Joining:
         self._e = equations
         self.functions: dict[str, ca.Function] = {}
         self._known: dict[tuple, str] = {}
-        self._serves: Counter[tuple] = Counter()
-        self._wanted: Callable[[tuple], bool] = lambda key: True
-        """Whether calls are joined to a function."""
-
-    def serving_again(self, programs: Mapping[str, Program], after: set[str]) -> None:
-        """From now on calls are joined to functions alone that serve more than once in these programs."""
-
-        def counted(key: tuple) -> bool:
-            self._serves[key] += 1
-            return False
-
-        self._wanted = counted
-        for name, program in programs.items():
-            self.steps(name, program.steps, after)
-        self._wanted = lambda key: self._serves[key] > 1
 
     def steps(self, program: str, steps: Steps, after: set[str]) -> Steps:
         """The same in fewer steps; `after` is what is wanted after them."""
         made: list[Step] = []
         at = 0
-        for kind, group in groupby(steps, lambda step: next(x for x in (Call, Lanes, Step) if isinstance(step, x))):
+        for alone, group in groupby(steps, lambda step: not isinstance(step, Call)):
             part = tuple(group)
             at += len(part)
-            later = after.union(taken(steps[at:]))
-            if kind is Call:
-                made += self._together(program, part, later)
-            elif kind is Lanes:
-                made += self._side_by_side(program, part, later)
-            else:
+            if alone:
                 for k, step in enumerate(part, at - len(part) + 1):
                     made.append(self._inside(program, step, after.union(taken(steps[k:]))))
+            else:
+                made += self._together(program, part, after.union(taken(steps[at:])))
         return tuple(made)
-
-    def _side_by_side(self, program: str, steps: Sequence[Lanes], wanted: set[str]) -> Iterator[Step]:
-        """The same for each lane by itself."""
-        lanes = [self._together(program, calls, wanted) for calls in zip(*(step.calls for step in steps), strict=True)]
-        for calls in zip(*lanes, strict=True):
-            alike = len({call.function for call in calls}) == 1
-            yield from [Lanes(calls)] if alike else calls
 
     def _inside(self, program: str, step: Step, later: set[str]) -> Step:
         if isinstance(step, Choice):
@@ -108,8 +73,6 @@ class _Joining:
             return tuple(numbers.setdefault(name, len(numbers)) for name in names)
 
         key = *((x.function, numbered(x.arguments), numbered(x.results)) for x in calls), numbered(outputs)
-        if key not in self._known and not self._wanted(key):
-            return calls
         if key not in self._known:
             self._known[key] = f"{program}_{len(self.functions)}"
             self.functions[self._known[key]] = self._function(self._known[key], calls, inputs, outputs)

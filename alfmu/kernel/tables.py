@@ -259,7 +259,7 @@ def alone(equations: Equations) -> Equations:
     steps = [] if "method" in e.kernel else ["branch"]
     fields, kernel = Layout(e).fields, e.kernel
     kernel = kernel | {name: laned(kernel[name], fields) for name in ("limit", *steps) if name in kernel}
-    return _ordered(joined(replace(e, kernel=kernel), (*HOT, *steps), READ, ["limit"]))
+    return _ordered(joined(replace(e, kernel=kernel), HOT, READ))
 
 
 def _ordered(e: Equations) -> Equations:
