@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from oracles.adaptive import Adaptive
+from oracles.adaptive import Adaptive, tolerance
 from oracles.parallelogram import Parallelogram
 from scenes import derived
 
@@ -21,7 +21,6 @@ from alfmu.method.stepping import (
     continued,
     explicit,
     landing,
-    tolerance,
 )
 
 EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8, "8(7) beside": EXPLICIT8_BESIDE}

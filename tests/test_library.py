@@ -12,6 +12,7 @@ import pytest
 
 import alfmu
 from alfmu.equations import derivation
+from alfmu.kernel.tables import packed
 from alfmu.model.content import MOST
 from alfmu.runtime import library as binding
 from alfmu.runtime import prepare, reuse
@@ -343,6 +344,18 @@ def test_auto_chooses_by_the_values_of_the_run(traces):
         assert scene.chosen == method
         assert left == {"c": c}
     assert len(equations.programs["ready"]) == 2
+
+
+def test_equations_that_differ_in_numbers_alone_are_traced_once(traces):
+    """And their scene files are those of equations that share nothing."""
+    m, heavier, finer = pendulum(), {"mass": 7.0}, {"solver.step_size": 1e-3, "solver.relative_tolerance": 1e-7}
+    e = derivation.derive(m)
+    shared = [packed(prepare.prepared(prepare.with_defaults(e, values))) for values in ({}, heavier, finer)]
+    assert len(traces) == 1
+    loose = packed(prepare.prepared(prepare.with_defaults(e, {"solver.relative_tolerance": 1e-3})))
+    assert len(traces) == 2, "loose tolerances take another pair"
+    for values, scene in ((heavier, shared[1]), (finer, shared[2]), ({"solver.relative_tolerance": 1e-3}, loose)):
+        assert packed(prepare.prepared(prepare.with_defaults(derivation.derive(m), values))) == scene != shared[0]
 
 
 def test_only_the_latest_mechanisms_are_kept(traces):

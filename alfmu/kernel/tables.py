@@ -252,6 +252,14 @@ def layout_header() -> str:
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
+    shared = equations.programs.get("shared", equations.programs)
+    if "alone" not in shared:
+        shared["alone"] = _alone(equations)
+    own = shared["alone"]
+    return replace(equations, functions=own.functions, signatures=own.signatures, kernel=own.kernel)
+
+
+def _alone(equations: Equations) -> Equations:
     e = standalone(equations)
     if e.n > DENSE:
         return _ordered(joined(e, HOT, READ))

@@ -6,10 +6,11 @@ import math
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from ..equations import Equations
+from ..equations import Equations, Mobility
 from ..equations.evaluation import DENSE, with_tangents
 from ..equations.interface import CHOICES, checked, default_settings, integrator, setting, variables_of
 from ..kernel import DEFAULT, KERNELS
@@ -18,6 +19,7 @@ from ..kernel.controlled import controlled
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
+from ..method.stepping import explicit_rule
 from ..model.content import latest
 from ..model.errors import InputError
 from ..model.settings import Settings
@@ -41,6 +43,12 @@ LASTS = 30.0
 """Time constants in a run up to which a small motion lasts; one with more is gone after a tenth of it."""
 
 
+_SCENES: OrderedDict[tuple, tuple[object, Equations]] = OrderedDict()
+
+MOST_SCENES = 16
+"""Scenes that are kept for equations which differ from theirs in numbers alone."""
+
+
 def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     """The equations with what the chosen kernel runs, traced once; InputError where there is no such kernel.
 
@@ -61,11 +69,12 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
 
 
 def _interpreted(equations: Equations) -> Equations:
+    declared = equations.functions
     equations, probe = decided(equations), None
     if not equations.kernel or equations.shared is None:
         probe = Probe.of(untraced(equations))
         equations = _surveyed(equations, probe)
-    e = equations if equations.kernel else _traced(equations, probe)
+    e = equations if equations.kernel else _traced(equations, probe, declared)
     return replace(e, library=None) if e.library else e
 
 
@@ -123,17 +132,37 @@ def _surveyed(equations: Equations, probe: Probe | None) -> Equations:
     return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=len(set(probe.units)) > 1)
 
 
-def _traced(equations: Equations, probe: Probe | None) -> Equations:
+def _traced(equations: Equations, probe: Probe | None, declared: Mapping[str, Any]) -> Equations:
+    """The same equations traced; those of the same functions that differ in numbers alone share what is traced."""
+    mobility, needed = _known(probe)
+    settings = default_settings(equations)
+    rule = explicit_rule("explicit", settings.relative_tolerance).name
+    e = equations
+    key = id(declared), e.chosen, settings.method, settings.input_order, settings.branch, rule
+    key += e.brakes, e.uneven, mobility, *needed.items()
+
+    def trace() -> tuple[object, Equations]:
+        # The functions are kept, so that no others get their place.
+        return declared, traced(e, mobility, controlled=controlled, **needed)
+
+    _, scene = latest(_SCENES, key, trace, MOST_SCENES)
+    same = "functions", "signatures", "kernel", "freedom", "order", "telling"
+    found = replace(e, **{field: getattr(scene, field) for field in same})
+    found.programs["shared"] = scene.programs
+    return found
+
+
+def _known(probe: Probe | None) -> tuple[Mobility | None, dict[str, int]]:
+    """What is known of constraints and freedoms, and how many multiplier iterations reach round-off, where it is."""
     if probe is None:
-        return traced(equations, None, controlled=controlled)
+        return None, {}
     mobility = probe.mobility()
     if mobility.freedom_here > mobility.freedom:
-        return traced(equations, mobility, controlled=controlled)  # a singular start says nothing of other positions
+        return mobility, {}  # a singular start says nothing of other positions
     try:
-        needed = probe.iterations_needed()
+        return mobility, {"iterations": probe.iterations_needed()}
     except SINGULAR:  # the first evaluation of a run says so
-        return traced(equations, mobility, controlled=controlled)
-    return traced(equations, mobility, needed, controlled)
+        return mobility, {}
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
@@ -171,7 +200,10 @@ def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> E
     changed["switches"] = [replace(s, start=bool(values.get(s.name, s.start))) for s in equations.switches]
     e = replace(equations, **changed, solver={**equations.solver, **own})
     same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)
-    return e if same else untraced(replace(e, chosen="", reason=""))
+    if same:
+        return e
+    e = replace(e, chosen="", reason="")
+    return untraced(e) if e.kernel else e
 
 
 def retraced(equations: Equations, settings: Settings) -> Equations:
