@@ -48,7 +48,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 
 
 @pytest.fixture(scope="session")
-def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+def one_chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A Chromium without a window, as a driver of Selenium; `get_log("browser")` has what pages say on the console.
 
     It draws WebGL by software and asks for reduced motion, so that films wait to be started. Tests that ask for it are
@@ -75,3 +75,10 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     browser.set_script_timeout(120)  # s: frames come late where the machine has much else to do
     yield browser
     browser.quit()
+
+
+@pytest.fixture
+def chromium(one_chromium: Any) -> Iterator[Any]:
+    """The Chromium of all tests; afterwards it shows nothing, as a page that moves takes time from other tests."""
+    yield one_chromium
+    one_chromium.get("about:blank")
