@@ -6,7 +6,15 @@ import pytest
 
 import alfmu
 from alfmu.kernel.kinks import kinks
-from alfmu.method.stepping import EXPLICIT5, EXPLICIT5_SHORT, EXPLICIT8, EXPLICIT8_BESIDE, RADAU9, Collocation, rough
+from alfmu.method.stepping import (
+    EXPLICIT5,
+    EXPLICIT5_SHORT,
+    EXPLICIT8,
+    EXPLICIT8_BESIDE,
+    RADAU9,
+    Collocation,
+    kink_bounds,
+)
 from alfmu.simulation import prepared, with_defaults
 
 MASS, STIFFNESS, HEIGHT, GRAVITY = 2.0, 5e4, 1.0, 9.81
@@ -70,7 +78,7 @@ def test_the_bound_is_two_thirds_of_the_error_at_least(method, kink, whole):
     """Of a rate that depends on time alone, wherever in the step it jumps or has its kink."""
     implicit = isinstance(method, Collocation)
     nodes, weights = np.array(method.nodes), np.array(method.matrix[-1] if implicit else method.weights)
-    bounds, places = np.array(rough(method)), np.append(0.0, nodes) if implicit else nodes
+    bounds, places = np.array(kink_bounds(method)), np.append(0.0, nodes) if implicit else nodes
     for at in np.linspace(0.002, 0.998, 499):
         error = weights @ kink(nodes - at) - whole(1 - at)
         assert np.abs(bounds @ kink(places - at)).max() >= 2 / 3 * abs(error)
@@ -89,4 +97,4 @@ def test_what_has_kinks_is_found_once():
 def test_a_scene_without_kinks_has_nothing_of_them():
     values = {"solver.method": "explicit"}
     functions = [prepared(with_defaults(alfmu.derive(m), values)).functions for m in (ball(), alfmu.load("four_bar"))]
-    assert [any("kinks" in name or "rough" in name for name in each) for each in functions] == [True, False]
+    assert [any("kinks" in name for name in each) for each in functions] == [True, False]

@@ -478,3 +478,15 @@ def test_pictures_show_every_joint():
     ]
     tip = next(solid for solid in shapes.space.solids if solid.name == "bob").points
     assert (0.0, 0.0, -0.2) in tip
+
+
+def test_an_axis_that_parameters_turn_onto_its_normal_is_told():
+    """Normals follow from the axis at the defaults: here they are x and y, and the axis becomes x."""
+    m = alfmu.Mechanism("tilted")
+    tilt, arm = m.parameter("tilt", 0.0), m.spatial_body("arm", mass=MASS, inertia=INERTIA)
+    m.spatial_revolute("J", m.spatial_ground.at(), arm.at(), axis=(tilt, 0, 1 - tilt))
+    unit = alfmu.Instance(m)
+    unit.set("solver.method", "rk4")
+    unit.set("tilt", 1.0)
+    with pytest.raises(alfmu.AssemblyError, match="tilted: at the start guess the gap of J is not finite"):
+        unit.initialize()

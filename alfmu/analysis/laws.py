@@ -17,7 +17,8 @@ from .situation import Situation, State
 __all__ = ["Driving", "check_at_rest", "driving", "held_still", "moved_by_law", "prescribed"]
 
 RESTING = 1e-9
-"""rate and second rate [m/s, rad/s, m/s2, rad/s2] of what is prescribed: it is at rest below them."""
+"""rate and second rate [m/s, rad/s, m/s2, rad/s2]: what is prescribed and has less rests; round-off leaves 1e-15 of
+laws near 1, and nobody tells a nanometre a second from rest."""
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,9 @@ from ..method.stepping import (
     explicit,
     explicit_rule,
     judged,
+    kink_bounds,
     landing,
     newton,
-    rough,
     rule_beside,
 )
 from ..model.settings import FIXED
@@ -140,10 +140,10 @@ class _Step:
 
     @property
     def kinked(self) -> bool:
-        """Whether rates of the scene have kinks: a step across one is judged by its rough estimate too."""
+        """Whether rates of the scene have kinks: a step across one is judged by a bound, too."""
         return self.tracer.kinks.numel_out(0) > 0
 
-    def cross(self, rule: Explicit | Collocation, places: list[str], rates: list[str], share: SX) -> None:
+    def judge_kinks(self, rule: Explicit | Collocation, places: list[str], rates: list[str], share: SX) -> None:
         """The error of a step across a kink: a bound of what that did, if it is more.
 
         `rates` are those of the velocities and states at the places, one after the other; `share` is the tolerance of
@@ -158,13 +158,13 @@ class _Step:
             q, v, x, *known = known if states else (*known[:2], None, *known[2:])
             kinks, each = known[: len(places)], ca.vertcat(*known[len(places) :])
             signs = ca.vertcat(*(ca.sign(kinks[0]) * ca.sign(x) for x in kinks[1:]))
-            left = ca.reshape(each, -1, len(places)) @ ca.DM(rough(rule)).T
+            left = ca.reshape(each, -1, len(places)) @ ca.DM(kink_bounds(rule)).T
             bounds = dt * reduce(ca.fmax, ca.horzsplit(ca.fabs(left)))
             size = scene.bound_size(z, q, v, x, ca.vertcat(dt * bounds[:n], bounds))
             return ca.if_else(ca.mmin(signs) > 0, error, ca.fmax(error, size / share))
 
         known = spaced("z step error q v", states, [f"kinks{i}" for i in places], rates, "k")
-        self.calls(f"{self.name}_rough", known, "error", found)
+        self.calls(f"{self.name}_kinks", known, "error", found)
 
     def end(self, watches: Sequence[str], order: int, kept: Sequence[str] = ()) -> None:
         """The state after the step and what step control remembers; `kept` is the history and what is new of it."""
@@ -245,7 +245,7 @@ class _Explicit(_Step):
         if self.kinked:
             places = [str(i + 1) for i in range(len(rule.nodes))]
             known = [f"{x}{i}" for i in places for x in ("a", *["xdot"] * bool(self.e.states))]
-            self.cross(rule, places, known, getattr(scene.settings, allowed) if allowed else SX(1))
+            self.judge_kinks(rule, places, known, getattr(scene.settings, allowed) if allowed else SX(1))
         self.end([f"watch{i + 1}" for i in range(len(rates))], rule.estimate + 1)
         return Program(calls.steps, self.plan, rule.name, len(rates))
 
@@ -454,7 +454,7 @@ class _Collocation(_Implicit):
         self.project()
         calls("method_error", spaced("z q v", self.tracer.states, "dq dv renew p k"), "error floor", size)
         if self.kinked:
-            self.cross(rule, ["0", *self.nodes], [self.rates_of("0"), "rates"], scene.settings.beside)
+            self.judge_kinks(rule, ["0", *self.nodes], [self.rates_of("0"), "rates"], scene.settings.beside)
 
 
 class _Newmark(_Implicit):

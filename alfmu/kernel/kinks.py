@@ -7,6 +7,7 @@ equal. Methods of high order see little of a kink in the middle of a step by the
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 from casadi import SX
 
 from .stream import BINARY, Instructions
@@ -24,6 +25,8 @@ def kinks(f: ca.Function, arguments: list[SX], along: SX) -> SX:
     """Of a function that calls no other at symbols as its arguments, what changes its sign where it has a kink; what
     does not depend on the symbols `along` is left out."""
     instructions = Instructions.of(f)
+    if not np.isin(instructions.code, (*_COMPARED, *_SIGNED)).any():
+        return SX(0, 1)
     values: list[SX] = []
     found: dict[tuple[int, int], SX] = {}
     for k, code in enumerate(instructions.code.tolist()):

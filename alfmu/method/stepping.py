@@ -28,9 +28,9 @@ __all__ = [
     "explicit",
     "explicit_rule",
     "judged",
+    "kink_bounds",
     "landing",
     "newton",
-    "rough",
     "rule_beside",
 ]
 
@@ -401,7 +401,7 @@ def explicit(
     return y, [dt * combined(weights[1:], others) for weights in method.errors], last
 
 
-def rough(method: Explicit | Collocation) -> list[tuple[float, ...]]:
+def kink_bounds(method: Explicit | Collocation) -> list[tuple[float, ...]]:
     """Weights of the rates, for a collocation method that at the begin first, of bounds of what a kink in a step does.
 
     Estimates of high order miss most of it: the embedded methods have weights of 1e-4 in their first stages, a filter

@@ -132,8 +132,8 @@ Instance *instance_new(const Scene *s)
     if (s->frictions) /* What steps up to events remember. */
         i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
-    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare
-            + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + least_norm_work(s->dense, s->dense)
+    numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
+            + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + least_norm_work(s->dense, s->dense)
             + 2 * (size_t)s->n + (size_t)s->inputs,
         sizeof *numbers);
     if (!numbers) {

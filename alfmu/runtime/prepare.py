@@ -46,7 +46,7 @@ LASTS = 30.0
 _SCENES: OrderedDict[tuple, tuple[object, Equations]] = OrderedDict()
 
 MOST_SCENES = 16
-"""Scenes that are kept for equations which differ from theirs in numbers alone."""
+"""Scenes that are kept for equations which differ from theirs in numbers alone; large ones take too much memory."""
 
 
 def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
@@ -139,12 +139,14 @@ def _traced(equations: Equations, probe: Probe | None, declared: Mapping[str, An
     rule = explicit_rule("explicit", settings.relative_tolerance).name
     e = equations
     key = id(declared), e.chosen, settings.method, settings.input_order, settings.branch, rule
-    key += e.brakes, e.uneven, mobility, *needed.items()
+    key += e.brakes, e.uneven, tuple(e.shared or ()), mobility, *needed.items()
 
     def trace() -> tuple[object, Equations]:
         # The functions are kept, so that no others get their place.
         return declared, traced(e, mobility, controlled=controlled, **needed)
 
+    if e.n > DENSE:
+        return trace()[1]
     _, scene = latest(_SCENES, key, trace, MOST_SCENES)
     same = "functions", "signatures", "kernel", "freedom", "order", "telling"
     found = replace(e, **{field: getattr(scene, field) for field in same})

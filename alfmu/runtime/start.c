@@ -486,6 +486,17 @@ void set_off(Instance *i, const unsigned char *held, const double *q, double *v)
     i->used = used;
 }
 
+/* A joint, or a start value, that the guess gives no finite gap; NULL where each has one. */
+static const char *without_gap(Instance *i, Loops *loops, const double *guess)
+{
+    const Scene *s = i->scene;
+    closure_at(i, loops, guess);
+    for (int k = 0; k < loops->count; k++)
+        if (!isfinite(loops->residue[k]))
+            return k < s->l ? s->rows[k].name : s->variables[s->own + s->tied[k - s->l]].name;
+    return NULL;
+}
+
 Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
 {
     const Scene *s = i->scene;
@@ -494,11 +505,15 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     const double *x[] = {field(i, s->p), starts(i), starts(i) + s->starts};
     double *y[] = {guess, v};
     Loops loops = loops_new(i, held);
+    const char *open;
     Outcome outcome;
     call(i, s->guesses, x, y);
     if (!isfinite(norm(guess, s->n)))
         outcome = say(
             i, FAILED, "%s: the start guess is not finite; check the dimensions and start values", s->name);
+    else if ((open = without_gap(i, &loops, guess)))
+        outcome = say(i, FAILED,
+            "%s: at the start guess the gap of %s is not finite; check the dimensions, axes and start values", s->name, open);
     else
         outcome = positions(i, &loops, guess, q);
     if (outcome == DONE)

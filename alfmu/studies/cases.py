@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 import statistics
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -295,7 +296,7 @@ class Effort(Protocol):
     """Wall time for all mechanisms together [s]."""
 
 
-class Study:
+class Study(ABC):
     """All cases of one mechanism."""
 
     def __init__(self, name: str | Path | Mechanism, effort: Any):
@@ -304,9 +305,9 @@ class Study:
         self.derived = derive(self.mechanism)
         Instance(self.derived).initialize()
 
+    @abstractmethod
     def measure(self, deadline: float, progress: Progress) -> None:
         """Run the cases, as far as time allows until `deadline` (of `time.perf_counter`)."""
-        raise NotImplementedError
 
 
 AnyStudy = TypeVar("AnyStudy", bound=Study)

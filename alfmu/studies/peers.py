@@ -14,6 +14,7 @@ import contextlib
 import itertools
 import math
 import sys
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -97,7 +98,7 @@ def solved(rate: Callable, start: NDArray, method: str, tolerance: float, times:
 
 
 @dataclass(frozen=True)
-class Peer:
+class Peer(ABC):
     """One way to simulate: `build` makes a simulation of a mechanism with a step [s] or tolerance, for those times.
 
     Times are equally spaced; a step divides their distance.
@@ -114,8 +115,9 @@ class Peer:
     quick: int = 2
     """How many of the steps a quick study takes."""
 
+    @abstractmethod
     def build(self, mechanism: str, start: Start, step: float, times: NDArray) -> Simulation:
-        raise NotImplementedError
+        """A mechanism from a start, with a step or tolerance, to be run over these times [s]."""
 
     @property
     def installed(self) -> bool:
