@@ -29,7 +29,9 @@ class Imported:
     left_out: tuple[str, ...]
     """What does nothing to the motion, a line for each kind."""
     warnings: tuple[str, ...]
-    """What may matter: limits and programs that are left out, loops that the file leaves open."""
+    """What is left out and may matter: limits of joints, programs of plugins."""
+    notes: tuple[str, ...]
+    """What else is worth knowing, such as loops that the file leaves open."""
     renamed: dict[str, str]
     """New names by kinds and old names."""
     _source: Callable[[str], str]
@@ -58,9 +60,9 @@ def factory(path: str | Path) -> Callable[..., Mechanism]:
     root = parsed(path)
 
     def made(**options: Any) -> Mechanism:
-        found = _imported(Path(path), root, {name: value for name, value in options.items()})
+        found = _imported(Path(path), root, dict(options))
         for each in found.warnings:
-            warnings.warn(f"{path}: {each}", AlfmuWarning, stacklevel=2)
+            warnings.warn(f"{path}: left out, and may matter: {each}", AlfmuWarning, stacklevel=2)
         return found.mechanism
 
     def mjcf(key: str = "", contacts: Literal["refuse", "leave"] = "refuse", drives: str = "") -> Mechanism:
@@ -105,12 +107,14 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
         root.fail("nothing in it moves: it has no joint with a coordinate")
     script, renamed, told = declared(linkage, f"{linkage.name}, imported from {path.name} ({called})")
     left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)
-    warned = (*(_line(what, nodes) for what, nodes in linkage.warned.items() if nodes), *told)
-    script.mechanism.documentation = _documentation(linkage, called, left, warned, renamed)
+    warned = tuple(_line(what, nodes) for what, nodes in linkage.warned.items())
+    notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *told)
+    script.mechanism.documentation = _documentation(linkage, called, left, warned, notes, renamed)
     doc = "\n".join(
-        [f"{linkage.name}, imported from {path.name} ({called}).", *([""] if (warned or left) else [])]
+        [f"{linkage.name}, imported from {path.name} ({called}).", *([""] if (warned or left or notes) else [])]
         + [f"Left out, and may matter: {each}" for each in warned]
         + [f"Left out: {each}" for each in left]
+        + [f"Note: {each}" for each in notes]
     )
     doc = doc.replace("\\", "/").replace('"', "'")
     return Imported(
@@ -132,7 +136,12 @@ def _line(what: str, nodes: list[Node]) -> str:
 
 
 def _documentation(
-    linkage: Linkage, called: str, left: tuple[str, ...], warned: tuple[str, ...], renamed: dict[str, str]
+    linkage: Linkage,
+    called: str,
+    left: tuple[str, ...],
+    warned: tuple[str, ...],
+    notes: tuple[str, ...],
+    renamed: dict[str, str],
 ) -> str:
     """What the FMU's documentation says."""
     sizes = (
@@ -141,7 +150,7 @@ def _documentation(
         f"{len(linkage.closures) + len(linkage.couplings)} more that close loops",
     )
     said = [f"# {linkage.name}", "", f"Imported from a file in {called}: {', '.join(sizes)}.", ""]
-    for title, lines in (("Left out, and may matter", warned), ("Left out", left)):
+    for title, lines in (("Left out, and may matter", warned), ("Left out", left), ("Notes", notes)):
         if lines:
             said += [f"## {title}", "", *(f"- {each}" for each in lines), ""]
     if renamed:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..model.words import there_is
 from .markup import Node
 from .poses import Array, Pose, about, of_quaternion
 from .solids import Inertial
@@ -160,6 +161,13 @@ class Linkage:
     warned: dict[str, list[Node]] = field(default_factory=dict)
     """What acts only where something is reached, and is left out."""
 
+    noted: dict[str, list[Node]] = field(default_factory=dict)
+    """What else is worth knowing."""
+
+    def note(self, what: str, *nodes: Node) -> None:
+        """Note something else."""
+        self.noted.setdefault(what, []).extend(nodes)
+
     def leave(self, what: str, *nodes: Node) -> None:
         """Note what is left out and does nothing to the motion."""
         self.left_out.setdefault(what, []).extend(nodes)
@@ -183,8 +191,6 @@ class Linkage:
         driven = {motor.joint for motor in self.motors}
         for name in able if wanted == "all" else [each.strip() for each in wanted.split(",") if each.strip()]:
             if name not in able:
-                from ..model.words import there_is
-
                 self.node.fail(f"there is no joint {name!r} to drive; {there_is(name, list(able))}")
             if (joint := able[name]) not in driven:
                 unit = "N" if joint.kind == "prismatic" else "N.m"
