@@ -121,6 +121,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
         script.mechanism,
         left,
         warned,
+        notes,
         renamed,
         lambda function: script.text(plain_name(function), doc + "\n" * ("\n" in doc)),
     )
