@@ -518,7 +518,9 @@ class _File:
         anchor = vector(given.numbers("anchor", 3, (0, 0, 0)))
         posed = given.numbers("relpose", 7, (0, 1, 0, 0, 0, 0, 0))
         if any(posed[3:]):
-            apart = Pose(vector(posed[:3]), of_quaternion(posed[3:]))
+            # MuJoCo holds the anchor at the place of relpose itself.
+            here = Pose(vector(posed[:3]), of_quaternion(posed[3:]))
+            return Closure(name, kind, node, (first, here), (second, Pose(anchor)))
         return Closure(name, kind, node, (first, apart @ Pose(anchor)), (second, Pose(anchor)))
 
     def _at_reference(self, link: Link | None) -> Pose:
