@@ -184,7 +184,10 @@ def test_an_fmu_of_a_file_runs_in_fmpy(tmp_path: Path):
     np.testing.assert_allclose(run["left.angle"], own["left.angle"], atol=1e-9)
 
 
-BODY = '<mujoco>{}<worldbody><body name="b"><joint name="j"{}/><geom name="g" size="0.1"{}/>{}</body></worldbody>{}</mujoco>'
+BODY = (
+    "<mujoco>{}<worldbody>"
+    '<body name="b"><joint name="j"{}/><geom name="g" size="0.1"{}/>{}</body></worldbody>{}</mujoco>'
+)
 
 
 def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", after: str = "") -> str:
@@ -194,7 +197,7 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (mjcf(after="<tendon><spatial name='t'/></tendon>"), r"line 1: mujoco/tendon/spatial\[t\]: a <spatial> does not map"),
+        (mjcf(after="<tendon><spatial name='t'/></tendon>"), r"tendon/spatial\[t\]: a <spatial> does not map"),
         (mjcf(geom=' type="mesh" mesh="m"'), r"body\[b\]/geom\[g\]: a geom of type 'mesh' gives no inertia"),
         (mjcf(joint=' frictionloss="1"'), r"joint\[j\]: frictionloss=\"1\" does not map"),
         (mjcf(joint=' springdamper="1 1"'), "give stiffness and damping"),
@@ -254,7 +257,7 @@ def test_a_keyframe_is_the_start_and_drives_are_inputs(tmp_path: Path):
     m = alfmu.load(str(path), key="up", drives="j")
     assert (m.starts[0].value, m.starts[0].rate) == (0.7, -2)
     assert [x.name for x in m.inputs] == ["j_drive"]
-    with pytest.raises(alfmu.InputError, match="there is no keyframe 'down'; did you mean|there is no keyframe 'down'"):
+    with pytest.raises(alfmu.InputError, match="there is no keyframe 'down'"):
         alfmu.load(str(path), key="down")
 
 

@@ -44,10 +44,10 @@ class Imported:
 def imported(path: str | Path, **options: Any) -> Imported:
     """Read an MJCF, SDF or URDF file: its mechanism, what was left out, and its declaration in Python.
 
-    Options of all formats: `drives`, names of joints that get an input each, with commas between (`all` for every hinge
-    and slider). MJCF: `key`, the keyframe it starts in; `contacts="leave"`, to leave contacts out. SDF: `model`, the one
-    of several; `contacts` as for MJCF. URDF: `base`, fixed (default) or floating. Raises InputError, with file, line and
-    element, where something does not map.
+    Options of all formats: `drives`, names of joints that get an input each, with commas between (`all` for every
+    hinge and slider). MJCF: `key`, the keyframe it starts in; `contacts="leave"`, to leave contacts out. SDF: `model`,
+    the one of several; `contacts` as for MJCF. URDF: `base`, fixed (default) or floating. Raises InputError, with
+    file, line and element, where something does not map.
     """
     return _imported(Path(path), parsed(path), options)
 
@@ -80,8 +80,8 @@ def factory(path: str | Path) -> Callable[..., Mechanism]:
 def _format(root: Node) -> str:
     if root.tag not in ("mujoco", "sdf", "robot"):
         raise InputError(
-            f"{root.file}, line {root.line}: the file begins with <{root.tag[:40]}>; alfmu reads <mujoco> (MJCF), <sdf> "
-            "and <robot> (URDF)"
+            f"{root.file}, line {root.line}: the file begins with <{root.tag[:40]}>; alfmu reads <mujoco> (MJCF), "
+            "<sdf> and <robot> (URDF)"
         )
     return root.tag
 

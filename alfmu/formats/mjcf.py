@@ -63,6 +63,9 @@ _HARMLESS_GEOM = [
     "gap",
     "surfacevel",
 ]
+_DYNAMICS = (
+    "dyntype", "actdim", "timeconst", "inheritrange", "dampratio", "delay", "nsample", "armature", "damping",
+)  # fmt: skip
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
 _DEEPEST = 8
@@ -136,8 +139,8 @@ class _File:
         elif tag in ("tendon", "deformable", "extension"):
             for child in section.children:
                 child.fail(
-                    f"a <{child.tag}> does not map; alfmu takes bodies, joints, connect, weld and joint equalities, and "
-                    "motors on joints (declare the rest in the file that `alfmu import` writes)"
+                    f"a <{child.tag}> does not map; alfmu takes bodies, joints, connect, weld and joint equalities, "
+                    "and motors on joints (declare the rest in the file that `alfmu import` writes)"
                 )
         elif tag not in (
             "compiler", "option", "default", "worldbody", "equality", "actuator", "contact", "keyframe",
@@ -570,9 +573,7 @@ class _File:
             motor.unit = motor.unit if bias == "none" else "1"
         motor.control = self._range(given, "ctrl")
         motor.force = self._range(given, "force")
-        given.refuse(
-            dict.fromkeys(("dyntype", "actdim", "timeconst", "inheritrange", "dampratio", "delay", "nsample", "armature", "damping"), "alfmu takes actuators without dynamics of their own; give the input what they make")
-        )  # fmt: skip
+        given.refuse(dict.fromkeys(_DYNAMICS, "alfmu takes actuators without dynamics; give the input what they make"))
         given.done(("class", "group", "user", "ctrllimited", "forcelimited", "lengthrange", "actlimited", "actrange",
                     "dynprm", "actearly", "interp"))  # fmt: skip
         self.linkage.motors.append(motor)

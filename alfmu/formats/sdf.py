@@ -29,8 +29,8 @@ _KINDS = {
     "fixed": "weld",
 }
 _LATER = (
-    "a {} joint does not map; alfmu takes revolute, continuous, prismatic, ball, universal, screw and fixed joints (make "
-    "it of these)"
+    "a {} joint does not map; alfmu takes revolute, continuous, prismatic, ball, universal, screw and fixed joints "
+    "(make it of these)"
 )
 _MODEL_HARMLESS = ("allow_auto_disable", "enable_wind", "link", "joint", "frame", "pose", "static", "self_collide")
 _LINK_HARMLESS = ("must_be_base_link", "self_collide", "inertial", "pose", "gravity", "enable_wind", "kinematic")
@@ -209,10 +209,7 @@ class _File:
         default = {"joint": lambda: told(node, "child"), "frame": lambda: node.attributes.get("attached_to", "")}
         base = posed.attributes.get("relative_to", "") if posed is not None else ""
         base = base or default.get(node.tag, lambda: "")() or "__model__"
-        if base == "world":
-            found = self.base.inverse
-        else:
-            found = self._pose(base, node)
+        found = self.base.inverse if base == "world" else self._pose(base, node)
         self.poses[name] = found @ (self._given(posed) if posed is not None else Pose())
         self.pending.pop()
         return self.poses[name]

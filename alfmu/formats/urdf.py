@@ -179,8 +179,8 @@ class _File:
         given.done()
         if kind not in _KINDS:
             node.fail(
-                f"a joint of type {shown(kind[:40])} does not map; alfmu takes revolute, continuous, prismatic, fixed and "
-                "floating ones"
+                f"a joint of type {shown(kind[:40])} does not map; alfmu takes revolute, continuous, prismatic, fixed "
+                "and floating ones"
             )
         for child in node.children:
             if child.tag in ("safety_controller", "calibration"):
