@@ -74,7 +74,8 @@ def factory(path: str | Path) -> Callable[..., Mechanism]:
     def urdf(base: Literal["fixed", "floating"] = "fixed", drives: str = "") -> Mechanism:
         return made(base=base, drives=drives)
 
-    return {"mujoco": mjcf, "sdf": sdf, "robot": urdf}[_format(root)]
+    factories: dict[str, Callable[..., Mechanism]] = {"mujoco": mjcf, "sdf": sdf, "robot": urdf}
+    return factories[_format(root)]
 
 
 def _format(root: Node) -> str:
@@ -89,11 +90,12 @@ def _format(root: Node) -> str:
 def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     from . import mjcf, sdf, urdf
 
-    called, read, takes = {
+    formats: dict[str, tuple[str, Callable[..., Linkage], tuple[str, ...]]] = {
         "mujoco": ("MJCF", mjcf.read, ("key", "contacts")),
         "sdf": ("SDF", sdf.read, ("model", "contacts")),
         "robot": ("URDF", urdf.read, ("base",)),
-    }[_format(root)]
+    }
+    called, read, takes = formats[_format(root)]
     drives = options.pop("drives", "")
     for name, value in options.items():
         if name not in takes:
