@@ -88,8 +88,8 @@ class Record:
 def record_files(equations: Equations) -> dict[str, bytes]:
     """The files of the records of a scene, by their places in the FMU.
 
-    One is a run from the defaults with inputs that stand still (the smoke test), one has moving inputs and heavier bodies
-    (the validation). A run that ends early is left out.
+    One is a run from the defaults with inputs that stand still (the smoke test), one has moving inputs and heavier
+    bodies (the validation). A run that ends early is left out.
     """
     e, instance = equations, Instance(equations)
     stop_time, step, every = _span(e, instance)

@@ -67,11 +67,6 @@ def unlike(s: Session, wanted: Sequence[np.ndarray], got: Sequence[np.ndarray], 
     return []
 
 
-def flag(s: Session, name: str) -> bool:
-    """A capability of the description."""
-    return str(getattr(s.description.coSimulation, name, False)).lower() == "true"
-
-
 @check(
     "run.default",
     "The FMU runs from its defaults",
@@ -118,10 +113,10 @@ def restored(s: Session, task: Task) -> str:
         unit.time = when
         faults = faults or unlike(s, first, driven(unit, _COUNT, begin=5), f"restored {turn}")
     unit.forget(state)
-    if state.value is not None:
-        faults.append("FreeFMUState leaves the handle of the state as it was, and not NULL")
     unit.end()
-    return judge(faults)
+    # Without consequence as long as nobody uses the handle again, and pythonfmu's library does so.
+    remark = "remark: FreeFMUState does not set the handle of the state to NULL, as the standard says"
+    return judge(faults, "" if state.value is None else remark)
 
 
 @check(
@@ -152,7 +147,7 @@ def serialised(s: Session, task: Task) -> str:
 
 
 def _can(s: Session, name: str) -> bool:
-    return any(flag(s, each) for each in (name, name.replace("FMUState", "FMUstate")))
+    return s.flag(name, name.replace("FMUState", "FMUstate"))
 
 
 def _states(s: Session) -> None:
@@ -170,6 +165,7 @@ def _states(s: Session) -> None:
 def reset(s: Session, task: Task) -> str:
     parameter = next((v for v in s.of("parameter") if v.type in ("Real", "Float64") and v.start is not None), None)
     new = s.unit()
+    new.show_starts()
     starts = {}
     for v in [*s.of("parameter"), *s.of("input")]:
         status, value = new.get(v)
@@ -188,11 +184,13 @@ def reset(s: Session, task: Task) -> str:
         unit = s.ready()
         driven(unit, 5)
     unit.must(unit.reset(), "Reset")
+    unit.show_starts()
     faults = []
     for name, value in starts.items():
         status, now = unit.get(s.by_name[name])
         if status > WARNING or (now != value and not (now != now and value != value)):
             faults.append(f"{name} is {now!r} after Reset, and {value!r} in a new instance")
+    unit.must(unit.reset(), "Reset")
     unit.begin()
     faults += unlike(s, first, driven(unit, _COUNT), "after Reset")
     return judge(faults)
@@ -267,7 +265,7 @@ def sizes(s: Session, task: Task) -> str:
     even, uneven = s.ready(), s.ready()
     for _ in range(8):
         even.step()
-    for share in (0.3, 1.7, 0.01, 0.99, 2.0, 0.5, 1.5, 1.0):  # 8 in all
+    for share in (0.3, 1.7, 0.01, 0.99, 2.0, 0.5, 1.5, 0.4, 0.6):  # 8 in all
         uneven.step(share * s.step)
     a, b = even.read(s.real_outputs), uneven.read(s.real_outputs)
     if not np.isfinite(b).all():
@@ -341,7 +339,7 @@ def _compared(
 
 def _directional(s: Session) -> str:
     name = "providesDirectionalDerivative" if s.version == "2" else "providesDirectionalDerivatives"
-    if not any(flag(s, each) for each in ("providesDirectionalDerivative", "providesDirectionalDerivatives")):
+    if not s.flag("providesDirectionalDerivative", "providesDirectionalDerivatives"):
         raise NotApplicable(f"{name} is false")
     return name
 
@@ -383,7 +381,7 @@ def directional(s: Session, task: Task) -> str:
     "Getting Adjoint Derivatives",
 )
 def adjoint(s: Session, task: Task) -> str:
-    if s.version == "2" or not flag(s, "providesAdjointDerivatives"):
+    if s.version == "2" or not s.flag("providesAdjointDerivatives"):
         raise NotApplicable("providesAdjointDerivatives is false" if s.version == "3" else "FMI 2 has none")
     unit, outputs, inputs, J, error = _by_differences(s)
     seed = np.cos(1.0 + np.arange(len(outputs)))
@@ -403,7 +401,7 @@ def adjoint(s: Session, task: Task) -> str:
     "fmi3GetOutputDerivatives",
 )
 def by_time(s: Session, task: Task) -> str:
-    highest = int(s.description.coSimulation.maxOutputDerivativeOrder or 0)
+    highest = int(s.flags.get("maxOutputDerivativeOrder", 0))
     outputs = s.real_outputs
     if highest < 1 or not outputs:
         raise NotApplicable("maxOutputDerivativeOrder is 0")
@@ -475,14 +473,14 @@ def capabilities(s: Session, task: Task) -> str:
 
     tried("canGetAndSetFMUState", _can(s, "canGetAndSetFMUState"), state)
     if s.real_outputs and s.real_inputs:
-        declared = any(flag(s, each) for each in ("providesDirectionalDerivative", "providesDirectionalDerivatives"))
+        declared = s.flag("providesDirectionalDerivative", "providesDirectionalDerivatives")
         one = s.real_outputs[:1], s.real_inputs[:1], [1.0]
         tried("providesDirectionalDerivatives", declared, lambda unit: unit.directional(*one)[0])
     if s.real_outputs:
-        order = int(s.description.coSimulation.maxOutputDerivativeOrder or 0)
+        order = int(s.flags.get("maxOutputDerivativeOrder", 0))
         if order:
             tried("maxOutputDerivativeOrder", True, lambda unit: unit.output_derivatives(s.real_outputs[:1], order)[0])
-    if s.version == "2" and s.real_inputs and flag(s, "canInterpolateInputs"):
+    if s.version == "2" and s.real_inputs and s.flag("canInterpolateInputs"):
         v = s.real_inputs[0]
         vr, first, value = (ctypes.c_uint * 1)(v.reference), (ctypes.c_int * 1)(1), (ctypes.c_double * 1)(0.0)
         text = f"vr=[{v.reference}], order=1"

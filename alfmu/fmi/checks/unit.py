@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import fmpy
 import numpy as np
@@ -162,6 +163,9 @@ class Session:
         )
         self.journal.say("")
         self.types = TYPES[self.version]
+        # fmpy reads some of these attributes under the names of the other version.
+        root = ET.parse(self.folder / "modelDescription.xml").getroot()
+        self.flags = {key: text.strip() for key, text in root.find("CoSimulation").attrib.items()}
         scalar = [v for v in d.modelVariables if not v.dimensions and v.type not in ("Binary", "Clock")]
         self.variables = [Variable.of(v, self.version) for v in scalar]
         self.by_name = {v.name: v for v in self.variables}
@@ -173,7 +177,11 @@ class Session:
         fixed = getattr(d.coSimulation, "fixedInternalStepSize", None)
         step = _number(experiment and experiment.stepSize, None) or _number(fixed, None)
         self.step = step or (self.stop - self.start) / 500
-        self.varies = str(d.coSimulation.canHandleVariableCommunicationStepSize).lower() == "true"
+        self.varies = self.flag("canHandleVariableCommunicationStepSize")
+
+    def flag(self, *names: str) -> bool:
+        """Whether one of these capabilities is declared."""
+        return any(self.flags.get(name) in ("true", "1") for name in names)
 
     def of(self, *causalities: str) -> list[Variable]:
         return [v for v in self.variables if v.causality in causalities]
@@ -316,6 +324,11 @@ class Unit:
             return self.call("EnterInitializationMode")
         no = fmi3.fmi3Boolean(False)
         return self.call("EnterInitializationMode", no, 0.0, self.time, no, 0.0, said=f"startTime={self.time:g}")
+
+    def show_starts(self) -> None:
+        """Make start values readable: FMI 3 gives them after instantiation, FMI 2 when initialisation has begun."""
+        if self.session.version == "2":
+            self.must(self.enter(), "EnterInitializationMode")
 
     def exit(self) -> int:
         return self.call("ExitInitializationMode")

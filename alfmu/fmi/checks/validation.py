@@ -81,8 +81,8 @@ def validate(
     of its own: the recorded runs have to come out again within `tolerance` [1] (1e-6 for FMUs of alfmu, 1e-3 for
     others, over 1 and the largest value), and calls of FMI have to do what the standard says. **This executes the code
     of the FMU**, with all rights of the user; `static` leaves it out. `checks` are ids of checks or patterns such as
-    `state.*`, None for all. Raises ExportError where the file is no FMU that can be opened, InputError where there is no
-    such check.
+    `state.*`, None for all. Raises ExportError where the file is no FMU that can be opened, InputError where there is
+    no such check.
     """
     return examine(path, static=static, checks=checks, tolerance=tolerance).problems
 

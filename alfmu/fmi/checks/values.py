@@ -23,7 +23,7 @@ _SEEN = 1e-9
 @check(
     "values.start",
     "Start values are those of the description",
-    "A variable with a start value has it, after instantiation and, where initial is exact, after initialisation",
+    "A variable with a start value has it before initialisation and, where initial is exact, after it",
     "2.2.7 Definition of Model Variables (start, initial)",
     "Definition of Model Variables (start, initial)",
 )
@@ -32,7 +32,9 @@ def starts(s: Session, task: Task) -> str:
     if not known:
         raise NotApplicable("no variable has a start value")
     faults = []
-    for unit, when in ((s.unit(), "after instantiation"), (s.ready(), "after initialisation")):
+    early = s.unit()
+    early.show_starts()
+    for unit, when in ((early, "before initialisation ends"), (s.ready(), "after initialisation")):
         for v in known:
             status, value = unit.get(v)
             if status > WARNING:
@@ -266,9 +268,9 @@ def initial(s: Session, task: Task) -> str:
         finally:
             unit.end()
         tried += 1
-        for i in np.flatnonzero(_changed(before, after)):
-            if v.name not in declared[outputs[i].name]:
-                faults.append(f"{outputs[i].name} follows {v.name} at the start, which its dependencies do not list")
+        names = [outputs[i].name for i in np.flatnonzero(_changed(before, after))]
+        wrong = [name for name in names if v.name not in declared[name]]
+        faults += [f"{name} follows {v.name} at the start, which its dependencies do not list" for name in wrong]
     if not tried:
         raise Unjudged("no variable can be changed before the start")
     left = f", {len(knowns) - _PARAMETERS} left out" if len(knowns) > _PARAMETERS else ""
