@@ -1,9 +1,9 @@
 """Validation: FMUs that are right pass, and each defect of one that is wrong on purpose is found by its check."""
 
 import hashlib
+import html
 import json
 import os
-import shutil
 import subprocess
 import zipfile
 from collections.abc import Callable
@@ -14,6 +14,7 @@ import pytest
 
 import alfmu
 from alfmu.cli import main
+from alfmu.fmi.checks.pages import FORMS, save
 from alfmu.fmi.checks.registry import FAILED, NOT_APPLICABLE, PASSED, UNJUDGED
 from alfmu.fmi.checks.validation import Report, examine, known_checks
 from alfmu.fmi.records import FOLDER
@@ -84,7 +85,8 @@ def description(version: str) -> str:
 <fmiModelDescription fmiVersion="{version}.0" modelName="spring" {head} generationTool="by hand">
 <CoSimulation modelIdentifier="spring" canHandleVariableCommunicationStepSize="true" maxOutputDerivativeOrder="1"
  canGetAndSet{state}="true" canSerialize{state}="true" providesDirectionalDerivative{many}="true"{more}/>
-<UnitDefinitions><Unit name="kg"><BaseUnit kg="1"/></Unit><Unit name="N/m"><BaseUnit kg="1" s="-2"/></Unit></UnitDefinitions>
+<UnitDefinitions><Unit name="kg"><BaseUnit kg="1"/></Unit>
+ <Unit name="N/m"><BaseUnit kg="1" s="-2"/></Unit></UnitDefinitions>
 <TypeDefinitions>{types}</TypeDefinitions>
 <LogCategories><Category name="problems"/></LogCategories>
 <DefaultExperiment startTime="0" stopTime="1" stepSize="0.1"/>
@@ -229,7 +231,8 @@ def test_checks_after_one_that_ended_the_process_go_on(springs, monkeypatch):
     for together in (False, True):
         found = results(examine(springs("3"), together=together))
         failed = {id for id, result in found.items() if result == FAILED}
-        assert failed == {"reference.get", "logging.errors"}  # both ask for a reference that no variable has
+        # All of them ask for a value that there is not.
+        assert failed == {"reference.get", "reference.type", "logging.errors"}
         assert found["values.types"] == PASSED
 
 
@@ -273,7 +276,7 @@ def test_static_checks_run_nothing(springs, tmp_path, monkeypatch):
     assert set(results(report)) == {"file.description", "file.values", "file.library", "file.records"}
     monkeypatch.setattr(subprocess, "Popen", None)
     assert alfmu.validate(springs("2"), static=True) == []
-    broken = changed(springs("2"), tmp_path / "b.fmu", lambda name, data: data.replace(b' index="5"', b' index="77"'))
+    broken = changed(springs("2"), tmp_path / "b.fmu", lambda name, data: data.replace(b'unit="kg"', b'unit="lb"'))
     report = examine(broken)
     assert results(report)["file.description"] == FAILED
     assert results(report)["run.default"] == UNJUDGED
@@ -420,3 +423,66 @@ def test_experiments_of_the_form_before_are_read(recorded, tmp_path):
     path = summed(recorded, tmp_path / "older.fmu", {"slider_crank_validation.exp": older})
     report = examine(path, checks=["record.*"])
     assert results(report)["record.moving_inputs"] == PASSED
+
+
+# The command ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_says_what_failed_and_ends_with_1(springs, monkeypatch, capsys, tmp_path):
+    path = str(springs("2"))
+    assert main(["validate", path, "--checks", "step.*"]) == 0
+    assert capsys.readouterr().out.endswith("0 problems found (5 checks: 5 passed)\n")
+    monkeypatch.setenv("DEFECT", "negative")
+    out = str(tmp_path / "report.html")
+    assert main(["validate", path, "--checks", "step.*", "--every", "-o", out]) == 1
+    said = capsys.readouterr().out
+    assert "failed" in said
+    assert "step.negative  a step of -0.1 s ends with OK" in said
+    assert f"wrote {out}" in said
+    assert main(["validate", path, "--checks", "step.*", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["counts"] == {PASSED: 4, FAILED: 1, NOT_APPLICABLE: 0, UNJUDGED: 0}
+    one = next(f for f in found["findings"] if f["id"] == "step.negative")
+    assert set(one) == {"id", "title", "section", "demand", "result", "detail"}
+    assert one["section"] == "FMI 2.0.5, 4.2.2 Computation"
+
+
+def test_mistakes_of_the_command_are_told(springs, capsys, tmp_path):
+    path = str(springs("2"))
+    for arguments, words in (
+        ([path, "--checks", "stat.restored"], "there is no check 'stat.restored'"),
+        ([path, "-o", "report.pdf"], "report.pdf has to end in .html, .md, .svg, .json"),
+        ([path, "--tolerance", "-1"], "timeout and tolerance are above zero"),
+        ([str(tmp_path / "none.fmu")], "none.fmu"),
+        ([], "validate takes an .fmu file"),
+    ):
+        assert main(["validate", *arguments]) == 1
+        assert words in capsys.readouterr().err
+    assert main(["validate", "--list"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"{id}: " in said for id in known_checks())
+
+
+def test_reports_hold_every_check_and_no_markup_of_an_fmu(springs, tmp_path, chromium):
+    """Names come from the FMU: they are text in every form."""
+    evil = "<script>document.title = 'run'</script> | x"
+    path = changed(
+        springs("2"),
+        tmp_path / "evil.fmu",
+        lambda name, data: data.replace(b'modelName="spring"', f'modelName="{html.escape(evil)}"'.encode()),
+    )
+    report = examine(path)
+    assert report.name == evil
+    for form, write in FORMS.items():
+        text = write(report)
+        assert all(f.id in text for f in report.findings), form
+        assert form == ".json" or "<script>" not in text
+        save(report, tmp_path / f"report{form}")
+    for form in (".html", ".svg"):
+        chromium.get((tmp_path / f"report{form}").as_uri())
+        assert chromium.title != "run"
+        assert not chromium.get_log("browser")
+    chromium.get((tmp_path / "report.html").as_uri())
+    rows = chromium.find_elements("css selector", "tbody tr")
+    assert len(rows) == len(report.findings)
+    assert chromium.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")

@@ -504,8 +504,8 @@ def replayed(s: Session, task: Task, number: int) -> str:
     stimuli, wanted = record["stimuli"], record["references"]
     if wanted is None:
         raise Unjudged("the experiment has no reference results")
-    missing = [n for n in (*wanted["names"], *record["parameters"], *(stimuli or {"names": ()})["names"])]
-    missing = [name for name in missing if name not in s.by_name]
+    names = (*wanted["names"], *record["parameters"], *(stimuli["names"] if stimuli else ()))
+    missing = [name for name in names if name not in s.by_name]
     if missing:
         raise Fault(f"{missing[0]} is no variable of the FMU")
     outputs = [s.by_name[name] for name in wanted["names"]]

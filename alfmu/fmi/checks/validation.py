@@ -37,7 +37,7 @@ TIMEOUT = 120.0
 """Time [s] that a check may take: minutes are for FMUs that take a second for a step."""
 
 OTHERS_AGREE = 1e-3
-"""Largest difference [1] from reference results that other tools recorded, which seldom say what theirs are good for."""
+"""Largest difference [1] from what other tools recorded, which seldom say how good it is."""
 
 _RESULTS = (PASSED, FAILED, NOT_APPLICABLE, UNJUDGED)
 
@@ -201,7 +201,7 @@ def _static(path: str | Path, folder: Path) -> tuple[list[Finding], ModelDescrip
         raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
     extract(str(path), str(folder))
     found = {
-        "file.description": (problems, ""),
+        "file.description": (problems, "by the rules of fmpy"),
         "file.values": (_values(description), f"{len(description.modelVariables)} variables"),
         "file.records": _related(folder),
     }
@@ -214,7 +214,7 @@ def _static(path: str | Path, folder: Path) -> tuple[list[Finding], ModelDescrip
         result = FAILED if faults else NOT_APPLICABLE if said is None else PASSED
         more = f"; and {len(faults) - 5} more" if len(faults) > 5 else ""
         text = "; ".join(" ".join(each.split()) for each in faults[:5]) + more
-        findings.append(one.finding(version, result, text or said or "the FMU has no related files"))
+        findings.append(one.finding(version, result, text or said or "it has none"))
     return findings, description
 
 
