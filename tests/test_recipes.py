@@ -17,7 +17,8 @@ from fmpy.validation import validate_fmu
 import alfmu
 from alfmu import Recipe
 from alfmu.cli import main
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.fmi.entry import Entry
 from alfmu.fmi.recipe import load
 from alfmu.model.registry import executed

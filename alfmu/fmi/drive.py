@@ -265,10 +265,10 @@ def checked_folder(folder: Path, path: str | Path) -> None:
         )
 
 
-def description_of(path: str | Path) -> ModelDescription:
-    """The description in an FMU."""
+def description_of(path: str | Path, valid: bool = True) -> ModelDescription:
+    """The description in an FMU, which has to follow the schema where it shall be `valid`."""
     try:
-        found = read_model_description(str(path))
+        found = read_model_description(str(path), validate=valid)
     except Exception as error:  # fmpy raises whatever the XML parser raised
         raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
     kinds = (found.coSimulation, found.modelExchange, getattr(found, "scheduledExecution", None))

@@ -193,7 +193,7 @@ _STATIC = {
 
 def _static(path: str | Path, folder: Path) -> tuple[list[Finding], ModelDescription]:
     """What can be found of files without running anything, in an FMU that is unpacked here."""
-    description = description_of(path)
+    description = description_of(path, valid=False)
     version = description.fmiVersion[:1]
     try:
         problems = [f"{problem}" for problem in validate_fmu(str(path))]
