@@ -466,7 +466,7 @@ def test_reference_results_are_those_of_the_scene(exported):
             heads, *moving = csv.reader(read[f"{name}_in.csv"].decode().splitlines())
             columns = np.array(moving, float).T
             inputs = {head: (columns[0], column) for head, column in zip(heads[1:], columns[1:], strict=True)}
-            parameters = ET.fromstring(read[f"{name}.ssv"]).iter("{*}Parameter")
+            parameters = ET.fromstring(read[f"{name}.ssv"]).findall(".//{*}Parameter")
             given = {each.get("name"): float(each[0].get("value")) for each in parameters}
             assert inputs.keys() == {"A.torque", "slider.force"}
             assert given

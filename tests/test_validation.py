@@ -5,6 +5,7 @@ import html
 import json
 import os
 import subprocess
+import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -277,9 +278,9 @@ def test_static_checks_run_nothing(springs, tmp_path, monkeypatch):
     monkeypatch.setattr(subprocess, "Popen", None)
     assert alfmu.validate(springs("2"), static=True) == []
     broken = changed(springs("2"), tmp_path / "b.fmu", lambda name, data: data.replace(b'unit="kg"', b'unit="lb"'))
-    report = examine(broken)
-    assert results(report)["file.description"] == FAILED
-    assert results(report)["run.default"] == UNJUDGED
+    (problem,) = alfmu.validate(broken, static=True)
+    assert problem.startswith("file.description: ")
+    assert 'The unit "lb" of variable "m"' in problem
 
 
 @pytest.mark.parametrize(
@@ -425,6 +426,38 @@ def test_experiments_of_the_form_before_are_read(recorded, tmp_path):
     assert results(report)["record.moving_inputs"] == PASSED
 
 
+# An FMU of another tool -----------------------------------------------------------------------------------------------
+
+_TANK = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class Tank(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.inflow, self.level = 0.1, 1.0
+        self.register_variable(Real("inflow", causality=Fmi2Causality.input, start=0.1))
+        self.register_variable(Real("level", causality=Fmi2Causality.output))
+
+    def do_step(self, current_time, step_size):
+        self.level += step_size * self.inflow
+        return True
+"""
+
+
+def test_a_plain_slave_of_pythonfmu_is_judged_though_its_description_is_not_valid(tmp_path):
+    (tmp_path / "tank.py").write_text(_TANK)
+    command = [sys.executable, "-m", "pythonfmu", "build", "-f", "tank.py"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    found = {f.id: f for f in examine(tmp_path / "Tank.fmu").findings}
+    assert found["file.description"].result == FAILED
+    assert found["run.default"].result == PASSED
+    assert found["state.restored"].result == NOT_APPLICABLE
+    # Its slave does not look at what it is given, and pythonfmu neither.
+    assert found["step.negative"].result == FAILED
+    assert found["values.nonfinite"].detail.startswith("inflow = nan is taken, and level is not finite afterwards")
+
+
 # The command ----------------------------------------------------------------------------------------------------------
 
 
@@ -485,4 +518,5 @@ def test_reports_hold_every_check_and_no_markup_of_an_fmu(springs, tmp_path, chr
     chromium.get((tmp_path / "report.html").as_uri())
     rows = chromium.find_elements("css selector", "tbody tr")
     assert len(rows) == len(report.findings)
+    # A narrow window scrolls the table, not the page.
     assert chromium.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")

@@ -14,8 +14,8 @@ outputs=["*.angle"])`. What the options say takes precedence over it, those of -
 
 _VALIDATE = """An FMU is native code, and checking how it behaves runs that code with all your rights: validate FMUs
 from strangers with --static, or where they can do no harm. It runs in a process of its own, so that an FMU that crashes
-or does not return is a failed check with the call that it was in. Files are looked at first; where the description is
-wrong, nothing runs. Exit code 0: nothing failed; 1: something did."""
+or does not return is a failed check with the call that it was in. Its files are looked at first, and all of the archive
+has to be sound. Exit code 0: nothing failed; 1: something did."""
 
 
 def add(command: Command) -> None:

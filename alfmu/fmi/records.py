@@ -9,8 +9,10 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import logging
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -100,9 +102,10 @@ def record_files(equations: Equations) -> dict[str, bytes]:
         return {}
     if not kept or not np.isfinite(still.values).all():
         return {}
-    files, related = {}, []
+    files: dict[str, bytes] = {}
+    related: list[dict[str, str]] = []
     tolerance = instance.get("solver.relative_tolerance")
-    span = {"start_time": 0.0, "stop_time": stop_time, "step_size": step, "tolerance": tolerance}
+    span: dict[str, Any] = {"start_time": 0.0, "stop_time": stop_time, "step_size": step, "tolerance": tolerance}
     about = "from the defaults, with inputs that stand still"
     runs = [("smoke_test", "smoke-test", Record("defaults", description=about, references=still, **span))]
     if moved := _moving(e, still, kept):
@@ -144,20 +147,22 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         for value in [_HEAVIER * float(v.start)]
         if v.maximum is None or value <= v.maximum
     }
-    best, small, large = None, 0.0, math.inf
+    best, poor, small, large = None, None, 0.0, math.inf
     size = 1.0
     for _ in range(_TRIES):
         inputs = _signals(e, instance, still.time, size)
         table = {name: (inputs.time, inputs[name]) for name in inputs.names}
         try:
-            result = run(
-                Instance(e), still.time[-1], still.time[1], inputs=table, parameters=parameters, held_rows=True
-            )
+            with _warned() as warnings:
+                how: dict[str, Any] = {"inputs": table, "parameters": parameters, "held_rows": True}
+                result = run(Instance(e), still.time[-1], still.time[1], **how)
             changes = [_apart(result[name], still[name]) for name in kept]
             change = max(changes) if np.isfinite(changes).all() else math.inf
         except AlfmuError:
             change = math.inf
-        if math.isfinite(change):
+        if math.isfinite(change) and warnings:
+            poor, change = (parameters, inputs, result), math.inf
+        elif math.isfinite(change):
             best = parameters, inputs, result
         if _SEEN <= change <= _GENTLE:
             break
@@ -166,7 +171,24 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         else:
             small = max(small, size)
         size = small * 8 if large == math.inf else large / 8 if not small else math.sqrt(small * large)
-    return best
+    return best or poor
+
+
+@contextmanager
+def _warned() -> Iterator[list[logging.LogRecord]]:
+    """What a run warns of, which nobody is told: it is one of several that are tried."""
+    found: list[logging.LogRecord] = []
+
+    def take(record: logging.LogRecord) -> bool:
+        found.append(record)
+        return False
+
+    logger = logging.getLogger("alfmu")
+    logger.addFilter(take)
+    try:
+        yield found
+    finally:
+        logger.removeFilter(take)
 
 
 def _signals(e: Equations, instance: Instance, times: NDArray[np.float64], size: float) -> Result:

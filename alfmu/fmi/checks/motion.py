@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -531,11 +532,11 @@ def replayed(s: Session, task: Task, number: int) -> str:
     apply(unit, start)
     unit.must(unit.exit(), "ExitInitializationMode")
     rows = {"held": [unit.read(outputs)], "set": [unit.read(outputs)]}
-    for t in times[:-1]:
+    for t, onward in pairwise(times):
         unit.time = t
-        unit.step(step)
+        unit.step(onward - t)  # as the run was recorded, to the last bit
         rows["held"].append(unit.read(outputs))
-        apply(unit, t + step)
+        apply(unit, onward)
         rows["set"].append(unit.read(outputs))
     reference, at = np.array(wanted["values"]), np.array(wanted["time"])
     if at[0] < times[0] - 1e-6 * step or at[-1] > times[-1] + 1e-6 * step:

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -108,25 +108,19 @@ def examine(
     with scratch() as folder:
         findings, description = _static(path, folder)
         ids = _chosen(checks, [each.name for each in _good(folder)])
-        why_not = _why_not({each.id: each.result for each in findings})
+        runs = next(each.result for each in findings if each.id == "file.library") == PASSED
         findings = [each for each in findings if checks is None or _matches(each.id, checks)]
         if static:
             pass
-        elif why_not:
+        elif not runs:
             known, version = all_checks([each.name for each in _good(folder)]), description.fmiVersion[:1]
-            findings += [known[id].finding(version, UNJUDGED, why_not) for id in ids]
+            why = "the FMU cannot run here; see file.library"
+            findings += [known[id].finding(version, UNJUDGED, why) for id in ids]
         elif ids:
             findings += _dynamic(path, folder, description, ids, tolerance, timeout, progress, together)
     tool = description.generationTool or "an unknown tool"
     seconds = time.monotonic() - began
     return Report(str(path), description.modelName, description.fmiVersion, tool, tuple(findings), seconds)
-
-
-def _why_not(results: Mapping[str, str]) -> str:
-    """Why an FMU is not run, by the results of the checks of its files; nothing where it is."""
-    if results["file.description"] == FAILED:
-        return "the description is wrong, so that the FMU was not run"
-    return "" if results["file.library"] == PASSED else "the FMU cannot run here; see file.library"
 
 
 def known_checks() -> dict[str, Check]:
