@@ -25,16 +25,16 @@ _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1d1d1b; max-width: 78rem; margin: 2rem auto; padding: 0 1.2rem; }
 h1 { font-size: 1.5rem; margin-bottom: .2rem; } .facts { color: #555; margin: 0 0 1rem; }
 .counts { display: flex; gap: 1.5rem; flex-wrap: wrap; padding: 0; list-style: none; } .counts b { font-size: 1.3rem; }
-.table { overflow-x: auto; } table { border-collapse: collapse; width: 100%; min-width: 56rem; }
+.table { overflow-x: auto; } table { border-collapse: collapse; width: 100%; min-width: 64rem; table-layout: fixed; }
 th, td { text-align: left; vertical-align: top; padding: .45rem .7rem; border-bottom: 1px solid #ddd; }
 th { background: #f4f4f1; } td p { margin: 0; overflow-wrap: anywhere; } .small { color: #555; font-size: .86em; }
-code { font-size: .92em; white-space: nowrap; } .result { font-weight: 600; white-space: nowrap; }
+code { font-size: .92em; overflow-wrap: anywhere; } .result { font-weight: 600; }
 tr.failed { background: #fdf1f0; }
 @media print { body { margin: 0; font-size: 11px; } tr { break-inside: avoid; } }
 """
 
 
-_COLUMNS = "".join(f'<col style="width: {width}">' for width in ("12%", "13%", "30%", "31%", "14%"))
+_COLUMNS = "".join(f'<col style="width: {width}">' for width in ("14%", "16%", "28%", "28%", "14%"))
 
 
 def summary(report: Report) -> str:
@@ -90,7 +90,8 @@ def html(report: Report) -> str:
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>{title}</title><style>{_STYLE}</style></head><body>
 <h1>{title}</h1><p class="facts">{escape(_facts(report))}</p><ul class="counts">{counts}</ul>
-<div class="table"><table>{_COLUMNS}<thead><tr><th>Result</th><th>Check</th><th>What, and what the standard says</th><th>Seen</th>
+<div class="table"><table>{_COLUMNS}
+<thead><tr><th>Result</th><th>Check</th><th>What, and what the standard says</th><th>Seen</th>
 <th>Section</th></tr></thead><tbody>
 {rows}
 </tbody></table></div></body></html>
