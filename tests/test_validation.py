@@ -28,7 +28,7 @@ SOURCE = Path(__file__).with_name("defective_fmu.c")
 _VARIABLES = {
     "2": """
 <ScalarVariable name="m" valueReference="0" causality="parameter" variability="fixed" initial="exact">
- <Real start="2" min="0.1" max="10" unit="kg"/></ScalarVariable>
+ <Real start="2" min="0.1" max="10" declaredType="Mass"/></ScalarVariable>
 <ScalarVariable name="k" valueReference="1" causality="parameter" variability="fixed" initial="exact">
  <Real start="3" unit="N/m"/></ScalarVariable>
 <ScalarVariable name="mode" valueReference="2" causality="parameter" variability="fixed" initial="exact">
@@ -65,7 +65,8 @@ def description(version: str) -> str:
     state, many = ("FMUstate", "") if two else ("FMUState", "s")
     more = "" if two else ' providesAdjointDerivatives="true"'
     items = '<Item name="one" value="1"/><Item name="two" value="2"/>'
-    types = f'<SimpleType name="Mode"><Enumeration>{items}</Enumeration></SimpleType>' if two else ""
+    mass = '<SimpleType name="Mass"><Real unit="kg"/></SimpleType>'
+    types = f'<SimpleType name="Mode"><Enumeration>{items}</Enumeration></SimpleType>{mass}' if two else ""
     types = types or f'<EnumerationType name="Mode">{items}</EnumerationType>'
     places = {"x": 4, "v": 5, "a": 6, "count": 7}
 
@@ -277,16 +278,17 @@ def test_static_checks_run_nothing(springs, tmp_path, monkeypatch):
     assert set(results(report)) == {"file.description", "file.values", "file.library", "file.records"}
     monkeypatch.setattr(subprocess, "Popen", None)
     assert alfmu.validate(springs("2"), static=True) == []
-    broken = changed(springs("2"), tmp_path / "b.fmu", lambda name, data: data.replace(b'unit="kg"', b'unit="lb"'))
+    broken = changed(springs("2"), tmp_path / "b.fmu", lambda name, data: data.replace(b' unit="N/m"', b' unit="lb"'))
     (problem,) = alfmu.validate(broken, static=True)
     assert problem.startswith("file.description: ")
-    assert 'The unit "lb" of variable "m"' in problem
+    assert 'The unit "lb" of variable "k"' in problem
 
 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         (b'<Real start="2" min="0.1"', b'<Real start="0.01" min="0.1"', "m starts with 0.01, outside its bounds"),
+        (b'<Real unit="kg"/>', b'<Real unit="slug"/>', "m has the unit slug by its type, and it is not defined"),
         (b'min="-100" max="100"', b'min="100" max="-100"', "min of u is 100 and max -100"),
         (b'declaredType="Mode" start="1"', b'declaredType="Mode" start="9"', "mode starts with 9, which is no item"),
     ],
@@ -388,6 +390,11 @@ def test_a_record_that_was_changed_is_told_by_its_check_sum(recorded, tmp_path):
     [
         ("slider_crank_validation.exp", lambda d: b"<Experiments", "slider_crank_validation.exp cannot be read"),
         ("slider_crank_validation.exp", lambda d: d.replace(b'stopTime="', b'stopTime="-'), "has stopTime -"),
+        (
+            "slider_crank_validation.exp",
+            lambda d: d.replace(b'stopTime="', b'stopTime="1e17" x="'),
+            "communication points",
+        ),
         ("slider_crank_validation.exp", lambda d: d.replace(b'stepSize="', b'stepSize="x'), "no stepSize that is a"),
         (
             "slider_crank_validation.exp",

@@ -28,7 +28,7 @@ from ..equations.interface import MONITORS
 from ..model.errors import AlfmuError, InputError, StepError
 from ..result import Result
 from ..runtime import Instance
-from ..simulation import run
+from ..simulation import communication_points, run
 from .parameters import SSV, parameter_set, read_parameter_set
 
 __all__ = ["AGREES", "EXPERIMENTS", "FOLDER", "MANIFEST", "Record", "listed", "record_files", "records_in"]
@@ -364,6 +364,7 @@ def _record(folder: Path, path: Path, element: ET.Element) -> Record:
 
     start = number("startTime", -math.inf, 0.0)
     stop, step = number("stopTime", math.nextafter(start, math.inf)), number("stepSize", math.ulp(0.0))
+    communication_points(name, stop - start, step)  # or too many of them
     given: dict[str, Any] = {}
     for tag, field_name, kind, read in (
         ("Parameters", "parameters", SSV, lambda p: read_parameter_set(p.read_bytes(), p.name)),

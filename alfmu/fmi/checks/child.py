@@ -6,6 +6,7 @@ check. Where the system can, each check runs in a copy of this process, so that 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -53,7 +54,8 @@ def all_checks(records: list[str]) -> dict[str, Check]:
 
 
 def result_file(folder: Path, id: str) -> Path:
-    return folder / f"finding-{id.encode().hex()}.json"
+    """Where the finding of a check stands; names of records may be of any length."""
+    return folder / f"finding-{hashlib.sha256(id.encode()).hexdigest()}.json"
 
 
 def main(folder: Path) -> int:

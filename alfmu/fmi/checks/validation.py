@@ -218,12 +218,11 @@ def _values(description: ModelDescription) -> list[str]:
     units = {each.name for each in description.unitDefinitions}
     for v in description.modelVariables:
         simple = v.declaredType
-        low, high, unit = (
-            getattr(v, key, None) or getattr(simple, key, None) if simple else getattr(v, key, None)
-            for key in ("min", "max", "unit")
-        )
+        low, high = (getattr(v, key, None) or getattr(simple, key, None) for key in ("min", "max"))
+        # fmpy looks at units of variables, and not at those of their types.
+        unit = None if v.unit else getattr(simple, "unit", None)
         if unit and unit not in units:
-            faults.append(f"{v.name} has the unit {unit}, which is not defined")
+            faults.append(f"{v.name} has the unit {unit} by its type, and it is not defined")
         numbers = v.type not in ("String", "Boolean", "Binary", "Clock")
         with suppress(ValueError, TypeError):
             if numbers and low is not None and high is not None and float(low) > float(high):
