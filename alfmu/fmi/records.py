@@ -97,7 +97,7 @@ def record_files(equations: Equations) -> dict[str, bytes]:
     stop_time, step, every = _span(e, instance)
     kept = [v.name for v in instance.outputs if v.name not in _UNREPEATABLE]
     try:
-        still = run(Instance(e), stop_time, step, held_rows=True)
+        still = run(Instance(e), stop_time, step)
     except StepError:
         return {}
     if not kept or not np.isfinite(still.values).all():
@@ -154,16 +154,16 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         table = {name: (inputs.time, inputs[name]) for name in inputs.names}
         try:
             with _warned() as warnings:
-                how: dict[str, Any] = {"inputs": table, "parameters": parameters, "held_rows": True}
+                how: dict[str, Any] = {"inputs": table, "parameters": parameters}
                 result = run(Instance(e), still.time[-1], still.time[1], **how)
             changes = [_apart(result[name], still[name]) for name in kept]
             change = max(changes) if np.isfinite(changes).all() else math.inf
         except AlfmuError:
             change = math.inf
         if math.isfinite(change) and warnings:
-            poor, change = (parameters, inputs, result), math.inf
+            poor, change = inputs, math.inf
         elif math.isfinite(change):
-            best = parameters, inputs, result
+            best = inputs
         if _SEEN <= change <= _GENTLE:
             break
         if change > _GENTLE:
@@ -171,7 +171,13 @@ def _moving(e: Equations, still: Result, kept: list[str]) -> tuple[dict[str, flo
         else:
             small = max(small, size)
         size = small * 8 if large == math.inf else large / 8 if not small else math.sqrt(small * large)
-    return best or poor
+    chosen = best or poor
+    if chosen is None:
+        return None
+    table = {name: (chosen.time, chosen[name]) for name in chosen.names}
+    how = {"inputs": table, "parameters": parameters, "held_rows": True}
+    with _warned():
+        return parameters, chosen, run(Instance(e), still.time[-1], still.time[1], **how)
 
 
 @contextmanager
