@@ -17,6 +17,7 @@ ROOMS: dict[str, set[str]] = {
     "files": {"model"},
     "equations": {"model"},
     "parts": {"equations", "model"},
+    "formats": {"model"},
     "method": set(),
     "kernel": {"equations", "method", "model"},
     "runtime": {"equations", "files", "kernel", "method", "model"},
@@ -27,13 +28,26 @@ ROOMS: dict[str, set[str]] = {
     "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
     "analysis": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
-    "cli": {"analysis", "equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "view"},
+    "cli": {
+        "analysis",
+        "equations",
+        "files",
+        "fmi",
+        "formats",
+        "kernel",
+        "model",
+        "result",
+        "runtime",
+        "simulation",
+        "studies",
+        "view",
+    },
     "__main__": {"cli"},
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 
 LATE: dict[str, set[str]] = {
-    "model": {"equations", "result", "view"},
+    "model": {"equations", "formats", "result", "view"},
     "result": {"view"},
     "simulation": {"analysis", "fmi"},
     "fmi": {"analysis"},
