@@ -48,7 +48,7 @@ motion is sensitive, another platform's round-off grows."""
 _STEPS = 1000
 """Most internal steps of a run; a tenth of them in a large scene."""
 
-_VALUES = 4000
+_VALUES = 1600
 """Numbers that are kept of a run, or so many as there are in `_ROWS`."""
 
 _ROWS = 3
@@ -206,11 +206,14 @@ def _signals(e: Equations, instance: Instance, times: NDArray[np.float64], size:
         if i in companions:
             continue
         rate = 2 * math.pi * (1 + 0.5 * i) / span
-        start, amplitude = float(v.start), size * (v.nominal or 1.0)
-        columns[v.name] = start + amplitude * np.sin(rate * times) ** 2 * (1 if i % 2 == 0 else -1)
+        start, amplitude = float(v.start), float(f"{size * (v.nominal or 1.0):.1e}")
+        followed = next((f for f in e.followed if f.input == i), None)
+        wave = np.sin(rate * times) ** 2
+        if not followed:  # Its table is three times as short.
+            wave = wave.round(2)
+        columns[v.name] = start + amplitude * wave * (1 if i % 2 == 0 else -1)
         low, high = (-math.inf if v.minimum is None else v.minimum), (math.inf if v.maximum is None else v.maximum)
         columns[v.name] = np.clip(columns[v.name], low, high)
-        followed = next((f for f in e.followed if f.input == i), None)
         sign = 1 if i % 2 == 0 else -1
         slopes = (
             sign * amplitude * rate * np.sin(2 * rate * times),
