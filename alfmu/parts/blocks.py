@@ -4,8 +4,9 @@
     wanted   ->         voltage ->          motor_speed ->      torque ->
     measured ->  output speed   -> torque   load_speed  -> motor_torque, load_torque   -> angle, speed
 
-A motor without inertia takes the speed of what it drives and gives a torque: it is coupled with a mechanism directly. One
-with a rotor of its own takes the torque that it is loaded by and gives its speed, as a gearbox with elastic shafts needs.
+A motor without inertia takes the speed of what it drives and gives a torque: it is coupled with a mechanism directly.
+One with a rotor of its own takes the torque that it is loaded by and gives its speed, as a gearbox with elastic shafts
+needs.
 """
 
 from __future__ import annotations
