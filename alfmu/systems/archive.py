@@ -85,7 +85,9 @@ def write(system: System, path: str | Path | None, version: str) -> Path:
 def _fmu(system: System, component: Component, folder: Path) -> bytes:
     """The FMU of a component."""
     if component.kind != "fmu":
-        recipe = recipe_of(component).changed(kind="native", reference=False)
+        # Values of inputs are defaults, too: fmpy applies no parameter set by itself.
+        constants = _constants(system, component.name)
+        recipe = recipe_of(component).changed(kind="native", reference=False, parameters=constants)
         return export(recipe, folder / f"{component.name}.fmu").read_bytes()
     if system.archive is not None:
         with zipfile.ZipFile(system.archive) as opened:
@@ -316,7 +318,9 @@ def _read_component(path: Path, opened: zipfile.ZipFile, names: set[str], name: 
     source = _place(f"the component {name}", each.get("source"), names)
     values, units = _bindings(path, opened, names, each, f"the component {name}")
     for connector, one in _read_connectors(name, each).items():
-        units |= {connector: kind.get("unit", "") for kind in one.iter(_tag("ssc:Real")) if kind.get("unit")}
+        stated = [kind.get("unit", "") for kind in one.iter(_tag("ssc:Real")) if kind.get("unit")]
+        if stated:
+            units[connector] = stated[0]
     return Component(name, "fmu", source, parameters=values, units=units)
 
 

@@ -304,6 +304,8 @@ class Assembly:
     def step(self, communication_step: float, time: float) -> None:
         """Step all components; `time` is that since the start."""
         h, self._time = communication_step, self.system.start_time + time
+        if self._observed:
+            self._began = self._read()
         getattr(self, f"_step_{self.system.master}")(h)
         self._size = np.maximum(self._size, np.abs(self._u))
         self.steps += 1
@@ -373,7 +375,7 @@ class Assembly:
                 self._guarded(slave, lambda c=c: self._stepped(c, h, self._u, end))
             self._y = self._read()
             return
-        middle, seen = (self._u + end) / 2, [self._wanted(self._y)]
+        middle, seen = (self._u + end) / 2, [self._wanted(self._began)]
         for part, (begin, to) in enumerate(((self._u, middle), (middle, end))):
             for c, slave in enumerate(self.slaves):
                 self._guarded(slave, lambda c=c, a=begin, b=to, p=part: self._stepped(c, h / 2, a, b, p * h / 2))
