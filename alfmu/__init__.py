@@ -26,7 +26,9 @@ _HOME = {
     "Recipe": "fmi.recipe",
     "Result": "result",
     "StepError": "model.errors",
+    "System": "systems.description",
     "WriteError": "model.errors",
+    "couple": "systems.coupling",
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
@@ -68,6 +70,8 @@ if TYPE_CHECKING:
     from .runtime import Instance as Instance
     from .runtime.reuse import derive as derive
     from .simulation import simulate as simulate
+    from .systems.coupling import couple as couple
+    from .systems.description import System as System
 
     __version__: str
 

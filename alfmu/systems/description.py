@@ -94,8 +94,8 @@ class Connection:
     factor: float = 1.0
     offset: float = 0.0
     convert: str | None = None
-    """Where the units differ, both of them as "r/min -> rad/s"; "*" converts whatever they are, "none" nothing, as an SSP
-    may ask for."""
+    """Where the units differ, both of them as "r/min -> rad/s"; "*" converts whatever they are, "none" nothing, as an
+    SSP may ask for."""
 
     def __str__(self) -> str:
         return f"{self.source} -> {self.target}"
@@ -119,8 +119,8 @@ class System:
 
     `components` has by name a `Mechanism`, a `Recipe`, the name of a mechanism, a Python file, the path of an `.fmu`
     file or a `Component`; `connections` are pairs ("COMPONENT.OUTPUT", "COMPONENT.INPUT") or `Connection`s; `inputs`
-    has values of inputs that nothing is connected to. Times are in s; `master` is one of MASTERS. `bonds` are pairs of a
-    connection's source that is an effort (force, torque, voltage, pressure) and one that is the flow on the way back,
+    has values of inputs that nothing is connected to. Times are in s; `master` is one of MASTERS. `bonds` are pairs of
+    a connection's source that is an effort (force, torque, voltage, pressure) and one that is the flow on the way back,
     between which power passes; None for all that can be told. Raises InputError where that describes no system.
     """
 
@@ -266,8 +266,8 @@ def _connection(who: str, given: Any) -> Connection:
             raise InputError(f"{who}: a connection ends at {shown(end)}; give COMPONENT.VARIABLE")
     if not _is_number(given.factor) or not _is_number(given.offset) or not given.factor:
         raise InputError(
-            f"{who}, {given}: factor {shown(given.factor)} and offset {shown(given.offset)}; give finite numbers, and a "
-            "factor other than zero"
+            f"{who}, {given}: factor {shown(given.factor)} and offset {shown(given.offset)}; give finite numbers, and "
+            "a factor other than zero"
         )
     return given
 
@@ -341,9 +341,8 @@ def _read_component(path: Path, name: str, table: dict[str, Any]) -> Component:
     _known(path, f"components.{name}", table, _COMPONENT_KEYS)
     given = [key for key in _SOURCES if key in table]
     if len(given) != 1 or not isinstance(table[given[0]], str):
-        raise InputError(
-            f"{path}: the component {name} has {in_words(given) if given else 'no model'}; give one of {in_words(_SOURCES)}"
-        )
+        has = " and ".join(given) or "no model"
+        raise InputError(f"{path}: the component {name} has {has}; give it a text for one of {in_words(_SOURCES)}")
     kind = given[0]
     outputs = table.get("outputs")
     if outputs is not None and not (isinstance(outputs, list) and all(isinstance(x, str) for x in outputs)):

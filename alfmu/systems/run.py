@@ -120,6 +120,9 @@ class Assembly:
             component, _, variable = name.partition(".")
             if component not in system.components:
                 raise InputError(f"{self.name}: {name!r} is of no component; {there_is(component, system.components)}")
+            if name in system.inputs:  # what is set counts, as it does for a mechanism
+                system = self.system = system.changed(inputs={name: value})
+                continue
             own.setdefault(component, {})[variable] = value
         with ExitStack() as stack:
             folder = system.folder
@@ -220,8 +223,8 @@ class Assembly:
             raise InputError(f"{self.name}, {given}: {error}; connect what has one unit") from None
         if (factor, offset) != (1.0, 0.0) and given.convert is None:
             raise InputError(
-                f"{self.name}, {given}: the units are {source.unit} and {target.unit}; say that they are converted with "
-                f'convert = "{named}"'
+                f"{self.name}, {given}: the units are {source.unit} and {target.unit}; say that they are converted, "
+                f'with convert = "{named}"'
             )
         return factor, offset
 
@@ -485,7 +488,7 @@ class Assembly:
 
 
 def interface_jacobian(outputs, end: Vector, inputs: Sequence[int], nudges: Vector) -> Vector:
-    """dy/de of one component (outputs, inputs): its outputs behind a step by the values of inputs at its end.
+    """dy/de of one component (outputs, inputs): outputs behind a step by the values of inputs at its end.
 
     `outputs(e)` makes the step anew from where it began, with inputs that end at e, and gives all outputs; the quotients
     are differences with the `nudges` of inputs. A component that gives this matrix itself would be asked here.
