@@ -26,7 +26,7 @@ _HOME = {
     "Recipe": "fmi.recipe",
     "Result": "result",
     "StepError": "model.errors",
-    "System": "systems.description",
+    "System": "systems.system",
     "WriteError": "model.errors",
     "couple": "systems.coupling",
     "derive": "runtime.reuse",
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
     from .runtime.reuse import derive as derive
     from .simulation import simulate as simulate
     from .systems.coupling import couple as couple
-    from .systems.description import System as System
+    from .systems.system import System as System
 
     __version__: str
 

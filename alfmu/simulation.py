@@ -113,7 +113,7 @@ def simulate(
                 f"{mechanism}: outputs, frozen parameters, the kernel and the start are those of its components; give "
                 "them there"
             )
-        from .systems.description import System
+        from .systems.system import System
 
         system = System.load(mechanism)
         more: dict[str, Any] = {"inputs": inputs, "parameters": given, "held_rows": held_rows, "progress": progress}

@@ -98,7 +98,7 @@ def _export(chosen: argparse.Namespace) -> None:
 
 
 def _export_system(chosen: argparse.Namespace) -> None:
-    from ..systems.description import System
+    from ..systems.system import System
 
     own = ("kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure")
     own += ("option", "set", "compliances", "reference")

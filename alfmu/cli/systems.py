@@ -51,7 +51,7 @@ def add(command: Command) -> None:
 
 
 def _system(chosen: argparse.Namespace) -> None:
-    from ..systems.description import System
+    from ..systems.system import System
 
     inputs = given_inputs(chosen)
     system = System.load(chosen.system)

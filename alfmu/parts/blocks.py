@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import MappingProxyType
+from typing import Any
 
 from ..model.mechanism import Mechanism
 from .control import pi_controller
@@ -38,7 +39,12 @@ def motor(
     """
     m = Mechanism("motor", "DC motor")
     voltage = m.input("voltage", "V", description="at its terminals")
-    numbers = {"resistance": resistance, "inductance": inductance, "constant": constant, "nominal": nominal}
+    numbers: dict[str, Any] = {
+        "resistance": resistance,
+        "inductance": inductance,
+        "constant": constant,
+        "nominal": nominal,
+    }
     if not inertia:
         speed = m.input("speed", "rad/s", description="of its shaft")
         dc_motor(m, "", voltage=voltage, speed=speed, **numbers)

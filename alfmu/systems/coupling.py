@@ -20,7 +20,7 @@ import io
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +33,12 @@ from ..fmi.recipe import of
 from ..model.errors import AlfmuError, InputError, StepError
 from ..model.units import UNITS
 from ..model.words import in_words, there_is
-from .description import MASTERS, Monolithic, System
+from ..view.plot import check_name, save
+from .case import Case
+from .description import MASTERS, Monolithic
+from .picture import figure
 from .run import Assembly, Link
+from .system import System
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,30 +73,6 @@ class Bond:
     effort: int
     flow: int
     name: str
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One run of the system."""
-
-    master: str
-    step: float
-    """Communication step [s]."""
-    error: float
-    """Largest difference of a compared output over the largest value of it [1]; infinite where the run failed."""
-    errors: Mapping[str, float]
-    energy: float
-    """Largest energy that coupling has made up to any time [J], by size; NaN where no power bond is known."""
-    passed: float
-    """Energy that went through the bonds, forth and back [J]."""
-    tries: float
-    """Steps of the components that were made for one communication step."""
-    seconds: float
-    why: str = ""
-    """Why it failed."""
-    time: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    made: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    """Energy made up to these times [J]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +143,13 @@ class Coupling:
 
     def figure(self) -> Figure:
         """Error over step by master, and the energy that coupling makes over time; needs `alfmu[plot]`."""
-        from .picture import figure
-
-        return figure(self)
+        orders = {master: self.order(master) for master in dict.fromkeys(case.master for case in self.cases)}
+        return figure(self.system, self.cases, orders, self.stable)
 
     def plot(self, path: str | Path) -> None:
         """Write the figure as PNG, SVG or PDF."""
-        from .picture import save
-
-        save(self, path)
+        check_name(Path(path))
+        save(self.figure(), Path(path), 150)
 
 
 def check_file(path: Path) -> None:
@@ -294,7 +272,7 @@ def _run(
             result, why = error.result, str(error)
         at, made, passed = _energy(unit, bonds)
         tries = 1.0 if master != "iterated" else unit.iterations / max(1, unit.steps)
-    errors = {}
+    errors: dict[str, float] = {}
     for name in mono.compare:
         times = np.arange(len(reference[name])) * finest
         places = np.round(result.time / finest).astype(int)
@@ -303,10 +281,10 @@ def _run(
         found = reference[name][np.minimum(places, len(times) - 1)]
         wanted = found if on_grid else np.interp(result.time, times, reference[name])
         errors[name] = _difference(result[name], wanted)
-    error = math.inf if why else max(errors.values())
+    worst = math.inf if why else max(errors.values())
     energy = float(np.max(np.abs(made), initial=0.0)) if bonds else math.nan
-    error = error if math.isfinite(error) else math.inf
-    return Case(master, step, error, errors, energy, passed, tries, time.perf_counter() - began, why, at, made), bonds
+    worst = worst if math.isfinite(worst) else math.inf
+    return Case(master, step, worst, errors, energy, passed, tries, time.perf_counter() - began, why, at, made), bonds
 
 
 def _largest(fine: Callable[[float], bool], good: float, span: float, finest: float) -> tuple[float, bool]:

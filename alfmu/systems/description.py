@@ -35,18 +35,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any, Self
 
 from ..fmi.recipe import Recipe
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
-from ..model.words import in_words, shown, there_is
+from ..model.words import counted, in_words, shown, there_is
 
-if TYPE_CHECKING:
-    from ..result import Result, Signal
-    from ..simulation import Progress
-
-__all__ = ["MASTERS", "Component", "Connection", "Monolithic", "System"]
+__all__ = ["MASTERS", "Component", "Connection", "Description", "Monolithic", "read_toml"]
 
 MASTERS = {
     "held": "each component holds its inputs for a communication step, as importers of FMUs do: order 1",
@@ -114,15 +110,8 @@ class Monolithic:
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class System:
-    """Mechanisms, parts and FMUs that are connected.
-
-    `components` has by name a `Mechanism`, a `Recipe`, the name of a mechanism, a Python file, the path of an `.fmu`
-    file or a `Component`; `connections` are pairs ("COMPONENT.OUTPUT", "COMPONENT.INPUT") or `Connection`s; `inputs`
-    has values of inputs that nothing is connected to. Times are in s; `master` is one of MASTERS. `bonds` are pairs of
-    a connection's source that is an effort (force, torque, voltage, pressure) and one that is the flow on the way back,
-    between which power passes; None for all that can be told. Raises InputError where that describes no system.
-    """
+class Description:
+    """What describes a system; the fields of `alfmu.System`, whose docstring says what they are."""
 
     name: str
     components: Mapping[str, Any]
@@ -179,64 +168,20 @@ class System:
                     raise InputError(f"{who}: the bond {bond} has {end!r}, which is connected to nothing")
 
     def __repr__(self) -> str:
-        return (
-            f"System({self.name!r}, {len(self.components)} components, {len(self.connections)} connections, "
-            f"{self.master}, {self.communication_step:g} s)"
-        )
+        sizes = f"{counted(len(self.components), 'component')}, {counted(len(self.connections), 'connection')}"
+        return f"{type(self).__name__}({self.name!r}, {sizes}, {self.master}, {self.communication_step:g} s)"
 
     def _of_component(self, who: str, name: str) -> None:
         component = name.partition(".")[0]
         if component not in self.components:
             raise InputError(f"{who}: {name!r} is of no component; {there_is(component, self.components)}")
 
-    @classmethod
-    def load(cls, path: str | Path) -> System:
-        """The system that a TOML file or an SSP describes. An SSP is never trusted, and nothing in it is run here.
-
-        Raises InputError or ExportError where it describes none.
-        """
-        if str(path).lower().endswith(".ssp"):
-            from .archive import read
-
-            return read(Path(path))
-        return _from_toml(Path(path))
-
-    def changed(self, **given: Any) -> System:
+    def changed(self, **given: Any) -> Self:
         """The same system with other fields, of which None changes nothing; inputs are added."""
         given = {name: value for name, value in given.items() if value is not None}
         if "inputs" in given:
             given["inputs"] = {**self.inputs, **given["inputs"]}
         return replace(self, **given)
-
-    def simulate(
-        self,
-        stop_time: float | None = None,
-        communication_step: float | None = None,
-        *,
-        inputs: Mapping[str, Signal] | None = None,
-        parameters: Mapping[str, float | str] | None = None,
-        master: str | None = None,
-        held_rows: bool = False,
-        progress: Progress = iter,
-    ) -> Result:
-        """Run it; columns are called COMPONENT.VARIABLE. The arguments are those of `alfmu.simulate`.
-
-        With `held_rows`, outputs that follow inputs at once are those with the inputs of the step that ends there, as
-        importers record them. Raises AlfmuError; its `result` has the rows up to then where a run has begun.
-        """
-        from .run import simulate
-
-        system = self.changed(stop_time=stop_time, communication_step=communication_step, master=master)
-        return simulate(system, inputs or {}, parameters or {}, held_rows, progress)
-
-    def export(self, path: str | Path | None = None, *, version: str = "1.0") -> Path:
-        """Write it as an SSP, `<name>.ssp` by default, and return its path; the same system gives the same bytes.
-
-        Mechanisms and parts become native FMUs. `version` of SSP is 1.0 or 2.0. Raises AlfmuError.
-        """
-        from .archive import write
-
-        return write(self, path, version)
 
 
 def _is_number(value: object) -> bool:
@@ -275,8 +220,8 @@ def _connection(who: str, given: Any) -> Connection:
 # Files ---------------------------------------------------------------------------------------------------------------
 
 
-def _from_toml(path: Path) -> System:
-    """The system that a TOML file describes."""
+def read_toml(path: Path) -> dict[str, Any]:
+    """The fields of the `Description` that a TOML file gives."""
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -306,16 +251,10 @@ def _from_toml(path: Path) -> System:
         for key in ("stop_time", "communication_step", "master", "start_time", "description")
         if key in found
     }
-    return System(
-        found.get("name", path.stem),
-        components,
-        connections,
-        inputs=_table(path, "inputs", found.get("inputs", {})),
-        bonds=None if bonds is None else [tuple(b) for b in bonds],
-        monolithic=_read_monolithic(path, found["monolithic"]) if "monolithic" in found else None,
-        folder=path.parent,
-        **own,
-    )
+    own |= {"inputs": _table(path, "inputs", found.get("inputs", {})), "folder": path.parent}
+    own["bonds"] = None if bonds is None else [tuple(b) for b in bonds]
+    own["monolithic"] = _read_monolithic(path, found["monolithic"]) if "monolithic" in found else None
+    return {"name": found.get("name", path.stem), "components": components, "connections": connections, **own}
 
 
 def _known(path: Path, where: str, table: Mapping[str, Any], keys: Iterable[str]) -> None:

@@ -2,44 +2,47 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..model.errors import InputError
-from ..view.plot import COLORS, check_name
-from ..view.plot import save as written
+from ..view.plot import COLORS
+from .case import Case
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from .coupling import Case, Coupling
-
-__all__ = ["figure", "save"]
+__all__ = ["figure"]
 
 _LOOKS = {"held": (COLORS[3], "o"), "extrapolated": (COLORS[1], "s"), "iterated": (COLORS[0], "^")}
 """Colour and marker of each master."""
 
 
-def figure(found: Coupling) -> Figure:
-    """The matplotlib figure of a study; InputError where matplotlib is missing."""
+def figure(
+    name: str, cases: Sequence[Case], orders: Mapping[str, float], stable: Mapping[str, tuple[float, bool]]
+) -> Figure:
+    """The matplotlib figure of the runs of a study of a system: `orders` by master, the largest `stable` steps [s].
+
+    Raises InputError where matplotlib is missing.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError:
         raise InputError("a plot needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
     drawn = Figure(figsize=(9.6, 4.2), layout="constrained")
-    title = f"{found.system.replace('_', ' ')}: what coupling costs"
+    title = f"{name.replace('_', ' ')}: what coupling costs"
     drawn.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold")
     error, energy = drawn.subplots(1, 2)
-    masters = list(dict.fromkeys(case.master for case in found.cases))
+    masters = list(orders)
     for master in masters:
         color, marker = _LOOKS[master]
-        cases = [case for case in found.of(master) if np.isfinite(case.error) and case.error > 0]
-        order = found.order(master)
+        used = [case for case in cases if case.master == master and np.isfinite(case.error) and case.error > 0]
+        order = orders[master]
         label = master if np.isnan(order) else f"{master}, order {order:.2f}"
-        error.loglog([c.step for c in cases], [c.error for c in cases], marker=marker, color=color, label=label, ms=5)
-        limit, ended = found.stable.get(master, (0.0, False))
+        error.loglog([c.step for c in used], [c.error for c in used], marker=marker, color=color, label=label, ms=5)
+        limit, ended = stable.get(master, (0.0, False))
         if limit and ended:
             error.axvline(limit, color=color, linewidth=1.0, linestyle=":")
             label = f"{master} fails\nbeyond {limit:.2g} s"
@@ -56,7 +59,7 @@ def figure(found: Coupling) -> Figure:
             )
     error.set_xlabel("communication step [s]", fontsize=9)
     error.set_ylabel("largest error over the largest value", fontsize=9)
-    shown = _shown(found, masters)
+    shown = _shown(cases, masters)
     for case in shown:
         energy.plot(case.time, case.made, color=_LOOKS[case.master][0], label=case.master, linewidth=1.5)
     if shown:
@@ -78,14 +81,9 @@ def figure(found: Coupling) -> Figure:
     return drawn
 
 
-def _shown(found: Coupling, masters: list[str]) -> list[Case]:
+def _shown(cases: Sequence[Case], masters: list[str]) -> list[Case]:
     """One run of each master, all of the longest step at which all of them are stable."""
-    good = [{c.step: c for c in found.of(m) if np.isfinite(c.error) and not np.isnan(c.energy)} for m in masters]
+    fit = [case for case in cases if np.isfinite(case.error) and not np.isnan(case.energy)]
+    good = [{case.step: case for case in fit if case.master == master} for master in masters]
     common = set.intersection(*(set(each) for each in good)) if good else set()
     return [each[max(common)] for each in good] if common else []
-
-
-def save(found: Coupling, path: str | Path) -> None:
-    """Write the figure as PNG, SVG or PDF; raises InputError or WriteError."""
-    check_name(Path(path))
-    written(figure(found), Path(path), 150)

@@ -28,9 +28,9 @@ from ..files import scratch
 from ..model.errors import AlfmuError, AlfmuWarning, InputError, StepError
 from ..model.words import there_is
 from ..result import Result, Signal
-from .archive import unpacked
-from .description import Connection, System
+from .description import Connection, Description
 from .ports import Port, conversion
+from .reading import unpacked
 from .slaves import Slave, opened, outputs_of
 
 __all__ = ["Assembly", "Link", "interface_jacobian", "simulate"]
@@ -73,13 +73,13 @@ class Link:
 
 
 def simulate(
-    system: System,
+    system: Description,
     inputs: Mapping[str, Signal],
     parameters: Mapping[str, float | str],
     held_rows: bool,
     progress: simulation.Progress,
 ) -> Result:
-    """Run a system from its start to its stop time, as `System.simulate` does."""
+    """Run a system from its start to its stop time, as `alfmu.System.simulate` does."""
     with Assembly(system, parameters, held_rows) as unit:
         facts = {"mechanism": system.name, "options": {"master": system.master}, "parameters": dict(parameters)}
         span = system.stop_time - system.start_time
@@ -109,7 +109,7 @@ class Assembly:
 
     def __init__(
         self,
-        system: System,
+        system: Description,
         parameters: Mapping[str, float | str] | None = None,
         held_rows: bool = False,
         observed: bool = False,
@@ -490,8 +490,9 @@ class Assembly:
 def interface_jacobian(outputs, end: Vector, inputs: Sequence[int], nudges: Vector) -> Vector:
     """dy/de of one component (outputs, inputs): outputs behind a step by the values of inputs at its end.
 
-    `outputs(e)` makes the step anew from where it began, with inputs that end at e, and gives all outputs; the quotients
-    are differences with the `nudges` of inputs. A component that gives this matrix itself would be asked here.
+    `outputs(e)` makes the step anew from where it began, with inputs that end at e, and gives all outputs; the
+    quotients are differences with the `nudges` of inputs. A component that gives this matrix itself would be asked
+    here.
     """
     base = outputs(end)
     found = np.empty((len(base), len(inputs)))
