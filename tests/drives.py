@@ -93,7 +93,7 @@ def first_order(name: str = "filter", unit: str = "rad/s", instant: float = 0.0)
 
 
 def spindle() -> System:
-    """A motor at a constant voltage that turns a load through an elastic gearbox: at rest, all that is connected is 0."""
+    """A motor at a constant voltage that turns a load through an elastic gearbox; all that is connected begins at 0."""
     blocks = parts.blocks
     return System(
         "spindle",

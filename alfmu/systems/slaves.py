@@ -128,7 +128,7 @@ class Local(Slave):
 class Remote(Slave):
     """An FMU."""
 
-    def __init__(self, name: str, path: Path, parameters: Mapping[str, float | str], units: Mapping[str, str]):
+    def __init__(self, name: str, path: Path, parameters: Mapping[str, float | str], stated: Mapping[str, str]):
         self.name, self._parameters = name, dict(parameters)
         self._fmu = fmu = Fmu(path)
         self.interpolates = fmu.interpolates
@@ -143,15 +143,15 @@ class Remote(Slave):
         found += [("input", v.name) for v in fmu.input_variables] + [("output", v.name) for v in fmu.outputs]
         for kind, each in found:
             v = written[each]
-            stated = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
+            own = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
             form = {"Float64": "Real", "Float32": "Real"}.get(v.type, v.type)
             form = "Integer" if "nt" in form and form != "Integer" and form not in ("Real", "Boolean") else form
             follows = fmu.followed(each) if kind == "output" else frozenset()
-            unit = units.get(stated) or measure(stated)
-            self.ports[each] = Port(each, kind, form, stated, unit, v.description or "", follows)
+            unit = units.get(own) or measure(own)
+            self.ports[each] = Port(each, kind, form, own, unit, v.description or "", follows)
         try:
-            for key, stated in units.items():
-                self._check_unit(key, stated)
+            for key, unit_name in stated.items():
+                self._check_unit(key, unit_name)
             for key, value in self._parameters.items():  # before anything runs, so that a bad one is told at once
                 fmu.set(key, value)
         except AlfmuError:
