@@ -23,7 +23,7 @@ import alfmu
 from alfmu import AlfmuError, AlfmuWarning, ExportError, InputError, Mechanism, StepError, System, parts
 from alfmu.cli import main
 from alfmu.parts.blocks import BLOCKS
-from alfmu.systems.description import MASTERS, Connection
+from alfmu.systems.description import MASTERS, Component, Connection
 from alfmu.systems.ports import conversion, measure
 from alfmu.systems.run import Assembly
 
@@ -475,3 +475,64 @@ def test_the_commands(described, tmp_path, monkeypatch, capsys):
     assert "--kind is for an FMU" in capsys.readouterr().err
     assert main(["system", "nothing.toml"]) == 1
     assert "cannot read nothing.toml" in capsys.readouterr().err
+
+
+# Kinds of FMUs -------------------------------------------------------------------------------------------------------
+
+
+def test_components_that_take_no_rates_hold_the_mean(tmp_path):
+    """FMUs of FMI 3 and of kind python, connected to each other: order 2 all the same."""
+    a = alfmu.export(first_order("a"), tmp_path / "a.fmu", kind="native", fmi=3, reference=False)
+    b = alfmu.export(first_order("b"), tmp_path / "b.fmu", reference=False)
+    links = [("a.y", "b.u"), Connection("b.y", "a.u", factor=-4.0, offset=1.0)]
+    system = System("pair", {"a": a, "b": b}, links, stop_time=1.0, start_time=0.0)
+    exact = solve_ivp(
+        lambda t, x: [-4 * x[1] + 1 - x[0], x[0] - x[1]], (0, 1), [0, 0], method="DOP853", rtol=1e-12, atol=1e-14
+    ).y[:, -1]
+    steps = 0.1 / 2.0 ** np.arange(4)
+    given = {f"{name}.solver.relative_tolerance": 1e-11 for name in "ab"}
+    for master in ("extrapolated", "iterated"):
+        runs = [system.simulate(master=master, communication_step=h, parameters=given) for h in steps]
+        errors = [max(abs(run["a.x"][-1] - exact[0]), abs(run["b.x"][-1] - exact[1])) for run in runs]
+        assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2, abs=0.15)
+
+
+def test_a_switch_and_choices_of_an_fmu_are_exchanged(tmp_path):
+    """A Boolean input, an enumeration and a number of an FMU that alfmu did not make for this system."""
+    locked = alfmu.Recipe("slider_crank", kind="native", lock=["A"], reference=False, name="arm")
+    path = alfmu.export(locked, tmp_path / "arm.fmu")
+    arm = Component(
+        "arm", "fmu", path, parameters={"A.locked": 1.0, "solver.method": "rk4", "solver.max_iterations": 7.0}
+    )
+    system = System("held", {"arm": arm}, [], stop_time=0.2, communication_step=0.05)
+    made = System.load(system.export(tmp_path / "held.ssp"))
+    assert made.components["arm"].parameters == {"A.locked": 1.0, "solver.method": "rk4", "solver.max_iterations": 7.0}
+    run = made.simulate()
+    assert np.ptp(run["arm.crank.angle"]) < 1e-9
+    free = system.changed(components={"arm": path}).simulate()
+    assert np.ptp(free["arm.crank.angle"]) > 1e-2
+
+
+def test_damaged_descriptions_are_refused(ssp, tmp_path):
+    """Bytes changed by chance: read, or refused with a sentence, and never anything else."""
+    text = zipfile.ZipFile(ssp).read("SystemStructure.ssd")
+    others = {name: zipfile.ZipFile(ssp).read(name) for name in zipfile.ZipFile(ssp).namelist() if ".ssv" in name}
+    rng, refused = np.random.default_rng(5), 0
+    for _ in range(300):
+        data = bytearray(text)
+        for place in rng.integers(0, len(data), 3):
+            data[place] = rng.integers(0, 256)
+        cut = slice(*sorted(rng.integers(0, len(data), 2))) if rng.random() < 0.3 else slice(0, 0)
+        del data[cut]
+        path = tmp_path / "bad.ssp"
+        with zipfile.ZipFile(path, "w") as target:
+            target.writestr("SystemStructure.ssd", bytes(data))
+            for name in ("arm", "motor", "controller"):
+                target.writestr(f"resources/{name}.fmu", b"")
+            for name, other in others.items():
+                target.writestr(name, other)
+        try:
+            System.load(path)
+        except AlfmuError:
+            refused += 1
+    assert 100 < refused <= 300

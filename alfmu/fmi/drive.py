@@ -37,7 +37,7 @@ except ModuleNotFoundError as error:
         f"running or checking an FMU takes fmpy ({error}); install it with: pip install 'alfmu[fmu]'"
     ) from None
 
-__all__ = ["Fmu", "check_archive", "validate"]
+__all__ = ["Fmu", "check_archive", "kind_of", "validate"]
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -72,6 +72,11 @@ _STATE = {
 
 _LOGGERS: list[object] = []
 """Callbacks of all FMUs, which have to outlive them."""
+
+
+def kind_of(type_name: str) -> str:
+    """The type of a variable of FMI 2 or 3 as it is called here; Binary and others are `Other`."""
+    return _KINDS.get(type_name, "Other")
 
 
 class Fmu:

@@ -40,7 +40,7 @@ from typing import Any, Self
 from ..fmi.recipe import Recipe
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
-from ..model.words import counted, in_words, shown, there_is
+from ..model.words import counted, in_words, shown, text, there_is
 
 __all__ = ["MASTERS", "Component", "Connection", "Description", "Monolithic", "read_toml"]
 
@@ -132,6 +132,8 @@ class Description:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not self.name.strip():
             raise InputError(f"a system is called {shown(self.name)}; give it a name")
+        for field_name in ("name", "description"):
+            text(f"the {field_name} of the system {self.name}", getattr(self, field_name))
         who = f"the system {self.name}"
         for what in ("stop_time", "communication_step", "start_time"):
             value = getattr(self, what)
@@ -244,13 +246,11 @@ def read_toml(path: Path) -> dict[str, Any]:
         more = {key: table[key] for key in ("factor", "offset", "convert") if key in table}
         connections.append(Connection(table["from"], table["to"], **more))
     bonds = found.get("bonds")
-    if bonds is not None and not all(isinstance(b, list) and len(b) == 2 for b in bonds):
+    pairs = isinstance(bonds, list) and all(isinstance(b, list) and len(b) == 2 for b in bonds)
+    if bonds is not None and not pairs:
         raise InputError(f"{path}: bonds is {shown(bonds)}; give pairs of sources of connections")
-    own = {
-        key: found[key]
-        for key in ("stop_time", "communication_step", "master", "start_time", "description")
-        if key in found
-    }
+    plain = ("stop_time", "communication_step", "master", "start_time", "description")
+    own: dict[str, Any] = {key: found[key] for key in plain if key in found}
     own |= {"inputs": _table(path, "inputs", found.get("inputs", {})), "folder": path.parent}
     own["bonds"] = None if bonds is None else [tuple(b) for b in bonds]
     own["monolithic"] = _read_monolithic(path, found["monolithic"]) if "monolithic" in found else None
@@ -301,6 +301,8 @@ def _read_monolithic(path: Path, value: Any) -> Monolithic:
     parts = {
         key: _table(path, f"monolithic.{key}", table.get(key, {})) for key in ("compare", "options", "set", "inputs")
     }
+    if bad := [name for pair in parts["compare"].items() for name in pair if not isinstance(name, str)]:
+        raise InputError(f"{path}: monolithic.compare has {shown(bad[0])}; give names of outputs")
     return Monolithic(
         _source(path, table["mechanism"]), parts["compare"], parts["options"], parts["set"], parts["inputs"]
     )

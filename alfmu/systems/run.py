@@ -13,7 +13,7 @@ take a rate, their mean is held):
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from graphlib import CycleError, TopologicalSorter
@@ -277,7 +277,8 @@ class Assembly:
         self._given[c, variable] = float(value)
         if self._begun:
             self.slaves[c].set(variable, float(value))
-            self._settle(1 if self.system.master == "held" else self._depth)
+            if self.system.master != "held":  # which connects outputs behind steps alone, as importers do
+                self._solve_loop() if self.loop else self._settle(self._depth)
 
     def initialize(self) -> None:
         """Start all components, with inputs that agree with outputs."""
@@ -353,7 +354,13 @@ class Assembly:
                 break
             if self._matrix is None or (size > SLOW * last and not fresh):
                 self._matrix, fresh = self._newton_matrix(h, states, end, seen), True
-            end = end + np.linalg.solve(self._matrix, miss)
+            try:
+                end = end + np.linalg.solve(self._matrix, miss)
+            except np.linalg.LinAlgError:
+                raise StepError(
+                    f"{self.name}, t = {self._time:.6g} s: outputs do not tell inputs at the end of a communication "
+                    f"step of {h:g} s, as the matrix is singular; take another step"
+                ) from None
             last = size
         else:
             worst = int(np.argmax(np.abs(miss) / np.maximum(self._size, np.abs(end))))
@@ -432,7 +439,7 @@ class Assembly:
         return matrix
 
     def _solve_loop(self) -> None:
-        """Inputs that agree with outputs at the start, where outputs follow them in a loop."""
+        """Inputs that agree with outputs where these follow them in a loop."""
         n, u = len(self.links), self._u
         for _ in range(MOST):
             self._put(u)
@@ -450,7 +457,10 @@ class Assembly:
                 u = np.where(self._smooth, u + np.linalg.solve(matrix, miss), wanted)
             except np.linalg.LinAlgError:
                 break
-        raise InputError(f"{self.name}: the algebraic loop {' -> '.join(self.loop)} has no solution at the start")
+        raise InputError(
+            f"{self.name}, t = {self._time:.6g} s: no inputs solve the algebraic loop {' -> '.join(self.loop)}; give "
+            "one component a state between input and output"
+        )
 
     # Signals ---------------------------------------------------------------------------------------------------------
 
@@ -479,7 +489,7 @@ class Assembly:
         kind = self.links[k].ends[1].type
         return value if kind == "Real" else bool(value) if kind == "Boolean" else round(value)
 
-    def _guarded(self, slave: Slave, run) -> None:
+    def _guarded(self, slave: Slave, run: Callable[[], object]) -> None:
         """What a component refuses, with its name."""
         try:
             run()
@@ -487,7 +497,9 @@ class Assembly:
             raise type(error)(f"{self.name}, component {slave.name}: {error}") from None
 
 
-def interface_jacobian(outputs, end: Vector, inputs: Sequence[int], nudges: Vector) -> Vector:
+def interface_jacobian(
+    outputs: Callable[[Vector], Vector], end: Vector, inputs: Sequence[int], nudges: Vector
+) -> Vector:
     """dy/de of one component (outputs, inputs): outputs behind a step by the values of inputs at its end.
 
     `outputs(e)` makes the step anew from where it began, with inputs that end at e, and gives all outputs; the

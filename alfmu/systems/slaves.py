@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations
-from ..fmi.drive import Fmu
+from ..fmi.drive import Fmu, kind_of
 from ..fmi.export import packed_scene
 from ..model.errors import AlfmuError, InputError
 from ..model.words import there_is
@@ -25,9 +25,6 @@ if TYPE_CHECKING:
     from .description import Component
 
 __all__ = ["Local", "Remote", "Slave", "opened", "recipe_of"]
-
-KINDS = {"Real": float, "Integer": int, "Boolean": bool}
-"""Types of variables that can be connected."""
 
 
 class Slave(ABC):
@@ -138,17 +135,17 @@ class Remote(Slave):
                 exponents = {n: getattr(base, n) for n in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
                 units[each.name] = Measure.of(each.name, exponents, base.factor, base.offset)
         written = {v.name: v for v in fmu.description.modelVariables}
+        self.kinds = {name: kind_of(v.type) for name, v in written.items()}
+        """Types of all variables, those that cannot be connected included."""
         self.ports = {}
         found = [("parameter", p) for p in fmu.parameters]
         found += [("input", v.name) for v in fmu.input_variables] + [("output", v.name) for v in fmu.outputs]
         for kind, each in found:
             v = written[each]
             own = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
-            form = {"Float64": "Real", "Float32": "Real"}.get(v.type, v.type)
-            form = "Integer" if "nt" in form and form != "Integer" and form not in ("Real", "Boolean") else form
             follows = fmu.followed(each) if kind == "output" else frozenset()
             unit = units.get(own) or measure(own)
-            self.ports[each] = Port(each, kind, form, own, unit, v.description or "", follows)
+            self.ports[each] = Port(each, kind, self.kinds[each], own, unit, v.description or "", follows)
         try:
             for key, unit_name in stated.items():
                 self._check_unit(key, unit_name)

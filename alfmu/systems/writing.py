@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -15,7 +16,7 @@ from ..model.words import in_words
 from .description import Component, Description
 from .ports import Measure, Port
 from .run import Assembly
-from .slaves import Slave, recipe_of
+from .slaves import Remote, recipe_of
 from .ssp import DESCRIPTION, OSP, OWN, SPACES, VERSIONS, tag
 
 __all__ = ["write"]
@@ -42,12 +43,13 @@ def write(system: Description, path: str | Path | None, version: str) -> Path:
             (folder / place).write_bytes(data)
             given = component.parameters if component.kind == "fmu" else {}
             packed[component.name] = Component(component.name, "fmu", place, parameters=given)
-        as_fmus = system.changed(components=packed, folder=folder)
-        object.__setattr__(as_fmus, "archive", None)
+        as_fmus = replace(system, components=packed, folder=folder, archive=None)
         with Assembly(as_fmus) as assembly:  # all connections are checked with the FMUs that are packed
             for slave in assembly.slaves:
+                assert isinstance(slave, Remote)
                 values = {**system.components[slave.name].parameters, **_constants(system, slave.name)}
-                if numbers := _parameter_set(slave, values, version):
+                whole = system.components[slave.name].kind == "fmu"
+                if numbers := _parameter_set(slave, values, whole, version):
                     files[f"resources/{slave.name}.ssv"] = numbers
             files[DESCRIPTION] = _described(system, assembly, packed, files, version)
     archive(path, files)
@@ -110,19 +112,30 @@ def _units(parent: ET.Element, prefix: str, ports: list[Port]) -> None:
         _element(_element(units, "ssc:Unit", {"name": name}), "ssc:BaseUnit", base)
 
 
-def _parameter_set(slave: Slave, values: Mapping[str, float | str], version: str) -> bytes | None:
-    """Values of parameters and inputs that are numbers, as an SSV; choices and texts stand in the FMU alone."""
+def _parameter_set(slave: Remote, values: Mapping[str, float | str], whole: bool, version: str) -> bytes | None:
+    """Values of parameters and inputs as an SSV; only those that are numbers where it is not the `whole`, as the FMU
+    has all of them: libcosim ends its process where it meets an enumeration."""
     root = ET.Element(tag("ssv:ParameterSet"), {"version": version, "name": _SET, **_about()})
     listed, used = _element(root, "ssv:Parameters"), []
     for name in sorted(values):
-        port, value = slave.ports.get(name), values[name]
-        if port is None or port.type != "Real" or isinstance(value, str):
+        kind, port, value = slave.kinds.get(name, "Real"), slave.ports.get(name), values[name]
+        if kind != "Real" and not whole:
             continue
-        used.append(port)
+        used += [port] if port is not None else []
+        unit = {"unit": port.unit} if port is not None and port.unit and kind == "Real" else {}
         one = _element(listed, "ssv:Parameter", {"name": name})
-        _element(one, "ssv:Real", {"value": _written(float(value)), **({"unit": port.unit} if port.unit else {})})
+        _element(one, f"ssv:{kind}", {"value": _valued(kind, value), **unit})
     _units(root, "ssv", used)
-    return _bytes(root) if used else None
+    return _bytes(root) if len(listed) else None
+
+
+def _valued(kind: str, value: float | str) -> str:
+    """A value as an SSV has it; the FMU has taken it before."""
+    if kind == "Boolean":
+        return "true" if str(value).lower() in ("true", "1", "1.0") else "false"
+    if kind in ("Real", "Integer"):
+        return _written(float(value))
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
 def _described(
