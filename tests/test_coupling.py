@@ -12,7 +12,8 @@ import alfmu
 from alfmu import InputError, Mechanism, System
 from alfmu.cli import main
 from alfmu.systems.coupling import Coupling, couple
-from alfmu.systems.description import MASTERS, Connection, Monolithic
+from alfmu.systems.description import Connection, Monolithic
+from alfmu.systems.masters import MASTERS
 from alfmu.systems.run import Assembly, interface_jacobian
 
 

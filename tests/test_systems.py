@@ -23,7 +23,8 @@ import alfmu
 from alfmu import AlfmuError, AlfmuWarning, ExportError, InputError, Mechanism, StepError, System, parts
 from alfmu.cli import main
 from alfmu.parts.blocks import BLOCKS
-from alfmu.systems.description import MASTERS, Component, Connection
+from alfmu.systems.description import Component, Connection
+from alfmu.systems.masters import MASTERS
 from alfmu.systems.ports import conversion, measure
 from alfmu.systems.run import Assembly
 

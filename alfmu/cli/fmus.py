@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from ..model.errors import InputError
+from ..systems.ssp import VERSIONS
 from .options import (
     EITHER_HELP,
     STEP,
@@ -63,8 +64,8 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--ssp-version",
         metavar="VERSION",
-        choices=("1.0", "2.0"),
-        help="version of SSP (default: 1.0, which all importers take)",
+        choices=VERSIONS,
+        help=f"version of SSP (default: {VERSIONS[0]}, which all importers take)",
     )
 
     what = "check an FMU: fmpy's validation, a run, reset, rewind, reproducibility, its reference results"
@@ -108,10 +109,10 @@ def _export_system(chosen: argparse.Namespace) -> None:
         raise InputError("--ssp-version needs --ssp")
     system = System.load(chosen.mechanism).changed(stop_time=chosen.stop_time, communication_step=chosen.step)
     path = Path(chosen.output or f"{file_name(system.name)}.ssp")
-    said = once_written(path)
-    system.export(path, version=chosen.ssp_version or "1.0")
+    said, version = once_written(path), chosen.ssp_version or VERSIONS[0]
+    system.export(path, version=version)
     count = len(system.components)
-    print(f"{said} ({path.stat().st_size / 1000:.0f} kB): SSP {chosen.ssp_version or '1.0'} of {count} components")
+    print(f"{said} ({path.stat().st_size / 1000:.0f} kB): SSP {version} of {count} components")
 
 
 def _validate(chosen: argparse.Namespace) -> int:

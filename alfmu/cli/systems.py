@@ -5,12 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ..systems.masters import MASTERS
 from .options import STEP, Command, add_set, name_list
 from .runs import add_table, given_inputs, run_and_keep
 from .says import once_written, progress_bar
-
-MASTERS = ("held", "extrapolated", "iterated")
-"""Of `alfmu.systems.description.MASTERS`, which is not imported for a help text."""
 
 _SYSTEM = """The file says which mechanisms, parts and FMUs there are, what is connected to what, and how it is run; its
 form is in the documentation, howto/systems. Columns are called COMPONENT.VARIABLE. --set and --input give parameters
@@ -31,7 +29,9 @@ def add(command: Command) -> None:
     sub.add_argument(
         *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the system's)"
     )
-    sub.add_argument("--master", choices=MASTERS, help="how inputs change within a step (default: the system's own)")
+    sub.add_argument(
+        "--master", choices=list(MASTERS), help="; ".join(f"{name}: {text}" for name, text in MASTERS.items())
+    )
     add_table(sub)
     add_set(sub)
 
@@ -43,7 +43,7 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--halvings", type=int, metavar="N", help="how often the communication step is halved (default: 5)"
     )
-    sub.add_argument("--masters", type=name_list, metavar="NAMES", help="of held,extrapolated,iterated (default: all)")
+    sub.add_argument("--masters", type=name_list, metavar="NAMES", help=f"of {','.join(MASTERS)} (default: all)")
     sub.add_argument(
         "--tolerance", type=float, metavar="T", help="relative tolerance of the components (default: 1e-9)"
     )

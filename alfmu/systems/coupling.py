@@ -35,7 +35,8 @@ from ..model.units import UNITS
 from ..model.words import in_words, there_is
 from ..view.plot import check_name, save
 from .case import Case
-from .description import MASTERS, Monolithic
+from .description import Monolithic
+from .masters import MASTERS
 from .picture import figure
 from .run import Assembly, Link
 from .system import System

@@ -42,15 +42,9 @@ from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.registry import LINKAGES
 from ..model.words import counted, in_words, shown, text, there_is
+from .masters import MASTERS
 
-__all__ = ["MASTERS", "Component", "Connection", "Description", "Monolithic", "read_toml"]
-
-MASTERS = {
-    "held": "each component holds its inputs for a communication step, as importers of FMUs do: order 1",
-    "extrapolated": "inputs go on as they changed over the last communication step: order 2",
-    "iterated": "steps are taken back and made again until inputs and outputs agree at their ends: order 2, and stable",
-}
-"""Master algorithms: how inputs change within a communication step."""
+__all__ = ["Component", "Connection", "Description", "Monolithic", "read_toml"]
 
 _NAME = re.compile(r"[A-Za-z_]\w*\Z")
 _FILE_KEYS = (

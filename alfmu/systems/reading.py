@@ -13,7 +13,8 @@ from xml.etree import ElementTree as ET
 from ..fmi.drive import check_archive
 from ..model.errors import InputError
 from ..model.words import in_words, there_is
-from .description import MASTERS, Component, Connection, Description
+from .description import Component, Connection, Description
+from .masters import MASTERS
 from .ssp import DESCRIPTION, OSP, OWN, VERSIONS, tag
 
 __all__ = ["read", "unpacked"]

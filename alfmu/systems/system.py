@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from .description import Description, read_toml
 from .reading import read
 from .run import simulate
+from .ssp import VERSIONS
 from .writing import write
 
 if TYPE_CHECKING:
@@ -58,7 +59,7 @@ class System(Description):
         system = self.changed(stop_time=stop_time, communication_step=communication_step, master=master)
         return simulate(system, inputs or {}, parameters or {}, held_rows, progress)
 
-    def export(self, path: str | Path | None = None, *, version: str = "1.0") -> Path:
+    def export(self, path: str | Path | None = None, *, version: str = VERSIONS[0]) -> Path:
         """Write it as an SSP, `<name>.ssp` by default, and return its path; the same system gives the same bytes.
 
         Mechanisms and parts become native FMUs. `version` of SSP is 1.0 or 2.0. Raises AlfmuError.
