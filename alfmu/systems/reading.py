@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from ..fmi.drive import check_archive
+from ..fmi.drive import checked_archive
 from ..model.errors import InputError
 from ..model.words import in_words, there_is
 from .description import Component, Connection, Description
@@ -36,7 +36,7 @@ def read(path: Path) -> dict[str, Any]:
     What alfmu does not support is refused by name: systems in systems, signal dictionaries, parameter mappings, FMUs
     outside the archive. FMUs are checked when they are opened.
     """
-    check_archive(path, "an SSP")
+    checked_archive(path, "an SSP")
     with zipfile.ZipFile(path) as opened:
         names = set(opened.namelist())
         root = _parsed(path, opened, names, DESCRIPTION, "ssd:SystemStructureDescription")
@@ -50,7 +50,7 @@ def read(path: Path) -> dict[str, Any]:
 def unpacked(system: Description, folder: Path) -> None:
     """Put the FMUs of a system's archive into a folder."""
     assert system.archive is not None
-    check_archive(system.archive, "an SSP")  # it may have changed since it was read
+    checked_archive(system.archive, "an SSP")  # it may have changed since it was read
     with zipfile.ZipFile(system.archive) as opened:
         for place in {str(c.what) for c in system.components.values() if c.kind == "fmu"}:
             target = folder / place
