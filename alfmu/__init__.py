@@ -27,7 +27,9 @@ _HOME = {
     "Recipe": "fmi.recipe",
     "Result": "result",
     "StepError": "model.errors",
+    "System": "systems.system",
     "WriteError": "model.errors",
+    "couple": "systems.coupling",
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
@@ -74,6 +76,8 @@ if TYPE_CHECKING:
     from .runtime import Instance as Instance
     from .runtime.reuse import derive as derive
     from .simulation import simulate as simulate
+    from .systems.coupling import couple as couple
+    from .systems.system import System as System
 
     __version__: str
 

@@ -27,7 +27,7 @@ from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, Exp
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
 from alfmu import Imported, imported
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
-from alfmu import validate
+from alfmu import System, couple, validate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -85,11 +85,15 @@ reveal_type(linear.A)
 reveal_type(linearize(pendulum(), [0.0, 1.0]))
 reveal_type(mobility(pendulum(), stop_time=0.0).groups[0].rows)
 simulate(pendulum(), start=rest)
+system = System("pair", {"a": pendulum(), "b": Recipe("five_bar")}, [("b.link1.angle", "a.torque")], {"a.x": 1.0})
+reveal_type(system.simulate(master="iterated"))
+reveal_type(couple(system, halvings=2).order("held"))
 """
 
 REVEALED = (
     *("Result", "float64", "float64", "Result", "list[", "str", "str"),
     *("float", "str", "float64", "str", "Path", "int", "bool", "float64", "Linearization", "str"),
+    *("Result", "float"),
 )
 """What stands in the types that checkers reveal, in their order."""
 

@@ -6,7 +6,19 @@ import argparse
 from pathlib import Path
 
 from ..model.errors import InputError
-from .options import EITHER_HELP, STEP, Command, add_kernel, add_name, add_scene, add_start, changed_by, name_list
+from ..systems.ssp import VERSIONS
+from .options import (
+    EITHER_HELP,
+    STEP,
+    Command,
+    add_kernel,
+    add_name,
+    add_scene,
+    add_start,
+    changed_by,
+    file_name,
+    name_list,
+)
 from .says import checking, once_written, say
 
 _EXPORT = """A recipe is a Python file that says what an FMU is made of: `recipe = alfmu.Recipe("five_bar",
@@ -22,7 +34,7 @@ def add(command: Command) -> None:
     """Add them to the command line."""
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
-    add_name(sub, "mechanism", "NAME", EITHER_HELP)
+    add_name(sub, "mechanism", "NAME", EITHER_HELP, ".toml")
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
@@ -49,6 +61,17 @@ def add(command: Command) -> None:
         help="have reference results inside (default) or, to be smaller, leave them out",
     )
     add_scene(sub)
+    sub.add_argument(
+        "--ssp",
+        action="store_true",
+        help="NAME is a TOML file of a connected system (see `alfmu system`); write it as an SSP with its FMUs inside",
+    )
+    sub.add_argument(
+        "--ssp-version",
+        metavar="VERSION",
+        choices=VERSIONS,
+        help=f"version of SSP (default: {VERSIONS[0]}, which all importers take)",
+    )
 
     sub = command(
         "validate", _validate, "check an FMU of any tool: its files, its recorded runs, and how it answers calls"
@@ -79,6 +102,9 @@ def add(command: Command) -> None:
 
 
 def _export(chosen: argparse.Namespace) -> None:
+    if chosen.ssp or chosen.ssp_version:
+        _export_system(chosen)
+        return
     from ..fmi.export import export
     from ..fmi.native import libraries_in
     from ..fmi.recipe import load
@@ -98,6 +124,23 @@ def _export(chosen: argparse.Namespace) -> None:
     platforms = libraries_in(path, recipe.kind)
     where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
     print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
+
+
+def _export_system(chosen: argparse.Namespace) -> None:
+    from ..systems.system import System
+
+    own = ("kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure")
+    own += ("option", "set", "compliances", "reference")
+    if given := [name for name in own if getattr(chosen, name) not in (None, [])]:
+        raise InputError(f"{chosen.mechanism}: --{given[0]} is for an FMU; give it to a component, in the file")
+    if not chosen.ssp:
+        raise InputError("--ssp-version needs --ssp")
+    system = System.load(chosen.mechanism).changed(stop_time=chosen.stop_time, communication_step=chosen.step)
+    path = Path(chosen.output or f"{file_name(system.name)}.ssp")
+    said, version = once_written(path), chosen.ssp_version or VERSIONS[0]
+    system.export(path, version=version)
+    count = len(system.components)
+    print(f"{said} ({path.stat().st_size / 1000:.0f} kB): SSP {version} of {count} components")
 
 
 def _validate(chosen: argparse.Namespace) -> int:

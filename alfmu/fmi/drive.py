@@ -32,7 +32,7 @@ except ModuleNotFoundError as error:
         f"running or checking an FMU takes fmpy ({error}); install it with: pip install 'alfmu[fmu]'"
     ) from None
 
-__all__ = ["Fmu", "checked_archive", "checked_folder", "description_of"]
+__all__ = ["Fmu", "checked_archive", "checked_folder", "description_of", "kind_of"]
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -67,6 +67,11 @@ _STATE = {
 
 _LOGGERS: list[object] = []
 """Callbacks of all FMUs, which have to outlive them."""
+
+
+def kind_of(type_name: str) -> str:
+    """The type of a variable of FMI 2 or 3 as it is called here; Binary and others are `Other`."""
+    return _KINDS.get(type_name, "Other")
 
 
 class Fmu:
@@ -150,10 +155,29 @@ class Fmu:
             kind = "Integer" if self._version == "2" else "Int64"
         self._call(f"set{kind}", [variable.valueReference], [value])
 
-    def initialize(self) -> None:
+    @property
+    def interpolates(self) -> bool:
+        """Whether inputs may change linearly within a communication step (`slope`)."""
+        return self._version == "2" and bool(self.description.coSimulation.canInterpolateInputs)
+
+    def slope(self, name: str, rate: float) -> None:
+        """How an input that is a number changes in the next communication step, per second."""
+        self._call("setRealInputDerivatives", [self._by_name[name].valueReference], [1], [rate])
+
+    def followed(self, output: str) -> frozenset[str]:
+        """The inputs that an output follows without delay; all of them where the description does not say."""
+        inputs = frozenset(v.name for v in self._of("input"))
+        for unknown in self.description.outputs:
+            if unknown.variable.name == output and unknown.dependencies is not None:
+                return inputs & {v.name for v in unknown.dependencies}
+        return inputs
+
+    def initialize(self, start_time: float = 0.0) -> None:
         if self._version == "2":
-            self._call("setupExperiment", startTime=0.0)
-        self._call("enterInitializationMode")
+            self._call("setupExperiment", startTime=start_time)
+            self._call("enterInitializationMode")
+        else:
+            self._call("enterInitializationMode", startTime=start_time)
         self._call("exitInitializationMode")
         self.begun = True
 
@@ -235,7 +259,7 @@ class Fmu:
         return words[-1] if words and words[-1] else what
 
 
-def checked_archive(path: str | Path) -> None:
+def checked_archive(path: str | Path, kind: str = "an FMU") -> None:
     """ExportError where an archive is damaged, too large, or has files with places outside its folder."""
     try:
         with zipfile.ZipFile(path) as archive:
@@ -249,7 +273,7 @@ def checked_archive(path: str | Path) -> None:
             damaged = archive.testzip()
     except (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         why = getattr(error, "strerror", None) or error
-        raise ExportError(f"{path} is not an FMU that can be read ({why})") from None
+        raise ExportError(f"{path} is not {kind} that can be read ({why})") from None
     if damaged:
         raise ExportError(f"{path} is damaged: the check sum of {damaged} does not agree; export or copy it again")
 

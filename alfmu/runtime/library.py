@@ -64,6 +64,7 @@ _SIGNATURES = {
     "get_many": (c_int, c_void_p, c_void_p, c_int, c_void_p),
     "time": (c_double, c_void_p),
     "set_time": (None, c_void_p, c_double),
+    "slope": (c_int, c_void_p, c_int, c_double),
     "tolerate": (c_int, c_void_p, c_double),
     "run_on": (None, c_void_p, c_int),
     "initialized": (c_int, c_void_p),
@@ -249,6 +250,10 @@ class Unit:
         wanted, values = self._many[key]
         outcome = self.scene.library.alfmu_get_many(self.address, wanted, len(key), values)
         return outcome, values[:]
+
+    def slope(self, reference: int, value: float) -> int:
+        """How an input changes in the next communication step, per second."""
+        return self.scene.library.alfmu_slope(self.address, reference, value)
 
     def tolerate(self, tolerance: float) -> int:
         return self.scene.library.alfmu_tolerate(self.address, tolerance)
