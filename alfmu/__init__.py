@@ -26,6 +26,7 @@ _HOME = {
     "Recipe": "fmi.recipe",
     "Result": "result",
     "StepError": "model.errors",
+    "Sweep": "sweeps.results",
     "WriteError": "model.errors",
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
@@ -35,6 +36,7 @@ _HOME = {
     "mechanisms": "model.registry",
     "mobility": "analysis.freedoms",
     "simulate": "simulation",
+    "sweep": "sweeps.sweep",
 }
 """Public name -> module; imported when first used."""
 
@@ -68,6 +70,8 @@ if TYPE_CHECKING:
     from .runtime import Instance as Instance
     from .runtime.reuse import derive as derive
     from .simulation import simulate as simulate
+    from .sweeps.results import Sweep as Sweep
+    from .sweeps.sweep import sweep as sweep
 
     __version__: str
 

@@ -208,6 +208,10 @@ class Fmu:
         finally:
             self._call(free, state)
 
+    def settable(self) -> list[Variable]:
+        """Parameters that are numbers."""
+        return [_variable(v) for v in self._of("parameter") if _KINDS.get(v.type) in ("Real", "Integer", "Boolean")]
+
     def reference(self) -> tuple[Experiment, Result] | None:
         """The experiment and the reference results inside, None where there are none."""
         return Experiment.read(self._folder, self.description.coSimulation.modelIdentifier)
