@@ -27,7 +27,11 @@ ROOMS: dict[str, set[str]] = {
     "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
     "analysis": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
-    "cli": {"analysis", "equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "view"},
+    "sweeps": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies"},
+    "cli": {
+        *("analysis", "equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "sweeps"),
+        "view",
+    },
     "__main__": {"cli"},
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""

@@ -220,8 +220,9 @@ def make(
 ) -> float:
     """Make all cases that a store misses, or as many as the user and the time allow; the time of a run [s].
 
-    Without a crew, this process makes them, for a time [s] at most where one is given. `done` is told how many cases were added; `brakes` gives the job with the
-    scene that `NeedsBrakes` asks for. Raises WriteError where a part cannot be kept.
+    Without a crew, this process makes them, for a time [s] at most where one is given. `done` is told how many cases
+    were added; `brakes` gives the job with the scene that `NeedsBrakes` asks for. Raises WriteError where a part cannot
+    be kept.
     """
     work = _Work(job, cases, store, stop, done, brakes)
     try:
@@ -288,6 +289,8 @@ class _Work:
                         if not under_way:
                             crew.renew()
                         break
+                if self.stop():  # what no worker has begun yet is not waited for
+                    under_way = {each: given for each, given in under_way.items() if not each.cancel()}
                 finished = wait(under_way, GLANCE, FIRST_COMPLETED).done
                 if not under_way:
                     time.sleep(GLANCE)

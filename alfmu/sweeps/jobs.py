@@ -286,7 +286,7 @@ class _FmuRunner:
     def run(self, values: Table) -> Ran:
         with _ONE_AT_A_TIME, _heard() as said:
             rows, failure = self._run(values)
-        return Ran(rows, failure, "\n".join(dict.fromkeys(said)))
+        return Ran(rows, failure, "\n".join(text for text in dict.fromkeys(said) if text != failure))
 
     def _run(self, values: Table) -> tuple[Table, str]:
         from ..simulation import run
@@ -301,10 +301,9 @@ class _FmuRunner:
         except AlfmuError as error:
             result, failure = error.result, str(error) or type(error).__name__
             self._drop()
-        rows = result[job.outputs[0]][:, None] if result is not None else np.empty((0, 1))
-        if result is not None:
-            rows = np.column_stack([result[name] for name in job.outputs])
-        return rows, failure
+        if result is None:
+            return np.empty((0, len(job.outputs))), failure
+        return np.column_stack([result[name] for name in job.outputs]), failure
 
     def _ready(self) -> Any:
         """An instance that can be initialised."""

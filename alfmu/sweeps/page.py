@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..studies.page import Page
 from . import pictures
 from .measures import FUNCTIONS
-from .summary import QUANTILES, Failures, Spread
-
-if TYPE_CHECKING:
-    from .results import Sweep
+from .parts import Store
+from .summary import QUANTILES, Failures, Spread, Summary
 
 __all__ = ["chosen", "page"]
 
@@ -48,31 +45,31 @@ def chosen(spreads: Sequence[Spread], most: int = DOWN) -> list[Spread]:
     return found[:most]
 
 
-def page(sweep: Sweep) -> str:
-    """The page as HTML."""
-    s, plan = sweep.summary, sweep.plan
+def page(store: Store, s: Summary) -> str:
+    """The page of finished cases and their summary, as HTML."""
+    plan = store.plan
     made = Page(f"Sweep of {plan.name}")
     moving = [name for name, (low, high) in s.ranges.items() if high > low]
     made.text(
-        f"{s.finished} of {s.cases} cases are finished, each from 0 to {plan.times[-1]:g} s with communication steps of "
-        f"{plan.times[1] - plan.times[0]:g} s; {s.failed} of them failed. Extremes and means are those at communication "
-        "points."
+        f"{s.finished} of {s.cases} cases are finished, each from 0 to {plan.times[-1]:g} s with communication steps "
+        f"of {plan.times[1] - plan.times[0]:g} s; {s.failed} of them failed. Extremes and means are those at "
+        "communication points."
     )
     made.head(2, "What was varied")
-    made.text(_varied(sweep))
+    made.text(_varied(store, s))
     _reasons(made, "Failures", s.failures, s.finished)
     _reasons(made, "Warnings", s.warnings, s.finished)
     shown = chosen(s.spreads)
     if plan.series and s.finished:
         made.head(2, "Over time")
-        _bands(made, sweep)
+        _bands(made, store)
     if shown:
         made.head(2, "Distributions")
-        columns = {each.name: sweep[each.name] for each in shown[: DOWN + 1]}
+        columns = store.columns([each.name for each in shown])
         caption = "How many cases have which value; lines are the median and, dotted, quantiles of 5, 25, 75 and 95 %."
-        made.plot(pictures.histograms(columns, shown[: DOWN + 1]), caption)
+        made.plot(pictures.histograms(columns, shown), caption)
         if moving:
-            _against(made, sweep, shown, moving)
+            _against(made, store, s, shown, moving)
     made.head(2, "All kept numbers")
     made.text(_table(s.spreads[:LISTED]))
     if more := len(s.spreads) - LISTED:
@@ -80,9 +77,8 @@ def page(sweep: Sweep) -> str:
     return made.html()
 
 
-def _against(made: Page, sweep: Sweep, shown: Sequence[Spread], moving: Sequence[str]) -> None:
+def _against(made: Page, store: Store, s: Summary, shown: Sequence[Spread], moving: Sequence[str]) -> None:
     """Kept numbers against varied ones."""
-    s = sweep.summary
     strongest = sorted(moving, key=lambda name: -max(abs(each.sensitivities.get(name, 0.0)) for each in shown))
     names = [name for name in moving if name in strongest[:ACROSS]]
     made.head(2, "Sensitivities")
@@ -90,36 +86,42 @@ def _against(made: Page, sweep: Sweep, shown: Sequence[Spread], moving: Sequence
     mapped = mapped if len(mapped) <= MAPPED else chosen(s.spreads, MAPPED)
     made.plot(
         pictures.sensitivities(mapped, moving),
-        "Rank correlations (Spearman): +1 where a kept number always rises with a varied one, -1 where it always falls, "
-        f"0 where neither, as where it first rises and then falls. Without any relation, {_noise(s.finished - s.failed)} "
-        "are seen by chance.",
+        "Rank correlations (Spearman): +1 where a kept number always rises with a varied one, -1 where it always "
+        "falls, 0 where neither, as where it first rises and then falls. Without any relation, "
+        f"{_noise(s.finished - s.failed)} are seen by chance.",
     )
-    failed = sweep["failure"] != ""
+    columns = store.columns(["case", "failure", *names, *(each.name for each in shown)])
+    failed = columns["failure"] != ""
     places = np.flatnonzero(~failed)
     places = places[np.unique(np.linspace(0, len(places) - 1, min(len(places), DRAWN)).astype(int))]
-    varied = {name: sweep[name][places] for name in names}
-    kept = {each.name: sweep[each.name][places] for each in shown}
+    varied = {name: columns[name][places] for name in names}
+    kept = {each.name: columns[each.name][places] for each in shown}
     left = f"; {len(places)} cases, evenly chosen among {int((~failed).sum())}" if len(places) < (~failed).sum() else ""
-    units = sweep.units
+    units = {name: store.plan.unit(name) for name in (*varied, *kept)}
     made.head(2, "Scatter")
-    made.plot(pictures.scatter(varied, kept, units, sweep["case"][places]), f"A point for each case that did not fail{left}.")
+    made.plot(
+        pictures.scatter(varied, kept, units, columns["case"][places].astype(int)),
+        f"A point for each case that did not fail{left}.",
+    )
     made.head(2, "Parallel coordinates")
     how = "drag along an axis to choose cases, drag its name to move it"
     made.plot(pictures.parallel(varied, kept, units), f"A line for each case that did not fail{left}: {how}.")
 
 
-def _bands(made: Page, sweep: Sweep) -> None:
-    names = sweep.plan.series[:BANDS]
-    columns = {name: sweep.over_time(name, CURVES) for name in names}
+def _bands(made: Page, store: Store) -> None:
+    names = store.plan.series[:BANDS]
+    columns = {name: store.over_time(name, CURVES) for name in names}
     worst = {}
     for name, values in columns.items():
         peaks = np.nanmax(np.abs(np.nan_to_num(values, nan=0.0)), axis=1)
         worst[name] = int(peaks.argmax())
-    units = [sweep.plan.unit(name) for name in names]
-    left = f" of {CURVES} cases, evenly chosen" if len(sweep) > CURVES else ""
-    caption = f"Bands that 90 % and 50 % of the cases keep within at each instant{left}; the median; and, dotted, the case "
-    made.plot(pictures.bands(sweep.time, columns, units, worst), f"{caption}whose magnitude is the largest.")
-    if more := len(sweep.plan.series) - BANDS:
+    units = [store.plan.unit(name) for name in names]
+    left = f" of {CURVES} cases, evenly chosen" if store.finished > CURVES else ""
+    caption = (
+        f"Bands that 90 % and 50 % of the cases keep within at each instant{left}; the median; and, dotted, the case "
+    )
+    made.plot(pictures.bands(store.plan.times, columns, units, worst), f"{caption}whose magnitude is the largest.")
+    if more := len(store.plan.series) - BANDS:
         made.text(f"{more} more outputs are in the files series-*." if more > 0 else "")
 
 
@@ -127,15 +129,15 @@ def _noise(count: int) -> str:
     return f"up to ±{min(1.0, 2 / max(1, count - 1) ** 0.5):.2g}"
 
 
-def _varied(sweep: Sweep) -> str:
+def _varied(store: Store, s: Summary) -> str:
     """A table of what was varied."""
-    asked, ranges = sweep.plan.asked, sweep.summary.ranges
+    asked, ranges = store.plan.asked, s.ranges
     said = asked.get("vary", {})
     rows = ["| | as | unit | least | largest |", "|---|---|---|---|---|"]
-    for name in sweep.plan.varied:
+    for name in store.plan.varied:
         low, high = ranges[name]
         how = said.get(name, "table of cases")
-        rows.append(f"| `{name}` | `{how}` | {sweep.plan.unit(name)} | {low:.6g} | {high:.6g} |")
+        rows.append(f"| `{name}` | `{how}` | {store.plan.unit(name)} | {low:.6g} | {high:.6g} |")
     text = "\n".join(rows)
     if asked.get("samples"):
         text += f"\n\n{asked['samples']} samples ({asked['sampler']}, seed {asked['seed']})."

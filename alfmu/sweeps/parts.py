@@ -166,8 +166,12 @@ class Held(Store):
     def columns(self, names: Sequence[str]) -> dict[str, Column]:
         self.done()
         of_parts = [_columns_of(self.plan, part) for part in self.parts]
-        return {name: np.concatenate([[], *(each[name] for each in of_parts)]) if name not in TEXTS else np.array(
-            [text for each in of_parts for text in each[name]], object) for name in names}
+        return {
+            name: np.concatenate([[], *(each[name] for each in of_parts)])
+            if name not in TEXTS
+            else np.array([text for each in of_parts for text in each[name]], object)
+            for name in names
+        }
 
     def over_time(self, name: str, most: int) -> NDArray[np.float64]:
         self.done()
@@ -193,7 +197,9 @@ class Folder(Store):
         """
         with exclusive(path) as ours:
             if not ours:
-                raise InputError(f"{path}: another process makes runs into this folder; wait for it, or name another -o")
+                raise InputError(
+                    f"{path}: another process makes runs into this folder; wait for it, or name another -o"
+                )
             found = cls(plan, path, form)
             if (path / PLAN).exists():
                 found._check()
@@ -213,12 +219,12 @@ class Folder(Store):
         """InputError where the plan in the folder is another one."""
         known = read_plan(self.path)
         asked = {**json.loads(json.dumps(self.plan.as_data())), "format": self.form}
-        differing = [key for key in asked if key != "asked" and known.get(key) != asked[key]]
-        mine, theirs = asked["asked"], known["asked"]
-        differing += [key for key in {**theirs, **mine} if theirs.get(key) != mine.get(key)]
-        if differing:
-            key = differing[-1] if differing[-1] in mine else differing[0]
-            one, other = (_short({**x, **x["asked"]}.get(key)) for x in (known, asked))
+        # What a user says comes first, and digests last, which say little.
+        mine, theirs = ({**x["asked"], **{key: x.get(key) for key in asked if key != "asked"}} for x in (asked, known))
+        keys = sorted({**theirs, **mine}, key=lambda key: key.startswith("digest"))
+        if differing := [key for key in keys if theirs.get(key) != mine.get(key)]:
+            key = differing[0]
+            one, other = _short(theirs.get(key)), _short(mine.get(key))
             raise InputError(
                 f"{self.path} has another sweep, in which {key} is {one}, not {other}; name another folder with -o, or "
                 "remove this one"
@@ -226,10 +232,8 @@ class Folder(Store):
 
     def _ranges(self) -> list[tuple[int, int]]:
         """Ranges of the parts that are there; InputError where they cannot be of one sweep."""
-        found, at = [], 0
-        for path in self.path.glob(f"part-*.{self.form}"):
-            if name := _NAME.fullmatch(path.stem):
-                found.append((int(name[1]), int(name[2]) + 1))
+        names = (_NAME.fullmatch(path.stem) for path in self.path.glob(f"part-*.{self.form}"))
+        found, at = [(int(name[1]), int(name[2]) + 1) for name in names if name], 0
         for first, stop in sorted(found):
             if first < at or stop > self.plan.cases or stop <= first:
                 raise InputError(
@@ -258,7 +262,8 @@ class Folder(Store):
             text = io.StringIO()
             writer = csv.writer(text)
             writer.writerow(columns)
-            writer.writerows(zip(*(getattr(column, "tolist", lambda c=column: c)() for column in columns.values())))
+            lists = (column if isinstance(column, list) else column.tolist() for column in columns.values())
+            writer.writerows(zip(*lists, strict=True))
             return text.getvalue().encode()
         import pyarrow
         from pyarrow import parquet
@@ -277,7 +282,9 @@ class Folder(Store):
             ),
         )
         into = io.BytesIO()
-        parquet.write_table(table, into, use_dictionary=[name for name in TEXTS if name in columns], write_statistics=False)
+        parquet.write_table(
+            table, into, use_dictionary=[name for name in TEXTS if name in columns], write_statistics=False
+        )
         return into.getvalue()
 
     def columns(self, names: Sequence[str]) -> dict[str, Column]:
@@ -367,5 +374,7 @@ def _short(value: Any) -> str:
 
 def kept(store: Store) -> str:
     """What to say of a sweep that ended early."""
-    where = f" are in {store.path}; the same command goes on from there" if isinstance(store, Folder) else " were finished"
+    where = (
+        f" are in {store.path}; the same command goes on from there" if isinstance(store, Folder) else " were finished"
+    )
     return f"{store.finished} of {store.plan.cases} cases{where}"

@@ -1,4 +1,4 @@
-"""Pictures of a sweep as data for plotly: bands over time, distributions, scatter, parallel coordinates, sensitivities."""
+"""Pictures of a sweep as data for plotly: bands over time, histograms, scatter, parallel axes, sensitivities."""
 
 from __future__ import annotations
 
@@ -153,7 +153,11 @@ def parallel(varied: dict[str, Column], kept: dict[str, Column], units: dict[str
     for name, x in {**varied, **kept}.items():
         dimensions.append({"label": _named(name, units.get(name, "")), "values": _plain(x)})
     colour = next(iter(kept))
-    bar = {"title": {"text": _named(colour, units.get(colour, "")), "side": "right"}, "thickness": 12, "outlinewidth": 0}
+    bar = {
+        "title": {"text": _named(colour, units.get(colour, "")), "side": "right"},
+        "thickness": 12,
+        "outlinewidth": 0,
+    }
     line = {"color": _plain(kept[colour]), "colorscale": ALONG, "showscale": True, "colorbar": bar}
     trace = {
         "type": "parcoords",

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from functools import cached_property
 from html import escape
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -125,15 +125,13 @@ class Sweep:
         table.attrs["units"] = self.units
         return table
 
-    def save(self) -> list[Path]:
-        """Write the summary (`summary.json`) and, where plotly is installed, the page into the folder of the sweep."""
+    def save(self, page: bool = True) -> list[Path]:
+        """Write `summary.json` and, where plotly is installed, the page `sweep.html` into the folder of the sweep."""
         if self.folder is None:
             raise InputError(f"the sweep of {self.plan.name} is in memory; give alfmu.sweep() a folder to save it in")
         wrote = [self.folder / SUMMARY]
         write(wrote[0], (json.dumps(self.summary.as_data(), indent=1) + "\n").encode())
-        with suppress(ImportError):
-            import plotly  # noqa: F401
-
+        if page and find_spec("plotly"):
             wrote.append(self.page(self.folder / PAGE))
         return wrote
 
@@ -141,7 +139,7 @@ class Sweep:
         """Write one page with all pictures that needs no network. Needs `alfmu[sweep]`."""
         from .page import page
 
-        write(path, page(self).encode())
+        write(path, page(self._store, self.summary).encode())
         return Path(path)
 
     def said(self) -> str:
@@ -153,10 +151,8 @@ class Sweep:
         """The summary for a reader."""
         s = self.summary
         said = [f"{s.finished} of {s.cases} cases finished, {s.failed} of them failed"]
-        for each in s.failures:
-            said.append(f"  {each.count} failed, the first case {each.cases[0]}: {each.reason}")
-        for each in s.warnings:
-            said.append(f"  {each.count} with a warning, the first case {each.cases[0]}: {each.reason}")
+        for what, reasons in (("failed", s.failures), ("with a warning", s.warnings)):
+            said += [f"  {x.count} {what}, the first case {x.cases[0]}: {x.reason}" for x in reasons]
         moving = [each for each in s.spreads if each.moves]
         width = max((len(each.name) for each in moving[:LISTED]), default=0)
         heads = [f"{100 * q:g} %" for q in QUANTILES[::2]]

@@ -135,7 +135,9 @@ def _spreads(
             known = np.isfinite(column)
             if (key := np.packbits(known).tobytes()) not in ranks:
                 ranks.clear()
-                ranks[key] = {each: _ranked(x[known]) for each, x in varied.items() if np.ptp(x[known] if known.any() else [0])}
+                ranks[key] = {
+                    each: _ranked(x[known]) for each, x in varied.items() if np.ptp(x[known] if known.any() else [0])
+                }
             yield _spread(name, plan.unit(name), column[known], cases[known], ranks[key])
 
 
@@ -164,7 +166,9 @@ def _spread(
         return found
     ranks = _ranked(x)
     sensitivities = {each: float(ranks @ other) for each, other in varied.items()}
-    return Spread(*(getattr(found, field) for field in Spread.__dataclass_fields__ if field != "sensitivities"), sensitivities)
+    return Spread(
+        *(getattr(found, field) for field in Spread.__dataclass_fields__ if field != "sensitivities"), sensitivities
+    )
 
 
 def _reasons(cases: NDArray[np.int64], texts: NDArray[Any]) -> list[Failures]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,12 +31,14 @@ from .jobs import Code, FmuJob, Job, SceneJob, machine
 from .measures import Measure, matching, measures
 from .parts import FORMS, OWN, Folder, Held, Plan, Store, kept, usual_form
 from .results import Sweep, show
-from .variations import Cases, planned, read_cases
+from .variations import Cases, planned, read_cases, table_of_cases
 
 if TYPE_CHECKING:
     from ..fmi.recipe import Recipe
 
 __all__ = ["sweep"]
+
+_LOGGER = logging.getLogger("alfmu")
 
 QUICK = 1.0
 """Time [s] for which this process makes runs before it starts others, which takes some of it."""
@@ -43,7 +47,7 @@ RETRACED = ("solver.method", "solver.input_order")
 """Variables that a scene is traced with."""
 
 COMPILES = 8.0
-"""Time [s] that is left to run from which on a scene is compiled first, which halves it and takes some seconds, once."""
+"""Time [s] left to run from which on a scene is compiled first, which halves that and takes some seconds, once."""
 
 Vary = Mapping[str, str | Sequence[float]]
 
@@ -91,7 +95,7 @@ def sweep(
     Raises InputError where what is asked for cannot be run, and KeyboardInterrupt, with what is finished as `sweep`,
     where the user ends it.
     """
-    table = read_cases(cases) if isinstance(cases, str | Path) else cases and {n: np.array(x) for n, x in cases.items()}
+    table = read_cases(cases) if isinstance(cases, str | Path) else table_of_cases(cases or {})
     planned_cases = planned(vary or {}, samples, sampler, seed, table)
     how = _How(keep, keep_series, stop_time, communication_step, inputs or {}, parameters or {}, planned_cases)
     is_fmu = isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu")
@@ -99,13 +103,13 @@ def sweep(
         raise InputError(f"{mechanism}: frozen parameters and the kernel of an FMU are fixed when it is exported")
     job, units, others = _fmu(Path(str(mechanism)), how) if is_fmu else _scene(mechanism, how, freeze, kernel)
     asked = {
-        "identity": job.identity,
-        "set": {name: value for name, value in job.fixed},
-        "inputs": hashlib.sha256(repr(job.inputs).encode() + job.table.tobytes()).hexdigest(),
         "vary": {name: text if isinstance(text, str) else f"{len(text)} values" for name, text in (vary or {}).items()},
         "samples": samples,
         **({"sampler": sampler, "seed": seed} if samples else {}),
-        "cases": planned_cases.digest(),
+        "set": dict(job.fixed),
+        "digest of the inputs": hashlib.sha256(repr(job.inputs).encode() + job.table.tobytes()).hexdigest(),
+        "digest of the cases": planned_cases.digest(),
+        "digest of what is run": job.identity,
     }
     names = tuple(map(str, job.measures))
     plan = Plan(job.name, len(planned_cases), job.times, job.varied, names, job.series, units, asked)
@@ -118,7 +122,9 @@ def sweep(
             _check_form(form)
             store = stack.enter_context(Folder.opened(plan, Path(folder), form))
         stop = stack.enter_context(stopping())
-        stop.told = lambda: None
+        stop.told = partial(
+            _LOGGER.warning, "%s: ending once the runs under way are kept; once more ends at once", job.name
+        )
         done = show(progress, plan.cases)
         done(store.finished)
         _made(job, planned_cases, store, workers, scheduler, stop, done, others)
@@ -189,7 +195,9 @@ class _How:
         """InputError where something is varied that no run can be given."""
         for each in self.cases.names:
             if each in CHOICES or each in RETRACED:
-                raise InputError(f"{name}: {each} cannot be varied, as a scene is traced with it; make a sweep for each")
+                raise InputError(
+                    f"{name}: {each} cannot be varied, as a scene is traced with it; make a sweep for each"
+                )
             if each not in known:
                 raise InputError(f"{name} has no input or parameter {each!r} to vary; {there_is(each, known)}")
             if each in OWN:
@@ -203,7 +211,9 @@ class _How:
                 wrong = {"Integer": column != np.round(column), "Boolean": (column != 0) & (column != 1)}
                 if (found := wrong.get(v.type)) is not None and found.any():
                     what = "a whole number" if v.type == "Integer" else "0 or 1"
-                    raise InputError(f"{name}: {v.name} = {column[found][0]:g} is among what it is varied by; it is {what}")
+                    raise InputError(
+                        f"{name}: {v.name} = {column[found][0]:g} is among what it is varied by; it is {what}"
+                    )
                 place += 1
 
     def over_time(self, name: str, times: Any, known: Iterable[Variable]) -> tuple[tuple[str, ...], Any]:
@@ -266,7 +276,9 @@ def _scene(
     inputs, table = how.over_time(e.name, times, unit.input_variables)
     for name, value in zip(inputs, table[0], strict=True):
         unit.set(name, value)  # which tells of unknown names and bad values
-    fixed = [(v.name, float(unit.get(v.name))) for v in (*unit.parameters, *unit.input_variables) if v.name not in inputs]
+    fixed = [
+        (v.name, float(unit.get(v.name))) for v in (*unit.parameters, *unit.input_variables) if v.name not in inputs
+    ]
     chosen: list[tuple[str, float | str]] = [*fixed, *unit.choices.items()]
     chosen = [(name, value) for name, value in chosen if name not in how.cases.names]
     file, code = _packed(unit)
@@ -304,7 +316,7 @@ def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, f
     from ..equations.interface import variables_of
     from ..equations.specialisation import specialised
 
-    own = {name: value for name, value in given.items()}
+    own = dict(given)
     return variables_of(specialised(with_defaults(e, own), outputs, freeze)).outputs
 
 

@@ -17,7 +17,7 @@ from scipy.special import ndtr, ndtri
 from ..model.errors import InputError
 from ..model.words import in_words, there_is
 
-__all__ = ["DISTRIBUTIONS", "SAMPLERS", "Cases", "Distribution", "parsed", "planned", "read_cases"]
+__all__ = ["DISTRIBUTIONS", "SAMPLERS", "Cases", "Distribution", "parsed", "planned", "read_cases", "table_of_cases"]
 
 Column = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ SAMPLERS = {
 """How samples are drawn."""
 
 _EDGE = 2.0**-53
-"""Probability [1] within which samples keep from 0 and 1, where a normal distribution is infinite: that of round-off."""
+"""Probability [1] within which samples keep from 0 and 1, where a normal distribution is infinite: round-off."""
 
 
 @dataclass(frozen=True)
@@ -184,6 +184,15 @@ def read_cases(path: str | Path) -> dict[str, Column]:
     return {name: table[:, i] for i, name in enumerate(names)}
 
 
+def table_of_cases(columns: Mapping[str, Sequence[float]]) -> dict[str, Column]:
+    """The same of columns; InputError where they are not equally long."""
+    found = {name: _values(name, column) for name, column in columns.items()}
+    if len({len(column) for column in found.values()}) > 1:
+        lengths = ", ".join(f"{name} {len(column)}" for name, column in found.items())
+        raise InputError(f"a table of cases has a number for each case in each column; these have {lengths}")
+    return found
+
+
 @dataclass(frozen=True)
 class Cases:
     """The numbers of all cases: the product of tables, the first of which varies slowest.
@@ -238,13 +247,17 @@ def planned(
     if not (found or table):
         raise InputError("nothing is varied; say what with --vary NAME=..., or give a table of cases")
     if drawn and (samples is None or samples < 1):
-        raise InputError(f"{next(iter(drawn))} has a distribution; say how many samples are drawn, 1 or more (--samples)")
+        raise InputError(
+            f"{next(iter(drawn))} has a distribution; say how many samples are drawn, 1 or more (--samples)"
+        )
     if samples is not None and not drawn:
         raise InputError(f"{samples} samples are asked for, but nothing has a distribution, as in m=uniform(0.9,1.1)")
     tables = [np.column_stack(list(table.values()))] if table else []
     tables += [column[:, None] for column in grids.values()]
     if (count := math.prod(len(each) for each in tables) * (samples or 1)) > MOST_CASES:
-        raise InputError(f"{count:.3g} cases are more than the {MOST_CASES:.0e} that a sweep may have; vary less at once")
+        raise InputError(
+            f"{count:.3g} cases are more than the {MOST_CASES:.0e} that a sweep may have; vary less at once"
+        )
     if drawn:
         tables.append(_sampled(list(drawn.values()), samples or 1, sampler, seed))
     return Cases((*table, *grids, *drawn), tuple(tables))
