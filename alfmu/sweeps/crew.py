@@ -177,6 +177,10 @@ class Cluster:
             self.client.close(timeout=5)
 
 
+WAIT = 10
+"""Time [s] that a scheduler is waited for."""
+
+
 def cluster(address: str) -> Cluster:
     """The workers of a Dask cluster by the address of its scheduler, such as `tcp://10.0.0.5:8786`.
 
@@ -187,7 +191,7 @@ def cluster(address: str) -> Cluster:
     except ImportError:
         raise InputError("a cluster takes distributed; install it with: pip install 'alfmu[sweep]'") from None
     try:
-        client = distributed.Client(address, timeout=10, set_as_default=False)
+        client = distributed.Client(address, timeout=WAIT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"there is no Dask scheduler at {address} ({error})") from None
     return Cluster(client, (distributed.scheduler.KilledWorker,))

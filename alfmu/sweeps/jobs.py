@@ -10,6 +10,7 @@ import logging
 import os
 import threading
 import time
+import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
@@ -57,6 +58,8 @@ class Job:
     """Numbers that are kept of a run."""
     series: tuple[str, ...]
     """Outputs that are kept over time."""
+    token: str = field(default_factory=lambda: uuid.uuid4().hex)
+    """By which a worker knows this job and its other forms from any other."""
 
     @property
     def numbers(self) -> int:
@@ -175,7 +178,7 @@ _OWN = threading.local()
 def runner_of(job: Job) -> Runner:
     """The runner of a job in this thread, made once."""
     known: dict[Any, Runner] = _OWN.__dict__.setdefault("runners", {})
-    key = job.identity, job.varied, job.outputs, getattr(job, "braking", None) is not None
+    key = job.token, *(getattr(job, form, None) is not None for form in ("code", "braking"))
     if key not in known:
         while len(known) >= KEPT:
             known.pop(next(iter(known))).close()
