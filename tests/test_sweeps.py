@@ -22,7 +22,8 @@ from alfmu.sweeps.variations import parsed, planned
 KEEP = ["link1.angle", "peak(A.force.*)"]
 VARY = {"m2": "0:1:3", "l": "uniform(0.9,1.1)"}
 SCRIPT = """
-import sys, alfmu
+import sys, alfmu, alfmu.sweeps.crew, alfmu.sweeps.sweep
+alfmu.sweeps.crew.PART, alfmu.sweeps.sweep.QUICK = 0.2, 0.1
 alfmu.sweep("slider_crank", {"start.angle": "uniform(0.1,1.0)"}, int(sys.argv[2]), folder=sys.argv[1], workers=2,
     stop_time=2.0, keep=["crank.angle"], kernel="vm", form="csv")
 """
@@ -320,7 +321,7 @@ def children(pid: int) -> list[int]:
     return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-SAMPLES = 12_000
+SAMPLES = 3000
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes as Linux lists them")
@@ -477,9 +478,11 @@ def test_two_processes_do_not_write_into_one_folder(tmp_path):
 # A cluster -----------------------------------------------------------------------------------------------------------
 
 
-def test_a_dask_cluster_of_which_a_worker_is_killed(tmp_path):
+def test_a_dask_cluster_of_which_a_worker_is_killed(tmp_path, monkeypatch):
     """Two workers in processes of their own; one is killed while it has cases in hand, and none is lost."""
     pytest.importorskip("distributed")
+    monkeypatch.setattr(crew, "PART", 0.2)
+    monkeypatch.setattr("alfmu.sweeps.sweep.QUICK", 0.1)
     environment = {**os.environ, "DASK_LOGGING__DISTRIBUTED": "critical"}
     begin = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "env": environment, "cwd": tmp_path}
     address = tmp_path / "scheduler.json"
@@ -497,7 +500,7 @@ def test_a_dask_cluster_of_which_a_worker_is_killed(tmp_path):
         def kill(cases):
             for case in cases:
                 yield case
-                if case > 4000 and not killed:
+                if case > 1000 and not killed:
                     processes[1].kill()
                     killed.append(case)
 

@@ -26,7 +26,7 @@ from .jobs import Job, NeedsBrakes, Part, begin, lost, run_part
 from .parts import Store, kept
 from .variations import Cases
 
-__all__ = ["Processes", "Stop", "cluster", "make", "stopping"]
+__all__ = ["Crew", "Processes", "Stop", "cluster", "make", "stopping"]
 
 PART = 2.0
 """Time [s] after which a part is handed in: what a killed process loses, and what writing a file is small beside."""
@@ -313,7 +313,6 @@ class _Work:
         finally:
             for each in under_way:
                 each.cancel()
-            crew.close()
 
     def _chosen(self, under_way: int, workers: int) -> _Range | None:
         """The next range to hand out; None where it is to be waited."""

@@ -26,7 +26,7 @@ from ..runtime import Instance
 from ..runtime.prepare import again, with_defaults
 from ..runtime.reuse import derive, ready
 from ..simulation import communication_points, instance, signal_of
-from .crew import Processes, Stop, cluster, make, stopping
+from .crew import Crew, Processes, Stop, cluster, make, stopping
 from .jobs import Code, FmuJob, Job, SceneJob, machine
 from .measures import Measure, matching, measures
 from .parts import FORMS, OWN, Folder, Held, Plan, Store, kept, usual_form
@@ -148,15 +148,22 @@ def _made(
 ) -> None:
     """Make what is missing by whoever is to make it."""
     count = workers or cores()
-    if isinstance(job, SceneJob) and store.missing():
-        # A few runs are made before a process is started, or a scene compiled; what cannot be run is told here.
-        pace = make(job, cases, store, None, stop, done, others.braking, QUICK)
-        left = store.plan.cases - store.finished
-        if others.compiled is not None and pace * left / count > COMPILES:
-            job = others.compiled()
-    if store.missing() and not stop():
-        crew = cluster(scheduler) if scheduler else Processes(count) if count > 1 or isinstance(job, FmuJob) else None
-        make(job, cases, store, crew, stop, done, others.braking)
+    with ExitStack() as stack:
+        crew: Crew | None = None
+        if scheduler:  # first of all, as its address may be wrong
+            crew = cluster(scheduler)
+        elif count > 1 or isinstance(job, FmuJob):  # an FMU from elsewhere may end the process that runs it
+            crew = Processes(count)
+        if crew:
+            stack.callback(crew.close)
+        if isinstance(job, SceneJob) and store.missing():
+            # A few runs are made before a process is started, or a scene compiled.
+            pace = make(job, cases, store, None, stop, done, others.braking, QUICK)
+            left = store.plan.cases - store.finished
+            if others.compiled is not None and pace * left / (crew.workers() if crew else 1) > COMPILES:
+                job = others.compiled()
+        if store.missing() and not stop():
+            make(job, cases, store, crew, stop, done, others.braking)
 
 
 def cores() -> int:
