@@ -49,6 +49,9 @@ DEATHS = 2
 GLANCE = 0.2
 """Time [s] between looks at whether the user wants to stop."""
 
+LEAVE = 1.0
+"""Time [s] that processes have to end by themselves."""
+
 PATIENCE = 60.0
 """Time [s] that a cluster without workers is waited for."""
 
@@ -127,9 +130,12 @@ class Processes:
         if pool is not None:
             processes = list((pool._processes or {}).values())
             pool.shutdown(wait=False, cancel_futures=True)
+            end = time.monotonic() + LEAVE
+            for each in processes:  # those with nothing in hand end by themselves
+                each.join(max(0.0, end - time.monotonic()))
             for each in processes:
                 each.terminate()
-            pool.shutdown(wait=True)
+                each.join()
 
 
 @contextmanager
