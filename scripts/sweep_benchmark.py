@@ -111,9 +111,10 @@ def main() -> None:
             for way in times[0]:
                 clock, busy = (min(x[way][k] for x in times) for k in (0, 1))
                 print(
-                    f"fmpy.simulate_fmu, {kind}, {way}: {chosen.fmpy} runs, {1e3 * clock:.2f} ms each, {1e3 * busy:.2f} ms "
-                    f"of a processor; the sweep has {clock * chosen.runs / best[count][0]:.0f} times the throughput on "
-                    f"{count} cores, {busy * chosen.runs / best[1][1]:.0f} times on one, by processors' time"
+                    f"fmpy.simulate_fmu, {kind}, {way}: {chosen.fmpy} runs, {1e3 * clock:.2f} ms each, "
+                    f"{1e3 * busy:.2f} ms of a processor; the sweep has "
+                    f"{clock * chosen.runs / best[count][0]:.0f} times the throughput on {count} cores by the clock, "
+                    f"{busy * chosen.runs / best[1][1]:.1f} times on one by processors' time"
                 )
         place = folder / "all"
         how = {"folder": place, "keep": [*KEEP, "*.force.*"], "stop_time": STOP, "communication_step": STEP}
