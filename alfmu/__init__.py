@@ -18,6 +18,7 @@ _HOME = {
     "Experiment": "model.mechanism",
     "ExportError": "model.errors",
     "InputError": "model.errors",
+    "Imported": "formats",
     "Instance": "runtime",
     "Joint": "model.mechanism",
     "Linearization": "analysis.linearization",
@@ -31,6 +32,7 @@ _HOME = {
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
+    "imported": "formats",
     "linearize": "analysis.linearization",
     "load": "model.registry",
     "mechanisms": "model.registry",
@@ -51,6 +53,8 @@ if TYPE_CHECKING:
     from .equations import Equations as Equations
     from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
+    from .formats import Imported as Imported
+    from .formats import imported as imported
     from .model.errors import AlfmuError as AlfmuError
     from .model.errors import AlfmuWarning as AlfmuWarning
     from .model.errors import AssemblyError as AssemblyError

@@ -17,6 +17,7 @@ ROOMS: dict[str, set[str]] = {
     "files": {"model"},
     "equations": {"model"},
     "parts": {"equations", "model"},
+    "formats": {"model"},
     "method": set(),
     "kernel": {"equations", "method", "model"},
     "runtime": {"equations", "files", "kernel", "method", "model"},
@@ -29,7 +30,18 @@ ROOMS: dict[str, set[str]] = {
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
     "sweeps": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies"},
     "cli": {
-        *("analysis", "equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "sweeps"),
+        "analysis",
+        "equations",
+        "files",
+        "fmi",
+        "formats",
+        "kernel",
+        "model",
+        "result",
+        "runtime",
+        "simulation",
+        "studies",
+        "sweeps",
         "view",
     },
     "__main__": {"cli"},
@@ -37,7 +49,7 @@ ROOMS: dict[str, set[str]] = {
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 
 LATE: dict[str, set[str]] = {
-    "model": {"equations", "result", "view"},
+    "model": {"equations", "formats", "result", "view"},
     "result": {"view"},
     "simulation": {"analysis", "fmi"},
     "fmi": {"analysis"},

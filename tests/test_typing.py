@@ -25,6 +25,7 @@ from pathlib import Path
 import alfmu
 from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, ExportError, InputError, StepError
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
+from alfmu import Imported, imported
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
 
 warnings.simplefilter("error", AlfmuWarning)
@@ -61,6 +62,8 @@ reveal_type([name for name in r])
 reveal_type(pendulum().bodies[0].name)
 reveal_type(pendulum().draw().svg())
 i = Instance(derive(load("five_bar")))
+linkage: Imported = imported(Path("robot.xml"), drives="all")
+text: str = linkage.source()
 i.initialize()
 i.step(0.02)
 reveal_type(i.get("link1.angle"))

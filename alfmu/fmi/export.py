@@ -27,6 +27,7 @@ from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
+from ..model.registry import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
@@ -260,7 +261,7 @@ def _credits(declared: Mechanism) -> dict[str, str]:
 
 def _options(recipe: Recipe, equations: Equations) -> bytes:
     """What the FMU is of: the mechanism, by which it is drawn, and its options."""
-    registered = isinstance(recipe.mechanism, str) and not recipe.mechanism.endswith(".py")
+    registered = isinstance(recipe.mechanism, str) and not is_file(recipe.mechanism)
     facts = {"mechanism": recipe.mechanism if registered else equations.name, "options": equations.options}
     return json.dumps(facts, indent=1).encode()
 

@@ -186,8 +186,10 @@ class Recipe(Brief):
 
     def in_file(self, path: Path) -> Recipe:
         """The recipe that a file declares: called after it, paths relative to it."""
+        from ..model.registry import is_file
+
         where = self.mechanism
-        if isinstance(where, (str, Path)) and str(where).endswith(".py"):
+        if isinstance(where, (str, Path)) and is_file(where):
             where = path.parent / where
         return replace(self, mechanism=where, name=self.name or path.stem)
 

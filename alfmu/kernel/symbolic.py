@@ -552,7 +552,7 @@ class Scene:
 
     def unsettled(self, left: SX, q: SX, v: SX) -> SX:
         """Whether q and v with these residues (squared) do not."""
-        return 1 - self._within(left[0], q) * self._within(left[1], v)
+        return 1 - self._closed(left, q, v)
 
     def error_size(
         self, z: SX, q: SX, v: SX, error: SX, least: SX | None = None, x: SX | None = None, change: SX | None = None
@@ -627,8 +627,7 @@ class Scene:
             trouble += near if plan.quick and not plan.margins else near * self.settings.continues
             near *= self.settings.continues
         if e.l:
-            for residue, x in zip(ca.vertsplit(known["left"]), (q, v), strict=True):
-                trouble += 1 - self._within(residue, x)
+            trouble += 1 - self._closed(known["left"], q, v)
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
         x = known.get("x", SX(0, 1))
@@ -697,9 +696,17 @@ class Scene:
 
     # Residues and factors ------------------------------------------------------------------------------------------
 
-    def _within(self, residue: SX, x: SX) -> SX:
-        """Whether a residue (squared) of x is within the tolerance, or within round-off."""
-        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * ca.sumsqr(x))
+    def _closed(self, left: SX, q: SX, v: SX) -> SX:
+        """Whether both residues (squared) are within the tolerance, or within round-off.
+
+        The digits that turned angles have lost move what C belongs to, by which no v makes dependent rows of C v vanish.
+        """
+        turned = ca.fmax(1, ca.sumsqr(q[[i for i, c in enumerate(self.e.coordinates) if c.unit == "rad"]]))
+        return self._within(left[0], q) * self._within(left[1], v, turned)
+
+    def _within(self, residue: SX, x: SX, larger: SX | float = 1.0) -> SX:
+        """Whether a residue (squared) of x is within the tolerance, or within round-off, which is so much larger."""
+        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * ca.sumsqr(x))
 
     def _largest(self, residue: SX) -> SX:
         return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else SX(0)
