@@ -9,11 +9,12 @@ can only make it worse; beside times there are times of the processors, which th
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import shutil
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,19 @@ def swept(runs: int, workers: int, folder: Path) -> tuple[float, float]:
     return found
 
 
+def watched(cases: Iterable[int], most: dict[str, float]) -> Iterator[int]:
+    """Cases as they are done; the most memory [MB] of this process and of those that it started, as Linux tells it."""
+    for case in cases:
+        if case % 1000 == 0:
+            pid = os.getpid()
+            for who in [pid, *map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())]:
+                lines = Path(f"/proc/{who}/status").read_text().splitlines()
+                held = next((float(line.split()[1]) / 1e3 for line in lines if line.startswith("VmHWM")), 0.0)
+                key = "own" if who == pid else "worker"
+                most[key] = max(most.get(key, 0.0), held)
+        yield case
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
@@ -118,14 +132,16 @@ def main() -> None:
                 )
         place = folder / "all"
         how = {"folder": place, "keep": [*KEEP, "*.force.*"], "stop_time": STOP, "communication_step": STEP}
-        clock, busy = timed(lambda: alfmu.sweep("five_bar", VARY, chosen.all, **how))
-        most = [resource.getrusage(who).ru_maxrss / 1e3 for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+        memory: dict[str, float] = {}
+        clock, busy = timed(
+            lambda: alfmu.sweep("five_bar", VARY, chosen.all, **how, progress=lambda x: watched(x, memory))
+        )
         sweep = alfmu.Sweep.load(place)
         size = sum(path.stat().st_size for path in place.iterdir()) / 1e6
         print(
             f"{len(sweep)} runs in {clock:.0f} s ({busy:.0f} s of processors), {len(sweep.names)} columns, "
-            f"{len(list(place.glob('part-*')))} parts, {size:.0f} MB; most memory of this process {most[0]:.0f} MB, of "
-            f"a worker {most[1]:.0f} MB"
+            f"{len(list(place.glob('part-*')))} parts, {size:.0f} MB; most memory of this process "
+            f"{memory['own']:.0f} MB, of a worker {memory['worker']:.0f} MB"
         )
         clock, _ = timed(sweep.save)
         most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
