@@ -186,6 +186,11 @@ def test_compiled_runs_have_the_same_numbers():
     assert all(np.array_equal(one[name], other[name]) for name in one.names[:-2])
 
 
+def test_values_that_look_like_degrees_are_told():
+    with pytest.warns(alfmu.AlfmuWarning, match=r"start\.angle.*45"):
+        alfmu.sweep("five_bar", {"start.angle": "10,-45"}, keep=KEEP, stop_time=0.05)
+
+
 def test_inputs_and_numbers_of_the_solver_are_varied():
     found = alfmu.sweep("five_bar", {"A.torque": "0,2", "solver.step_size": "0.005,0.01"}, keep=KEEP, stop_time=0.3)
     for case in range(4):

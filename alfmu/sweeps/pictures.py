@@ -32,8 +32,8 @@ def _panels(titles: Sequence[str], across: int, row: int = ROW) -> Figure:
     down = math.ceil(len(titles) / across)
     layout: dict[str, Any] = {
         "font": FONT,
-        "height": 70 + row * down,
-        "margin": {"l": 70, "r": 20, "t": 40, "b": 55},
+        "height": 95 + row * down,
+        "margin": {"l": 70, "r": 20, "t": 65, "b": 55},
         "plot_bgcolor": "white",
         "hovermode": "closest",
         "showlegend": False,
@@ -48,7 +48,9 @@ def _panels(titles: Sequence[str], across: int, row: int = ROW) -> Figure:
         layout[f"xaxis{n}"] = {**axis, "domain": [left, min(1.0, left + width)], "anchor": f"y{n}"}
         layout[f"yaxis{n}"] = {**axis, "domain": [max(0.0, top - height), top], "anchor": f"x{n}"}
         place = {"xref": "paper", "yref": "paper", "x": left, "y": top, "xanchor": "left", "yanchor": "bottom"}
-        layout["annotations"].append({**place, "text": f"<b>{title}</b>", "showarrow": False, "yshift": 4})
+        layout["annotations"].append(
+            {**place, "text": f"<b>{title}</b>", "showarrow": False, "yshift": 4, "font": {"size": 12}}
+        )
     return {"data": [], "layout": layout}
 
 

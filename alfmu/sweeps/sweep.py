@@ -18,6 +18,7 @@ from ..equations import Equations, Variable
 from ..equations.interface import BALANCE, CHOICES
 from ..kernel import DEFAULT
 from ..kernel.tables import packed
+from ..model.checks import perhaps_degrees, perhaps_millimetres
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
@@ -42,6 +43,9 @@ _LOGGER = logging.getLogger("alfmu")
 
 QUICK = 1.0
 """Time [s] for which this process makes runs before it starts others, which takes some of it."""
+
+_DOUBTS = {"rad": perhaps_degrees, "m": perhaps_millimetres}
+"""What asks whether a value is in another unit, by the unit that it should have."""
 
 RETRACED = ("solver.method", "solver.input_order")
 """Variables that a scene is traced with."""
@@ -221,6 +225,8 @@ class _How:
                     raise InputError(
                         f"{name}: {v.name} = {column[found][0]:g} is among what it is varied by; it is {what}"
                     )
+                if v.unit in _DOUBTS:
+                    _DOUBTS[v.unit](f"{name}: {v.name}", float(column[np.abs(column).argmax()]))
                 place += 1
 
     def over_time(self, name: str, times: Any, known: Iterable[Variable]) -> tuple[tuple[str, ...], Any]:
