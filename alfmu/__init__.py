@@ -39,6 +39,7 @@ _HOME = {
     "mobility": "analysis.freedoms",
     "simulate": "simulation",
     "sweep": "sweeps.sweep",
+    "validate": "fmi.checks.validation",
 }
 """Public name -> module; imported when first used."""
 
@@ -51,6 +52,7 @@ if TYPE_CHECKING:
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
     from .equations import Equations as Equations
+    from .fmi.checks.validation import validate as validate
     from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
     from .formats import Imported as Imported

@@ -27,6 +27,7 @@ from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, Exp
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
 from alfmu import Imported, Sweep, imported, sweep
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
+from alfmu import validate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -76,6 +77,7 @@ reveal_type(equations.n + len(mechanisms()))
 again: Result = Result.from_csv("run.csv")
 again.to_csv("copy.csv")
 made: Path = export("five_bar", "five_bar.fmu")
+problems: list[str] = validate(made, checks=["step.*"])
 rest: Equilibrium = equilibrium(pendulum(), parameters={"m": 2.0}).nearest
 reveal_type(rest.stable)
 linear: Linearization = linearize(pendulum(), rest)

@@ -43,8 +43,8 @@ from .description import (
     model_description,
     model_description3,
 )
-from .experiment import reference_results
 from .recipe import Recipe, load
+from .records import record_files
 from .slave import COMPILED, OPTIONS, SCENE
 from .terminals import document, terminals
 
@@ -105,7 +105,7 @@ def export(
     apart = ("solver.",) if recipe.start == "declared" else ("solver.", "start.")
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
-    results = reference_results(equations) if recipe.reference else {}
+    results = record_files(equations) if recipe.reference else {}
     if recipe.kind == "native":
         _archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
         return path
