@@ -28,6 +28,7 @@ _HOME = {
     "Result": "result",
     "StepError": "model.errors",
     "System": "systems.system",
+    "Sweep": "sweeps.results",
     "WriteError": "model.errors",
     "couple": "systems.coupling",
     "derive": "runtime.reuse",
@@ -39,6 +40,7 @@ _HOME = {
     "mechanisms": "model.registry",
     "mobility": "analysis.freedoms",
     "simulate": "simulation",
+    "sweep": "sweeps.sweep",
     "validate": "fmi.checks.validation",
 }
 """Public name -> module; imported when first used."""
@@ -76,6 +78,8 @@ if TYPE_CHECKING:
     from .runtime import Instance as Instance
     from .runtime.reuse import derive as derive
     from .simulation import simulate as simulate
+    from .sweeps.results import Sweep as Sweep
+    from .sweeps.sweep import sweep as sweep
     from .systems.coupling import couple as couple
     from .systems.system import System as System
 

@@ -29,6 +29,7 @@ ROOMS: dict[str, set[str]] = {
     "analysis": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
     "systems": {"equations", "files", "fmi", "model", "parts", "result", "runtime", "simulation", "view"},
+    "sweeps": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies"},
     "cli": {
         "analysis",
         "equations",
@@ -42,6 +43,7 @@ ROOMS: dict[str, set[str]] = {
         "simulation",
         "studies",
         "systems",
+        "sweeps",
         "view",
     },
     "__main__": {"cli"},

@@ -25,7 +25,7 @@ from pathlib import Path
 import alfmu
 from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, ExportError, InputError, StepError
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
-from alfmu import Imported, imported
+from alfmu import Imported, Sweep, imported, sweep
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
 from alfmu import System, couple, validate
 
@@ -84,6 +84,9 @@ linear: Linearization = linearize(pendulum(), rest)
 reveal_type(linear.A)
 reveal_type(linearize(pendulum(), [0.0, 1.0]))
 reveal_type(mobility(pendulum(), stop_time=0.0).groups[0].rows)
+many: Sweep = sweep(pendulum(), {"m": "uniform(0.9,1.1)", "start.angle": [0.1, 0.2]}, 10, keep=["max(rod.angle)"])
+reveal_type(many["max(rod.angle)"])
+reveal_type(many.summary.spreads[0].sensitivities["m"])
 simulate(pendulum(), start=rest)
 system = System("pair", {"a": pendulum(), "b": Recipe("five_bar")}, [("b.link1.angle", "a.torque")], {"a.x": 1.0})
 reveal_type(system.simulate(master="iterated"))
@@ -93,6 +96,7 @@ reveal_type(couple(system, halvings=2).order("held"))
 REVEALED = (
     *("Result", "float64", "float64", "Result", "list[", "str", "str"),
     *("float", "str", "float64", "str", "Path", "int", "bool", "float64", "Linearization", "str"),
+    *("ndarray", "float"),
     *("Result", "float"),
 )
 """What stands in the types that checkers reveal, in their order."""

@@ -26,6 +26,7 @@ from .options import (
     chosen_recipe,
     equations_of,
     file_name,
+    refuse_scene_of_fmu,
 )
 from .says import between_steps, failed, fall_silent, once_written, progress_bar
 
@@ -150,23 +151,7 @@ def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any
     if chosen.unit.endswith(".fmu"):
         from ..fmi.drive import Fmu
 
-        if any(
-            (
-                chosen.option,
-                chosen.kernel,
-                chosen.outputs,
-                chosen.freeze,
-                chosen.lock,
-                chosen.release,
-                chosen.measure,
-                chosen.compliances,
-                chosen.start,
-            )
-        ):
-            raise InputError(
-                f"{chosen.unit}: options, outputs, frozen parameters, locks, the start and the kernel of an FMU are "
-                "fixed when it is exported; give them to `alfmu export`"
-            )
+        refuse_scene_of_fmu(chosen, chosen.unit)
         fmu, given = Fmu(chosen.unit), dict(chosen.set)
         about = {"parameters": given, "facts": fmu.facts(given), "declared": fmu.declared()}
         return fmu, {**about, "stop_time": fmu.stop_time, "communication_step": fmu.interval}

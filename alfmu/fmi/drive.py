@@ -227,6 +227,10 @@ class Fmu:
         finally:
             self._call(free, state)
 
+    def settable(self) -> list[Variable]:
+        """Parameters that are numbers."""
+        return [_variable(v) for v in self._of("parameter") if _KINDS.get(v.type) in ("Real", "Integer", "Boolean")]
+
     def facts(self, parameters: Mapping[str, float | str]) -> dict[str, Any]:
         """What a result of it says of what was run, with these parameters."""
         known = {**self.parameters, **parameters}
