@@ -374,7 +374,6 @@ def _short(value: Any) -> str:
 
 def kept(store: Store) -> str:
     """What to say of a sweep that ended early."""
-    where = (
-        f" are in {store.path}; the same command goes on from there" if isinstance(store, Folder) else " were finished"
-    )
-    return f"{store.finished} of {store.plan.cases} cases{where}"
+    if isinstance(store, Folder):
+        return f"{store.finished} of {store.plan.cases} cases are in {store.path}; the same command goes on from there"
+    return f"{store.finished} of {store.plan.cases} cases were finished"
