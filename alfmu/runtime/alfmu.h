@@ -10,6 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "lanes.h"
 #include "layout.h"
 #include "linear.h"
 
@@ -18,7 +19,6 @@
 #pragma GCC visibility push(hidden)
 #endif
 
-#define LANES 8 /* sets of arguments that a function is called for at once */
 #define MOST_ARGUMENTS 160 /* of a function, results included */
 /* Most internal steps, or tries of them, in one communication step, so that every call comes back: the five-bar makes a
    million in 4 s, the flexible four-bar by a stiff method in 17 s. */
@@ -242,6 +242,7 @@ typedef struct Instance {
     char text[1024];   /* what happened last */
     int warns;         /* whether there is a warning that nobody has read yet */
     char warning[1024];
+    struct Tape *tape; /* what is done is written on it, where there is one (tape.h) */
 } Instance;
 
 /* What an instance warns of once in a run. */
@@ -256,6 +257,7 @@ int variable_count(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);
 double instance_get(const Instance *i, int reference);
+const double *instance_place(const Instance *i, int reference);
 void instance_get_many(const Instance *i, const int *references, int count, double *values);
 Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection);
 Outcome instance_set_slope(Instance *i, int reference, double value);
@@ -329,6 +331,9 @@ int move_by(const Scene *s, int formulation);
 /* Registers with what they begin with, once there is room for them: `lanes` from the first place that suits. */
 double *lanes_from(double *place);
 void registers_begin(Instance *i);
+
+/* What the operations of a function give, once its arguments stand in the registers. */
+void evaluate(const Function *f, double *registers, double *values);
 
 /* A function of the scene on arrays; a program on the memory. */
 void call(Instance *i, int which, const double *const *x, double *const *y);
