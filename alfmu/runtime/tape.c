@@ -406,6 +406,7 @@ Gradient *gradient_new(Instance *i, int directions)
     if (!g)
         return NULL;
     g->instance = i;
+    g->functions = s->function_count;
     g->places = (size_t)(i->scratch + i->room - i->numbers);
     g->blocks = (directions + LANES - 1) / LANES;
     g->tape = tape_new();
@@ -427,10 +428,8 @@ void gradient_free(Gradient *g)
 {
     if (!g)
         return;
-    if (g->instance->tape == g->tape)
-        g->instance->tape = NULL;
     tape_free(g->tape);
-    for (int k = 0; g->flats && k < g->instance->scene->function_count; k++) {
+    for (int k = 0; g->flats && k < g->functions; k++) {
         free(g->flats[k].runs);
         free(g->flats[k].operands);
     }

@@ -95,6 +95,7 @@ typedef struct {
     Instance *instance;
     Tape *tape;
     Flat *flats;         /* of each function, made when it is first needed */
+    int functions;
     size_t places;       /* numbers of the instance that have derivatives */
     int blocks;          /* of LANES directions */
     Lanes *tangents;     /* by blocks, of each place */
@@ -112,7 +113,7 @@ typedef struct {
 } Gradient;
 
 Gradient *gradient_new(Instance *i, int directions);
-void gradient_free(Gradient *g);
+void gradient_free(Gradient *g); /* also once the instance is gone */
 const Flat *flat_of(Gradient *g, int which);
 
 /* Values of the registers of a function for saved arguments. */
