@@ -243,6 +243,7 @@ typedef struct Instance {
     int warns;         /* whether there is a warning that nobody has read yet */
     char warning[1024];
     struct Tape *tape; /* what is done is written on it, where there is one (tape.h) */
+    struct Gradient *gradient; /* of what is read at an instant, once a host has asked for it (partial.c) */
 } Instance;
 
 /* What an instance warns of once in a run. */
@@ -252,6 +253,8 @@ Instance *instance_new(const Scene *scene);
 void instance_free(Instance *i);
 void instance_reset(Instance *i);
 void instance_balance(Instance *i);
+void instance_remember(Instance *i);
+void instance_go_back(Instance *i);
 void warn(Instance *i, int of, const char *format, ...);
 int variable_count(const Scene *scene);
 
@@ -270,6 +273,11 @@ Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_read(Instance *i);
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *directions, double *changes);
+/* The same by inputs, and before the run by parameters and start values: along a direction of what is known, or back from
+   one of what is not. */
+int has_derivatives(const Scene *s, int reference);
+Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *seed, int back, double *found);
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);

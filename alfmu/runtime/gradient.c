@@ -25,33 +25,6 @@ API void alfmu_gradient_free(Gradient *g)
     gradient_free(g);
 }
 
-/* What such a run is not differentiated through; DONE where there is nothing. */
-static Outcome differentiable(Instance *i)
-{
-    const Scene *s = i->scene;
-    if (s->frictions)
-        return say(i, REFUSED,
-            "%s: derivatives of a run with dry friction are not known: when joints stick and slide changes with each "
-            "number; take the friction out, or make it viscous",
-            s->name);
-    if (s->followed_count)
-        return say(i, REFUSED,
-            "%s: derivatives of a run with inputs that move something are not known; prescribe the motion by a law of time",
-            s->name);
-    return DONE;
-}
-
-/* The same once it has started. */
-static Outcome differentiable_here(Instance *i)
-{
-    if (i->flags.brakes)
-        return say(i, REFUSED,
-            "%s: derivatives of a run whose redundant constraints change with the position are not known; declare the "
-            "joints so that none is redundant",
-            i->scene->name);
-    return DONE;
-}
-
 static int set_row(Instance *i, const Run *r, long row)
 {
     Outcome outcome = DONE;

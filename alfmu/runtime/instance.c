@@ -161,6 +161,7 @@ Instance *instance_new(const Scene *s)
 void instance_free(Instance *i)
 {
     if (i) {
+        gradient_free(i->gradient);
         free(i->numbers);
         free(i);
     }
@@ -811,13 +812,13 @@ static Outcome change(Instance *i, const double *on)
     return outcome;
 }
 
-static void remember(Instance *i)
+void instance_remember(Instance *i)
 {
     memcpy(i->before, i->numbers, i->count * sizeof *i->numbers);
     i->flags_before = i->flags;
 }
 
-static void go_back(Instance *i)
+void instance_go_back(Instance *i)
 {
     memcpy(i->numbers, i->before, i->count * sizeof *i->numbers);
     i->flags = i->flags_before;
@@ -1498,11 +1499,11 @@ Outcome instance_ready(Instance *i, double start, double h)
     if (outcome != DONE || !i->flags.pending)
         return outcome;
     i->used = 0;
-    remember(i);
+    instance_remember(i);
     hand_over(i);
     outcome = take_effect(i);
     if (outcome != DONE) {
-        go_back(i);
+        instance_go_back(i);
         memcpy(i->wanted, i->on, (size_t)i->scene->switches * sizeof *i->on);
         i->flags.pending = 0;
     }
@@ -1524,7 +1525,7 @@ Outcome instance_step(Instance *i, double start, double h)
     if (outcome != DONE)
         return outcome;
     if (changed && !pending) /* What sticks may change in a step. */
-        remember(i);
+        instance_remember(i);
     i->used = 0;
     if (!i->within)
         i->left = MOST_STEPS;
@@ -1534,7 +1535,7 @@ Outcome instance_step(Instance *i, double start, double h)
     hand_over(i);
     outcome = whole_step(i, start, h);
     if (outcome != DONE && changed)
-        go_back(i);
+        instance_go_back(i);
     else if (outcome != DONE)
         step_back(i);
     if (outcome != DONE && signals) {
@@ -1727,7 +1728,7 @@ Outcome instance_output_derivatives(
     const Scene *s = i->scene;
     const double start = *instance_time(i), h = APART * i->values[s->step_size];
     Outcome outcome = DONE;
-    remember(i);
+    instance_remember(i);
     i->left = MOST_STEPS;
     i->flags.pending = 0;
     i->slopes[0] = start;
@@ -1750,7 +1751,7 @@ Outcome instance_output_derivatives(
     }
     for (size_t each = 0; each < count; each++)
         values[each] /= orders[each] == 1 ? h : h * h;
-    go_back(i);
+    instance_go_back(i);
     i->within = 0;
     i->used = 0;
     for (size_t each = 0; outcome == DONE && each < count; each++)
@@ -1920,12 +1921,12 @@ Outcome state_restore(Instance *i, const unsigned char *state, size_t size)
             "%s: the saved state is not one of this mechanism, or has changed since (check sum); save it again",
             i->scene->name);
     memcpy(&h, state, sizeof h);
-    remember(i);
+    instance_remember(i);
     i->flags = h.flags;
     memcpy(i->numbers, state + sizeof h, i->count * sizeof *i->numbers);
     outcome = sound(i);
     if (outcome != DONE)
-        go_back(i);
+        instance_go_back(i);
     return outcome;
 }
 
@@ -1946,12 +1947,12 @@ Outcome instance_penalize(Instance *i, const double *penalties)
     }
     i->used = 0;
     hand_over(i);
-    remember(i);
+    instance_remember(i);
     memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
     i->flags.scaled = 0;
     outcome = change(i, i->on);
     if (outcome != DONE)
-        go_back(i);
+        instance_go_back(i);
     i->used = 0;
     return outcome;
 }

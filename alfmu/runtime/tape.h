@@ -91,7 +91,7 @@ typedef struct {
 } Flat;
 
 /* What derivatives of an instance need beside it. */
-typedef struct {
+typedef struct Gradient {
     Instance *instance;
     Tape *tape;
     Flat *flats;         /* of each function, made when it is first needed */
@@ -127,6 +127,10 @@ void adjoints_along(Gradient *g, Mark from);
    results their adjoints. */
 void tangents_through(const Flat *flat, const double *r, Lanes *dr);
 void adjoints_through(const Flat *flat, const double *r, double *ar);
+
+/* DONE, or what a run is not differentiated through: of its scene, and once it has started (partial.c). */
+Outcome differentiable(Instance *i);
+Outcome differentiable_here(Instance *i);
 
 /* Of the start (closing.c). */
 void closed_tangents(Gradient *g, const Entry *e);
