@@ -27,13 +27,13 @@ API void alfmu_gradient_free(Gradient *g)
 
 static int set_row(Instance *i, const Run *r, long row)
 {
+    const Mark before = tape_mark(i), reading = i->tape->reading;
     Outcome outcome = DONE;
-    Tape *t = i->tape;
-    /* What was read for other inputs is read again. */
-    if (r->input_count && row && t && t->reading.entries)
-        tape_cut(i, t->reading);
     for (int k = 0; k < r->input_count && outcome == DONE; k++)
         outcome = instance_set(i, r->inputs[k], r->table[row * r->input_count + k]);
+    /* What the step read at its end is read again for other inputs. */
+    if (row && reading.entries && !i->flags.known && i->tape->used.entries == before.entries)
+        tape_cut(i, reading);
     return (int)outcome;
 }
 
