@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 import alfmu
-from alfmu import cli, files, oracle
-from alfmu.cli import main
+from alfmu import files, oracle
+from alfmu.cli import main, runs
 from alfmu.fmi.drive import Fmu, validate
 from alfmu.simulation import communication_points, prepared, run, with_defaults
 from alfmu.view.drawing import as_data, from_data
@@ -301,7 +301,7 @@ def test_an_interrupt_keeps_the_rows(unit, number, here, capsys, monkeypatch, ex
 
         return steps
 
-    monkeypatch.setattr(cli, "_progress", progress)
+    monkeypatch.setattr(runs, "progress_bar", progress)
     kernel = ["--kernel", "oracle"] if unit == "oracle" else []
     before = signal.getsignal(number)
     plot = ["--plot", "r.svg", "--plot-names", "rod.angle"] if unit == "vm" else []

@@ -1,0 +1,108 @@
+"""The command line: parse, call, print.
+
+A command is declared, and run, in one of the modules COMMANDS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import signal
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ..model.errors import AlfmuError, AlfmuWarning
+from . import analyses, fmus, judged, looks, runs, shells
+from .says import failed, fall_silent, handling, perhaps
+
+__all__ = ["main", "parser"]
+
+COMMANDS = (looks, fmus, runs, analyses, judged, shells)
+"""Modules with commands, in the order of the help; `add` adds them."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage, 130 interrupted."""
+    parser, commands = _parser()
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    if words[:1] == ["help"]:
+        words = [*words[1:2], "--help"]
+    if not words:
+        parser.print_help(sys.stderr)
+        parser.exit(2)
+    if words and not words[0].startswith("-") and words[0] not in commands:
+        parser.error(f"there is no command {words[0]!r}; {perhaps(words[0], commands)}")
+    chosen, unknown = parser.parse_known_args(words)
+    if unknown:
+        sub = commands[words[0]]
+        options = re.findall(r"--[\w-]+", sub.format_usage())
+        known = f"; {perhaps(unknown[0].partition('=')[0], options)}" if unknown[0].startswith("-") else ""
+        sub.error(f"{unknown[0]} is not understood{known}")
+    try:
+        with warnings.catch_warnings(), handling(signal.default_int_handler, signal.SIGTERM):
+            # What is under way when a signal comes is put in order.
+            warnings.filterwarnings("always", category=AlfmuWarning)
+            warnings.showwarning = _printed(warnings.showwarning)
+            return chosen.run(chosen) or 0
+    except AlfmuError as error:
+        return failed(str(error))
+    except BrokenPipeError:  # whoever reads our output has seen enough
+        fall_silent()
+        return 0
+    except OSError as error:
+        return failed(f"{error.filename or 'the folder for temporary files'}: {error.strerror or error}")
+    except MemoryError:
+        return failed("there is not enough memory for this")
+    except KeyboardInterrupt:
+        return failed("interrupted", 130)
+
+
+def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
+    """What shows a warning: those of alfmu as one line, once."""
+    seen: set[str] = set()
+
+    def show(message: Warning, category: type[Warning], file: str, line: int, *more: Any) -> None:
+        if not issubclass(category, AlfmuWarning):
+            otherwise(message, category, file, line, *more)
+        elif not any(each.startswith(str(message)) for each in seen):
+            seen.add(str(message))
+            print(f"alfmu: warning: {message}", file=sys.stderr)
+
+    return show
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the command line, from which its page in the documentation is made."""
+    return _parser()[0]
+
+
+def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    """The parser, and those of the commands by name."""
+    from importlib.metadata import version
+
+    parser = argparse.ArgumentParser(
+        prog="alfmu",
+        description="Closed-loop mechanisms as FMUs for co-simulation: export, run, check and watch them.",
+        epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage, 130 interrupted. "
+        "See `alfmu COMMAND --help`.",
+    )
+    parser.add_argument("--version", action="version", version=f"alfmu {version('alfmu')}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    by_name: dict[str, argparse.ArgumentParser] = {}
+
+    def command(name: str, run: Callable[[argparse.Namespace], int | None], text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        sub.set_defaults(run=run)
+        by_name[name] = sub
+        return sub
+
+    for each in COMMANDS:
+        each.add(command)
+    return parser, by_name

@@ -1,0 +1,55 @@
+"""Commands that judge: report, stability."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+
+from ..model.errors import InputError
+from .options import NAME_HELP, Command
+from .says import progress_bar
+
+_REPORT = """Beside alfmu's methods, formulations and kernels: SciPy on every mechanism; Pinocchio, Exudyn and MuJoCo on
+five_bar and slider_crank (pip install 'alfmu[bench]'). Also in it: tolerances held or not, the study of Blajer (2002)
+on particle_on_circle, five_bar and four_bar, what a scene leaves out, small maps of stability (`alfmu stability` has
+the full ones). What there was no time for, or what is not installed, is listed. report.html is one file that needs no
+network; --quick takes less than a minute for a mechanism. Needs pip install 'alfmu[report]'."""
+
+
+def add(command: Command) -> None:
+    """Add them to the command line."""
+    sub = command("report", _report, "measure error against run time, in every way to run it and beside others")
+    _add_study(sub, "report.html, its numbers as CSV files, and pictures", "within a quarter of an hour for all")
+    sub.epilog = _REPORT
+    sub = command("stability", _stability, "map where a mechanism runs, gets inexact or fails, and how")
+    _add_study(sub, "stability.md, its numbers as CSV files, and maps", "within an hour for all")
+
+
+def _add_study(sub: argparse.ArgumentParser, what: str, usual: str) -> None:
+    sub.add_argument("mechanism", metavar="NAME|all", help=f"{NAME_HELP}; or all that are registered")
+    sub.add_argument("-o", "--output", metavar="DIR", required=True, help=f"folder for {what}")
+    sub.add_argument("--quick", action="store_true", help=f"few and short runs: some minutes for all (usual: {usual})")
+
+
+def _report(chosen: argparse.Namespace) -> None:
+    from ..studies.report import report
+
+    _study(chosen, report)
+
+
+def _stability(chosen: argparse.Namespace) -> None:
+    from ..studies.stability import stability
+
+    _study(chosen, stability)
+
+
+def _study(chosen: argparse.Namespace, write: Callable[..., Path]) -> None:
+    """Write a study of one mechanism or of all."""
+    from ..model.registry import mechanisms
+
+    names = mechanisms() if chosen.mechanism == "all" else [chosen.mechanism]
+    try:
+        print(f"wrote {write(names, chosen.output, chosen.quick, lambda name: progress_bar(name, 'case'))}")
+    except OSError as error:
+        raise InputError(f"cannot write into {chosen.output} ({error.strerror or error})") from None

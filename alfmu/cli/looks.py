@@ -1,0 +1,156 @@
+"""Commands that show a mechanism: list, info, draw, live."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shlex
+from pathlib import Path
+
+from ..model.errors import InputError
+from .options import (
+    EITHER_HELP,
+    STEP,
+    Command,
+    add_name,
+    add_option,
+    add_scene,
+    add_set,
+    chosen_recipe,
+    equations_of,
+    file_name,
+    pair,
+)
+from .says import once_written
+
+_DRAW = """What --at gives holds when the loops are closed; other start values are kept where that is possible, and are
+guesses otherwise. Names of coordinates: `alfmu info NAME`."""
+
+_LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
+the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
+of a start value begins again, and so does dragging a body, which sets start values. --set gives what the page begins
+with."""
+
+
+def add(command: Command) -> None:
+    """Add them to the command line."""
+    command("list", _list, "list the registered mechanisms")
+
+    sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
+    add_name(sub, "mechanism", "NAME", EITHER_HELP)
+    form = sub.add_mutually_exclusive_group()
+    form.add_argument("--all", action="store_true", help="all variables with units and descriptions, and what it costs")
+    form.add_argument("--json", action="store_true", help="the same as JSON, for programs")
+    form.add_argument(
+        "--sizes", action="store_true", help="export it as well, to show what its FMUs carry, in kB by part"
+    )
+    add_scene(sub)
+
+    sub = command("draw", _draw, "draw a mechanism where it starts, before anything is simulated (PNG or SVG)")
+    sub.epilog = _DRAW
+    add_name(sub, "mechanism", "NAME|FILE", EITHER_HELP)
+    sub.add_argument("-o", "--output", metavar="FILE", help=".png or .svg (default: NAME.png here)")
+    sub.add_argument(
+        "--at",
+        metavar="COORD=VALUE",
+        action="append",
+        type=pair,
+        default=[],
+        help="draw it where a start value or a coordinate is this [rad or m]; may be given many times",
+    )
+    sub.add_argument("--size", metavar="WxH", type=_size, help="width and height in pixels (default: 640x480)")
+    add_option(sub)
+    add_set(sub)
+
+    sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
+    sub.epilog = _LIVE
+    add_name(sub, "mechanism", "NAME", EITHER_HELP)
+    sub.add_argument("-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME.html here)")
+    sub.add_argument(
+        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)"
+    )
+    add_scene(sub)
+
+
+def _list(chosen: argparse.Namespace) -> None:
+    from ..fmi.recipe import recipes
+    from ..model.registry import choices, load, mechanisms
+
+    for name in mechanisms():
+        print(f"{name:20} {load(name).description}")
+        for option, values in choices(name).items():
+            print(f"{'':20}   --option {option}={'|'.join(values)}")
+    for name, recipe in recipes().items():
+        if said := recipe.said():
+            print(f"{name:20} FMU of {recipe.mechanism}: {said}")
+
+
+def _info(chosen: argparse.Namespace) -> None:
+    from ..studies.about import about, in_all, in_short
+
+    recipe = chosen_recipe(chosen, chosen.mechanism)
+    mechanism = recipe.declared()
+    found = about(recipe, mechanism, equations_of(recipe, mechanism))
+    if chosen.json:
+        print(json.dumps(found.as_data(), indent=1, default=str))
+        return
+    print("\n".join(in_all(found) if chosen.all else in_short(found)))
+    if chosen.sizes:
+        from ..fmi.sizes import sizes
+
+        print("\n" + "\n".join(sizes(mechanism, recipe.parameters, recipe.outputs, recipe.freeze)))
+
+
+def _draw(chosen: argparse.Namespace) -> None:
+    from ..view.picture import SIZE, check_drawing, drawing
+
+    path = Path(chosen.output or f"{file_name(Path(chosen.mechanism).stem)}.png")
+    check_drawing(path)
+    recipe = chosen_recipe(chosen, chosen.mechanism)
+    drawn = drawing(recipe.declared(), dict(chosen.at), recipe.parameters, chosen.size or SIZE)
+    said = once_written(path)
+    drawn.save(path)
+    print(said)
+
+
+def _live(chosen: argparse.Namespace) -> None:
+    from ..equations.specialisation import specialised
+    from ..view.live import live, needed, written_by_alfmu
+
+    recipe = chosen_recipe(chosen, chosen.mechanism).changed(communication_step=chosen.step)
+    mechanism = recipe.declared()
+    path = Path(chosen.output or f"{file_name(mechanism.name)}.html")
+    if path.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"{path} cannot hold a page; its name must end in .html")
+    if path.exists() and not chosen.output and not written_by_alfmu(path):
+        raise InputError(f"{path} is there and was not written by alfmu live; name another file with -o, or remove it")
+    outputs = None if recipe.outputs is None else [*recipe.outputs, *needed(mechanism)]
+    equations = specialised(equations_of(recipe, mechanism), outputs, recipe.freeze)
+    said = once_written(path)
+    source = shlex.join([Path(chosen.mechanism).name, *_scene_options(chosen)])
+    live(mechanism, equations, path, parameters=recipe.parameters, source=source)
+    print(f"{said} ({path.stat().st_size / 1000:.0f} kB); open it in a browser")
+
+
+def _scene_options(chosen: argparse.Namespace) -> list[str]:
+    """What was said of a scene, as options of the command line."""
+    said = [
+        text
+        for name in ("option", "set")
+        for key, value in getattr(chosen, name)
+        for text in (f"--{name}", f"{key}={value}")
+    ]
+    for name in ("outputs", "freeze", "lock", "release", "measure"):
+        if (names := getattr(chosen, name)) is not None:
+            said += [f"--{name}", ",".join(names)]
+    if chosen.compliances is not None:
+        said += ["--compliances" if chosen.compliances else "--no-compliances"]
+    return said
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    if not found:
+        raise argparse.ArgumentTypeError(f"{text!r} is not WIDTHxHEIGHT in pixels, such as 800x600")
+    return int(found[1]), int(found[2])

@@ -1,0 +1,177 @@
+"""Options that several commands have, and what they choose."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..kernel import DEFAULT, KERNELS
+
+if TYPE_CHECKING:
+    from ..equations import Equations
+    from ..fmi.recipe import Recipe
+    from ..model.mechanism import Mechanism
+
+Command = Callable[[str, Callable[[argparse.Namespace], int | None], str], argparse.ArgumentParser]
+"""Adds a command: its name, what runs it and gives the exit code (None for 0), and its help in a line."""
+
+
+STEP = ("--communication-step", "--step")
+"""How the communication step is given: as FMI calls it, or in short."""
+
+NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python file that declares one"
+
+EITHER_HELP = "a registered mechanism or recipe (see `alfmu list`), or a Python file that declares one"
+
+
+def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *suffixes: str) -> None:
+    """What is shown or run: a name, or a file with one of the suffixes, `.py` at least."""
+
+    def known(prefix: str, **_: Any) -> list[str]:
+        from ..fmi.recipe import GROUP as RECIPES
+        from ..model.registry import GROUP, registered
+
+        return registered(GROUP, RECIPES) + _files(prefix, (".py", *suffixes))
+
+    sub.add_argument(name, metavar=metavar, help=text).completer = known  # type: ignore[attr-defined]
+
+
+def _files(prefix: str, suffixes: tuple[str, ...]) -> list[str]:
+    """Files and folders that a word on the command line may be the beginning of."""
+    folder = Path(prefix if prefix.endswith("/") else os.path.dirname(prefix) or ".")
+    base = prefix[: prefix.rfind("/") + 1]
+    found = list(folder.iterdir()) if folder.is_dir() else []
+    return [f"{base}{each.name}{'/' * each.is_dir()}" for each in found if each.is_dir() or each.suffix in suffixes]
+
+
+def add_start(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--start",
+        choices=("declared", "equilibrium"),
+        help="where it starts: at its start values (default), or at rest in the nearest position where loads and "
+        "springs balance, a stable one if there is any (see `alfmu equilibrium`)",
+    )
+
+
+def add_kernel(sub: argparse.ArgumentParser) -> None:
+    each = "; ".join(f"{name}, {text}" for name, text in KERNELS.items())
+    sub.add_argument(
+        "--kernel",
+        choices=list(KERNELS),
+        help=f"what runs the method (default: {DEFAULT}): {each}",
+    )
+
+
+def add_scene(sub: argparse.ArgumentParser) -> None:
+    """What a scene consists of."""
+    add_option(sub)
+    add_set(sub)
+    sub.add_argument(
+        "--outputs",
+        metavar="PATTERNS",
+        type=name_list,
+        help='compute these outputs alone, such as "link*.angle,*.force.*" (default: all)',
+    )
+    sub.add_argument(
+        "--freeze",
+        metavar="all|NAMES",
+        type=name_list,
+        help="make parameters of the mechanism constants at their values, as m1,m2 or all: smaller and faster",
+    )
+    sub.add_argument(
+        "--compliances",
+        action=argparse.BooleanOptionalAction,
+        help="add a compliance of each constraint as a parameter: redundant constraints share a load accordingly",
+    )
+    sub.add_argument(
+        "--lock",
+        metavar="JOINTS",
+        type=name_list,
+        help="joints that Boolean inputs JOINT.locked can stop while running, as B,C",
+    )
+    sub.add_argument(
+        "--release",
+        metavar="JOINTS",
+        type=name_list,
+        help="joints that Boolean inputs JOINT.released can open while running, as E,F",
+    )
+    sub.add_argument(
+        "--measure",
+        metavar="all|NAMES",
+        type=name_list,
+        help="joints and springs whose relative motion, elongation and force are outputs, as B,C or all",
+    )
+
+
+def add_option(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--option",
+        metavar="KEY=VALUE",
+        action="append",
+        type=pair,
+        default=[],
+        help="an option of the mechanism, such as coordinates=natural; may be given many times",
+    )
+
+
+def add_set(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--set",
+        metavar="NAME=VALUE",
+        action="append",
+        type=pair,
+        default=[],
+        help="a parameter, start value, input or solver variable; may be given many times",
+    )
+
+
+def name_list(text: str) -> list[str]:
+    return [name.strip() for name in text.split(",") if name.strip()]
+
+
+def pair(text: str) -> tuple[str, float | str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    try:
+        return name, float(value)
+    except ValueError:
+        return name, value
+
+
+def changed_by(chosen: argparse.Namespace, recipe: Recipe) -> Recipe:
+    """A recipe with what the command line says of its scene."""
+    of_scene = ("outputs", "freeze", "lock", "release", "measure", "compliances", "start")
+    own = {name: getattr(chosen, name, None) for name in of_scene}
+    return recipe.changed(options=dict(chosen.option), parameters=dict(chosen.set), **own)
+
+
+def chosen_recipe(chosen: argparse.Namespace, name: str) -> Recipe:
+    """What is shown or run: a mechanism, or a recipe where no mechanism is called so."""
+    from ..fmi.recipe import of
+
+    return changed_by(chosen, of(name))
+
+
+def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
+    """The equations of a recipe; what it sets may look like another unit, as what a mechanism declares may."""
+    from ..equations.derivation import derive
+    from ..model.checks import perhaps_degrees, perhaps_millimetres
+    from ..runtime.prepare import with_defaults
+
+    equations = with_defaults(derive(mechanism), recipe.parameters)
+    own = recipe.parameters
+    for v in (v for v in (*equations.starts, *equations.parameters) if v.unit == "rad" and v.name in own):
+        perhaps_degrees(f"{equations.name}: {v.name}", v.start)
+    for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
+        perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
+    return equations
+
+
+def file_name(name: str) -> str:
+    """A name of a model, which may be any text, as that of a file here."""
+    return re.sub(r"[^\w.+-]+", "_", name).strip("._")[:60] or "result"

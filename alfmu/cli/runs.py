@@ -1,0 +1,235 @@
+"""Commands for runs: simulate, animate."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..kernel import DEFAULT
+from ..model.errors import AlfmuError, InputError
+
+if TYPE_CHECKING:
+    from ..result import Result, Signal
+
+from .options import (
+    EITHER_HELP,
+    STEP,
+    Command,
+    add_kernel,
+    add_name,
+    add_option,
+    add_scene,
+    add_set,
+    add_start,
+    chosen_recipe,
+    equations_of,
+    file_name,
+)
+from .says import between_steps, failed, fall_silent, once_written, progress_bar
+
+_SIMULATE = """A run that ends early, by an error or by Ctrl-C, leaves its rows and its picture up to then; the reason
+is said last, and the exit code is 1 or 130. Beside the table, FILE.json says what was run and holds its drawing, from
+which `alfmu animate` makes a film. What alfmu did not write is replaced only where -o or --plot names it."""
+
+
+def add(command: Command) -> None:
+    """Add them to the command line."""
+    sub = command("simulate", _simulate, "run a mechanism or an FMU and keep the result as a table and a picture")
+    sub.epilog = _SIMULATE
+    add_name(sub, "unit", "NAME|FMU", f"{EITHER_HELP}, or an .fmu file", ".fmu")
+    sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the unit's own)")
+    sub.add_argument(
+        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the unit's own)"
+    )
+    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
+    add_start(sub)
+    sub.add_argument(
+        "--held-rows",
+        action="store_true",
+        help="rows show outputs with the inputs of the step that ends there, as importers record them (fmpy, fmusim); "
+        "without it, with the inputs that are set there",
+    )
+    sub.add_argument("-o", "--output", metavar="FILE.csv", help="where to write the result (default: NAME.csv here)")
+    add_kernel(sub)
+    sub.add_argument("--plot", metavar="FILE.png", help="also draw the result (PNG, SVG or PDF)")
+    sub.add_argument(
+        "--plot-names", metavar="PATTERN", nargs="+", help='what to draw, such as "link*.angle" "*.force.*"'
+    )
+    add_scene(sub)
+
+    sub = command("animate", _animate, "turn a result into a film that a person can watch (GIF or HTML)")
+    sub.add_argument(
+        "result", metavar="RESULT.csv", help="a result that `alfmu simulate` wrote, or any CSV with its names"
+    )
+    sub.add_argument("-o", "--output", metavar="FILE", help=".gif or .html (default: RESULT.gif)")
+    sub.add_argument(
+        "--mechanism",
+        metavar="NAME",
+        help="draw this mechanism, a registered name or a Python file, which is run, with --option and --set as in "
+        "the run (default: the drawing in the .json beside the result)",
+    )
+    sub.add_argument("--fps", type=float, default=25.0, help="frames per second (default: %(default)g)")
+    sub.add_argument("--speed", type=float, default=1.0, help="times real time (default: %(default)g)")
+    add_option(sub)
+    add_set(sub)
+
+
+def _simulate(chosen: argparse.Namespace) -> None:
+    from ..result import read_inputs
+    from ..simulation import run
+    from ..studies.about import notes
+
+    inputs = read_inputs(chosen.input) if chosen.input else {}
+    if chosen.plot_names and not chosen.plot:
+        raise InputError("--plot-names needs --plot FILE")
+    if chosen.plot:
+        from ..view.plot import check_name
+
+        check_name(Path(chosen.plot))
+    unit, own = _unit(chosen, inputs)
+    asked = {"stop_time": chosen.stop_time, "communication_step": chosen.step}
+    how = {**own, **{name: value for name, value in asked.items() if value is not None}}
+    try:
+        table = _table_path(chosen, unit.name)
+        with between_steps(progress_bar("simulating")) as progress:
+            result = run(unit, **how, inputs=inputs, progress=progress, held_rows=chosen.held_rows)
+        said = notes(unit)
+    except (AlfmuError, KeyboardInterrupt) as ended:
+        result = getattr(ended, "result", None)
+        if result is not None:
+            try:
+                _keep(chosen, result, table)
+            except AlfmuError as error:
+                failed(str(error))
+            except BrokenPipeError:
+                fall_silent()
+        raise
+    finally:
+        if hasattr(unit, "close"):
+            unit.close()
+    for note in said:
+        print(note)
+    _keep(chosen, result, table)
+
+
+def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any, dict[str, Any]]:
+    """What to run, and how where nobody says otherwise."""
+    if chosen.unit.endswith(".fmu"):
+        from ..fmi.drive import Fmu
+
+        if any(
+            (
+                chosen.option,
+                chosen.kernel,
+                chosen.outputs,
+                chosen.freeze,
+                chosen.lock,
+                chosen.release,
+                chosen.measure,
+                chosen.compliances,
+                chosen.start,
+            )
+        ):
+            raise InputError(
+                f"{chosen.unit}: options, outputs, frozen parameters, locks, the start and the kernel of an FMU are "
+                "fixed when it is exported; give them to `alfmu export`"
+            )
+        fmu, given = Fmu(chosen.unit), dict(chosen.set)
+        about = {"parameters": given, "facts": fmu.facts(given), "declared": fmu.declared()}
+        return fmu, {**about, "stop_time": fmu.stop_time, "communication_step": fmu.interval}
+    from ..equations.specialisation import specialised
+    from ..simulation import instance
+
+    recipe = chosen_recipe(chosen, chosen.unit)
+    mechanism = recipe.declared()
+    equations = equations_of(recipe, mechanism)
+    if recipe.start != "declared":
+        from ..analysis.states import rest
+        from ..equations.specialisation import starting_at
+
+        found = rest(equations, recipe.start, inputs)
+        equations = starting_at(equations, found.q, found.states, found.kept)
+        print(f"start at rest: {found.said()}")
+    unit = instance(specialised(equations, recipe.outputs, recipe.freeze), chosen.kernel or recipe.kernel or DEFAULT)
+    source = recipe.mechanism if isinstance(recipe.mechanism, (str, Path)) else chosen.unit
+    facts = {"mechanism": str(source), "options": mechanism.options, "parameters": dict(recipe.parameters)}
+    about = {"parameters": {}, "facts": facts, "declared": mechanism}
+    return unit, {**about, "stop_time": equations.stop_time, "communication_step": equations.interval}
+
+
+def _table_path(chosen: argparse.Namespace, name: str) -> Path:
+    """Where the table of a run goes; InputError where it, or the facts beside it, would replace something else."""
+    from ..result import facts_beside, facts_in
+
+    table = Path(chosen.output or f"{file_name(name)}.csv")
+    if table.suffix.lower() != ".csv":
+        raise InputError(f"{table} cannot hold a table; its name must end in .csv")
+    if chosen.input and table.resolve() == Path(chosen.input).resolve():
+        raise InputError(f"{table} has the inputs of the run and would be replaced; name another file with -o")
+    facts = facts_beside(table)
+    theirs = facts if facts.exists() else table if table.exists() and not chosen.output else None
+    if theirs and not facts_in(facts):
+        raise InputError(f"{theirs} is there and was not written by alfmu; name another file with -o, or remove it")
+    return table
+
+
+def _keep(chosen: argparse.Namespace, result: Result, table: Path) -> None:
+    """Write what a run gave, then say so."""
+    said: list[str] = []
+    try:
+        wrote = once_written(table)
+        result.to_csv(table)
+        if (c := result.counters) is not None:
+            said += [
+                f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
+                f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections "
+                f"({c.unprojected} steps left above the tolerance)",
+                f"largest |Phi| {c.position_error:.1e}, |Phi-dot| {c.velocity_error:.1e}, |Phi-ddot| "
+                f"{c.acceleration_error:.1e}, energy balance {c.energy_error:.1e} J",
+            ]
+            from ..model.settings import UNBALANCED
+
+            if c.run_error > UNBALANCED:
+                said += [f"WARNING: off by {c.run_error:.2g} of the energy of the motion, as warned of above"]
+        said += [f"{wrote} ({len(result.time)} rows up to {result.time[-1]:g} s, {len(result.names) + 1} columns)"]
+        if chosen.plot:
+            from ..view.plot import plot
+
+            wrote = once_written(Path(chosen.plot))
+            plot(result, chosen.plot, chosen.plot_names)
+            said += [wrote]
+    finally:
+        for line in said:
+            print(line)
+
+
+def _animate(chosen: argparse.Namespace) -> None:
+    from ..model.registry import load
+    from ..result import Result, facts_beside
+    from ..view.drawing import from_data
+    from ..view.picture import animate, check_film
+
+    path = Path(chosen.output or Path(chosen.result).with_suffix(".gif"))
+    check_film(path)
+    if Path(chosen.result).suffix.lower() in (".py", ".fmu"):
+        raise InputError(f"{chosen.result} is no result; `alfmu simulate` makes one of it, a table that ends in .csv")
+    result = Result.from_csv(chosen.result)
+    facts = result.facts
+    if chosen.mechanism:
+        shown: Any = load(chosen.mechanism, **dict(chosen.option))
+    elif chosen.option or chosen.set:
+        raise InputError("--option and --set say how --mechanism is drawn; give that as well")
+    else:
+        try:
+            shown = from_data(facts.get("drawing"))
+        except ValueError as error:
+            beside = facts_beside(chosen.result)
+            why = f"{beside.name} has no drawing ({error})" if facts else f"alfmu wrote no {beside.name} beside it"
+            raise InputError(f"{chosen.result}: {why}; say which mechanism it is with --mechanism") from None
+    parameters = {**facts.get("parameters", {}), **dict(chosen.set)}
+    how = {"parameters": parameters, "fps": chosen.fps, "speed": chosen.speed, "progress": progress_bar("drawing")}
+    said = once_written(path)
+    animate(shown, result, path, **how)
+    print(said)

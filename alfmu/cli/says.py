@@ -1,0 +1,87 @@
+"""What commands say, and what they do when they are interrupted."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from argparse import Namespace
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+
+def failed(why: str, code: int = 1) -> int:
+    """Say why a command failed, after all else that it said."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        fall_silent()
+    print(f"alfmu: {why}", file=sys.stderr)
+    return code
+
+
+def fall_silent() -> None:
+    """Say no more where nobody listens, so that the interpreter does not complain about it at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def perhaps(word: str, words: Collection[str]) -> str:
+    """What to say of a word that is none of these."""
+    from ..model.words import in_words, nearest
+
+    meant = nearest(word, words)
+    return f"did you mean {in_words(meant)}?" if meant else f"use one of {', '.join(words)}"
+
+
+def once_written(path: Path) -> str:
+    """What to say once a file is written."""
+    return f"replaced {path}" if path.exists() else f"wrote {path}"
+
+
+def say(chosen: Namespace, text: str) -> None:
+    """Say what was written; beside JSON, where it is not in the way."""
+    print(text, file=sys.stderr if chosen.json else sys.stdout)
+
+
+def progress_bar(what: str, unit: str = "step") -> Callable[[Iterable[Any]], Iterable[Any]]:
+    """A progress bar on a terminal, for what takes longer than a second."""
+    from tqdm import tqdm
+
+    return lambda steps: tqdm(steps, desc=what, unit=unit, delay=1.0, disable=None, leave=False)
+
+
+@contextmanager
+def handling(handler: Callable[..., Any], *signals: signal.Signals) -> Iterator[None]:
+    """Handle signals; in the main thread, where Python takes them."""
+    main = threading.current_thread() is threading.main_thread()
+    before = {each: signal.signal(each, handler) for each in signals if main}
+    try:
+        yield
+    finally:
+        for each, old in before.items():
+            signal.signal(each, old)
+
+
+@contextmanager
+def between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[..., Iterable[Any]]]:
+    """A progress that an interrupt ends between two steps, where FMU and rows are whole; a second one at once."""
+    asked: list[int] = []
+
+    def ask(number: int, frame: object) -> None:
+        asked.append(number)
+        if len(asked) > 1:
+            raise KeyboardInterrupt
+
+    def checked(steps: Sequence[Any]) -> Iterator[Any]:
+        with closing(iter(progress(steps))) as shown:
+            for step in shown:
+                if asked:
+                    raise KeyboardInterrupt
+                yield step
+
+    checked.ended = lambda: bool(asked)  # type: ignore[attr-defined]
+    with handling(ask, signal.SIGINT, signal.SIGTERM):
+        yield checked
