@@ -13,10 +13,13 @@ _HOME = {
     "AssemblyError": "model.errors",
     "Body": "model.mechanism",
     "DeclarationError": "model.errors",
+    "Derivatives": "gradients",
     "Equations": "equations",
     "Equilibrium": "analysis.equilibria",
     "Experiment": "model.mechanism",
     "ExportError": "model.errors",
+    "Fit": "gradients",
+    "Gradient": "gradients",
     "InputError": "model.errors",
     "Instance": "runtime",
     "Joint": "model.mechanism",
@@ -27,9 +30,12 @@ _HOME = {
     "Result": "result",
     "StepError": "model.errors",
     "WriteError": "model.errors",
+    "derivatives": "gradients",
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
+    "fit": "gradients",
+    "gradient": "gradients",
     "linearize": "analysis.linearization",
     "load": "model.registry",
     "mechanisms": "model.registry",
@@ -49,6 +55,12 @@ if TYPE_CHECKING:
     from .equations import Equations as Equations
     from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
+    from .gradients import Derivatives as Derivatives
+    from .gradients import Fit as Fit
+    from .gradients import Gradient as Gradient
+    from .gradients import derivatives as derivatives
+    from .gradients import fit as fit
+    from .gradients import gradient as gradient
     from .model.errors import AlfmuError as AlfmuError
     from .model.errors import AlfmuWarning as AlfmuWarning
     from .model.errors import AssemblyError as AssemblyError

@@ -25,9 +25,22 @@ ROOMS: dict[str, set[str]] = {
     "simulation": {"equations", "kernel", "model", "oracle", "result", "runtime"},
     "view": {"equations", "files", "kernel", "model", "result", "runtime", "simulation"},
     "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
+    "gradients": {"equations", "fmi", "kernel", "model", "oracle", "result", "runtime", "simulation", "view"},
     "analysis": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
-    "cli": {"analysis", "equations", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies", "view"},
+    "cli": {
+        "analysis",
+        "equations",
+        "fmi",
+        "gradients",
+        "kernel",
+        "model",
+        "result",
+        "runtime",
+        "simulation",
+        "studies",
+        "view",
+    },
     "__main__": {"cli"},
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""

@@ -168,7 +168,9 @@ def test_slider_crank_has_derivatives_through_both_links_vertical():
         start = [numbers.pop("start.angle"), numbers.pop("start.angular_velocity")]
         own = SliderCrank(aligned=True, **numbers)
         exact = swept(lambda _, y, own=own: [y[1], own.acceleration(*y, _Complex)], start, found.result.time)[0]
-        assert np.abs(found["crank.angle", name] - exact.imag / EPSILON).max() <= 1e-9 * np.abs(exact.imag / EPSILON).max()
+        assert (
+            np.abs(found["crank.angle", name] - exact.imag / EPSILON).max() <= 1e-9 * np.abs(exact.imag / EPSILON).max()
+        )
 
 
 def test_a_lock_and_its_impact_have_derivatives():
@@ -197,7 +199,12 @@ def test_a_lock_and_its_impact_have_derivatives():
 CASES = [  # limits at singular positions, and Newton's method, enlarge round-off in values as well
     ("five_bar", {"solver.method": "rk4", "start.angle": 0.5}, ["l", "m2", "g", "start.angle", "A.torque"], 1e-11),
     ("five_bar", {"solver.method": "rk4"}, ["l", "m2", "g", "start.angular_velocity", "A.torque"], 1e-9),
-    ("five_bar", {"solver.method": "rk4", "start.angle": 0.3, "solver.formulation": "dae"}, ["m2", "start.angle"], 1e-10),
+    (
+        "five_bar",
+        {"solver.method": "rk4", "start.angle": 0.3, "solver.formulation": "dae"},
+        ["m2", "start.angle"],
+        1e-10,
+    ),
     ("slider_crank", {"solver.method": "stiff"}, ["l2", "m2", "start.angle", "slider.force"], 1e-10),
     ("end_stop", {}, ["l2", "stop", "stiffness", "start.angle", "O.torque"], 1e-9),
     ("flexible_four_bar", {}, ["stiffness", "damping", "l1", "start.bend"], 1e-8),
@@ -206,7 +213,9 @@ CASES = [  # limits at singular positions, and Newton's method, enlarge round-of
 
 @pytest.mark.parametrize("tape", [32e6, 1e5], ids=["whole", "windows"])
 @pytest.mark.parametrize(("name", "parameters", "by", "bound"), CASES, ids=[f"{c[0]}-{k}" for k, c in enumerate(CASES)])
-def test_forward_and_back_are_the_same_to_round_off(name: str, parameters: dict, by: list[str], bound: float, tape: float):
+def test_forward_and_back_are_the_same_to_round_off(
+    name: str, parameters: dict, by: list[str], bound: float, tape: float
+):
     """Also where the tape is shorter than the run, which is then run again in parts; the values are those of a run."""
     step = 0.01
     runs = Runs(name, by, 0.4, step, None, parameters)
@@ -242,7 +251,7 @@ def test_functions_of_a_run_have_their_gradients():
         "integral": Integral(lambda o: ca.sin(o["link1.angle"]) * o["link1.angular_velocity"] + o["time"]),
         "maximum": Maximum("link1.angle"),
         "time": TimeOfMaximum("link1.angle"),
-        "columns": Columns(lambda o: ca.sumsqr(o["link1.angle"] - target)),
+        "columns": Columns(["link1.angle"], lambda o: ca.sumsqr(o["link1.angle"] - target)),
     }
     for name in ("m2", "start.angle"):
         numbers: dict[str, complex] = {**given, "A.torque": 0.0}
@@ -271,14 +280,22 @@ def test_each_point_of_an_input_has_its_derivative():
     times = np.arange(11) * 0.02
     how = {"stop_time": 0.2, "communication_step": 0.02, "parameters": {"solver.method": "rk4", "start.angle": 0.3}}
     found = gradient("five_bar", "link1.angular_velocity", ["A.torque"], inputs={"A.torque": (times, 0 * times)}, **how)
-    assert found["A.torque"] == pytest.approx(gradient("five_bar", "link1.angular_velocity", ["A.torque"], **how)["A.torque"])
+    assert found["A.torque"] == pytest.approx(
+        gradient("five_bar", "link1.angular_velocity", ["A.torque"], **how)["A.torque"]
+    )
     assert found.inputs["A.torque"].shape == (11,)
     assert found.inputs["A.torque"][-1] == 0.0  # it acts from there on
     for k in (0, 4, 9):
         ends = []
         for size in (1e-3, -1e-3):
             pulse = np.where(np.arange(11) == k, size, 0.0)
-            run = alfmu.simulate("five_bar", 0.2, 0.02, inputs={"A.torque": lambda t, u=pulse: u[round(t / 0.02)]}, parameters=how["parameters"])
+            run = alfmu.simulate(
+                "five_bar",
+                0.2,
+                0.02,
+                inputs={"A.torque": lambda t, u=pulse: u[round(t / 0.02)]},
+                parameters=how["parameters"],
+            )
             ends.append(run["link1.angular_velocity"][-1])
         assert found.inputs["A.torque"][k] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-7)
 
@@ -334,9 +351,7 @@ def test_fmus_have_derivatives_by_parameters_and_start_values_before_the_run(tmp
     path = alfmu.export("slider_crank", tmp_path / "slider_crank.fmu", kind="native", fmi=version)
     description, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
     kind = fmpy.fmi2.FMU2Slave if version == 2 else fmpy.fmi3.FMU3Slave
-    unit = kind(
-        guid=description.guid, unzipDirectory=folder, modelIdentifier=description.coSimulation.modelIdentifier
-    )
+    unit = kind(guid=description.guid, unzipDirectory=folder, modelIdentifier=description.coSimulation.modelIdentifier)
     unit.instantiate()
     reference = {v.name: v.valueReference for v in description.modelVariables}
     by = ["l2", "m2", "start.angle", "start.angular_velocity", "A.torque"]
@@ -369,7 +384,7 @@ def test_fmus_have_derivatives_by_parameters_and_start_values_before_the_run(tmp
     with pytest.raises(fmpy.fmi1.FMICallException, match="Derivative"):
         unit.getDirectionalDerivative(of, [reference["l2"]], [1.0])
     text = Path(folder, "modelDescription.xml").read_text()
-    assert 'providesDirectionalDerivative' + 's' * (version == 3) + '="true"' in text
+    assert "providesDirectionalDerivative" + "s" * (version == 3) + '="true"' in text
     assert ('providesAdjointDerivatives="true"' in text) == (version == 3)
     unit.terminate()
     unit.freeInstance()

@@ -7,7 +7,7 @@ An expression is the name of an output or input, or a function of a mapping from
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -51,7 +51,9 @@ def _evaluated(expression: Expression, names: _Names) -> Any:
     try:
         found = expression(names)
     except (TypeError, AttributeError, NotImplementedError, ValueError) as error:
-        raise InputError(f"an expression of a run cannot be differentiated: {error}; use CasADi's functions, as `import casadi as ca` and `ca.sin`") from error
+        raise InputError(
+            f"an expression of a run cannot be differentiated: {error}; use CasADi's functions (import casadi as ca; ca.sin)"
+        ) from error
     if isinstance(found, int | float):
         raise InputError("an expression of a run takes no column, so that it has no derivative")
     return found
@@ -177,31 +179,31 @@ _PEAK = _peak()
 
 
 class Columns(Function):
-    """A number of whole columns: `expression` takes a mapping from names to vectors (k,) of CasADi.
+    """A number of whole columns, for example the error of a path.
 
-    For example the error of a path, `Columns(lambda o: ca.sumsqr(o["P.x"] - wanted))`.
+    `names` are the columns; `expression` takes a mapping from them to vectors (k,) of CasADi, and has `"time"`, too::
+
+        Columns(["P.x"], lambda o: ca.sumsqr(o["P.x"] - wanted))
     """
 
-    def __init__(self, expression: Callable[[Mapping[str, Any]], Any]):
+    def __init__(self, names: Sequence[str], expression: Callable[[Mapping[str, Any]], Any]):
+        if isinstance(names, str) or not names:
+            raise InputError(f"names is {names!r}; give a list of columns")
+        self.names = tuple(names)
         self._expression = expression
-        names = _Names(lambda name: ca.MX.sym(name, 2))
-        try:
-            expression(names)
-        except RuntimeError:  # columns of another length than it takes: its names are known by now
-            pass
-        except (TypeError, AttributeError, NotImplementedError, ValueError) as error:
-            raise InputError(f"a function of columns cannot be differentiated: {error}; use CasADi's") from error
-        self.names = tuple(name for name in names.made if name != TIME)
-        if not self.names:
-            raise InputError("a function of columns takes none of them, so that it has no derivative")
 
     def __repr__(self) -> str:
-        return f"Columns({self._expression!r})"
+        return f"Columns({list(self.names)!r}, {self._expression!r})"
 
     def weighed(self, times: NDArray[np.float64], columns: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         symbols = ca.MX.sym("columns", len(times), len(self.names))
         given: dict[str, Any] = {name: symbols[:, k] for k, name in enumerate(self.names)}
-        value = ca.MX(self._expression({**given, TIME: ca.DM(times)}))
+        try:
+            value = ca.MX(self._expression({**given, TIME: ca.DM(times)}))
+        except (KeyError, TypeError, AttributeError, NotImplementedError, RuntimeError) as error:
+            raise InputError(
+                f"a function of columns cannot be evaluated: {error}; name its columns, and use CasADi's functions"
+            ) from error
         if value.shape != (1, 1):
             raise InputError(f"a function of columns must be one number, not {value.shape[0]} by {value.shape[1]}")
         found, slopes = ca.Function("value", [symbols], [value, ca.gradient(value, symbols)])(columns)

@@ -29,6 +29,7 @@ __all__ = ["Derivatives", "Gradient", "derivatives", "gradient"]
 
 _LOGGER = logging.getLogger("alfmu")
 
+
 @dataclass(frozen=True, eq=False)
 class Derivatives:
     """Columns of a run and their derivatives: `found["link1.angle"]` is an array (k, by), `found["link1.angle", "m2"]`
@@ -52,7 +53,7 @@ class Derivatives:
         return found[:, self.by.index(by)]
 
     def __repr__(self) -> str:
-        rows, columns, by = self.values.shape
+        rows, columns = self.values.shape[:2]
         return f"Derivatives({self.result.mechanism}: {rows} rows, {columns} columns by {', '.join(self.by)})"
 
 
@@ -137,6 +138,12 @@ class Runs:
             if name not in known:
                 raise InputError(f"{self.unit.name} has no output or input {name!r}; {there_is(name, known)}")
         return list(names) if names is not None else known
+
+    def set(self, values: Sequence[float] | NDArray[np.float64]) -> None:
+        """Other values of what it is differentiated by, for the next run."""
+        self.unit._unit.run_on(False)
+        for name, value in zip(self.by, values, strict=True):
+            self.unit.set(name, float(value))
 
     def sweeps(self, wanted: Sequence[str], directions: int, progress: Callable[[int], bool] | None) -> Sweeps:
         return Sweeps(self.unit, self.times, self.inputs, self.table, wanted, progress, directions)

@@ -24,8 +24,8 @@ _NO_MEMORY = -2
 TAPE = 32e6
 """Bytes of a tape that is kept; what is longer is run again when it is swept back.
 
-Measured on the five-bar over 20 s: a gradient takes 3.8 to 4.6 times a run with 16 MB; with 256 MB fresh memory costs as
-much as running again.
+Measured on the five-bar over 20 s: a gradient takes 3.8 to 4.6 times a run with 16 MB; with 256 MB fresh memory costs
+as much as running again.
 """
 
 

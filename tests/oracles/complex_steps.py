@@ -80,7 +80,13 @@ class _Function:
     def __init__(self, f: ca.Function):
         found = Instructions.of(f)
         self._steps = list(
-            zip(found.code.tolist(), *found.operands.tolist(), *found.place.tolist(), found.constant.tolist(), strict=True)
+            zip(
+                found.code.tolist(),
+                *found.operands.tolist(),
+                *found.place.tolist(),
+                found.constant.tolist(),
+                strict=True,
+            )
         )
         self._outputs = [f.nnz_out(k) for k in range(f.n_out())]
 
