@@ -51,9 +51,7 @@ def _evaluated(expression: Expression, names: _Names) -> Any:
     try:
         found = expression(names)
     except (TypeError, AttributeError, NotImplementedError, ValueError) as error:
-        raise InputError(
-            f"an expression of a run cannot be differentiated: {error}; use CasADi's functions (import casadi as ca; ca.sin)"
-        ) from error
+        raise InputError(f"an expression of a run cannot be differentiated: {error}; use CasADi's functions") from error
     if isinstance(found, int | float):
         raise InputError("an expression of a run takes no column, so that it has no derivative")
     return found
