@@ -112,6 +112,9 @@ class Runs:
         step = found.interval if communication_step is None else communication_step
         self.times = communication_points(self.unit.name, stop, step) if times is None else times
         self.table = table_of(self.inputs, values_of(self.unit, given), self.times)
+        # Begun once, as a run begins: warns of the start, and traces again where redundant constraints would brake.
+        self.unit.time = float(self.times[0])
+        self.unit.initialize_with(dict(zip(self.inputs, self.table[0], strict=True)))
         if told := jumps(self.unit.equations.functions["dynamics"]):
             _LOGGER.warning(
                 "%s: its forces have %s, as contacts do; derivatives are right where forces change without a jump, and "
@@ -218,8 +221,8 @@ def derivatives(
     that were made, projections and iterations included; which steps, tiers and ranks were taken is left as it is. The
     time goes with the number of derivatives; for one number of a run by many use `gradient`.
 
-    Raises InputError where a name is wrong, and where there are no derivatives: with dry friction, inputs that move
-    something, and redundant constraints that change with the position. Warns of forces that may jump.
+    Raises InputError where a name is wrong, and where there are no derivatives: with dry friction, and with inputs that
+    move something. Warns of forces that may jump.
     """
     runs = Runs(mechanism, by, stop_time, communication_step, inputs, parameters)
     names = runs.columns(outputs)

@@ -5,8 +5,10 @@
    out lies in the rows of J, where the last step, at closed loops, sets it anew. Both parts are corrections of least norm,
    so that their ranks are those of the start. */
 
+#include <math.h>
 #include <string.h>
 
+#include "linear.h"
 #include "start.h"
 #include "tape.h"
 
@@ -360,5 +362,143 @@ void rated_adjoints(Gradient *g, const Entry *e)
     matrix_back(closure, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
     matrix_back(closure, TIES, g->registers, &s->tie_rows, NULL, v, k.lam + s->l, w + s->l, none);
     back_through(g, s->closure, r, k.places);
+    i->used = used;
+}
+
+/* S5: a frozen rank. With A = C' sqrt(penalty), its right singular vectors v, sizes s and b = A v, the combinations that
+   are kept have the projector P = sum v v', whose differential is the sum over each kept k and each other j of
+   (v_j v_k' + v_k v_j') (b_k' dA v_j + b_j' dA v_k) / (s_k^2 - s_j^2). */
+
+void tape_holding(Instance *i, const double *q, const double *matrix)
+{
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->constraints;
+    const size_t used = i->used, l = (size_t)s->l;
+    double *zeros = take(i, (size_t)s->n), *to;
+    const double *p = field(i, s->p), *x[] = {q, zeros, p};
+    Entry *e = tape_entry(i, HELD, (int)*i->rank, 3, arguments_of(f) + l + 1);
+    if (e) {
+        memset(zeros, 0, (size_t)s->n * sizeof *zeros);
+        i->tape->words[e->words] = place_of(i, q);
+        i->tape->words[e->words + 1] = place_of(i, p);
+        i->tape->words[e->words + 2] = place_of(i, matrix);
+        to = saved_arguments(f, x, i->tape->numbers + e->numbers);
+        memcpy(to, i->penalty, l * sizeof *to);
+        to[l] = *i->largest_penalty;
+    }
+    i->used = used;
+}
+
+/* An entry read again: roots of penalties over that of the largest, and b, v and sizes. */
+typedef struct {
+    int32_t places[3];
+    int32_t matrix;
+    const double *penalty, *values;
+    double largest, *root, *b, *v, *sizes;
+} Holding;
+
+static Holding holding(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->constraints;
+    const int32_t *words = g->tape->words + e->words;
+    const double *arguments = g->tape->numbers + e->numbers;
+    const Pattern *p = &s->constraint;
+    const size_t l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    Holding h = {{words[0], -1, words[1]}, words[2], arguments + arguments_of(f), NULL, 0.0, NULL, NULL, NULL, NULL};
+    h.largest = h.penalty[l];
+    h.root = take(i, l);
+    h.b = take(i, n * l);
+    h.v = take(i, l * l);
+    h.sizes = take(i, l);
+    h.values = values_again(g, s->constraints, arguments);
+    for (int r = 0; r < s->l; r++)
+        h.root[r] = sqrt(h.penalty[r]);
+    memset(h.b, 0, n * l * sizeof *h.b);
+    for (int c = 0; c < s->n; c++)
+        for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++)
+            h.b[p->indices[k] * s->n + c] = h.root[p->indices[k]] * h.values[result_of(f, from + (size_t)k)];
+    singular_values(s->n, s->l, h.b, h.v, h.sizes);
+    return h;
+}
+
+void held_tangents(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->constraints;
+    const Pattern *p = &s->constraint;
+    const size_t used = i->used, l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    const int rank = e->what;
+    const Holding h = holding(g, e);
+    double *turned = take(i, n * l), *dP = take(i, l * l);
+    for (int block = 0; block < g->blocks; block++) {
+        Lanes *t = g->tangents + (size_t)block * g->places;
+        lanes_through(g, s->constraints, h.values, h.places, t);
+        for (int lane = 0; lane < LANES; lane++) {
+            memset(turned, 0, n * l * sizeof *turned); /* dA v, by columns */
+            memset(dP, 0, l * l * sizeof *dP);
+            for (int c = 0; c < s->n; c++)
+                for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++) {
+                    const int r = p->indices[k];
+                    const double d = h.root[r] * g->lane_registers[result_of(f, from + (size_t)k)].lane[lane];
+                    for (int j = 0; j < s->l && d != 0.0; j++)
+                        turned[j * s->n + c] += d * h.v[j * s->l + r];
+                }
+            for (int k = 0; k < rank; k++)
+                for (int j = rank; j < s->l; j++) {
+                    double by = 0.0;
+                    for (int c = 0; c < s->n; c++)
+                        by += h.b[k * s->n + c] * turned[j * s->n + c] + h.b[j * s->n + c] * turned[k * s->n + c];
+                    by /= h.sizes[k] * h.sizes[k] - h.sizes[j] * h.sizes[j];
+                    for (int a = 0; a < s->l; a++)
+                        for (int b = 0; b < s->l; b++)
+                            dP[a * s->l + b] += by
+                                * (h.v[j * s->l + a] * h.v[k * s->l + b] + h.v[k * s->l + a] * h.v[j * s->l + b]);
+                }
+            for (int a = 0; a < s->l; a++)
+                for (int b = 0; b < s->l; b++)
+                    t[h.matrix + a * s->l + b].lane[lane] = h.root[a] * dP[a * s->l + b] * h.root[b] / h.largest;
+        }
+    }
+    i->used = used;
+}
+
+void held_adjoints(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->constraints;
+    const Pattern *p = &s->constraint;
+    const size_t used = i->used, l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    const int rank = e->what;
+    const Holding h = holding(g, e);
+    double *of_P = take(i, l * l), *of_A = take(i, n * l);
+    memset(of_A, 0, n * l * sizeof *of_A);
+    for (int a = 0; a < s->l; a++)
+        for (int b = 0; b < s->l; b++) {
+            double *own = g->adjoints + h.matrix + a * s->l + b;
+            of_P[a * s->l + b] = h.root[a] * *own * h.root[b] / h.largest;
+            *own = 0.0;
+        }
+    for (int k = 0; k < rank; k++)
+        for (int j = rank; j < s->l; j++) {
+            double by = 0.0;
+            for (int a = 0; a < s->l; a++)
+                for (int b = 0; b < s->l; b++)
+                    by += of_P[a * s->l + b]
+                        * (h.v[j * s->l + a] * h.v[k * s->l + b] + h.v[k * s->l + a] * h.v[j * s->l + b]);
+            by /= h.sizes[k] * h.sizes[k] - h.sizes[j] * h.sizes[j];
+            for (int r = 0; r < s->l; r++)
+                for (int c = 0; c < s->n; c++)
+                    of_A[r * s->n + c] +=
+                        by * (h.v[j * s->l + r] * h.b[k * s->n + c] + h.v[k * s->l + r] * h.b[j * s->n + c]);
+        }
+    clear_registers(g, s->constraints);
+    for (int c = 0; c < s->n; c++)
+        for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++)
+            g->registers[result_of(f, from + (size_t)k)] += h.root[p->indices[k]] * of_A[p->indices[k] * s->n + c];
+    back_through(g, s->constraints, h.values, h.places);
     i->used = used;
 }

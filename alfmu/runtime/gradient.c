@@ -50,8 +50,6 @@ static int read_row(Instance *i, const Run *r, long row)
         outcome = differentiable(i);
     if (!row && outcome == DONE)
         outcome = instance_initialize(i);
-    if (!row && outcome == DONE)
-        outcome = differentiable_here(i);
     i->flags.phase = i->flags.initialized ? STEPPING : INITIALIZING;
     if (outcome == DONE)
         outcome = instance_read(i);

@@ -595,6 +595,8 @@ void weigh(Instance *i)
         for (int c = 0; s->brakes && c < s->l; c++)
             matrix[r * s->l + c] = r == c ? rows[r] : 0.0;
     }
+    if (s->brakes)
+        tape_clearing(i, matrix, (size_t)s->l * (size_t)s->l);
     for (int r = 0; r < s->compliances; r++)
         least = fmin(least, i->compliances[r]);
     for (int r = 0; r < s->compliances; r++)

@@ -32,16 +32,6 @@ Outcome differentiable(Instance *i)
     return DONE;
 }
 
-Outcome differentiable_here(Instance *i)
-{
-    if (i->flags.brakes)
-        return say(i, REFUSED,
-            "%s: derivatives of a run whose redundant constraints change with the position are not known; declare the "
-            "joints so that none is redundant",
-            i->scene->name);
-    return DONE;
-}
-
 /* What is read now, or the start too, on the tape. */
 static Outcome written(Instance *i, Gradient *g, int of_start)
 {
@@ -52,8 +42,6 @@ static Outcome written(Instance *i, Gradient *g, int of_start)
     i->tape = g->tape;
     if (outcome == DONE && of_start)
         outcome = instance_initialize(i);
-    if (outcome == DONE)
-        outcome = differentiable_here(i);
     i->flags.known = i->onward = 0;
     if (outcome == DONE)
         outcome = instance_read(i);

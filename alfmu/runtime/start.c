@@ -1089,7 +1089,7 @@ void hold(Instance *i)
     sizes = take(i, l);
     /* S5: at a singular position the combinations of the place before it are kept. */
     ranges(i, field(i, s->z), combinations, sizes);
-    if (sizes[rank - 1] > REGULAR * sizes[0])
+    if (sizes[rank - 1] > REGULAR * sizes[0]) {
         for (int a = 0; a < s->l; a++)
             for (int b = 0; b < s->l; b++) {
                 double sum = 0.0;
@@ -1097,6 +1097,8 @@ void hold(Instance *i)
                     sum += combinations[k * s->l + a] * combinations[k * s->l + b];
                 matrix[a * s->l + b] = sqrt(i->penalty[a]) * sum * sqrt(i->penalty[b]) / *i->largest_penalty;
             }
+        tape_holding(i, field(i, s->z), matrix);
+    }
     i->used = used;
 }
 

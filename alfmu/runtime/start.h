@@ -33,6 +33,9 @@ void least_multipliers(Instance *i, const Rows *J, const double *r, int most, do
 void tape_closing(Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part);
 void tape_rating(Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam);
 
+/* The same of constraints that are combined to those of a frozen rank, at q. */
+void tape_holding(Instance *i, const double *q, const double *matrix);
+
 #if defined(__GNUC__) && !defined(_WIN32)
 #pragma GCC visibility pop
 #endif

@@ -97,10 +97,11 @@ int tape_pause(Instance *i, int paused)
     return before;
 }
 
-/* Where what has no derivative stands in the memory: settings, step size, step control, tallies. */
+/* Where what has no derivative stands in the memory: step size, step control, tallies, and settings but for what stands for
+   penalties where a rank is frozen, which is the last of them. */
 static int passive(const Scene *s, ptrdiff_t in_memory)
 {
-    return in_memory >= s->k && in_memory < s->past;
+    return in_memory >= (s->brakes ? s->dt : s->k) && in_memory < s->past;
 }
 
 int32_t place_of(const Instance *i, const double *number)

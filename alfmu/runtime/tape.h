@@ -24,7 +24,8 @@ typedef enum {
     SOLVED,       /* n, blocks, factors, right-hand sides, solution, where the factors are kept (two words); the solution */
     LEAST_NORMED, /* side, matrix, right-hand side, solution; all three */
     CLOSED,       /* a Gauss-Newton step of the start (closing.c) */
-    RATED         /* a correction of the start's velocities (closing.c) */
+    RATED,        /* a correction of the start's velocities (closing.c) */
+    HELD          /* a rank that is frozen (closing.c) */
 } Taped;
 
 typedef struct {
@@ -128,13 +129,14 @@ void adjoints_along(Gradient *g, Mark from);
 void tangents_through(const Flat *flat, const double *r, Lanes *dr);
 void adjoints_through(const Flat *flat, const double *r, double *ar);
 
-/* DONE, or what a run is not differentiated through: of its scene, and once it has started (partial.c). */
+/* DONE, or what a run is not differentiated through (partial.c). */
 Outcome differentiable(Instance *i);
-Outcome differentiable_here(Instance *i);
 
 /* Of the start (closing.c). */
 void closed_tangents(Gradient *g, const Entry *e);
 void closed_adjoints(Gradient *g, const Entry *e);
+void held_tangents(Gradient *g, const Entry *e);
+void held_adjoints(Gradient *g, const Entry *e);
 void rated_tangents(Gradient *g, const Entry *e);
 void rated_adjoints(Gradient *g, const Entry *e);
 
