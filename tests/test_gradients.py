@@ -338,6 +338,36 @@ def test_each_point_of_an_input_has_its_derivative():
         assert found.inputs["A.torque"][k] == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=1e-7)
 
 
+@pytest.mark.parametrize("order", [0, 2])
+def test_inputs_that_move_something_have_derivatives(order: int):
+    """Between communication points an input is followed by polynomials of its values, so that the angle that it moves is
+    linear in them: pulses of any size tell its derivatives. What the motion takes is the same forward and back."""
+    m = alfmu.Mechanism("moved")
+    rod = m.bar("rod", mass=1.0, length=m.parameter("l", 0.7, "m"))
+    A = m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad"))
+    m.motion(A, m.input("A.angle", "rad", order=order))
+    m.gravity(0, -9.81)
+    times = np.arange(11) * 0.05
+
+    def moved(pulse: int = 0, size: float = 0.0) -> dict:
+        values = 0.3 + 0.1 * np.sin(4 * times) + size * (np.arange(11) == pulse)
+        return {"A.angle": (times, values)}
+
+    torque = next(v.name for v in Runs(m, ["l"], 0.5, 0.05, moved(), None).unit.outputs if v.unit == "N.m")
+    for row in (5, 10):
+        of = Columns(["rod.angle"], lambda o, row=row: o["rod.angle"][row])
+        found = gradient(m, of, ["l", "A.angle"], 0.5, 0.05, inputs=moved())
+        for pulse in (1, 3, 4):
+            ends = [alfmu.simulate(m, 0.5, 0.05, inputs=moved(pulse, x))["rod.angle"][row] for x in (0.01, -0.01)]
+            assert found.inputs["A.angle"][pulse] == pytest.approx((ends[0] - ends[1]) / 0.02, abs=1e-11)
+        assert found["A.angle"] == pytest.approx(1.0, abs=1e-11)
+    forward = derivatives(m, ["l", "A.angle"], 0.5, 0.05, inputs=moved(), outputs=[torque])
+    back = gradient(m, torque, ["l", "A.angle"], 0.5, 0.05, inputs=moved())
+    for name in ("l", "A.angle"):
+        assert back[name] == pytest.approx(forward[torque, name][-1], rel=1e-11)
+        assert abs(back[name]) > 0.1
+
+
 def test_a_gradient_by_twenty_numbers_takes_no_more_than_six_runs():
     """In processor time, the best of some; the sweep back does not know how many numbers there are."""
     from time import process_time

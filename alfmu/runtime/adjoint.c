@@ -286,6 +286,9 @@ void adjoints_along(Gradient *g, Mark from)
         case RATED:
             rated_adjoints(g, e);
             break;
+        case AIMED:
+            aimed_adjoints(g, e);
+            break;
         case HELD:
             held_adjoints(g, e);
             break;

@@ -25,10 +25,6 @@ Outcome differentiable(Instance *i)
             "%s: derivatives of a run with dry friction are not known: when joints stick and slide changes with each "
             "number; take the friction out, or make it viscous",
             s->name);
-    if (s->followed_count)
-        return say(i, REFUSED,
-            "%s: derivatives of a run with inputs that move something are not known; prescribe the motion by a law of time",
-            s->name);
     return DONE;
 }
 

@@ -265,6 +265,8 @@ void tangents_along(Gradient *g, Mark from)
             closed_tangents(g, e);
         else if (e->kind == RATED)
             rated_tangents(g, e);
+        else if (e->kind == AIMED)
+            aimed_tangents(g, e);
         else if (e->kind == HELD)
             held_tangents(g, e);
         for (int block = 0; block < g->blocks; block++) {

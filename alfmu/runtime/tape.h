@@ -25,7 +25,8 @@ typedef enum {
     LEAST_NORMED, /* side, matrix, right-hand side, solution; all three */
     CLOSED,       /* a Gauss-Newton step of the start (closing.c) */
     RATED,        /* a correction of the start's velocities (closing.c) */
-    HELD          /* a rank that is frozen (closing.c) */
+    HELD,         /* a rank that is frozen (closing.c) */
+    AIMED         /* an input that moves something (signals.c) */
 } Taped;
 
 typedef struct {
@@ -132,9 +133,11 @@ void adjoints_through(const Flat *flat, const double *r, double *ar);
 /* DONE, or what a run is not differentiated through (partial.c). */
 Outcome differentiable(Instance *i);
 
-/* Of the start (closing.c). */
+/* Of the start (closing.c), of inputs that move something (signals.c). */
 void closed_tangents(Gradient *g, const Entry *e);
 void closed_adjoints(Gradient *g, const Entry *e);
+void aimed_tangents(Gradient *g, const Entry *e);
+void aimed_adjoints(Gradient *g, const Entry *e);
 void held_tangents(Gradient *g, const Entry *e);
 void held_adjoints(Gradient *g, const Entry *e);
 void rated_tangents(Gradient *g, const Entry *e);
