@@ -198,8 +198,8 @@ def test_a_lock_and_its_impact_have_derivatives():
 
 
 def test_a_frozen_rank_has_derivatives():
-    """Bennett's linkage, whose redundant constraints would brake it: by the start against the variational equations of its
-    one equation in screws, by a twist against the identity of its two angles."""
+    """Bennett's linkage, whose redundant constraints would brake it: by the start against the variational equations of
+    its one equation in screws, by a twist against the identity of its two angles."""
     accelerate, _, _ = reference()
     th, w = ca.SX.sym("th"), ca.SX.sym("w")
     slopes = ca.Function("slopes", [th, w], [ca.jacobian(accelerate(th, w), ca.vertcat(th, w))])
@@ -340,8 +340,8 @@ def test_each_point_of_an_input_has_its_derivative():
 
 @pytest.mark.parametrize("order", [0, 2])
 def test_inputs_that_move_something_have_derivatives(order: int):
-    """Between communication points an input is followed by polynomials of its values, so that the angle that it moves is
-    linear in them: pulses of any size tell its derivatives. What the motion takes is the same forward and back."""
+    """Between communication points an input is followed by polynomials of its values, so that the angle that it moves
+    is linear in them: pulses of any size tell its derivatives. What the motion takes is the same forward and back."""
     m = alfmu.Mechanism("moved")
     rod = m.bar("rod", mass=1.0, length=m.parameter("l", 0.7, "m"))
     A = m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad"))

@@ -221,8 +221,8 @@ def derivatives(
     that were made, projections and iterations included; which steps, tiers and ranks were taken is left as it is. The
     time goes with the number of derivatives; for one number of a run by many use `gradient`.
 
-    Raises InputError where a name is wrong, and where there are no derivatives, as with dry friction. Warns of forces that
-    may jump.
+    Raises InputError where a name is wrong, and where there are no derivatives, as with dry friction. Warns of forces
+    that may jump.
     """
     runs = Runs(mechanism, by, stop_time, communication_step, inputs, parameters)
     names = runs.columns(outputs)
