@@ -21,6 +21,7 @@ _HOME = {
     "Fit": "gradients",
     "Gradient": "gradients",
     "InputError": "model.errors",
+    "Imported": "formats",
     "Instance": "runtime",
     "Joint": "model.mechanism",
     "Linearization": "analysis.linearization",
@@ -36,11 +37,13 @@ _HOME = {
     "export": "fmi.export",
     "fit": "gradients",
     "gradient": "gradients",
+    "imported": "formats",
     "linearize": "analysis.linearization",
     "load": "model.registry",
     "mechanisms": "model.registry",
     "mobility": "analysis.freedoms",
     "simulate": "simulation",
+    "validate": "fmi.checks.validation",
 }
 """Public name -> module; imported when first used."""
 
@@ -53,8 +56,11 @@ if TYPE_CHECKING:
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
     from .equations import Equations as Equations
+    from .fmi.checks.validation import validate as validate
     from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
+    from .formats import Imported as Imported
+    from .formats import imported as imported
     from .gradients import Derivatives as Derivatives
     from .gradients import Fit as Fit
     from .gradients import Gradient as Gradient

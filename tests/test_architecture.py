@@ -17,6 +17,7 @@ ROOMS: dict[str, set[str]] = {
     "files": {"model"},
     "equations": {"model"},
     "parts": {"equations", "model"},
+    "formats": {"model"},
     "method": set(),
     "kernel": {"equations", "method", "model"},
     "runtime": {"equations", "files", "kernel", "method", "model"},
@@ -31,7 +32,9 @@ ROOMS: dict[str, set[str]] = {
     "cli": {
         "analysis",
         "equations",
+        "files",
         "fmi",
+        "formats",
         "gradients",
         "kernel",
         "model",
@@ -46,7 +49,7 @@ ROOMS: dict[str, set[str]] = {
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 
 LATE: dict[str, set[str]] = {
-    "model": {"equations", "result", "view"},
+    "model": {"equations", "formats", "result", "view"},
     "result": {"view"},
     "simulation": {"analysis", "fmi"},
     "fmi": {"analysis"},

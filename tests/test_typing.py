@@ -25,7 +25,9 @@ from pathlib import Path
 import alfmu
 from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, ExportError, InputError, StepError
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
+from alfmu import Imported, imported
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
+from alfmu import validate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -61,6 +63,8 @@ reveal_type([name for name in r])
 reveal_type(pendulum().bodies[0].name)
 reveal_type(pendulum().draw().svg())
 i = Instance(derive(load("five_bar")))
+linkage: Imported = imported(Path("robot.xml"), drives="all")
+text: str = linkage.source()
 i.initialize()
 i.step(0.02)
 reveal_type(i.get("link1.angle"))
@@ -73,6 +77,7 @@ reveal_type(equations.n + len(mechanisms()))
 again: Result = Result.from_csv("run.csv")
 again.to_csv("copy.csv")
 made: Path = export("five_bar", "five_bar.fmu")
+problems: list[str] = validate(made, checks=["step.*"])
 rest: Equilibrium = equilibrium(pendulum(), parameters={"m": 2.0}).nearest
 reveal_type(rest.stable)
 linear: Linearization = linearize(pendulum(), rest)

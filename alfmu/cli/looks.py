@@ -1,9 +1,10 @@
-"""Commands that show a mechanism: list, info, draw, live."""
+"""Commands that show a mechanism: list, info, draw, import, live."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import keyword
 import re
 import shlex
 from pathlib import Path
@@ -26,6 +27,11 @@ from .says import once_written
 
 _DRAW = """What --at gives holds when the loops are closed; other start values are kept where that is possible, and are
 guesses otherwise. Names of coordinates: `alfmu info NAME`."""
+
+_IMPORT = """MJCF (.xml), SDF and URDF files also run as they are: `alfmu simulate robot.xml --option key=home`.
+The Python file declares the same mechanism with the same numbers, to change and extend. What does nothing to the
+motion is left out and told; what does not map is refused with its line. Options are those of the file's format:
+`alfmu info FILE`."""
 
 _LIVE = """The page holds the runtime of an FMU, compiled for browsers, and needs no network: its numbers are those of
 the native FMU with the same communication steps, to round-off. Inputs count while it runs; a change of a parameter or
@@ -62,6 +68,14 @@ def add(command: Command) -> None:
     sub.add_argument("--size", metavar="WxH", type=_size, help="width and height in pixels (default: 640x480)")
     add_option(sub)
     add_set(sub)
+
+    sub = command(
+        "import", _import, "write an MJCF, SDF or URDF file as a Python file that declares the same mechanism"
+    )
+    sub.epilog = _IMPORT
+    sub.add_argument("file", metavar="FILE", help="an MJCF (.xml), SDF or URDF file")
+    sub.add_argument("-o", "--output", metavar="FILE.py", help="where to write it (default: NAME.py here)")
+    add_option(sub)
 
     sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
     sub.epilog = _LIVE
@@ -100,6 +114,27 @@ def _info(chosen: argparse.Namespace) -> None:
         from ..fmi.sizes import sizes
 
         print("\n" + "\n".join(sizes(mechanism, recipe.parameters, recipe.outputs, recipe.freeze)))
+
+
+def _import(chosen: argparse.Namespace) -> None:
+    from ..files import write
+    from ..formats import imported
+
+    found = imported(chosen.file, **dict(chosen.option))
+    path = Path(chosen.output or f"{file_name(found.mechanism.name)}.py")
+    if path.suffix != ".py" or not path.stem.isidentifier() or keyword.iskeyword(path.stem):
+        raise InputError(f"{path} cannot be a Python file with a function of its name; say -o NAME.py")
+    said = once_written(path)
+    write(path, found.source(path.stem).encode())
+    print(said)
+    for title, lines in (
+        ("left out, and may matter: ", found.warnings),
+        ("left out: ", found.left_out),
+        ("", found.notes),
+        ("", [f"{old} is called {new}" for old, new in found.renamed.items()]),
+    ):
+        for line in lines:
+            print(f"{title}{line}")
 
 
 def _draw(chosen: argparse.Namespace) -> None:

@@ -27,6 +27,7 @@ from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
+from ..model.registry import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified
@@ -42,8 +43,8 @@ from .description import (
     model_description,
     model_description3,
 )
-from .experiment import reference_results
 from .recipe import Recipe, load
+from .records import record_files
 from .slave import COMPILED, OPTIONS, SCENE
 from .terminals import document, terminals
 
@@ -104,7 +105,7 @@ def export(
     apart = ("solver.",) if recipe.start == "declared" else ("solver.", "start.")
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
-    results = reference_results(equations) if recipe.reference else {}
+    results = record_files(equations) if recipe.reference else {}
     if recipe.kind == "native":
         _archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
         return path
@@ -260,7 +261,7 @@ def _credits(declared: Mechanism) -> dict[str, str]:
 
 def _options(recipe: Recipe, equations: Equations) -> bytes:
     """What the FMU is of: the mechanism, by which it is drawn, and its options."""
-    registered = isinstance(recipe.mechanism, str) and not recipe.mechanism.endswith(".py")
+    registered = isinstance(recipe.mechanism, str) and not is_file(recipe.mechanism)
     facts = {"mechanism": recipe.mechanism if registered else equations.name, "options": equations.options}
     return json.dumps(facts, indent=1).encode()
 

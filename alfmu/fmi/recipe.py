@@ -130,7 +130,7 @@ class Recipe(Brief):
     fmi: int = 2
     """Version of FMI; 3 for native FMUs."""
     reference: bool = True
-    """Whether reference results (`alfmu.fmi.experiment`) are inside."""
+    """Whether reference results (`alfmu.fmi.records`) are inside."""
     interval: InitVar[float | None] = None
     """Former name of `communication_step`."""
 
@@ -186,8 +186,10 @@ class Recipe(Brief):
 
     def in_file(self, path: Path) -> Recipe:
         """The recipe that a file declares: called after it, paths relative to it."""
+        from ..model.registry import is_file
+
         where = self.mechanism
-        if isinstance(where, (str, Path)) and str(where).endswith(".py"):
+        if isinstance(where, (str, Path)) and is_file(where):
             where = path.parent / where
         return replace(self, mechanism=where, name=self.name or path.stem)
 

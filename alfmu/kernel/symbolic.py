@@ -552,7 +552,7 @@ class Scene:
 
     def unsettled(self, left: SX, q: SX, v: SX) -> SX:
         """Whether q and v with these residues (squared) do not."""
-        return 1 - self._within(left[0], q) * self._within(left[1], v)
+        return 1 - self._closed(left, q, v)
 
     def error_size(
         self, z: SX, q: SX, v: SX, error: SX, least: SX | None = None, x: SX | None = None, change: SX | None = None
@@ -627,15 +627,13 @@ class Scene:
             trouble += near if plan.quick and not plan.margins else near * self.settings.continues
             near *= self.settings.continues
         if e.l:
-            for residue, x in zip(ca.vertsplit(known["left"]), (q, v), strict=True):
-                trouble += 1 - self._within(residue, x)
+            trouble += 1 - self._closed(known["left"], q, v)
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
         x = known.get("x", SX(0, 1))
         if e.states:
             trouble += 1 - (ca.sumsqr(x) < math.inf)
-        turned = (q - z[: e.n])[[i for i, c in enumerate(e.coordinates) if c.unit == "rad"]]
-        trouble += 1 - (ca.sumsqr(turned) <= TURN**2)
+        trouble += 1 - (ca.sumsqr(self._angles(q - z[: e.n])) <= TURN**2)
         change = known.get("error", sum(x.change for x in evaluations) / (evaluations[0].size + _TINY))
         angles = self._unwrapped(q, z[2 * e.n : layout.work])
         arrival = known["arrival"] if "arrival" in known else z[layout.time] + known["dt"]
@@ -697,9 +695,21 @@ class Scene:
 
     # Residues and factors ------------------------------------------------------------------------------------------
 
-    def _within(self, residue: SX, x: SX) -> SX:
-        """Whether a residue (squared) of x is within the tolerance, or within round-off."""
-        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * ca.sumsqr(x))
+    def _angles(self, q: SX) -> SX:
+        """Of coordinates, those in rad."""
+        return q[[i for i, c in enumerate(self.e.coordinates) if c.unit == "rad"]]
+
+    def _closed(self, left: SX, q: SX, v: SX) -> SX:
+        """Whether both residues (squared) are within the tolerance, or within round-off.
+
+        The digits that turned angles have lost move what C belongs to, so that no v makes its dependent rows vanish.
+        """
+        turned = ca.fmax(1, ca.sumsqr(self._angles(q)))
+        return self._within(left[0], q) * self._within(left[1], v, turned)
+
+    def _within(self, residue: SX, x: SX, larger: SX | float = 1.0) -> SX:
+        """Whether a residue (squared) of x is within the tolerance, or within round-off, which is so much larger."""
+        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * ca.sumsqr(x))
 
     def _largest(self, residue: SX) -> SX:
         return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else SX(0)

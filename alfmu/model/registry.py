@@ -19,13 +19,16 @@ from .errors import AlfmuError, AlfmuWarning, DeclarationError, InputError
 from .mechanism import Mechanism
 from .words import in_words, nearest, there_is
 
-__all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options", "registered"]
+__all__ = ["GROUP", "LINKAGES", "choices", "executed", "is_file", "load", "mechanisms", "options", "registered"]
 
 GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
 
 _OWN = "alfmu.catalogue."
 """Where alfmu's own mechanisms are, in a folder `mechanisms`."""
+
+LINKAGES = (".xml", ".urdf", ".sdf")
+"""Endings of files of other programs that declare a mechanism (`alfmu.formats`)."""
 
 Factory = Callable[..., Mechanism]
 
@@ -43,10 +46,11 @@ def registered(*groups: str) -> list[str]:
 
 
 def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
-    """The mechanism of a registered name or of a Python file, with its options.
+    """The mechanism of a registered name, of a Python file or of a file of another program, with its options.
 
-    A file declares one: a function named like the file (or the only one annotated `-> Mechanism`), or a `Mechanism`
-    object. Raises InputError where there is no such name, file, declaration or option.
+    A Python file declares one: a function named like the file (or the only one annotated `-> Mechanism`), or a
+    `Mechanism` object. MJCF (`.xml`), SDF and URDF files are read as `alfmu.imported` does, with the same options.
+    Raises InputError where there is no such name, file, declaration or option, or where something does not map.
     """
     if isinstance(mechanism, Mechanism):
         if chosen:
@@ -73,9 +77,14 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
         raise InputError(f"{mechanism}: {factory.__name__}() returns {returned}; end it with `return m`, the mechanism")
     declared.options = {**{k: p.default for k, p in parameters.items() if p.kind not in _ANY}, **chosen}
     readme = Path(inspect.getsourcefile(factory) or "").with_name("README.md")
-    if readme.is_file() and (not str(mechanism).endswith(".py")):
+    if readme.is_file() and not is_file(mechanism):
         declared.documentation = readme.read_text(encoding="utf-8")
     return declared
+
+
+def is_file(mechanism: object) -> bool:
+    """Whether something names a file that declares a mechanism, and no registered one."""
+    return isinstance(mechanism, str | Path) and str(mechanism).endswith((".py", *LINKAGES))
 
 
 def options(mechanism: str | Path) -> dict[str, tuple[Any, ...]]:
@@ -119,6 +128,10 @@ def _whole(what: str, value: Any) -> int:
 def _factory(mechanism: str | Path) -> Factory:
     if str(mechanism).endswith(".py"):
         return _from_file(Path(mechanism))
+    if str(mechanism).endswith(LINKAGES):
+        from ..formats import factory
+
+        return factory(mechanism)
     for entry in entry_points(group=GROUP):
         if entry.name == str(mechanism):
             return _guarded(mechanism, entry.load)

@@ -1,0 +1,5 @@
+"""Mechanisms from the files of other programs: MJCF, SDF and URDF, with their loops."""
+
+from .imports import Imported, factory, imported
+
+__all__ = ["Imported", "factory", "imported"]

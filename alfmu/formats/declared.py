@@ -1,0 +1,402 @@
+"""A linkage as a declaration: bodies in relative coordinates through joints, and joints that close its loops.
+
+The frame of each body has its origin where the file has that of the link, and its axes stand parallel to the ground's
+where all coordinates are zero: so every joint has one axis, the same on both bodies, and its coordinate is the file's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import casadi as ca
+import numpy as np
+
+from ..model.errors import DeclarationError, InputError
+from ..model.mechanism import Constraint, Mechanism
+from ..model.spatial import SpatialJoint
+from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, place
+from .markup import Node
+from .poses import Array, Pose, cleaned, of_quaternion, quaternion, vector
+from .script import Named, Script
+
+__all__ = ["declared", "plain_name"]
+
+_RANK = 1e-9
+"""Singular value of constraints, by the largest, below which one is zero: files give places to some ten digits."""
+
+_GOOD = 0.1
+"""Share of a motion that a driven joint needs, by the largest of all, to be taken as independent before others."""
+
+_OPEN = 1e-6
+"""Gap of a loop at the start [m, rad] that is told: positions in files are rounded to some six digits."""
+
+_PARALLEL = 1e-14
+"""Entry of a turn up to which frames are parallel: round-off of some turns one after the other."""
+
+_AVOIDED = {"start", "solver", "monitor", "multiplier", "ground", "time"}
+_SUFFIXES = {"rad": "angle", "m": "position"}
+_UNITS = {
+    "revolute": ("rad",),
+    "prismatic": ("m",),
+    "screw": ("rad",),
+    "universal": ("rad", "rad"),
+    "spherical": ("1",) * 4,
+}
+_FREEDOMS = {"universal": ("angle1", "angle2")}
+_METHODS = {
+    "revolute": "spatial_revolute",
+    "prismatic": "spatial_prismatic",
+    "screw": "spatial_screw",
+    "weld": "spatial_weld",
+}
+"""Methods of `Mechanism` that are not called like the kind of joint."""
+
+
+def plain_name(name: str) -> str:
+    """A name in letters, digits and underscores."""
+    plain = re.sub(r"[^A-Za-z0-9_]+", "_", name)[:100].strip("_") or "part"
+    return plain if re.match(r"[A-Za-z]", plain) else f"n{plain}"
+
+
+def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str], list[str]]:
+    """The declaration, new names by old ones where they differ, and what there is to tell of the start."""
+    guessed = _Declaring(linkage, description, None)
+    mechanism, told = guessed.script.mechanism, []
+    chosen = {c.name for c in mechanism.coordinates}
+    if mechanism.closures:
+        chosen, gap = independent(mechanism, guessed.values, guessed.driven)
+        if gap > _OPEN:
+            told.append(
+                f"its loops are open by up to {gap:.2g} m or rad in the file; they are closed at the start by moving "
+                "what is not independent"
+            )
+    final = _Declaring(linkage, description, chosen)
+    return final.script, final.renamed, told
+
+
+def independent(mechanism: Mechanism, values: Mapping[str, float], driven: Sequence[str]) -> tuple[set[str], float]:
+    """Coordinates by whose values all others follow, driven ones before others, and how far loops are open [m, rad]."""
+    residuals = []
+    for closing in mechanism.closures:
+        if isinstance(closing, SpatialJoint):
+            residuals += [closing.residual(direction) for direction in closing.directions]
+        elif isinstance(closing, Constraint):
+            residuals.append(closing.expression)
+    q = ca.vertcat(*(c.q for c in mechanism.coordinates))
+    phi = ca.vertcat(*residuals)
+    both = ca.Function("loops", [q], [phi, ca.jacobian(phi, q)])
+    gaps, matrix = (np.array(x) for x in both([values[c.name] for c in mechanism.coordinates]))
+    _, sizes, turned = np.linalg.svd(matrix)
+    rank = int(np.sum(sizes > _RANK * sizes.max(initial=0.0)))
+    motions = turned[rank:].T  # (n, freedoms)
+    chosen: set[str] = set()
+    names = [c.name for c in mechanism.coordinates]
+    for _ in range(motions.shape[1]):
+        size = np.linalg.norm(motions, axis=1)
+        first = [i for i, name in enumerate(names) if name in driven and size[i] > _GOOD * size.max()]
+        among = first or [i for i in range(len(names)) if size[i] > 0.5 * size.max()]
+        i = first[0] if first else among[0]
+        chosen.add(names[i])
+        along = motions[i] / size[i]
+        motions = motions - np.outer(motions @ along, along)
+    return chosen, float(np.abs(gaps).max(initial=0.0))
+
+
+class _Declaring:
+    """One pass: with all coordinates as guesses, or with those that are independent."""
+
+    def __init__(self, linkage: Linkage, description: str, chosen: set[str] | None):
+        self.linkage, self.chosen = linkage, chosen
+        self.taken, self.renamed = set(_AVOIDED), dict[str, str]()
+        self.values: dict[str, float] = {}
+        self.coordinates: dict[Joint, list[Named]] = {}
+        self.made: dict[Joint, Named] = {}
+        self.bodies: dict[Link | None, Named] = {}
+        self.origins: dict[Link | None, Array] = {None: np.zeros(3)}
+        self.zeros: dict[Link, Pose] = {}
+        self.drivable: set[Joint] = {motor.joint for motor in linkage.motors}
+        self.script = Script(plain_name(linkage.name), description)
+        self.bodies[None] = self.script.ground
+        with self._of(linkage.node):
+            self.script.do("gravity", *linkage.gravity)
+        for link in linkage.links:
+            self._link(link)
+        for closure in linkage.closures:
+            with self._of(closure.node):
+                self._closure(closure)
+        for coupling in linkage.couplings:
+            with self._of(coupling.node):
+                self._coupling(coupling)
+        if linkage.motors:
+            self.script.remark("Motors")
+        for motor in linkage.motors:
+            with self._of(motor.node):
+                self._motor(motor)
+
+    @property
+    def driven(self) -> list[str]:
+        """Names of coordinates with motors."""
+        return [str(c.value.name()) for joint in self.drivable for c in self.coordinates.get(joint, ())]
+
+    @contextmanager
+    def _of(self, node: Node) -> Iterator[None]:
+        try:
+            yield
+        except DeclarationError as error:
+            raise InputError(f"{node.where}: {error}") from error
+
+    def _name(self, wanted: str, otherwise: str, companions: Sequence[str] = ()) -> str:
+        """A name that nothing has yet: as it is wanted, with a word behind it, or with a number."""
+        plain = plain_name(wanted)
+        tries = [plain, f"{plain}_{otherwise}"]
+        number = 2
+        while any(name + companion in self.taken for name in tries[:1] for companion in ("", *companions)):
+            tries.pop(0)
+            if not tries:
+                tries.append(f"{plain}_{otherwise}{number}")
+                number += 1
+        name = tries[0]
+        self.taken.update(name + companion for companion in ("", *companions))
+        if name != wanted:
+            self.renamed[f"{otherwise} {wanted}"] = name
+        return name
+
+    def _zero(self, link: Link | None) -> Pose:
+        """Where a link is when all coordinates are zero."""
+        return place(link, {}, self.zeros)
+
+    def _point(self, link: Link | None, world: Array) -> list[float]:
+        """A point given in ground axes at zero, in the frame of a body."""
+        return cleaned(world - self.origins[link]).tolist()
+
+    # Links and their joints -------------------------------------------------------------------------------------
+
+    def _link(self, link: Link) -> None:
+        zero = self._zero(link)
+        free = any(joint.kind == "free" for joint in link.joints)
+        own = ["_x", "_y", "_z", "_e0", "_e1", "_e2", "_e3", "_attitude"] if free else []
+        name = self._name(link.name, "body", own)
+        self.script.remark(f"{link.node.tag} {' '.join(link.name.split())[:80]}")
+        before: Link | None = link.parent
+        for j, joint in enumerate(link.joints[:-1]):
+            between = Link(f"{name}_{j + 1}", link.node, None, Pose(), link.inertial)
+            called = self._name(between.name, "frame")
+            with self._of(joint.node):
+                pose = link.before(j, {}, self.zeros)
+                self.origins[between] = pose.at(joint.point)
+                self.bodies[between] = self.script.do(
+                    "spatial_body", called, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=called
+                )
+                self._joint(joint, before, between, pose)
+            before = between
+        self.origins[link] = zero.place
+        with self._of(link.node):
+            self.bodies[link] = self._body(link, name, zero, free)
+        if not link.joints:
+            at = zero.place
+            with self._of(link.node):
+                weld = self._name(f"{name}_weld", "joint")
+                markers = (self.bodies[b].at(self._point(b, at)) for b in (before, link))
+                self.script.do("spatial_weld", weld, *markers)
+        elif not free:
+            with self._of(link.joints[-1].node):
+                self._joint(link.joints[-1], before, link, link.before(len(link.joints) - 1, {}, self.zeros))
+
+    def _body(self, link: Link, name: str, zero: Pose, free: bool) -> Named:
+        inertial = link.inertial
+        center = cleaned(zero.turn @ inertial.center)
+        matrix = cleaned(zero.turn @ inertial.inertia @ zero.turn.T)
+        matrix = (matrix + matrix.T) / 2
+        moments = np.diag(matrix)
+        given = {
+            "mass": float(f"{inertial.mass:.15g}"),
+            "inertia": tuple(moments.tolist()) if not np.any(matrix - np.diag(moments)) else matrix.tolist(),
+        }
+        if center.any():
+            given["center"] = tuple(center.tolist())
+        if not free:
+            return self.script.do("spatial_body", name, **given, relative=True, keep=name)
+        joint = next(joint for joint in link.joints if joint.kind == "free")
+        start = Pose(vector(joint.start[:3]), of_quaternion(joint.start[3:]))
+        turn = start.turn @ zero.turn.T
+        e = quaternion(turn)
+        velocity, spin = vector(joint.rates[:3]), start.turn @ vector(joint.rates[3:])
+        arm = turn @ center
+        entries = zip(
+            (*(f"{name}_{axis}" for axis in "xyz"), *(f"{name}_e{i}" for i in range(4))),
+            (*cleaned(start.place + arm).tolist(), *cleaned(e).tolist()),
+            (*(velocity + np.cross(spin, arm)).tolist(), *_quaternion_rate(e, spin).tolist()),
+            ("m",) * 3 + ("1",) * 4,
+            strict=True,
+        )
+        values = [self._started(*entry) for entry in entries]
+        return self.script.do(
+            "spatial_body", name, **given, position=tuple(values[:3]), attitude=tuple(values[3:]), keep=name
+        )
+
+    def _started(self, name: str, value: float, rate: float, unit: str) -> Named | float:
+        """The start of a coordinate that a body makes: a quantity that the user gives where it is independent."""
+        self.values[name] = value
+        if self.chosen is None or name not in self.chosen:
+            return value
+        speed = {"rate": float(f"{rate:.15g}")} if rate else {}
+        return self.script.do("start", name, value, unit, **speed, keep=f"{name}_start")
+
+    def _coordinate(self, name: str, unit: str, value: float, rate: float) -> Named:
+        self.values[name] = value = float(f"{value:.15g}")
+        alone = self.chosen is not None and name in self.chosen
+        given: dict[str, float | bool] = {"start": value}
+        if alone and rate:
+            given["rate"] = float(f"{rate:.15g}")
+        if alone:
+            given["independent"] = True
+        return self.script.do("coordinate", name, unit, **given, keep=name)
+
+    def _joint(self, joint: Joint, first: Link | None, second: Link, pose: Pose) -> None:
+        """A joint that places a body; `pose` is where the link is before it."""
+        units = _UNITS[joint.kind]
+        words = (
+            [f"_e{i}" for i in range(4)]
+            if joint.kind == "spherical"
+            else [f"_{_SUFFIXES[unit]}{i + 1 if len(units) > 1 else ''}" for i, unit in enumerate(units)]
+        )
+        name = self._name(joint.name, "joint", ["_attitude", *words])
+        axes = [cleaned(pose.turn @ (axis / np.linalg.norm(axis))) for axis in joint.axes]
+        start, rates = joint.start, joint.rates
+        if joint.kind == "spherical":
+            e = vector((joint.start[0], *(pose.turn @ vector(joint.start[1:]))))
+            e = e / np.linalg.norm(e)
+            spin = pose.turn @ of_quaternion(joint.start) @ vector(joint.rates if len(joint.rates) == 3 else (0.0,) * 3)
+            start, rates = tuple(e.tolist()), tuple(_quaternion_rate(e, spin).tolist())
+        if joint.follows is not None:
+            other, factor, offset = joint.follows
+            expression = self.coordinates[other][0] if factor == 1 else factor * self.coordinates[other][0]
+            coordinates = [expression + offset if offset else expression]
+        else:
+            entries = zip(words, units, start, rates, strict=True)
+            coordinates = [self._coordinate(f"{name}{word}", *entry) for word, *entry in entries]
+        self.coordinates[joint] = coordinates
+        at = pose.at(joint.point)
+        markers = [self.bodies[b].at(self._point(b, at)) for b in (first, second)]
+        given: dict[str, object] = {}
+        if axes:
+            given["axis"] = tuple(axes[0].tolist())
+        if joint.kind == "universal":
+            given["second_axis"] = tuple(axes[1].tolist())
+        if joint.kind == "screw":
+            given["lead"] = joint.lead
+        given |= {"coordinate": coordinates[0]} if len(units) == 1 else {"coordinates": tuple(coordinates)}
+        uses = any(map(any, (joint.damping, joint.stiffness))) or joint in self.drivable
+        keep = name if uses and joint.kind != "spherical" else ""
+        made = self.script.do(_METHODS.get(joint.kind, joint.kind), name, *markers, **given, keep=keep)
+        self.made[joint] = made
+        if joint.kind == "spherical":
+            for e in coordinates:
+                # The rates of Euler parameters of unit length have half the size of the angular velocity.
+                if joint.damping[0]:
+                    self.script.do("generalized_force", e, (-4 * joint.damping[0]) * self.script.rate(e))
+                if joint.armature:
+                    self.script.do("kinetic_energy", (2 * joint.armature) * self.script.rate(e) ** 2)
+            return
+        self._spring(joint, made)
+        if joint.armature:
+            self.script.do("kinetic_energy", (joint.armature / 2) * self.script.rate(coordinates[0]) ** 2)
+
+    def _spring(self, joint: Joint | Closure, made: Named) -> None:
+        freedoms = _FREEDOMS.get(joint.kind, ("",))
+        for which, k, d, rest in zip(freedoms, joint.stiffness, joint.damping, joint.rest, strict=False):
+            numbers = {"stiffness": k, "damping": d, "rest": rest if k else 0.0}
+            numbers = {name: x for name, x in numbers.items() if x}
+            if numbers:
+                self.script.do("spring_damper", made.freedom(which) if which else made, **numbers)
+
+    # What closes loops ------------------------------------------------------------------------------------------
+
+    def _closure(self, closure: Closure) -> None:
+        (first, frame1), (second, frame2) = closure.first, closure.second
+        axes = closure.axes
+        if second is None:
+            # Free motions of the other body from this one are the same numbers about opposite axes.
+            (first, frame1), (second, frame2) = (second, frame2), (first, frame1)
+            axes = tuple(-axis for axis in reversed(axes))
+        if first is second:
+            closure.node.fail("it joins a body to itself; name two bodies")
+        self.script.remark(f"{closure.node.tag} that closes a loop")
+        zero1, zero2 = self._zero(first) @ frame1, self._zero(second) @ frame2
+        name = self._name(closure.name, "joint", ["_frame"])
+        markers = [self.bodies[b].at(self._point(b, zero.place)) for b, zero in ((first, zero1), (second, zero2))]
+        apart = cleaned(zero1.turn @ zero2.turn.T)
+        differ = float(np.abs(apart - np.eye(3)).max()) > _PARALLEL
+        if differ and closure.kind in ("weld", "prismatic", "universal", "screw"):
+            markers[0] = self._turned(f"{name}_frame", markers[0], quaternion(zero1.turn @ zero2.turn.T))
+            zero1, differ = zero2, False
+        given: dict[str, object] = {}
+        if axes:
+            one, two = (
+                cleaned(zero.turn @ (x / np.linalg.norm(x))) for zero, x in ((zero1, axes[0]), (zero2, axes[-1]))
+            )
+            given["axis"] = tuple(one.tolist())
+            if closure.kind == "universal" or differ:
+                given["second_axis"] = tuple(two.tolist())
+        if any(closure.stiffness) and differ and closure.kind == "revolute":
+            closure.node.fail(
+                "its spring is told from where its two frames coincide, which its links do not do at zero; give both "
+                "frames the same directions there"
+            )
+        if closure.kind == "screw":
+            given["lead"] = closure.lead
+        springs = any(map(any, (closure.damping, closure.stiffness)))
+        method = _METHODS.get(closure.kind, closure.kind)
+        made = self.script.do(method, name, *markers, **given, keep=name if springs else "")
+        self._spring(closure, made)
+
+    def _turned(self, name: str, marker: Named, e: Array) -> Named:
+        """A massless frame at a point of a body, turned in it as it is for good."""
+        self.taken.add(f"{name}_turn")
+        frame = self.script.do("spatial_body", name, mass=0.0, inertia=(0.0, 0.0, 0.0), relative=True, keep=name)
+        angle = 2 * float(np.arctan2(np.linalg.norm(e[1:]), e[0]))
+        axis = tuple(cleaned(e[1:] / np.linalg.norm(e[1:])).tolist())
+        origin = frame.at((0.0, 0.0, 0.0))
+        self.script.do("spatial_revolute", f"{name}_turn", marker, origin, axis=axis, coordinate=angle)
+        return origin
+
+    def _coupling(self, coupling: Coupling) -> None:
+        of, by = coupling.of, coupling.by
+        found = self.coordinates[of][0]
+        if of.reference:
+            found = found - of.reference
+        if coupling.coefficients[0]:
+            found = found - coupling.coefficients[0]
+        if by is not None:
+            x = self.coordinates[by][0] - by.reference if by.reference else self.coordinates[by][0]
+            for power, factor in enumerate(coupling.coefficients[1:], 1):
+                if factor:
+                    found = found - factor * (x if power == 1 else x**power)
+        name = self._name(coupling.name, "coupling")
+        self.script.do("constraint", name, found, "m" if of.kind == "prismatic" else "rad")
+
+    def _motor(self, motor: Motor) -> None:
+        name = self._name(motor.name, "motor")
+        u = self.script.do("input", name, motor.unit, keep=name)
+        if motor.control is not None:
+            u = u.limited(*motor.control)
+        q = self.coordinates[motor.joint][0]
+        effort = u if motor.gain == 1 else motor.gain * u
+        constant, length, rate = motor.bias
+        if length:
+            effort = effort + (length * motor.gear) * q
+        if rate:
+            effort = effort + (rate * motor.gear) * self.script.rate(q)
+        if constant:
+            effort = effort + constant
+        if motor.force is not None:
+            effort = effort.limited(*motor.force)
+        self.script.do("drive", self.made[motor.joint], effort if motor.gear == 1 else motor.gear * effort)
+
+
+def _quaternion_rate(e: Array, spin: Array) -> Array:
+    """Rates of Euler parameters (4,) at an angular velocity (3,) in the axes that they lead to."""
+    w, p = e[0], e[1:]
+    return 0.5 * np.array([-p @ spin, *(w * spin + np.cross(spin, p))])

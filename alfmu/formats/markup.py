@@ -1,0 +1,256 @@
+"""XML of others, read with care: no document types, no entities, bounded in size and depth, each number checked.
+
+Every attribute and element of what is read is either taken, named as harmless, or refused with its line: a `Reading`
+notes what was taken, so that nothing is passed over in silence.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Never
+from xml.parsers import expat
+
+from ..model.errors import InputError
+from ..model.words import shown, there_is
+
+__all__ = ["Node", "Reading", "parsed"]
+
+LARGEST = 20_000_000
+"""Size of a file [bytes]: descriptions of robots with hundreds of links have some hundred kilobytes."""
+
+DEEPEST = 200
+"""Depth of elements: chains nest one element a link in MJCF."""
+
+MOST = 200_000
+"""Elements of a file."""
+
+_LONGEST = 100_000
+"""Numbers of one attribute."""
+
+_FLAGS = {"true": True, "1": True, "false": False, "0": False}
+
+
+@dataclass(eq=False)
+class Node:
+    """An element of a file."""
+
+    tag: str
+    attributes: dict[str, str]
+    file: Path
+    line: int
+    parent: Node | None = None
+    children: list[Node] = field(default_factory=list)
+    text: str = ""
+
+    @property
+    def path(self) -> str:
+        """Where it stands, from the root: names in brackets."""
+        name = self.attributes.get("name") or self.attributes.get("class", "")
+        own = f"{self.tag}[{name[:60]}]" if name else self.tag
+        return f"{self.parent.path}/{own}" if self.parent is not None else own
+
+    @property
+    def where(self) -> str:
+        """File, line and path, as messages begin with them."""
+        return f"{self.file}, line {self.line}: {self.path}"
+
+    def fail(self, why: str) -> Never:
+        """Refuse it."""
+        raise InputError(f"{self.where}: {why}")
+
+    def all(self, *tags: str) -> list[Node]:
+        """Children with one of these tags."""
+        return [child for child in self.children if child.tag in tags]
+
+    def one(self, tag: str) -> Node | None:
+        """The child with a tag, None where there is none; InputError where there are several."""
+        found = self.all(tag)
+        if len(found) > 1:
+            found[1].fail(f"<{tag}> stands here a second time; give one")
+        return found[0] if found else None
+
+    def below(self) -> Iterator[Node]:
+        """It and all that is in it."""
+        yield self
+        for child in self.children:
+            yield from child.below()
+
+
+class Reading:
+    """The attributes of an element, with those it inherits; what is taken is noted, `done` refuses the rest."""
+
+    def __init__(self, node: Node, inherited: Mapping[str, tuple[str, Node]] | None = None):
+        self.node = node
+        self._given = {**(inherited or {}), **{name: (value, node) for name, value in node.attributes.items()}}
+        self._taken: set[str] = set()
+
+    def has(self, name: str) -> bool:
+        """Whether an attribute is given."""
+        return name in self._given
+
+    def own(self, name: str) -> bool:
+        """Whether it is given by the element itself."""
+        return name in self.node.attributes
+
+    def text(self, name: str, default: str | None = None) -> str:
+        """An attribute as text; InputError where it is not there and has no default."""
+        self._taken.add(name)
+        if name in self._given:
+            return self._given[name][0]
+        if default is None:
+            self.node.fail(f"it has no {name}; give one")
+        return default
+
+    def choice(self, name: str, known: Sequence[str], default: str | None = None) -> str:
+        """One of several words."""
+        found = self.text(name, default)
+        if found not in known:
+            self.fail(name, f"{name} is {shown(found)}; alfmu takes {' or '.join(known)}")
+        return found
+
+    def flag(self, name: str, default: bool) -> bool:
+        """true or false."""
+        return _FLAGS[self.choice(name, tuple(_FLAGS))] if self.has(name) else default
+
+    def numbers(self, name: str, count: int | range, default: Sequence[float] | None = None) -> list[float]:
+        """So many finite numbers."""
+        if not self.has(name) and default is not None:
+            return list(default)
+        return numbers(self._given.get(name, ("", self.node))[1], name, self.text(name), count)
+
+    def number(self, name: str, default: float | None = None) -> float:
+        """One finite number."""
+        return self.numbers(name, 1, None if default is None else (default,))[0]
+
+    def positive(self, name: str, default: float | None = None) -> float:
+        """A number that is not negative."""
+        found = self.number(name, default)
+        if found < 0:
+            self.fail(name, f"{name} is {found:g}; it must not be negative")
+        return found
+
+    def fail(self, name: str, why: str) -> Never:
+        """Refuse an attribute, where it was given."""
+        self._given.get(name, ("", self.node))[1].fail(why)
+
+    def refuse(self, reasons: Mapping[str, str]) -> None:
+        """Refuse attributes by name, each with what is possible instead; those that are zero or false are fine."""
+        for name, instead in reasons.items():
+            if self.has(name):
+                value = self.text(name)
+                words = value.split()
+                if words and not all(word in ("0", "false", "auto", "none") or _zero(word) for word in words):
+                    self.fail(name, f'{name}="{value[:60]}" does not map: {instead}')
+
+    def done(self, harmless: Sequence[str] = ()) -> None:
+        """Refuse what was not taken and is not harmless."""
+        for name, (value, node) in self._given.items():
+            if name not in self._taken and name not in harmless:
+                node.fail(
+                    f'alfmu does not know what {name}="{value[:60]}" of <{self.node.tag}> does to the motion; '
+                    "leave it out if it does nothing"
+                )
+
+
+def numbers(node: Node, what: str, text: str, count: int | range) -> list[float]:
+    """So many finite numbers of a text; InputError with the line otherwise."""
+    words = text.split()
+    if len(words) > _LONGEST:
+        node.fail(f"{what} has {len(words)} numbers; alfmu reads {_LONGEST}")
+    found = []
+    for word in words:
+        try:
+            value = float(word)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value) or "_" in word:
+            node.fail(f"{what} has {shown(word[:40])}, which is no finite number")
+        found.append(value)
+    if not (len(found) in count if isinstance(count, range) else len(found) == count):
+        wanted = f"{count.start} to {count.stop - 1}" if isinstance(count, range) else str(count)
+        node.fail(f"{what} has {len(found)} numbers; give {wanted}")
+    return found
+
+
+def _zero(word: str) -> bool:
+    try:
+        return float(word) == 0
+    except ValueError:
+        return False
+
+
+def parsed(path: str | Path) -> Node:
+    """The root element of a file; InputError where it is not there, no XML, too large, or has a document type."""
+    path = Path(path)
+    try:
+        if not path.is_file():
+            raise InputError(f"there is no file {path}")
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror or error})") from None
+    if len(content) > LARGEST:
+        raise InputError(f"{path} has more than {LARGEST / 1e6:g} MB; alfmu reads descriptions up to that size")
+    return _Tree(path).of(content)
+
+
+class _Tree:
+    """Makes a tree of what expat reads."""
+
+    def __init__(self, path: Path):
+        self.path = path
+        self.open: list[Node] = []
+        self.root: Node | None = None
+        self.count = 0
+        self.parser = expat.ParserCreate()
+        self.parser.buffer_text = True
+        self.parser.StartElementHandler = self._start
+        self.parser.EndElementHandler = self._end
+        self.parser.CharacterDataHandler = self._text
+        self.parser.StartDoctypeDeclHandler = lambda *_: self._refuse("a document type (<!DOCTYPE>)")
+        self.parser.EntityDeclHandler = lambda *_: self._refuse("an entity")
+
+    def of(self, content: bytes) -> Node:
+        try:
+            self.parser.Parse(content, True)
+        except expat.ExpatError as error:
+            said = expat.errors.messages.get(error.code, "not well-formed")
+            raise InputError(f"{self.path}, line {error.lineno}: this is no XML ({said})") from None
+        except (ValueError, LookupError) as error:  # of encodings
+            raise InputError(f"{self.path}: this is no XML that alfmu can read ({error})") from None
+        assert self.root is not None
+        return self.root
+
+    def _refuse(self, what: str) -> Never:
+        line = self.parser.CurrentLineNumber
+        raise InputError(f"{self.path}, line {line}: the file has {what}, which alfmu does not read; leave it out")
+
+    def _start(self, tag: str, attributes: dict[str, str]) -> None:
+        self.count += 1
+        if len(self.open) >= DEEPEST:
+            self._refuse(f"elements more than {DEEPEST} deep")
+        if self.count > MOST:
+            self._refuse(f"more than {MOST} elements")
+        parent = self.open[-1] if self.open else None
+        node = Node(tag, attributes, self.path, self.parser.CurrentLineNumber, parent)
+        if parent is None:
+            self.root = node
+        else:
+            parent.children.append(node)
+        self.open.append(node)
+
+    def _end(self, _: str) -> None:
+        self.open.pop()
+
+    def _text(self, text: str) -> None:
+        if self.open:
+            self.open[-1].text += text
+
+
+def known(node: Node, name: str, there: Mapping[str, object], what: str) -> None:
+    """Refuse a name that refers to nothing."""
+    if name not in there:
+        node.fail(f"there is no {what} {shown(name[:60])}; {there_is(name, list(there))}")

@@ -1,0 +1,129 @@
+"""A declaration and its Python text, made by the same calls: what is loaded is what `alfmu import` writes."""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from ..model.mechanism import Mechanism
+
+__all__ = ["Named", "Script"]
+
+_WIDTH = 116
+"""Characters of a line."""
+
+_OWN = {"m", "ca", "Mechanism", "ground"}
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """A value with the text that makes it."""
+
+    value: Any
+    text: str
+    plain: bool = True
+    """Whether the text needs no brackets."""
+
+    def at(self, point: Sequence[float]) -> Named:
+        """A point of a body."""
+        given = ", ".join(map(written, point)) if any(point) else ""
+        return Named(self.value.at(*map(float, point)), f"{self.text}.at({given})")
+
+    def freedom(self, which: str) -> Named:
+        """One of a joint's free motions."""
+        return Named(self.value.freedom(which), f'{self.text}.freedom("{which}")')
+
+    def __add__(self, other: Named | float) -> Named:
+        return Named(self.value + value_of(other), f"{self.text} + {written(other)}", False)
+
+    def __sub__(self, other: Named | float) -> Named:
+        return Named(self.value - value_of(other), f"{self.text} - {_bracketed(other)}", False)
+
+    def __rmul__(self, factor: float) -> Named:
+        return Named(factor * self.value, f"{written(factor)} * {_bracketed(self)}", True)
+
+    def __mul__(self, other: Named) -> Named:
+        return Named(self.value * other.value, f"{_bracketed(self)} * {_bracketed(other)}", True)
+
+    def __pow__(self, power: int) -> Named:
+        return Named(self.value**power, f"{_bracketed(self)}**{power}", True)
+
+    def limited(self, low: float, high: float) -> Named:
+        """Not below one number nor above another."""
+        value = ca.fmin(ca.fmax(self.value, low), high)
+        return Named(value, f"ca.fmin(ca.fmax({self.text}, {written(low)}), {written(high)})")
+
+
+def value_of(thing: Any) -> Any:
+    """What calls are given."""
+    if isinstance(thing, Named):
+        return thing.value
+    if isinstance(thing, tuple | list):
+        return type(thing)(map(value_of, thing))
+    return thing
+
+
+def written(thing: Any) -> str:
+    """The Python text of a value; whole numbers without a point."""
+    if isinstance(thing, Named):
+        return thing.text
+    if isinstance(thing, str):
+        return '"' + repr("'" + thing)[2:-1].replace('"', '\\"').replace("\\'", "'") + '"'
+    if isinstance(thing, tuple | list):
+        inner = ", ".join(map(written, thing))
+        return f"[{inner}]" if isinstance(thing, list) else f"({inner}{',' * (len(thing) == 1)})"
+    if isinstance(thing, float) and thing.is_integer() and abs(thing) < 1e15:
+        return str(int(thing))
+    return repr(thing)
+
+
+def _bracketed(thing: Any) -> str:
+    text = written(thing)
+    return text if not isinstance(thing, Named) or thing.plain else f"({text})"
+
+
+class Script:
+    """Makes a mechanism by calls and writes them down."""
+
+    def __init__(self, name: str, description: str):
+        self.mechanism = Mechanism(name, description)
+        self._lines: list[str] = []
+        self.ground = Named(self.mechanism.spatial_ground, "m.spatial_ground")
+
+    def do(self, method: str, *arguments: Any, keep: str = "", **named: Any) -> Named:
+        """Call a method of the mechanism; `keep` is the name of what it returns, for later."""
+        made = getattr(self.mechanism, method)(
+            *map(value_of, arguments), **{name: value_of(x) for name, x in named.items()}
+        )
+        given = [*map(written, arguments), *(f"{name}={written(x)}" for name, x in named.items())]
+        variable = keep + "_" * (keyword.iskeyword(keep) or keep in _OWN)
+        begin = f"{variable + ' = ' if keep else ''}m.{method}("
+        line = f"{begin}{', '.join(given)})"
+        if len(line) > _WIDTH:
+            line = begin + "".join(f"\n    {each}," for each in given) + "\n)"
+        self._lines.append(line)
+        return Named(made, variable)
+
+    def rate(self, coordinate: Named) -> Named:
+        """The rate of a coordinate."""
+        return Named(self.mechanism.rate(coordinate.value), f"m.rate({coordinate.text})")
+
+    def remark(self, text: str) -> None:
+        """An empty line and a comment."""
+        self._lines += ["", f"# {text}"]
+
+    def text(self, function: str, docstring: str) -> str:
+        """The whole as a Python file with one function."""
+        body = "\n".join(self._lines)
+        head = [f'"""{docstring}"""', ""]
+        if "ca.f" in body:
+            head += ["import casadi as ca", ""]
+        name, description = written(self.mechanism.name), written(self.mechanism.description)
+        head += ["from alfmu import Mechanism", "", "", f"def {function}() -> Mechanism:"]
+        head += [f"    m = Mechanism({name}, {description})"]
+        lines = [f"    {line}" if line else "" for line in body.split("\n")]
+        return "\n".join([*head, *lines, "    return m", ""])

@@ -1,0 +1,284 @@
+"""URDF: a tree of links, and the extensions by which files close its loops.
+
+Loops: `<loop_joint>` with two links, `<drake:ball_constraint>`, and joints of SDF inside `<gazebo>`. `<mimic>` lets a
+joint follow another. Joints with a `<transmission>` get an input.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..model.words import shown
+from .linkage import Closure, Joint, Link, Linkage, Motor, place
+from .markup import Node, Reading, known, numbers
+from .poses import Array, Pose, quaternion, turned, vector
+from .sdf import ball_constraint, follow, joint_closure, joint_details
+from .solids import Inertial
+
+__all__ = ["read"]
+
+_KINDS = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "", "floating": "free"}
+_LOOPS = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "spherical": "spherical",
+    "ball": "spherical",
+    "fixed": "weld",
+    "prismatic": "prismatic",
+}
+_LEFT = {"visual": "visuals", "collision": "shapes of collisions", "sensor": "sensors"}
+
+
+def read(root: Node, base: str = "fixed") -> Linkage:
+    """The linkage of a URDF file; see `imported` for the options."""
+    if base not in ("fixed", "floating"):
+        root.fail(f"the base is {shown(base)}; take fixed or floating")
+    return _File(root, base).linkage
+
+
+class _File:
+    def __init__(self, root: Node, base: str):
+        given = Reading(root)
+        self.linkage = Linkage(given.text("name", ""), "URDF", root)
+        given.done([name for name in root.attributes if name.startswith(("xmlns", "version"))])
+        self.links: dict[str, Link] = {}
+        self.joints: dict[str, Joint] = {}
+        nodes = {each.attributes.get("name", ""): each for each in root.all("link")}
+        if len(nodes) < len(root.all("link")) or "" in nodes:
+            root.fail("two of its links have the same name, or one has none; names are used once")
+        for child in root.children:
+            self._section(child)
+        self._tree(nodes, root.all("joint"), base)
+        for child in root.all("loop_joint", "drake:loop_joint"):
+            self.linkage.closures.append(self._loop(child))
+        for child in root.all("drake:ball_constraint"):
+            self.linkage.closures.append(ball_constraint(child, self.links, len(self.linkage.closures)))
+        for child in root.all("gazebo"):
+            self._gazebo(child)
+        for child in root.all("transmission"):
+            self._transmission(child)
+
+    def _section(self, child: Node) -> None:
+        tag = child.tag
+        if tag.startswith("xacro:"):
+            child.fail("the file is written in xacro; expand it first (xacro robot.urdf.xacro > robot.urdf)")
+        if tag in ("material", "sensor"):
+            self.linkage.leave(f"{tag}s", child)
+        elif tag in ("mujoco", "ros2_control"):
+            self.linkage.leave(f"settings for other programs (<{tag}>)", child)
+        elif tag not in (
+            "link", "joint", "loop_joint", "drake:loop_joint", "drake:ball_constraint", "gazebo", "transmission",
+        ):  # fmt: skip
+            child.fail(f"<{tag}> does not map; alfmu takes links, joints, loop joints and transmissions")
+
+    # The tree ---------------------------------------------------------------------------------------------------
+
+    def _tree(self, nodes: dict[str, Node], joints: list[Node], base: str) -> None:
+        ends: dict[str, tuple[str, Node]] = {}
+        for joint in joints:
+            parent, child = (self._end(joint, each, nodes) for each in ("parent", "child"))
+            if child in ends:
+                joint.fail(
+                    f"{child} has two parents, by the joint in line {ends[child][1].line} too; close the loop by a "
+                    "<loop_joint>"
+                )
+            ends[child] = parent, joint
+        roots = [name for name in nodes if name not in ends]
+        if len(roots) != 1:
+            self.linkage.node.fail(
+                f"it has {len(roots)} links without a parent ({', '.join(roots[:4])}); a URDF is one tree with one root"
+            )
+        node = nodes[roots[0]]
+        link = self._link(node, None, Pose())
+        if base == "floating":
+            flying = Joint(f"{link.name}_free", "free", node, start=(0, 0, 0, 1, 0, 0, 0), rates=(0.0,) * 6)
+            link.joints.append(flying)
+        waiting = [name for name in nodes if name in ends]
+        mimics: list[tuple[Node, Joint]] = []
+        while waiting:
+            name = next((each for each in waiting if ends[each][0] in self.links), None)
+            if name is None:
+                ends[waiting[0]][1].fail("the links that it joins do not hang on the root; joints lead in a circle")
+            waiting.remove(name)
+            parent, joint = ends[name]
+            mimics += self._joint(joint, self._link(nodes[name], self.links[parent], self._origin(joint)))
+        for mimic, follower in mimics:
+            given = Reading(mimic)
+            leader = given.text("joint")
+            known(mimic, leader, self.joints, "joint that moves")
+            factor, offset = given.number("multiplier", 1.0), given.number("offset", 0.0)
+            given.done()
+            follow(self.linkage, mimic, follower, self.joints[leader], factor, offset)
+
+    def _end(self, joint: Node, which: str, nodes: dict[str, Node]) -> str:
+        child = joint.one(which)
+        if child is None:
+            joint.fail(f"it has no <{which}>; give one")
+        name = Reading(child).text("link")
+        known(child, name, nodes, "link")
+        return name
+
+    def _link(self, node: Node, parent: Link | None, pose: Pose) -> Link:
+        given = Reading(node)
+        name = given.text("name")
+        given.done(("type",))
+        for child in node.children:
+            if child.tag in _LEFT:
+                self.linkage.leave(_LEFT[child.tag], child)
+            elif child.tag != "inertial":
+                child.fail(f"<{child.tag}> of a link does not map; alfmu takes its inertial")
+        link = Link(name, node, parent, pose, self._inertial(node))
+        self.links[name] = link
+        self.linkage.links.append(link)
+        return link
+
+    def _inertial(self, link: Node) -> Inertial:
+        node = link.one("inertial")
+        if node is None:
+            return Inertial(0.0, np.zeros(3), np.zeros((3, 3)))
+        at = self._origin(node)
+        mass, inertia = node.one("mass"), node.one("inertia")
+        if mass is None:
+            node.fail("it has no <mass>; give one")
+        given = Reading(mass)
+        value = given.positive("value")
+        given.done()
+        matrix = np.zeros((3, 3))
+        if inertia is not None:
+            given = Reading(inertia)
+            xx, yy, zz = (given.number(each) for each in ("ixx", "iyy", "izz"))
+            xy, xz, yz = (given.number(each, 0.0) for each in ("ixy", "ixz", "iyz"))
+            given.done()
+            matrix = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        return Inertial(value, at.place, at.turn @ matrix @ at.turn.T)
+
+    def _origin(self, node: Node, tag: str = "origin") -> Pose:
+        child = node.one(tag)
+        return Pose() if child is None else self._posed(Reading(child))
+
+    def _posed(self, given: Reading) -> Pose:
+        """xyz and rpy of an element."""
+        found = vector(given.numbers("xyz", 3, (0, 0, 0))), given.numbers("rpy", 3, (0, 0, 0))
+        return Pose(found[0], turned("XYZ", found[1]))
+
+    def _axis(self, node: Node) -> Array:
+        child = node.one("axis")
+        if child is None:
+            return np.array((1.0, 0.0, 0.0))
+        given = Reading(child)
+        axis = vector(given.numbers("xyz", 3, (1, 0, 0)))
+        given.done()
+        if not np.linalg.norm(axis) > 0:
+            child.fail("the axis has no direction")
+        return axis
+
+    def _joint(self, node: Node, link: Link) -> list[tuple[Node, Joint]]:
+        """The joint that places a link; its mimic."""
+        given = Reading(node)
+        name, kind = given.text("name"), given.text("type")
+        given.done()
+        if kind not in _KINDS:
+            node.fail(
+                f"a joint of type {shown(kind[:40])} does not map; alfmu takes revolute, continuous, prismatic, fixed "
+                "and floating ones"
+            )
+        for child in node.children:
+            if child.tag in ("safety_controller", "calibration"):
+                self.linkage.leave(child.tag, child)
+            elif child.tag == "limit" and kind != "fixed":
+                x = Reading(child)
+                if kind != "continuous" and (x.number("lower", 0.0) or x.number("upper", 0.0)):
+                    self.linkage.warn("limits of joints", node)
+            elif child.tag not in ("origin", "parent", "child", "axis", "dynamics", "mimic", "limit"):
+                child.fail(f"<{child.tag}> of a joint does not map")
+        if kind == "fixed":
+            return []
+        if kind == "floating" and link.parent is not None and (link.parent.parent or link.parent.joints):
+            node.fail("a floating joint maps on the root of the tree alone")
+        if name in self.joints:
+            node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
+        axes = () if kind == "floating" else (self._axis(node),)
+        joint = Joint(name, _KINDS[kind], node, np.zeros(3), axes)
+        if kind == "floating":
+            at = place(link.parent, {}, {}) @ link.pose
+            link.parent, link.pose = None, at
+            joint.start, joint.rates = (*at.place.tolist(), *quaternion(at.turn).tolist()), (0.0,) * 6
+        if (dynamics := node.one("dynamics")) is not None:
+            given = Reading(dynamics)
+            joint.damping = (given.positive("damping", 0.0),)
+            given.refuse({"friction": "alfmu's dry friction follows from the reaction (`Mechanism.friction`)"})
+            given.done(("friction",))
+            if joint.damping[0] and kind == "floating":
+                dynamics.fail("damping of a floating joint does not map")
+        self.joints[name] = joint
+        link.joints.append(joint)
+        return [(mimic, joint)] if (mimic := node.one("mimic")) is not None else []
+
+    # Loops ------------------------------------------------------------------------------------------------------
+
+    def _loop(self, node: Node) -> Closure:
+        given = Reading(node)
+        name, kind = given.text("name"), given.text("type")
+        given.done()
+        if kind not in _LOOPS:
+            node.fail(f"a loop joint of type {shown(kind[:40])} does not map; alfmu takes {', '.join(_LOOPS)}")
+        ends = []
+        both = node.all("link1", "link2")
+        if len(both) != 2 or len(node.all("link2")) > 1:
+            node.fail("it joins two links; give <link1> and <link2>")
+        for each in both:
+            given = Reading(each)
+            link = given.text("link")
+            known(each, link, self.links, "link")
+            ends.append((self.links[link], self._posed(given)))
+            given.done()
+        axes = (self._axis(node),) if kind in ("revolute", "continuous", "prismatic") else ()
+        return Closure(name, _LOOPS[kind], node, ends[0], ends[1], axes)
+
+    def _gazebo(self, node: Node) -> None:
+        for child in node.children:
+            if child.tag == "joint" and "reference" not in node.attributes:
+                self.linkage.closures.append(self._gazebo_joint(child))
+            elif child.tag == "plugin":
+                self.linkage.warn("plugins, which are programs", child)
+            else:
+                self.linkage.leave("settings for Gazebo", child)
+
+    def _gazebo_joint(self, node: Node) -> Closure:
+        """A joint of SDF: its pose and its axes are in the frame of the child."""
+        ends = {}
+        for tag in ("parent", "child"):
+            child = node.one(tag)
+            if child is None:
+                node.fail(f"it has no <{tag}>; give one")
+            name = child.attributes.get("link", child.text.strip())
+            if name != "world":
+                known(child, name, self.links, "link")
+            ends[tag] = self.links.get(name)
+        posed = node.one("pose")
+        x = numbers(posed, "<pose>", posed.text, 6) if posed is not None else [0.0] * 6
+        if "name" not in node.attributes:
+            node.fail("it has no name; give one")
+
+        def axis_in(axis: Node) -> Array:
+            xyz = axis.one("xyz")
+            if xyz is None or xyz.attributes or axis.one("use_parent_model_frame") is not None:
+                axis.fail("alfmu takes <xyz> in the frame of the joint, without expressed_in")
+            return vector(numbers(xyz, "<xyz>", xyz.text, 3))
+
+        own = Pose(vector(x[:3]), turned("XYZ", x[3:]))
+        zeros: dict[Link, Pose] = {}
+        frame = place(ends["child"], {}, zeros) @ own
+        kind, details = joint_details(self.linkage, node, frame, axis_in)
+        places = [(link, place(link, {}, zeros).inverse @ frame) for link in (ends["parent"], ends["child"])]
+        return joint_closure(node, kind, details, places[0], places[1])
+
+    def _transmission(self, node: Node) -> None:
+        for each in node.all("joint"):
+            name = Reading(each).text("name")
+            known(each, name, self.joints, "joint that moves")
+            joint = self.joints[name]
+            if joint.follows is None and joint.kind in ("revolute", "prismatic"):
+                unit = "N" if joint.kind == "prismatic" else "N.m"
+                if not any(motor.joint is joint for motor in self.linkage.motors):
+                    self.linkage.motors.append(Motor(f"{name}_drive", each, joint, unit))

@@ -1,0 +1,289 @@
+"""Files of other programs: accelerations against MuJoCo's matrices, the three formats against each other, refusals."""
+
+import importlib.util
+import json
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from oracles.linkages import mujoco_accelerations
+
+import alfmu
+from alfmu.cli import main
+from alfmu.oracle import Instance
+
+HERE = Path(__file__).parent / "linkages"
+STORED = HERE / "accelerations.json"
+"""What `python tests/test_formats.py` writes, with MuJoCo; used where MuJoCo is not installed."""
+
+MUJOCO = importlib.util.find_spec("mujoco") is not None
+
+SCALAR = (2, 3)
+"""Types of joints with one coordinate in MuJoCo: slide and hinge."""
+
+Vector = np.ndarray
+
+
+def plain(name: str) -> str:
+    return name.replace(" ", "_")
+
+
+def product(a: Vector, b: Vector) -> Vector:
+    return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
+
+
+def matrix(e: Vector) -> Vector:
+    w, x = e[0], e[1:]
+    return (w * w - x @ x) * np.eye(3) + 2 * np.outer(x, x) + 2 * w * np.cross(x, np.eye(3)).T
+
+
+def moving(path: Path, seed: int) -> tuple[list[str], Vector, Vector, Vector, Vector]:
+    """Names of coordinates, places, rates, accelerations and inputs at random starts, loops closed by alfmu."""
+    rng = np.random.default_rng(seed)
+    mechanism = alfmu.imported(path).mechanism
+    i = Instance(mechanism)
+    i.set("solver.method", "rk4")
+    for s in mechanism.starts:
+        i.set(f"start.{s.name}", s.value + 0.2 * rng.normal())
+        i.set(f"start.{s.rate_name}", rng.normal())
+    i.initialize()
+    u = 2 * rng.normal(size=len(mechanism.inputs))
+    a = i.accelerations(i.q, i.v, u, 0.0, patience=100)[0]
+    return [c.name for c in i.equations.coordinates], i.q.copy(), i.v.copy(), a, u
+
+
+def by_mujoco(path: Path, names: list[str], q: Vector, v: Vector, a: Vector, u: Vector) -> tuple[Vector, Vector, float]:
+    """alfmu's accelerations in MuJoCo's coordinates, MuJoCo's at the same places and rates, and how loops open."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    for j in range(model.njnt):
+        at = model.jnt_qposadr[j]
+        # Body frames of alfmu are parallel to the ground where all coordinates are zero; quaternions begin as they are.
+        if model.jnt_type[j] in SCALAR:
+            data.qpos[at] = 0.0
+    mujoco.mj_forward(model, data)
+    zero = data.xmat.reshape(-1, 3, 3).copy()
+    places, rates, found = np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv)
+    for j in range(model.njnt):
+        at, d, body = model.jnt_qposadr[j], model.jnt_dofadr[j], model.jnt_bodyid[j]
+        name, link, R = plain(model.joint(j).name or ""), plain(model.body(body).name), zero[body]
+        kind = model.jnt_type[j]
+        if kind in SCALAR:
+            k = next(k for k, each in enumerate(names) if each in (f"{name}_angle", f"{name}_position"))
+            places[at], rates[d], found[d] = q[k], v[k], a[k]
+            continue
+        free = int(kind) == int(mujoco.mjtJoint.mjJNT_FREE)
+        k = [names.index(f"{link if free else name}_e{i}") for i in range(4)]
+        e, back = q[k], np.array([1, -1, -1, -1]) * q[k]
+        w, dw = 2 * product(back, v[k])[1:], 2 * product(back, a[k])[1:]
+        d, at = d + 3 * free, at + 3 * free
+        rates[d : d + 3], found[d : d + 3] = R.T @ w, R.T @ dw
+        places[at : at + 4] = e[0], *(R.T @ e[1:])
+        if free:
+            turn = matrix(e)
+            mujoco.mju_mat2Quat(places[at : at + 4], (turn @ R).ravel())
+            k, arm = [names.index(f"{link}_{x}") for x in "xyz"], -turn @ R @ model.body_ipos[body]
+            w, dw = turn @ w, turn @ dw
+            places[at - 3 : at] = q[k] + arm
+            rates[d - 3 : d] = v[k] + np.cross(w, arm)
+            found[d - 3 : d] = a[k] + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
+    return found, *mujoco_accelerations(path, places, rates, u)[::2]
+
+
+MJCF = ["five_bar", "spatial", "coupled", "slider_crank"]
+
+
+@pytest.mark.skipif(not MUJOCO, reason="MuJoCo is not installed (extra bench)")
+@pytest.mark.parametrize("name", MJCF)
+def test_accelerations_are_those_of_mujocos_matrices(name: str):
+    for seed in range(2):
+        found, reference, opens = by_mujoco(HERE / f"{name}.xml", *moving(HERE / f"{name}.xml", seed))
+        assert opens < 1e-12  # alfmu's rates fit MuJoCo's constraints
+        assert np.abs(reference).max() > 1
+        np.testing.assert_allclose(found, reference, atol=1e-10 * np.abs(reference).max(), rtol=0)
+
+
+@pytest.mark.parametrize("name", MJCF)
+def test_accelerations_are_those_stored(name: str):
+    """Of hinges and slides, at places and rates that are stored too."""
+    stored = json.loads(STORED.read_text())[name]
+    names, q, v, a, _ = moving(HERE / f"{name}.xml", 0)
+    np.testing.assert_allclose(q, stored["q"], atol=1e-11)
+    np.testing.assert_allclose(v, stored["v"], atol=1e-10)
+    found = [a[names.index(each)] for each in stored["mujoco"]]
+    reference = list(stored["mujoco"].values())
+    np.testing.assert_allclose(found, reference, atol=1e-10 * np.abs(reference).max(), rtol=0)
+
+
+def test_sdf_and_mjcf_of_one_mechanism_move_alike():
+    runs = [
+        alfmu.simulate(alfmu.imported(HERE / f"slider_crank.{kind}").mechanism, 0.5, 0.05,
+                       parameters={"solver.relative_tolerance": 1e-11})
+        for kind in ("sdf", "xml")
+    ]  # fmt: skip
+    assert np.ptp(runs[1]["main.angle"]) > 1
+    np.testing.assert_allclose(runs[0]["main.angle"], runs[1]["main.angle"], atol=1e-10)
+
+
+def four_bar_energy(crank: float, rate: float) -> tuple[float, float]:
+    """Kinetic and potential energy of four_bar.urdf, its loop closed by hand (law of cosines)."""
+    A = 0.2 * np.exp(1j * crank)
+    reach = 0.4 - A
+    coupler, rocker = np.sqrt(0.17), 0.3
+    at_a = np.arccos((coupler**2 + abs(reach) ** 2 - rocker**2) / (2 * coupler * abs(reach)))
+    th = np.angle(reach) + at_a
+    B = A + coupler * np.exp(1j * th)
+    # Rates: i w1 A + i w2 (B - A) = i w3 (B - 0.4)
+    M = np.array([[(B - A).real, -(B - 0.4).real], [(B - A).imag, -(B - 0.4).imag]])
+    w2, w3 = np.linalg.solve(M, -rate * np.array([A.real, A.imag]))
+    center = 0.2 + 0.02j
+    v2 = 1j * rate * A + 1j * w2 * center * np.exp(1j * th)
+    T = (1e-3 + 0.3 * 0.1**2) * rate**2 / 2 + (0.6 * abs(v2) ** 2 + 8e-3 * w2**2) / 2
+    T += (3.4e-3 + 0.45 * 0.15**2) * w3**2 / 2
+    height = 0.3 * (A / 2).imag + 0.6 * (A + center * np.exp(1j * th)).imag + 0.45 * ((B + 0.4) / 2).imag
+    return T, 9.81 * height
+
+
+def test_urdf_with_a_loop_joint_has_the_energy_of_the_four_bar():
+    with pytest.warns(alfmu.AlfmuWarning, match="limits of joints"):
+        m = alfmu.load(str(HERE / "four_bar.urdf"))
+    start = {"start.motor_angle": 0.4, "start.motor_angle_rate": 2.0, "solver.relative_tolerance": 1e-10}
+    run = alfmu.simulate(m, 0.3, 0.05, parameters=start)
+    energies = [
+        sum(four_bar_energy(np.pi / 2 - angle, -rate))
+        for angle, rate in zip(run["motor.angle"], run["motor.angular_velocity"], strict=True)
+    ]
+    kinetic, _ = four_bar_energy(np.pi / 2 - 0.4, -2.0)
+    assert kinetic > 0.01
+    # monitor.energy counts potential energy from another zero.
+    np.testing.assert_allclose(np.diff(run["monitor.energy"]), np.diff(energies), atol=1e-9)
+
+
+def test_python_text_declares_the_same_mechanism(tmp_path: Path, capsys: pytest.CaptureFixture):
+    written = tmp_path / "five.py"
+    assert main(["import", str(HERE / "five_bar.xml"), "-o", str(written)]) == 0
+    assert "joint left elbow is called left_elbow" in capsys.readouterr().out
+    own, other = (alfmu.simulate(str(path), 0.2, 0.02) for path in (written, HERE / "five_bar.xml"))
+    assert own.names == other.names
+    for name in ("left.angle", "tip_joint.force.z"):
+        np.testing.assert_array_equal(own[name], other[name])
+
+
+def test_an_fmu_of_a_file_runs_in_fmpy(tmp_path: Path):
+    path = tmp_path / "five.fmu"
+    alfmu.export(str(HERE / "five_bar.xml"), path)
+    run = fmpy.simulate_fmu(
+        str(path), stop_time=0.2, output_interval=0.02, output=["left.angle", "tip_joint.force.x"],
+        start_values={"left_motor": 0.3},
+    )  # fmt: skip
+    own = alfmu.simulate(str(HERE / "five_bar.xml"), 0.2, 0.02, inputs={"left_motor": 0.3})
+    assert run["time"][-1] == pytest.approx(0.2)
+    np.testing.assert_allclose(run["left.angle"], own["left.angle"], atol=1e-9)
+
+
+BODY = (
+    "<mujoco>{}<worldbody>"
+    '<body name="b"><joint name="j"{}/><geom name="g" size="0.1"{}/>{}</body></worldbody>{}</mujoco>'
+)
+
+
+def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", after: str = "") -> str:
+    return BODY.format(before, joint, geom, inner, after)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (mjcf(after="<tendon><spatial name='t'/></tendon>"), r"tendon/spatial\[t\]: a <spatial> does not map"),
+        (mjcf(geom=' type="mesh" mesh="m"'), r"body\[b\]/geom\[g\]: a geom of type 'mesh' gives no inertia"),
+        (mjcf(joint=' frictionloss="1"'), r"joint\[j\]: frictionloss=\"1\" does not map"),
+        (mjcf(joint=' springdamper="1 1"'), "give stiffness and damping"),
+        (mjcf(joint=' wobble="1"'), 'does not know what wobble="1" of <joint>'),
+        (mjcf(joint=' axis="0 0 0"'), "the axis has no direction"),
+        (mjcf(joint=' axis="0 nan 1"'), "which is no finite number"),
+        (mjcf(joint=' axis="0 1"'), "axis has 2 numbers; give 3"),
+        (mjcf(joint=' damping="1 2"'), "that depends on the displacement does not map"),
+        (mjcf(joint=' type="ball" stiffness="1"'), "spring of a ball joint does not map"),
+        (mjcf(before='<option density="1.2"/>'), "no medium around bodies"),
+        (mjcf(before='<compiler coordinate="global"/>'), "global coordinates do not map"),
+        (mjcf(before='<compiler settotalmass="3"/>'), "give the masses themselves"),
+        (mjcf(inner='<body name="c" mocap="true"/>'), "mocap"),
+        (mjcf(inner='<body name="b"><joint/></body>'), "there is a body 'b' already"),
+        (mjcf(inner='<composite type="cable"/>'), "<composite> does not map"),
+        (mjcf(after="<equality><tendon/></equality>"), "an equality of kind <tendon> does not map"),
+        (mjcf(after='<equality><connect body1="x" anchor="0 0 0"/></equality>'), "there is no body 'x'"),
+        (mjcf(after='<actuator><muscle joint="j"/></actuator>'), "an actuator of kind <muscle> does not map"),
+        (mjcf(after='<actuator><motor site="s"/></actuator>'), "site does not map"),
+        (mjcf(before='<include file="../x.xml"/>'), "outside the folder"),
+        (mjcf(before='<include file="x.xml"/>'), "there is no file 'x.xml'"),
+        ("<!DOCTYPE a [<!ENTITY b 'c'>]><mujoco/>", "document type"),
+        ("<mujoco>" + "<a>" * 300 + "</a>" * 300 + "</mujoco>", "more than 200 deep"),
+        ("<mujoco><body></mujoco>", r"line 1: this is no XML \(mismatched tag\)"),
+        ("<html/>", "alfmu reads <mujoco>"),
+        ("<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>", "nothing in it moves"),
+        ("<sdf version='1.4'><model name='m'/></sdf>", "alfmu reads 1.5 and later"),
+        ("<sdf version='1.9'><model name='m'><link name='l'/><joint name='j' type='gearbox'><parent>world</parent>"
+         "<child>l</child></joint></model></sdf>", r"joint\[j\]: a 'gearbox' joint does not map"),
+        ("<sdf version='1.9'><model name='m'><link name='l'><pose relative_to='f'/></link><frame name='f'><pose "
+         "relative_to='l'/></frame></model></sdf>", "in a circle"),
+        ("<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='planar'><parent link='a'/>"
+         "<child link='b'/></joint></robot>", "a joint of type 'planar' does not map"),
+        ("<robot name='r'><link name='a'/><link name='b'/></robot>", "2 links without a parent"),
+        ("<robot name='r'><link name='a'/><xacro:arm/></robot>", "expand it first"),
+    ],
+)  # fmt: skip
+def test_what_does_not_map_is_refused_by_name(text: str, said: str, tmp_path: Path):
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    with pytest.raises(alfmu.InputError, match=said) as error:
+        alfmu.load(str(path))
+    assert "robot.xml" in str(error.value)
+
+
+def test_contacts_are_refused_until_they_are_left_out(tmp_path: Path):
+    path = tmp_path / "robot.xml"
+    path.write_text(mjcf().replace("<worldbody>", '<worldbody><geom type="plane" size="1 1 1"/>'))
+    with pytest.raises(alfmu.InputError, match="could touch, of world and b; contacts do not map"):
+        alfmu.load(str(path))
+    assert alfmu.load(str(path), contacts="leave").coordinates
+
+
+def test_a_keyframe_is_the_start_and_drives_are_inputs(tmp_path: Path):
+    path = tmp_path / "robot.xml"
+    path.write_text(mjcf(after='<keyframe><key name="up" qpos="0.7" qvel="-2"/></keyframe>'))
+    m = alfmu.load(str(path), key="up", drives="j")
+    assert (m.starts[0].value, m.starts[0].rate) == (0.7, -2)
+    assert [x.name for x in m.inputs] == ["j_drive"]
+    with pytest.raises(alfmu.InputError, match="there is no keyframe 'down'"):
+        alfmu.load(str(path), key="down")
+
+
+def test_urdf_mimic_and_gazebo_joints(tmp_path: Path):
+    arm = "<inertial><origin xyz='0 0 -0.1'/><mass value='1'/><inertia ixx='1e-2' iyy='1e-2' izz='1e-2'/></inertial>"
+    joint = "<joint name='{0}' type='continuous'><parent link='a'/><child link='{0}l'/><axis xyz='0 1 0'/>{1}</joint>"
+    text = f"<robot name='r'><link name='a'/><link name='bl'>{arm}</link><link name='cl'>{arm}</link>"
+    text += joint.format("b", "") + joint.format("c", "<mimic joint='b' multiplier='-2' offset='0.1'/>")
+    path = tmp_path / "r.urdf"
+    path.write_text(text + "</robot>")
+    run = alfmu.simulate(str(path), 0.5, 0.1, parameters={"start.b_angle": 0.5})
+    np.testing.assert_allclose(run["c.angle"], 0.1 - 2 * run["b.angle"], atol=1e-12)
+    assert abs(run["b.angle"][-1] - 0.5) > 0.01
+    fixed = "<gazebo><joint name='w' type='fixed'><parent>a</parent><child>cl</child></joint></gazebo></robot>"
+    path.write_text(text.replace("<mimic joint='b' multiplier='-2' offset='0.1'/>", "") + fixed)
+    run = alfmu.simulate(str(path), 0.2, 0.1, parameters={"start.b_angle": 0.5})
+    np.testing.assert_allclose(run["c.angle"], 0.0, atol=1e-12)
+
+
+if __name__ == "__main__":
+    values = {}
+    for each in MJCF:
+        names, q, v, a, u = moving(HERE / f"{each}.xml", 0)
+        found, reference, _ = by_mujoco(HERE / f"{each}.xml", names, q, v, a, u)
+        scalar = [name for name in names if name.endswith(("_angle", "_position"))]
+        # Which of MuJoCo's accelerations is which is known by alfmu's, which agree to ten digits.
+        nearest = {name: float(reference[np.abs(found - a[names.index(name)]).argmin()]) for name in scalar}
+        values[each] = {"q": q.tolist(), "v": v.tolist(), "mujoco": nearest}
+    STORED.write_text(json.dumps(values, indent=1) + "\n")
