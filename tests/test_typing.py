@@ -27,7 +27,7 @@ from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, Exp
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
 from alfmu import Imported, imported
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
-from alfmu import validate
+from alfmu import Derivatives, Fit, Gradient, derivatives, fit, gradient, validate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -85,11 +85,18 @@ reveal_type(linear.A)
 reveal_type(linearize(pendulum(), [0.0, 1.0]))
 reveal_type(mobility(pendulum(), stop_time=0.0).groups[0].rows)
 simulate(pendulum(), start=rest)
+changes: Derivatives = derivatives(pendulum(), ["m"], 1.0)
+reveal_type(changes["rod.angle", "m"])
+slope: Gradient = gradient(pendulum(), "rod.angle", ["m"], 1.0)
+reveal_type(slope["m"])
+fitted: Fit = fit(pendulum(), r, ["m"], bounds={"m": (0.1, 2.0)})
+reveal_type(fitted.plot())
 """
 
 REVEALED = (
     *("Result", "float64", "float64", "Result", "list[", "str", "str"),
     *("float", "str", "float64", "str", "Path", "int", "bool", "float64", "Linearization", "str"),
+    *("float64", "float", "Figure"),
 )
 """What stands in the types that checkers reveal, in their order."""
 
