@@ -379,7 +379,7 @@ class _Declaring:
 
     def _motor(self, motor: Motor) -> None:
         name = self._name(motor.name, "motor")
-        u = self.script.do("input", name, motor.unit, keep=name)
+        u = self.script.do("input", name, motor.unit, **({"start": motor.start} if motor.start else {}), keep=name)
         if motor.control is not None:
             u = u.limited(*motor.control)
         q = self.coordinates[motor.joint][0]

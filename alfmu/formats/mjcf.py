@@ -68,6 +68,11 @@ _DYNAMICS = (
 )  # fmt: skip
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
+_FLAGS = {
+    "actuation", "autoreset", "clampctrl", "constraint", "contact", "damper", "diagexact", "energy", "equality",
+    "eulerdamp", "filterparent", "frictionloss", "fwdinv", "gravity", "invdiscrete", "island", "limit", "midphase",
+    "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sleep", "spring", "warmstart",
+}  # fmt: skip
 _DEEPEST = 8
 """Files that include each other."""
 
@@ -197,7 +202,8 @@ class _File:
                  "sdf_iterations", "sdf_initpoints", "impratio", "magnetic", "o_margin", "o_solref", "o_solimp",
                  "o_friction", "actuatorgroupdisable", "apirate", "sleep_tolerance")
             )  # fmt: skip
-            given.refuse({"actuatorgroupdisable": "leave the actuators out"})
+            if given.has("actuatorgroupdisable"):
+                given.fail("actuatorgroupdisable", "actuatorgroupdisable does not map; leave the actuators out")
             for flags in node.all("flag"):
                 self._flags(Reading(flags), found)
         if "gravity" in found.off:
@@ -206,17 +212,20 @@ class _File:
 
     def _flags(self, given: Reading, found: _Settings) -> None:
         for name in given.node.attributes:
-            state = given.choice(name, ("enable", "disable"))
-            if state == "disable" and name in ("gravity", "equality", "constraint", "contact", "limit", "frictionloss"):
+            if given.choice(name, ("enable", "disable")) == "disable":
                 found.off.add(name)
-            elif state == "disable" and name in ("passive", "spring", "damper", "actuation", "clampctrl"):
-                given.fail(name, f'{name}="disable" does not map; leave out what it disables')
-            elif state == "enable" and name == "override":
+                if name in ("passive", "spring", "damper", "actuation", "clampctrl"):
+                    given.fail(name, f'{name}="disable" does not map; leave out what it disables')
+            elif name == "override":
                 given.fail(name, 'override="enable" does not map: contacts are not taken')
+            if name not in _FLAGS:
+                given.fail(name, f"alfmu does not know the flag {name}; leave it out if it does nothing to the motion")
 
     def _default(self, node: Node, parent: str | None) -> None:
         given = Reading(node)
         name = given.text("class", "main" if parent is None else None)
+        if parent is None and name != "main":
+            given.fail("class", f"the outermost default class is called {shown(name[:40])}; its name is main")
         given.done()
         known_before = self.defaults.get(name, {}) if parent is None else {}
         self.defaults[name] = {tag: dict(x) for tag, x in (self.defaults[parent] if parent else known_before).items()}
@@ -398,6 +407,7 @@ class _File:
             )
         given.refuse({"springdamper": "give stiffness and damping"})
         given.refuse({"actuatorgravcomp": "alfmu's gravity acts on all bodies"})
+        given.refuse({"align": "it moves frames, not bodies; leave it out"})
         limits = given.numbers("range", 2, (0.0, 0.0))
         limited = given.text("limited", "auto")
         if (limited == "true" or (limited == "auto" and self.settings.autolimits and any(limits))) and (
@@ -492,7 +502,7 @@ class _File:
                 self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
             else:
                 self.linkage.closures.append(self._equality(given, name))
-            given.done(("class", "solref", "solimp", "torquescale", "user", "anchor", "relpose"))
+            given.done(("class", "solref", "solimp", "user", "anchor", "relpose"))
 
     def _scalar(self, given: Reading, which: str) -> Joint:
         name = given.text(which)
@@ -519,6 +529,8 @@ class _File:
             return Closure(name, kind, node, (first, Pose(anchor)), (second, Pose(apart.inverse.at(anchor))))
         # The anchor is in the frame of the second body.
         anchor = vector(given.numbers("anchor", 3, (0, 0, 0)))
+        if not given.number("torquescale", 1.0) > 0:
+            given.fail("torquescale", "a weld that leaves turns free does not map; use connect")
         posed = given.numbers("relpose", 7, (0, 1, 0, 0, 0, 0, 0))
         if any(posed[3:]):
             # MuJoCo holds the anchor at the place of relpose itself.
@@ -606,7 +618,8 @@ class _File:
                 if a is b or not (type1 & affinity2 or type2 & affinity1):
                     continue
                 # MuJoCo leaves out contacts of a body with its parent, unless that is the world.
-                if a is not None and b is not None and (_moving(a.parent) is b or _moving(b.parent) is a):
+                related = a is not None and b is not None and (_moving(a.parent) is b or _moving(b.parent) is a)
+                if related and "filterparent" not in self.settings.off:
                     continue
                 names = [link.name if link is not None else "world" for link in (two, one)]
                 if frozenset(names) not in excluded:
@@ -634,7 +647,11 @@ class _File:
         positions = given.numbers("qpos", sum(a for a, _ in sizes)) if given.has("qpos") else None
         rates = given.numbers("qvel", sum(b for _, b in sizes)) if given.has("qvel") else None
         given.refuse(dict.fromkeys(("act", "mpos", "mquat"), "alfmu has no such state"))
-        given.done(("name", "time", "ctrl", "mpos", "mquat", "act"))
+        if given.has("ctrl"):
+            motors = self.linkage.motors
+            for motor, x in zip(motors, given.numbers("ctrl", len(motors)), strict=True):
+                motor.start = x
+        given.done(("name", "time"))
         for joint, (a, b) in zip(self.linkage.joints, sizes, strict=True):
             if positions is not None:
                 joint.start, positions = tuple(positions[:a]), positions[a:]

@@ -128,6 +128,8 @@ class _File:
                 child.fail(f"<{child.tag}> of a world does not map; alfmu takes a model and gravity")
             if child.tag == "plugin":
                 self.linkage.warn(_PROGRAMS, child)
+            if child.tag == "physics" and child.one("gravity") is not None:
+                child.fail("gravity stands in <physics>, as in old files; put it into <world>")
         if world.one("gravity") is not None:
             gravity = world.one("gravity")
             assert gravity is not None
@@ -365,6 +367,7 @@ class _File:
         follow(self.linkage, node, joint, self.made[name], factor, offset - factor * reference)
 
 
+_LIMITS = {"lower": -1e16, "upper": 1e16, "effort": -1.0, "velocity": -1.0}
 _MIMIC = {"multiplier": 1.0, "offset": 0.0, "reference": 0.0}
 
 
@@ -422,8 +425,8 @@ def _axis(linkage: Linkage, axis: Node, found: dict) -> None:
         if child.tag == "mimic":
             found["mimic"].append(child)
         elif child.tag == "limit":
-            bounds = [number(child, each, x) for each, x in (("lower", -1e16), ("upper", 1e16))]
-            if max(map(abs, bounds)) < 1e15:
+            low, high, effort, speed = (number(child, each, x) for each, x in _LIMITS.items())
+            if min(abs(low), abs(high)) < 1e15 or any(0 <= x < 1e15 for x in (effort, speed)):
                 linkage.warn("limits of joints", child.parent.parent)  # type: ignore[union-attr,list-item]
         elif child.tag not in ("xyz", "dynamics", "use_parent_model_frame", "initial_position"):
             child.fail(f"<{child.tag}> of an axis does not map")

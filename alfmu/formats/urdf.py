@@ -28,6 +28,13 @@ _LOOPS = {
 }
 _LEFT = {"visual": "visuals", "collision": "shapes of collisions", "sensor": "sensors"}
 
+_MOVING = {
+    "turnGravityOff": "alfmu's gravity acts on all bodies",
+    "dampingFactor": "give joints damping",
+    "springStiffness": "declare the spring in the file that `alfmu import` writes",
+}
+"""Settings for Gazebo that change how something moves, with what is possible instead."""
+
 
 def read(root: Node, base: str = "fixed") -> Linkage:
     """The linkage of a URDF file; see `imported` for the options."""
@@ -114,7 +121,9 @@ class _File:
         child = joint.one(which)
         if child is None:
             joint.fail(f"it has no <{which}>; give one")
-        name = Reading(child).text("link")
+        given = Reading(child)
+        name = given.text("link")
+        given.done()
         known(child, name, nodes, "link")
         return name
 
@@ -154,7 +163,12 @@ class _File:
 
     def _origin(self, node: Node, tag: str = "origin") -> Pose:
         child = node.one(tag)
-        return Pose() if child is None else self._posed(Reading(child))
+        if child is None:
+            return Pose()
+        given = Reading(child)
+        found = self._posed(given)
+        given.done()
+        return found
 
     def _posed(self, given: Reading) -> Pose:
         """xyz and rpy of an element."""
@@ -187,7 +201,9 @@ class _File:
                 self.linkage.leave(child.tag, child)
             elif child.tag == "limit" and kind != "fixed":
                 x = Reading(child)
-                if kind != "continuous" and (x.number("lower", 0.0) or x.number("upper", 0.0)):
+                limits = [x.number(each, 0.0) for each in ("lower", "upper", "effort", "velocity")]
+                x.done()
+                if kind != "continuous" or any(limits[2:]):
                     self.linkage.warn("limits of joints", node)
             elif child.tag not in ("origin", "parent", "child", "axis", "dynamics", "mimic", "limit"):
                 child.fail(f"<{child.tag}> of a joint does not map")
@@ -242,6 +258,8 @@ class _File:
             elif child.tag == "plugin":
                 self.linkage.warn("plugins, which are programs", child)
             else:
+                if child.tag in _MOVING and child.text.strip().lower() not in ("", "0", "0.0", "false"):
+                    child.fail(f"<{child.tag}> does not map: {_MOVING[child.tag]}")
                 self.linkage.leave("settings for Gazebo", child)
 
     def _gazebo_joint(self, node: Node) -> Closure:
@@ -274,6 +292,11 @@ class _File:
         return joint_closure(node, kind, details, places[0], places[1])
 
     def _transmission(self, node: Node) -> None:
+        for each in node.below():
+            if each.tag in ("drake:rotor_inertia", "drake:gear_ratio"):
+                each.fail("the inertia of a rotor does not map; declare it in the file that `alfmu import` writes")
+            if each.tag == "mechanicalReduction":
+                self.linkage.note("inputs of transmissions are efforts of the joints, not of the actuators", node)
         for each in node.all("joint"):
             name = Reading(each).text("name")
             known(each, name, self.joints, "joint that moves")
