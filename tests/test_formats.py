@@ -7,91 +7,16 @@ from pathlib import Path
 import fmpy
 import numpy as np
 import pytest
-from oracles.linkages import mujoco_accelerations
+from oracles.linkages import by_mujoco, moving
 
 import alfmu
 from alfmu.cli import main
-from alfmu.oracle import Instance
 
 HERE = Path(__file__).parent / "linkages"
 STORED = HERE / "accelerations.json"
 """What `python tests/test_formats.py` writes, with MuJoCo; used where MuJoCo is not installed."""
 
 MUJOCO = importlib.util.find_spec("mujoco") is not None
-
-SCALAR = (2, 3)
-"""Types of joints with one coordinate in MuJoCo: slide and hinge."""
-
-Vector = np.ndarray
-
-
-def plain(name: str) -> str:
-    return name.replace(" ", "_")
-
-
-def product(a: Vector, b: Vector) -> Vector:
-    return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
-
-
-def matrix(e: Vector) -> Vector:
-    w, x = e[0], e[1:]
-    return (w * w - x @ x) * np.eye(3) + 2 * np.outer(x, x) + 2 * w * np.cross(x, np.eye(3)).T
-
-
-def moving(path: Path, seed: int) -> tuple[list[str], Vector, Vector, Vector, Vector]:
-    """Names of coordinates, places, rates, accelerations and inputs at random starts, loops closed by alfmu."""
-    rng = np.random.default_rng(seed)
-    mechanism = alfmu.imported(path).mechanism
-    i = Instance(mechanism)
-    i.set("solver.method", "rk4")
-    for s in mechanism.starts:
-        i.set(f"start.{s.name}", s.value + 0.2 * rng.normal())
-        i.set(f"start.{s.rate_name}", rng.normal())
-    i.initialize()
-    u = 2 * rng.normal(size=len(mechanism.inputs))
-    a = i.accelerations(i.q, i.v, u, 0.0, patience=100)[0]
-    return [c.name for c in i.equations.coordinates], i.q.copy(), i.v.copy(), a, u
-
-
-def by_mujoco(path: Path, names: list[str], q: Vector, v: Vector, a: Vector, u: Vector) -> tuple[Vector, Vector, float]:
-    """alfmu's accelerations in MuJoCo's coordinates, MuJoCo's at the same places and rates, and how loops open."""
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data = mujoco.MjData(model)
-    for j in range(model.njnt):
-        at = model.jnt_qposadr[j]
-        # Body frames of alfmu are parallel to the ground where all coordinates are zero; quaternions begin as they are.
-        if model.jnt_type[j] in SCALAR:
-            data.qpos[at] = 0.0
-    mujoco.mj_forward(model, data)
-    zero = data.xmat.reshape(-1, 3, 3).copy()
-    places, rates, found = np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv)
-    for j in range(model.njnt):
-        at, d, body = model.jnt_qposadr[j], model.jnt_dofadr[j], model.jnt_bodyid[j]
-        name, link, R = plain(model.joint(j).name or ""), plain(model.body(body).name), zero[body]
-        kind = model.jnt_type[j]
-        if kind in SCALAR:
-            k = next(k for k, each in enumerate(names) if each in (f"{name}_angle", f"{name}_position"))
-            places[at], rates[d], found[d] = q[k], v[k], a[k]
-            continue
-        free = int(kind) == int(mujoco.mjtJoint.mjJNT_FREE)
-        k = [names.index(f"{link if free else name}_e{i}") for i in range(4)]
-        e, back = q[k], np.array([1, -1, -1, -1]) * q[k]
-        w, dw = 2 * product(back, v[k])[1:], 2 * product(back, a[k])[1:]
-        d, at = d + 3 * free, at + 3 * free
-        rates[d : d + 3], found[d : d + 3] = R.T @ w, R.T @ dw
-        places[at : at + 4] = e[0], *(R.T @ e[1:])
-        if free:
-            turn = matrix(e)
-            mujoco.mju_mat2Quat(places[at : at + 4], (turn @ R).ravel())
-            k, arm = [names.index(f"{link}_{x}") for x in "xyz"], -turn @ R @ model.body_ipos[body]
-            w, dw = turn @ w, turn @ dw
-            places[at - 3 : at] = q[k] + arm
-            rates[d - 3 : d] = v[k] + np.cross(w, arm)
-            found[d - 3 : d] = a[k] + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
-    return found, *mujoco_accelerations(path, places, rates, u)[::2]
-
 
 MJCF = ["five_bar", "spatial", "coupled", "slider_crank"]
 
