@@ -157,9 +157,13 @@ def mujoco_accelerations(
             rows.append(row[None])
             drifts.append(np.array([drift]))
             continue
-        assert model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_BODY
-        anchor = model.eq_data[i, :3] if kind == mujoco.mjtEq.mjEQ_CONNECT else model.eq_data[i, 3:6]
-        other = model.eq_data[i, 3:6] if kind == mujoco.mjtEq.mjEQ_CONNECT else model.eq_data[i, :3]
+        if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
+            anchor, other = model.site_pos[[one, two]]
+            one, two = model.site_bodyid[[one, two]]
+        else:
+            anchor, other = model.eq_data[i, :3], model.eq_data[i, 3:6]
+            if kind == mujoco.mjtEq.mjEQ_WELD:
+                anchor, other = other, anchor
         # What stands in the first and the second body.
         p1 = data.xpos[one] + data.xmat[one].reshape(3, 3) @ anchor
         p2 = data.xpos[two] + data.xmat[two].reshape(3, 3) @ other
