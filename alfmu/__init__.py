@@ -27,7 +27,10 @@ _HOME = {
     "Recipe": "fmi.recipe",
     "Result": "result",
     "StepError": "model.errors",
+    "System": "systems.system",
+    "Sweep": "sweeps.results",
     "WriteError": "model.errors",
+    "couple": "systems.coupling",
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
@@ -37,6 +40,8 @@ _HOME = {
     "mechanisms": "model.registry",
     "mobility": "analysis.freedoms",
     "simulate": "simulation",
+    "sweep": "sweeps.sweep",
+    "validate": "fmi.checks.validation",
 }
 """Public name -> module; imported when first used."""
 
@@ -49,6 +54,7 @@ if TYPE_CHECKING:
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
     from .equations import Equations as Equations
+    from .fmi.checks.validation import validate as validate
     from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
     from .formats import Imported as Imported
@@ -72,6 +78,10 @@ if TYPE_CHECKING:
     from .runtime import Instance as Instance
     from .runtime.reuse import derive as derive
     from .simulation import simulate as simulate
+    from .sweeps.results import Sweep as Sweep
+    from .sweeps.sweep import sweep as sweep
+    from .systems.coupling import couple as couple
+    from .systems.system import System as System
 
     __version__: str
 

@@ -87,7 +87,7 @@ def simulate(
     """Run a mechanism from 0 to `stop_time` [s] with communication steps of `communication_step` [s].
 
     `mechanism` is a `Mechanism`, a Python file that declares one, the name of a mechanism or of a recipe, an `.fmu`
-    file, a `Recipe`, or equations.
+    file, a `Recipe`, or equations; an `.ssp` or a `.toml` file is a connected system (`alfmu.System`).
 
     `parameters` sets parameters, start values and solver variables by name, such as `solver.method`. `inputs` gives
     each input by name as a number, a function of time [s], or a table (times, values) between whose points it is
@@ -107,6 +107,17 @@ def simulate(
     that has begun, the exception's `result` has the rows up to then.
     """
     given: dict[str, float | str] = dict(parameters or {})
+    if isinstance(mechanism, str | Path) and str(mechanism).lower().endswith((".ssp", ".toml")):
+        if not (outputs is freeze is kernel is start is None):
+            raise InputError(
+                f"{mechanism}: outputs, frozen parameters, the kernel and the start are those of its components; give "
+                "them there"
+            )
+        from .systems.system import System
+
+        system = System.load(mechanism)
+        more: dict[str, Any] = {"inputs": inputs, "parameters": given, "held_rows": held_rows, "progress": progress}
+        return system.simulate(stop_time, communication_step, **more)
     how: dict[str, Any] = {"inputs": inputs, "progress": progress, "held_rows": held_rows}
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
         if not (outputs is freeze is kernel is start is None):

@@ -28,6 +28,8 @@ ROOMS: dict[str, set[str]] = {
     "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
     "analysis": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
+    "systems": {"equations", "files", "fmi", "model", "parts", "result", "runtime", "simulation", "view"},
+    "sweeps": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies"},
     "cli": {
         "analysis",
         "equations",
@@ -40,6 +42,8 @@ ROOMS: dict[str, set[str]] = {
         "runtime",
         "simulation",
         "studies",
+        "systems",
+        "sweeps",
         "view",
     },
     "__main__": {"cli"},
@@ -49,7 +53,7 @@ ROOMS: dict[str, set[str]] = {
 LATE: dict[str, set[str]] = {
     "model": {"equations", "formats", "result", "view"},
     "result": {"view"},
-    "simulation": {"analysis", "fmi"},
+    "simulation": {"analysis", "fmi", "systems"},
     "fmi": {"analysis"},
 }
 """Room -> the rooms above it that it imports when it is asked to, or for types alone: `Mechanism.draw()`,

@@ -274,6 +274,8 @@ def _at_the_start(variables: Sequence[tuple[str, Variable]], output: Variable) -
     Those are parameters, Boolean inputs, which take effect at once at the start, and what the output follows later too.
     """
     later = {f"solver.{name}" for name in _LATER}
+    if output.name == "monitor.iterations":  # which says what the start took, and methods count differently
+        later -= {"solver.method"}
     return [
         i
         for i, (causality, v) in enumerate(variables)

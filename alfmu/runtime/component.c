@@ -306,7 +306,9 @@ Status component_get(Component *c, const unsigned *references, size_t count, voi
 {
     Instance *i;
     int outputs = 0, finite = 1;
-    if (!component_in(c, KNOWN, call) || !addressed(c, references, count, values, value_count, form, call))
+    /* FMI 3 gives start values as soon as there is an instance, FMI 2 when initialisation has begun. */
+    const int phases = component_good(c) && c->has_time ? KNOWN | INSTANTIATED : KNOWN;
+    if (!component_in(c, phases, call) || !addressed(c, references, count, values, value_count, form, call))
         return WRONG;
     i = c->instance;
     for (size_t k = 0; k < count; k++)

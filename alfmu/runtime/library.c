@@ -146,6 +146,12 @@ API int alfmu_tolerate(Instance *i, double tolerance)
     return (int)instance_tolerate(i, tolerance);
 }
 
+/* How an input changes in the next communication step, per second; it is held in those after it. */
+API int alfmu_slope(Instance *i, int reference, double value)
+{
+    return (int)instance_set_slope(i, reference, value);
+}
+
 /* From here on parameters are fixed, or can be changed again. */
 API void alfmu_run_on(Instance *i, int running)
 {

@@ -64,6 +64,7 @@ _SIGNATURES = {
     "get_many": (c_int, c_void_p, c_void_p, c_int, c_void_p),
     "time": (c_double, c_void_p),
     "set_time": (None, c_void_p, c_double),
+    "slope": (c_int, c_void_p, c_int, c_double),
     "tolerate": (c_int, c_void_p, c_double),
     "run_on": (None, c_void_p, c_int),
     "initialized": (c_int, c_void_p),
@@ -219,13 +220,21 @@ class Unit:
     def reset(self) -> None:
         self.scene.library.alfmu_reset(self.address)
 
+    def _known(self, references: Sequence[int]) -> None:
+        """IndexError where no variable has one of these value references; the library would read beside its memory."""
+        for each in references:
+            if not 0 <= each < len(self.scene.kinds):
+                raise IndexError(f"{self.scene.name}: no variable has the value reference {each}")
+
     def set(self, reference: int, value: float | str) -> int:
+        self._known([reference])
         c = self.scene.library
         if self.scene.kinds[reference] == "choice":
             return c.alfmu_choose(self.address, reference, str(value).encode())
         return c.alfmu_set(self.address, reference, value)
 
     def get(self, reference: int) -> float | str:
+        self._known([reference])
         if self.scene.kinds[reference] == "choice":
             return self.scene.library.alfmu_chosen(self.address, reference).decode()
         return self._get(self._address, reference)
@@ -234,12 +243,17 @@ class Unit:
         """The outcome of reading, and the values; NaN where outputs cannot be computed."""
         key = tuple(references)
         if key not in self._many:
+            self._known(key)
             if len(self._many) > _KEPT:
                 self._many.clear()
             self._many[key] = (c_int * len(key))(*key), (c_double * len(key))()
         wanted, values = self._many[key]
         outcome = self.scene.library.alfmu_get_many(self.address, wanted, len(key), values)
         return outcome, values[:]
+
+    def slope(self, reference: int, value: float) -> int:
+        """How an input changes in the next communication step, per second."""
+        return self.scene.library.alfmu_slope(self.address, reference, value)
 
     def tolerate(self, tolerance: float) -> int:
         return self.scene.library.alfmu_tolerate(self.address, tolerance)
