@@ -26,6 +26,9 @@ __all__ = ["declared", "plain_name"]
 _RANK = 1e-9
 """Singular value of constraints, by the largest, below which one is zero: files give places to some ten digits."""
 
+_LONGEST = 60
+"""Characters of a name: with words behind it, a line of Python holds it."""
+
 _BESIDE = 1e-2
 """Distance [m, rad] of a place beside the start: far from round-off, near on the scale of mechanisms."""
 
@@ -62,7 +65,7 @@ _METHODS = {
 
 def plain_name(name: str) -> str:
     """A name in letters, digits and underscores."""
-    plain = re.sub(r"[^A-Za-z0-9_]+", "_", name)[:100].strip("_") or "part"
+    plain = re.sub(r"[^A-Za-z0-9_]+", "_", name)[:_LONGEST].strip("_") or "part"
     return plain if re.match(r"[A-Za-z]", plain) else f"n{plain}"
 
 
