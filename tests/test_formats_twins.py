@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from oracles import chains
 from oracles.linkages import by_mujoco, moving
+from scipy.integrate import solve_ivp
 
 import alfmu
 
@@ -115,3 +116,51 @@ def test_loops_closed_at_sites(kind: str, tmp_path: Path):
     }
     twin = chains.mjcf(chain, sites, f'<{kind} site1="l0" site2="l7"/>')
     judge(tmp_path, "chain.xml", twin.replace("{}", "-9.81"), twin, -9.81)
+
+
+def test_a_parallelogram_that_starts_flat_turns_as_its_pendulum(tmp_path: Path):
+    """Two motions begin there; that of both cranks alike is taken, by one start value."""
+    rod = '<geom type="box" size="0.01" mass="{}" fromto="0 0 0 {} 0 0"/>'
+    crank, coupler = rod.format(0.3, 0.2), rod.format(0.5, 0.4)
+    path = tmp_path / "flat.xml"
+    path.write_text(
+        '<mujoco><option><flag contact="disable"/></option><default><joint axis="0 -1 0"/></default><worldbody>'
+        f'<body><joint name="left"/>{crank}<body name="b" pos="0.2 0 0"><joint/>{coupler}</body></body>'
+        f'<body name="c" pos="0.4 0 0"><joint name="right"/>{crank}</body></worldbody>'
+        '<equality><connect body1="b" body2="c" anchor="0.4 0 0"/></equality></mujoco>'
+    )
+    mechanism = alfmu.imported(path).mechanism
+    assert [s.name for s in mechanism.starts] == ["left_angle"]
+    run = alfmu.simulate(mechanism, 0.6, 0.02, parameters={"solver.relative_tolerance": 1e-9})
+    # A thin box with square ends of 2 cm about its end; the coupler moves on a circle without turning.
+    about = 0.3 * ((0.2**2 + 0.02**2) / 12 + 0.1**2)
+    size, lever = 2 * about + 0.5 * 0.2**2, 2 * 0.3 * 0.1 + 0.5 * 0.2
+    pendulum = solve_ivp(
+        lambda t, y: (y[1], -lever * 9.81 / size * np.cos(y[0])), (0, 0.6), (0, 0), rtol=1e-12, atol=1e-12,
+        t_eval=run["time"],
+    )  # fmt: skip
+    assert pendulum.y[0].min() < -np.pi + 0.01  # on to where it is flat again
+    np.testing.assert_allclose(run["left.angle"], pendulum.y[0], atol=1e-7)
+    np.testing.assert_allclose(run["right.angle"], pendulum.y[0], atol=1e-7)
+    with pytest.raises(alfmu.AlfmuError, match="rates belong to none of the motions possible there"):
+        alfmu.simulate(mechanism, 0.1, 0.1, parameters={"start.left_angle_rate": 2.0})
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pinocchio") is None, reason="Pinocchio is not installed")
+def test_a_tree_of_urdf_moves_as_in_pinocchio(tmp_path: Path):
+    import pinocchio
+
+    chain = chains.parts(["revolute", "prismatic", "revolute", "continuous", "prismatic", "revolute"], 7)
+    chain[3] = replace(chain[3], parent="l0", kind="revolute")  # a branch
+    path = tmp_path / "tree.urdf"
+    path.write_text(chains.urdf(chain))
+    model = pinocchio.buildModelFromUrdf(str(path))
+    data = model.createData()
+    for seed in range(4):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", alfmu.AlfmuWarning)
+            names, q, v, a, _ = moving(path, seed)
+        order = [next(i for i, each in enumerate(names) if each.startswith(name)) for name in model.names[1:]]
+        effort = -np.array([next(p for p in chain if f"{p.name}j" == name).damping[0] for name in model.names[1:]])
+        reference = pinocchio.aba(model, data, q[order], v[order], effort * v[order])
+        np.testing.assert_allclose(a[order], reference, atol=1e-10 * np.abs(reference).max(), rtol=0)

@@ -24,6 +24,7 @@ __all__ = ["read"]
 _VISUAL = {"asset", "visual", "statistic", "size", "sensor", "custom"}
 """Sections that do nothing to the motion."""
 
+_SOLVER = "settings of MuJoCo's solver, as constraints are rigid here"
 _IN_BODIES = {"camera", "light"}
 _ACTUATORS = ("motor", "general", "position", "velocity")
 _SHARED = {"name", "class", "group", "user", "joint", "gear", "ctrllimited", "ctrlrange", "forcelimited", "forcerange"}
@@ -204,6 +205,8 @@ class _File:
             )  # fmt: skip
             if given.has("actuatorgroupdisable"):
                 given.fail("actuatorgroupdisable", "actuatorgroupdisable does not map; leave the actuators out")
+            if set(node.attributes) - {"gravity", "density", "viscosity", "wind"}:
+                self.linkage.leave(_SOLVER, node)
             for flags in node.all("flag"):
                 self._flags(Reading(flags), found)
         if "gravity" in found.off:
@@ -502,6 +505,8 @@ class _File:
                 self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
             else:
                 self.linkage.closures.append(self._equality(given, name))
+            if given.has("solref") or given.has("solimp"):
+                self.linkage.leave(_SOLVER, node)
             given.done(("class", "solref", "solimp", "user", "anchor", "relpose"))
 
     def _scalar(self, given: Reading, which: str) -> Joint:
