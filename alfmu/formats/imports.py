@@ -107,6 +107,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
         if not isinstance(value, str):
             raise InputError(f"{path}: option {name} is {shown(value)}; give a text")
     linkage = read(root, **options)
+    root.finish({node for nodes in linkage.left_out.values() for node in nodes})
     linkage.name = linkage.name or path.stem
     linkage.drive(drives)
     if not linkage.joints:

@@ -121,7 +121,7 @@ class _File:
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.free: set[Link] = set()
-        for section in root.children:
+        for section in root.each():
             self._section(section)
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
@@ -129,21 +129,21 @@ class _File:
         for node in root.all("equality"):
             self._equalities(node)
         for node in root.all("actuator"):
-            for each in node.children:
+            for each in node.each():
                 self._actuator(each)
-        if contacts == "refuse":
+        if contacts == "refuse" and not self.settings.off & {"contact", "constraint"}:
             self._contacts()
+        else:
+            self.linkage.leave("contacts", *root.all("contact"))
         self._start(key)
 
     def _section(self, section: Node) -> None:
         tag = section.tag
         if tag in _VISUAL:
-            if section.children or tag in ("statistic",):
-                self.linkage.leave(
-                    {"asset": "assets", "sensor": "sensors"}.get(tag, tag), *(section.children or [section])
-                )
+            what = {"asset": "assets", "sensor": "sensors"}.get(tag, tag)
+            self.linkage.leave(what, *(section.each() if section.children and not section.attributes else [section]))
         elif tag in ("tendon", "deformable", "extension"):
-            for child in section.children:
+            for child in section.each():
                 child.fail(
                     f"a <{child.tag}> does not map; alfmu takes bodies, joints, connect, weld and joint equalities, "
                     "and motors on joints (declare the rest in the file that `alfmu import` writes)"
@@ -232,8 +232,9 @@ class _File:
         given.done()
         known_before = self.defaults.get(name, {}) if parent is None else {}
         self.defaults[name] = {tag: dict(x) for tag, x in (self.defaults[parent] if parent else known_before).items()}
-        for child in node.children:
+        for child in node.each():
             if child.tag != "default":
+                child.attributes.taken.update(child.attributes)
                 self.defaults[name].setdefault(child.tag, {}).update(
                     {k: (v, child) for k, v in child.attributes.items()}
                 )
@@ -255,7 +256,7 @@ class _File:
     def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial]:
         """What is in a body, or in a frame of it at a pose; masses of its geoms."""
         parts = []
-        for child in node.children:
+        for child in node.each():
             if child.tag == "body":
                 self._body(child, link, pose, childclass)
             elif child.tag == "frame":
@@ -488,9 +489,9 @@ class _File:
 
     def _equalities(self, section: Node) -> None:
         if self.settings.off & {"equality", "constraint"}:
-            self.linkage.leave("equality constraints, which the options disable", *section.children)
+            self.linkage.leave("equality constraints, which the options disable", section)
             return
-        for i, node in enumerate(section.children):
+        for i, node in enumerate(section.each()):
             if node.tag not in ("connect", "weld", "joint"):
                 node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld and joint")
             given = self._reading(node, None, "equality", node.tag)
@@ -608,8 +609,6 @@ class _File:
 
     def _contacts(self) -> None:
         """Refuse a file whose bodies could touch each other."""
-        if self.settings.off & {"contact", "constraint"}:
-            return
         excluded = set()
         for section in self.root.all("contact"):
             for pair in section.all("pair"):
@@ -642,8 +641,9 @@ class _File:
             if joint.kind == "free":
                 pose = self._at_reference(next(link for link in self.linkage.links if joint in link.joints))
                 joint.start = (*pose.place.tolist(), *quaternion(pose.turn).tolist())
+        rest = [each for name, each in named.items() if name != key]
+        self.linkage.leave("keyframes, one of which --option key=NAME takes as the start", *rest)
         if not key:
-            self.linkage.leave("keyframes, one of which --option key=NAME takes as the start", *keys)
             return
         known(self.root, key, named, "keyframe")
         given = Reading(named[key])
@@ -691,7 +691,7 @@ def _holder(node: Node) -> Node:
 def _include(node: Node, folder: Path, depth: int, read: list[Path]) -> None:
     """Put the elements of included files in the places of their <include>."""
     children = []
-    for child in node.children:
+    for child in node.each():
         if child.tag != "include":
             _include(child, folder, depth, read)
             children.append(child)
@@ -711,7 +711,7 @@ def _include(node: Node, folder: Path, depth: int, read: list[Path]) -> None:
             child.fail(f"more than {_FILES} files are included")
         root = parsed(path)
         _include(root, folder, depth + 1, read)
-        for each in root.children:
+        for each in root.each():
             each.parent = node
         children += root.children
     node.children = children

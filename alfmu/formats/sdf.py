@@ -121,13 +121,15 @@ class _File:
         return moving[0]
 
     def _world(self, world: Node) -> None:
-        for child in world.children:
+        for child in world.each():
             if child.tag == "include":
                 child.fail("models by <include> do not map; put the model into the file")
             if child.tag not in _WORLD_HARMLESS | {"wind"}:
                 child.fail(f"<{child.tag}> of a world does not map; alfmu takes a model and gravity")
             if child.tag == "plugin":
                 self.linkage.warn(_PROGRAMS, child)
+            elif child.tag not in ("gravity", "model"):
+                self.linkage.leave("settings of the world", child)
             if child.tag == "physics" and child.one("gravity") is not None:
                 child.fail("gravity stands in <physics>, as in old files; put it into <world>")
         if world.one("gravity") is not None:
@@ -151,7 +153,7 @@ class _File:
 
     def _model(self) -> None:
         node = self.model
-        for child in node.children:
+        for child in node.each():
             if child.tag in ("plugin",):
                 self.linkage.warn(_PROGRAMS, child)
             elif child.tag in ("include", "model"):
@@ -164,8 +166,7 @@ class _File:
                 child.fail(f"<{child.tag}> of a model does not map; alfmu takes links, joints and frames")
         given = Reading(node)
         given.text("name")
-        if given.text("placement_frame", "") or given.text("canonical_link", ""):
-            self.linkage.leave("placement_frame and canonical_link", node)
+        given.text("canonical_link", "")
         self.nodes = {each.attributes.get("name", ""): each for each in node.all("link", "joint", "frame")}
         if len(self.nodes) < len(node.all("link", "joint", "frame")):
             node.fail("two of its links, joints and frames have the same name, or none; names are used once")
@@ -279,13 +280,15 @@ class _File:
                 self.made[joint.name] = joint
                 link.joints.append(joint)
                 mimics += [(mimic, joint) for mimic in details["mimic"]]
+        for name, each in self.nodes.items():
+            self._pose(name, each)
         for each in left:
             self.linkage.closures.append(self._closure(each, *ends[each]))
         for mimic, joint in mimics:
             self._mimic(mimic, joint)
 
     def _made(self, node: Node, parent: Link | None, pose: Pose) -> Link:
-        for child in node.children:
+        for child in node.each():
             if child.tag in _LEFT:
                 self.linkage.leave(_LEFT[child.tag], child)
             elif child.tag == "plugin":
@@ -310,7 +313,7 @@ class _File:
             self.linkage.note("1 kg and 1 kg.m2 are taken, as SDF says, for links without <inertial>", link)
             return Inertial(1.0, np.zeros(3), np.eye(3))
         Reading(node).refuse({"auto": "give mass and inertia"})
-        for child in node.children:
+        for child in node.each():
             if child.tag not in ("pose", "mass", "inertia"):
                 child.fail(f"<{child.tag}> does not map; alfmu takes pose, mass and inertia")
         posed = node.one("pose")
@@ -389,16 +392,18 @@ def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[
     kind = node.attributes.get("type", "")
     if kind not in _KINDS:
         node.fail(_LATER.format(shown(kind[:40])))
+    kind = _KINDS[kind]
+    wanted = {"revolute": ["axis"], "prismatic": ["axis"], "screw": ["axis"], "universal": ["axis", "axis2"]}
     allowed = {"parent", "child", "pose", "axis", "axis2", "physics", "sensor", "screw_thread_pitch", "thread_pitch"}
-    for child in node.children:
+    for child in node.each():
         if child.tag == "sensor":
             linkage.leave("sensors", child)
         elif child.tag == "physics":
             linkage.leave("settings of solvers", child)
         elif child.tag not in allowed:
             child.fail(f"<{child.tag}> of a joint does not map")
-    wanted = {"revolute": ["axis"], "prismatic": ["axis"], "screw": ["axis"], "universal": ["axis", "axis2"]}
-    kind = _KINDS[kind]
+        elif child.tag in ("axis", "axis2") and child.tag not in wanted.get(kind, []):
+            linkage.leave("axes of joints that have none", child)
     found: dict = {"frame": frame, "axes": [], "damping": (), "stiffness": (), "rest": (), "lead": 0.0, "mimic": []}
     for tag in wanted.get(kind, []):
         axis = node.one(tag)
@@ -421,10 +426,11 @@ def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[
 
 def _axis(linkage: Linkage, axis: Node, found: dict) -> None:
     """Springs, dampers, limits and followers of an axis."""
-    for child in axis.children:
+    for child in axis.each():
         if child.tag == "mimic":
             found["mimic"].append(child)
         elif child.tag == "limit":
+            linkage.leave("stiffness of limits", *child.all("stiffness", "dissipation"))
             low, high, effort, speed = (number(child, each, x) for each, x in _LIMITS.items())
             if min(abs(low), abs(high)) < 1e15 or any(0 <= x < 1e15 for x in (effort, speed)):
                 linkage.warn("limits of joints", child.parent.parent)  # type: ignore[union-attr,list-item]
