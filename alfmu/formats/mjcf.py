@@ -691,7 +691,7 @@ def _holder(node: Node) -> Node:
 def _include(node: Node, folder: Path, depth: int, read: list[Path]) -> None:
     """Put the elements of included files in the places of their <include>."""
     children = []
-    for child in node.each():
+    for child in node.children:
         if child.tag != "include":
             _include(child, folder, depth, read)
             children.append(child)
