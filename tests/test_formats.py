@@ -3,6 +3,7 @@
 import importlib.util
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import fmpy
 import numpy as np
@@ -115,6 +116,13 @@ BODY = (
 )
 
 
+SDF = "<sdf version='1.9'><model name='m'><link name='l'/>{}</model></sdf>"
+URDF = (
+    "<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='continuous'><parent link='a'/>"
+    "<child link='b'/></joint>{}</robot>"
+)
+
+
 def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", after: str = "") -> str:
     return BODY.format(before, joint, geom, inner, after)
 
@@ -158,6 +166,21 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
          "<child link='b'/></joint></robot>", "a joint of type 'planar' does not map"),
         ("<robot name='r'><link name='a'/><link name='b'/></robot>", "2 links without a parent"),
         ("<robot name='r'><link name='a'/><xacro:arm/></robot>", "expand it first"),
+        (mjcf(before='<default class="top"/>'), "its name is main"),
+        (mjcf(before='<option actuatorgroupdisable="0"/>'), "leave the actuators out"),
+        (mjcf(before='<option><flag wobble="enable"/></option>'), "does not know the flag wobble"),
+        (mjcf(before='<option><wobble/></option>'), "does not know what <wobble> in <option> does"),
+        (mjcf(inner='<body name="c"><freejoint align="true"/></body>'), "it moves frames, not bodies"),
+        (mjcf(after='<equality><weld body1="b" torquescale="0"/></equality>'), "use connect"),
+        (mjcf(before='<option><flag filterparent="disable"/></option>',
+              inner='<body name="c"><joint/><geom size="1"/></body>'), "could touch, of b and c"),
+        (SDF.format("<joint name='j' type='revolute'><parent>world</parent><child>l</child><axis><dynamics><dampning>1"
+                    "</dampning></dynamics></axis></joint>"), "does not know what <dampning> in <dynamics> does"),
+        (SDF.format("<joint name='j' type='ball' use='1'><parent>world</parent><child>l</child></joint>"),
+         'does not know what use="1" of <joint> does'),
+        (URDF.format("<gazebo reference='b'><turnGravityOff>true</turnGravityOff></gazebo>"), "gravity acts on all"),
+        (URDF.format("<transmission name='t'><joint name='j'/><actuator name='a'><drake:rotor_inertia value='1'/>"
+                     "</actuator></transmission>"), "inertia of a rotor does not map"),
     ],
 )  # fmt: skip
 def test_what_does_not_map_is_refused_by_name(text: str, said: str, tmp_path: Path):
@@ -166,6 +189,97 @@ def test_what_does_not_map_is_refused_by_name(text: str, said: str, tmp_path: Pa
     with pytest.raises(alfmu.InputError, match=said) as error:
         alfmu.load(str(path))
     assert "robot.xml" in str(error.value)
+
+
+def test_what_does_nothing_or_may_matter_is_told(tmp_path: Path):
+    path = tmp_path / "robot.xml"
+    path.write_text(mjcf(before='<option timestep="0.001"/>', joint=' range="-1 1"'))
+    found = alfmu.imported(path)
+    assert "settings of MuJoCo's solver, as constraints are rigid here (line 1)" in found.left_out
+    assert found.warnings == ("limits of joints (line 1, j)",)
+    path = tmp_path / "robot.sdf"
+    limit = "<axis><limit><upper>1</upper></limit></axis>"
+    path.write_text(SDF.format(
+        f"<joint name='j' type='revolute'><parent>world</parent><child>l</child>{limit}</joint>"
+    ))  # fmt: skip
+    assert alfmu.imported(path).warnings == ("limits of joints (line 1, j)",)
+    path.write_text(SDF.format("<link name='k'/>" + "".join(
+        f"<joint name='j{a}{b}' type='fixed'><parent>{a}</parent><child>{b}</child></joint>"
+        for a, b in (("world", "l"), ("l", "k"), ("world", "k"))
+    ) + "<link name='n'/><joint name='x' type='revolute'><parent>world</parent><child>n</child><axis/></joint>"
+        "<joint name='y' type='fixed'><parent>k</parent><child>n</child></joint>"))  # fmt: skip
+    assert "leave it no motion" in alfmu.imported(path).notes[-1]
+
+
+def test_included_files_are_one_with_the_file(tmp_path: Path):
+    whole = (HERE / "slider_crank.xml").read_text()
+    begin, end = whole.index('<body name="piston"'), whole.index("</worldbody>")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "piston.xml").write_text(f"<mujocoinclude>{whole[begin:end]}</mujocoinclude>")
+    path = tmp_path / "slider_crank.xml"
+    path.write_text(f'{whole[:begin]}<include file="parts/piston.xml"/>{whole[end:]}')
+    found, own = alfmu.imported(path), alfmu.imported(HERE / "slider_crank.xml")
+    assert 'm.coordinate("guide_position"' in found.source()
+    assert found.source() == own.source()
+
+
+CHANGED = [
+    ("crank", "pos", "0.1 0 0.2"), ("main", "axis", "0 2 0"), ("main", "damping", "0.3"), ("main", "ref", "10"),
+    ("main", "stiffness", "2"), ("main", "armature", "0.01"), ("main", "pos", "0.01 0 0"), ("pin", "springref", "5"),
+    ("rod", "pos", "0.11 0.02 0"), ("rod_mass", "euler", "1 2 30"), ("guide", "axis", "1 0 0.1"),
+    ("guide", "stiffness", "20"), ("guide", "damping", "3"), ("piston", "pos", "0.4 0.1 0.09"),
+]  # fmt: skip
+"""Attributes of slider_crank.xml, by the name of their element."""
+
+
+@pytest.mark.skipif(not MUJOCO, reason="MuJoCo is not installed (extra bench)")
+def test_each_attribute_changes_what_it_changes_in_mujoco(tmp_path: Path):
+    path = tmp_path / "slider_crank.xml"
+    root = ElementTree.fromstring((HERE / "slider_crank.xml").read_text())
+    for pose in root.iter("inertial"):
+        pose.attrib["mass"] = "0.6"
+    for name, attribute, value in CHANGED:
+        element = next(each for each in root.iter() if each.get("name") == name)
+        element.set(attribute, value)  # on top of what was changed before
+        path.write_text(ElementTree.tostring(root, encoding="unicode"))
+        found, reference, opens = by_mujoco(path, *moving(path, 0))
+        assert opens < 1e-12
+        assert np.abs(reference).max() > 1
+        np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), err_msg=f"{name} {attribute}")
+
+
+def test_a_recipe_of_a_file_becomes_a_native_fmu(tmp_path: Path):
+    (tmp_path / "five_bar.xml").write_text((HERE / "five_bar.xml").read_text())
+    recipe = tmp_path / "pair.py"
+    recipe.write_text(
+        'from alfmu import Recipe\n\nrecipe = Recipe("five_bar.xml", kind="native", outputs=["left.angle"], '
+        'options={"contacts": "leave"}, parameters={"left_motor": 0.2})\n'
+    )
+    assert main(["export", str(recipe), "-o", str(tmp_path / "pair.fmu")]) == 0
+    run = fmpy.simulate_fmu(str(tmp_path / "pair.fmu"), stop_time=0.2, output_interval=0.02)
+    own = alfmu.simulate(str(HERE / "five_bar.xml"), 0.2, 0.02, inputs={"left_motor": 0.2})
+    assert run.dtype.names == ("time", "left.angle")
+    assert np.ptp(own["left.angle"]) > 0.1
+    np.testing.assert_allclose(run["left.angle"], own["left.angle"], atol=1e-9)
+
+
+def test_lines_of_python_are_short(tmp_path: Path):
+    long = "a very long name that never ends and goes on for ever and ever " * 3
+    path = tmp_path / "long.xml"
+    path.write_text(mjcf(
+        joint=f' class="{long}"', before=f'<default><default class="{long}"/></default>',
+        after=f'<actuator><general name="{long}" joint="j" gear="1.23456789" gainprm="2.3456789" biastype="affine" '
+        'biasprm="1.2345 2.3456 3.4567" ctrlrange="-1 1.2345" forcerange="-2.3456 3"/></actuator>',
+    ).replace("<mujoco>", f'<mujoco model="{long}">').replace('name="b"', f'name="{long}"'))  # fmt: skip
+    found = alfmu.imported(path)
+    text = found.source()
+    assert max(map(len, text.split("\n"))) <= 120
+    (tmp_path / "long.py").write_text(text)
+    again = alfmu.load(str(tmp_path / "long.py"))
+    assert alfmu.derive(again).inputs[0].name == alfmu.derive(found.mechanism).inputs[0].name
+    runs = [alfmu.simulate(m, 0.2, 0.1, inputs={m.inputs[0].name: 0.5}) for m in (again, found.mechanism)]
+    assert np.ptp(runs[0]["j.angle"]) > 0
+    np.testing.assert_array_equal(runs[0]["j.angle"], runs[1]["j.angle"])
 
 
 def test_contacts_are_refused_until_they_are_left_out(tmp_path: Path):
@@ -178,10 +292,15 @@ def test_contacts_are_refused_until_they_are_left_out(tmp_path: Path):
 
 def test_a_keyframe_is_the_start_and_drives_are_inputs(tmp_path: Path):
     path = tmp_path / "robot.xml"
-    path.write_text(mjcf(after='<keyframe><key name="up" qpos="0.7" qvel="-2"/></keyframe>'))
+    path.write_text(
+        mjcf(after='<actuator><motor name="u" joint="j"/></actuator><keyframe><key name="up" qpos="0.7" qvel="-2" '
+             'ctrl="3"/></keyframe>')
+    )  # fmt: skip
     m = alfmu.load(str(path), key="up", drives="j")
     assert (m.starts[0].value, m.starts[0].rate) == (0.7, -2)
-    assert [x.name for x in m.inputs] == ["j_drive"]
+    assert [(x.name, x.start) for x in m.inputs] == [("u", 3.0)]
+    path.write_text(mjcf())
+    assert [x.name for x in alfmu.load(str(path), drives="j").inputs] == ["j_drive"]
     with pytest.raises(alfmu.InputError, match="there is no keyframe 'down'"):
         alfmu.load(str(path), key="down")
 
