@@ -24,46 +24,18 @@ __all__ = ["read"]
 _VISUAL = {"asset", "visual", "statistic", "size", "sensor", "custom"}
 """Sections that do nothing to the motion."""
 
+_MEDIUM = "alfmu has no medium around bodies; leave it out"
 _SOLVER = "settings of MuJoCo's solver, as constraints are rigid here"
 _IN_BODIES = {"camera", "light"}
 _ACTUATORS = ("motor", "general", "position", "velocity")
 _SHARED = {"name", "class", "group", "user", "joint", "gear", "ctrllimited", "ctrlrange", "forcelimited", "forcerange"}
 """Attributes that actuators of all kinds have; defaults of one kind count for all."""
 
-_HARMLESS_GEOM = [
-    "name",
-    "class",
-    "type",
-    "size",
-    "fromto",
-    "pos",
-    "quat",
-    "axisangle",
-    "xyaxes",
-    "zaxis",
-    "euler",
-    "mass",
-    "density",
-    "shellinertia",
-    "fitscale",
-    "mesh",
-    "hfield",
-    "contype",
-    "conaffinity",
-    "group",
-    "user",
-    "material",
-    "rgba",
-    "condim",
-    "priority",
-    "friction",
-    "solmix",
-    "solref",
-    "solimp",
-    "margin",
-    "gap",
-    "surfacevel",
-]
+_HARMLESS_GEOM = (
+    "name", "class", "type", "size", "fromto", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "mass",
+    "density", "shellinertia", "fitscale", "mesh", "hfield", "contype", "conaffinity", "group", "user", "material",
+    "rgba", "condim", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap", "surfacevel",
+)  # fmt: skip
 _DYNAMICS = (
     "dyntype", "actdim", "timeconst", "inheritrange", "dampratio", "delay", "nsample", "armature", "damping",
 )  # fmt: skip
@@ -190,13 +162,7 @@ class _File:
             given = Reading(node)
             x, y, z = given.numbers("gravity", 3, found.gravity)
             found.gravity = (x, y, z)
-            given.refuse(
-                {
-                    "density": "alfmu has no medium around bodies; leave it out",
-                    "viscosity": "alfmu has no medium around bodies; leave it out",
-                    "wind": "alfmu has no medium around bodies; leave it out",
-                }
-            )
+            given.refuse(dict.fromkeys(("density", "viscosity", "wind"), _MEDIUM))
             given.done(
                 ("timestep", "integrator", "solver", "cone", "jacobian", "iterations", "tolerance", "ls_iterations",
                  "ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations", "ccd_tolerance",
@@ -409,16 +375,20 @@ class _File:
             given.refuse(
                 {"frictionloss": "alfmu's dry friction follows from the joint's reaction (`Mechanism.friction`)"}
             )
-        given.refuse({"springdamper": "give stiffness and damping"})
-        given.refuse({"actuatorgravcomp": "alfmu's gravity acts on all bodies"})
-        given.refuse({"align": "it moves frames, not bodies; leave it out"})
+        given.refuse(
+            {
+                "springdamper": "give stiffness and damping",
+                "actuatorgravcomp": "alfmu's gravity acts on all bodies",
+                "align": "it moves frames, not bodies; leave it out",
+                "actuatorfrcrange": "limit the motor by forcerange",
+            }
+        )
         limits = given.numbers("range", 2, (0.0, 0.0))
         limited = given.text("limited", "auto")
         if (limited == "true" or (limited == "auto" and self.settings.autolimits and any(limits))) and (
             not self.settings.off & {"limit", "constraint"}
         ):
             self.linkage.warn("limits of joints", node)
-        given.refuse({"actuatorfrcrange": "limit the motor by forcerange"})
         given.done(
             ("class", "group", "user", "type", "pos", "axis", "ref", "springref", "solreflimit", "solimplimit",
              "solreffriction", "solimpfriction", "margin", "align", "frictionloss", "range", "limited",
@@ -443,7 +413,7 @@ class _File:
         kind = given.text("type", "mesh" if given.has("mesh") else "sphere")
         masks = [int(given.number(name, 1)) for name in ("contype", "conaffinity")]
         self.geoms.append((link, node, masks[0], masks[1]))
-        given.refuse({"fluidshape": "alfmu has no medium around bodies; leave it out"})
+        given.refuse({"fluidshape": _MEDIUM})
         given.done((*_HARMLESS_GEOM, "fluidcoef", "fluidshape"))
         self.linkage.leave("shapes of geoms", node)
         if link is None or kind in ("plane", "hfield"):
@@ -564,13 +534,9 @@ class _File:
         for name, (_, origin) in given._given.items():
             if name not in _SHARED and origin.tag != kind:
                 origin.fail(f"{name} of <{origin.tag}> counts for the <{kind}> in line {node.line} too; give it there")
-        others = dict.fromkeys(
-            ("jointinparent", "tendon", "site", "body", "slidersite", "cranksite", "refsite"),
-            "alfmu takes motors on joints",
-        )
-        for each in others:
+        for each in ("jointinparent", "tendon", "site", "body", "slidersite", "cranksite", "refsite"):
             if given.has(each):
-                given.fail(each, f"{each} does not map: {others[each]}")
+                given.fail(each, f"{each} does not map: alfmu takes motors on joints")
         joint = self._scalar(given, "joint")
         name = given.text("name", f"{joint.name}_{kind}")
         rotary = joint.kind == "revolute"

@@ -271,6 +271,10 @@ class _File:
                     self.linkage.note(
                         "reactions act on the parent link of joints that are taken from child to parent", step
                     )
+                    if kind == "universal":
+                        self.linkage.note(
+                            "angle 1 of such a universal joint is about <axis2>, angle 2 about <axis>", step
+                        )
                 joint = Joint(step.attributes["name"], kind, step, at.place, axes, lead=details["lead"])
                 count = {"spherical": 4, "universal": 2}.get(kind, 1)
                 joint.start, joint.rates = joint.zero, (0.0,) * (3 if kind == "spherical" else count)
