@@ -257,8 +257,9 @@ class _File:
         return Closure(name, _LOOPS[kind], node, ends[0], ends[1], axes)
 
     def _gazebo(self, node: Node) -> None:
+        refers = "reference" in node.attributes
         for child in node.each():
-            if child.tag == "joint" and "reference" not in node.attributes:
+            if child.tag == "joint" and not refers:
                 self.linkage.closures.append(self._gazebo_joint(child))
             elif child.tag == "plugin":
                 self.linkage.warn("plugins, which are programs", child)
