@@ -13,10 +13,13 @@ _HOME = {
     "AssemblyError": "model.errors",
     "Body": "model.mechanism",
     "DeclarationError": "model.errors",
+    "Derivatives": "gradients",
     "Equations": "equations",
     "Equilibrium": "analysis.equilibria",
     "Experiment": "model.mechanism",
     "ExportError": "model.errors",
+    "Fit": "gradients",
+    "Gradient": "gradients",
     "InputError": "model.errors",
     "Imported": "formats",
     "Instance": "runtime",
@@ -31,9 +34,12 @@ _HOME = {
     "Sweep": "sweeps.results",
     "WriteError": "model.errors",
     "couple": "systems.coupling",
+    "derivatives": "gradients",
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
+    "fit": "gradients",
+    "gradient": "gradients",
     "imported": "formats",
     "linearize": "analysis.linearization",
     "load": "model.registry",
@@ -59,6 +65,12 @@ if TYPE_CHECKING:
     from .fmi.recipe import Recipe as Recipe
     from .formats import Imported as Imported
     from .formats import imported as imported
+    from .gradients import Derivatives as Derivatives
+    from .gradients import Fit as Fit
+    from .gradients import Gradient as Gradient
+    from .gradients import derivatives as derivatives
+    from .gradients import fit as fit
+    from .gradients import gradient as gradient
     from .model.errors import AlfmuError as AlfmuError
     from .model.errors import AlfmuWarning as AlfmuWarning
     from .model.errors import AssemblyError as AssemblyError

@@ -27,6 +27,7 @@ from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, Exp
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
 from alfmu import Imported, Sweep, imported, sweep
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
+from alfmu import Derivatives, Fit, Gradient, derivatives, fit, gradient
 from alfmu import System, couple, validate
 
 warnings.simplefilter("error", AlfmuWarning)
@@ -91,6 +92,12 @@ simulate(pendulum(), start=rest)
 system = System("pair", {"a": pendulum(), "b": Recipe("five_bar")}, [("b.link1.angle", "a.torque")], {"a.x": 1.0})
 reveal_type(system.simulate(master="iterated"))
 reveal_type(couple(system, halvings=2).order("held"))
+changes: Derivatives = derivatives(pendulum(), ["m"], 1.0)
+reveal_type(changes["rod.angle", "m"])
+slope: Gradient = gradient(pendulum(), "rod.angle", ["m"], 1.0)
+reveal_type(slope["m"])
+fitted: Fit = fit(pendulum(), r, ["m"], bounds={"m": (0.1, 2.0)})
+reveal_type(fitted.plot())
 """
 
 REVEALED = (
@@ -98,6 +105,7 @@ REVEALED = (
     *("float", "str", "float64", "str", "Path", "int", "bool", "float64", "Linearization", "str"),
     *("ndarray", "float"),
     *("Result", "float"),
+    *("float64", "float", "Figure"),
 )
 """What stands in the types that checkers reveal, in their order."""
 

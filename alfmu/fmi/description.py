@@ -79,7 +79,7 @@ def model_description(
         canNotUseMemoryManagementFunctions="true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
-        providesDirectionalDerivative=derivatives,
+        providesDirectionalDerivative=str(native).lower(),
         maxOutputDerivativeOrder=str(2 * native),
     )
     if sources:
@@ -130,7 +130,8 @@ def model_description3(
         modelIdentifier=e.name,
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
-        providesDirectionalDerivatives=str(bool(e.inputs)).lower(),
+        providesDirectionalDerivatives="true",
+        providesAdjointDerivatives="true",
         canHandleVariableCommunicationStepSize="true",
         maxOutputDerivativeOrder="2",
         canReturnEarlyAfterIntermediateUpdate="true",

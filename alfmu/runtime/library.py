@@ -12,7 +12,10 @@ from ctypes import POINTER, c_char_p, c_double, c_int, c_long, c_size_t, c_void_
 from functools import cache, partial
 from pathlib import Path
 
-__all__ = ["BRAKES", "DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD", "Scene", "Unit", "library"]
+__all__ = [
+    *("BRAKES", "DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD"),
+    *("Run", "Scene", "Unit", "library"),
+]
 
 DONE, REFUSED, OPEN, FAILED, UNHELD, BRAKES = range(6)
 """What a call comes to: done; refused, nothing has changed; constraints cannot be closed; failed; a massless body that
@@ -84,6 +87,11 @@ _SIGNATURES = {
     "penalties": (None, c_void_p, c_void_p),
     "counts": (None, c_void_p, c_void_p),
     "run": (c_long, c_void_p, POINTER(_Run), POINTER(c_int)),
+    "gradient_new": (c_void_p, c_void_p, c_int),
+    "gradient_free": (None, c_void_p),
+    "tangent_run": (c_long, c_void_p, POINTER(_Run), c_int, c_void_p, c_void_p, c_void_p, POINTER(c_int)),
+    "recorded_run": (c_long, c_void_p, POINTER(_Run), c_double, POINTER(c_int)),
+    "adjoint_run": (c_int, c_void_p, POINTER(_Run), c_void_p, c_void_p, c_void_p),
 }
 """Result and arguments of each function."""
 
@@ -294,22 +302,29 @@ class Unit:
         progress: Callable[[int], int] | None = None,
     ) -> tuple[int, int]:
         """Communication points, inputs and values by addresses; how many rows were made, and the outcome."""
-        columns, read = (c_int * len(inputs))(*inputs), (c_int * len(wanted))(*wanted)
-        callback = _Progress(progress) if progress else _Progress()
-        run = _Run(
-            times,
-            count,
-            ctypes.cast(columns, c_void_p),
-            len(inputs),
-            table,
-            ctypes.cast(read, c_void_p),
-            len(wanted),
-            values,
-            callback,
-        )
-        outcome = c_int()
-        made = self.scene.library.alfmu_run(self.address, ctypes.byref(run), ctypes.byref(outcome))
+        run, outcome = Run(times, count, inputs, table, wanted, values, progress), c_int()
+        made = self.scene.library.alfmu_run(self.address, ctypes.byref(run.asked), ctypes.byref(outcome))
         return made, outcome.value
+
+
+class Run:
+    """What a run in one call is asked for: communication points, inputs and values by addresses, references."""
+
+    def __init__(
+        self,
+        times: int,
+        count: int,
+        inputs: Sequence[int],
+        table: int,
+        wanted: Sequence[int],
+        values: int,
+        progress: Callable[[int], int] | None = None,
+    ):
+        columns, read = (c_int * len(inputs))(*inputs), (c_int * len(wanted))(*wanted)
+        places = [ctypes.cast(each, c_void_p) for each in (columns, read)]
+        callback = _Progress(progress) if progress else _Progress()
+        self._kept = columns, read, callback
+        self.asked: _Run = _Run(times, count, places[0], len(inputs), table, places[1], len(wanted), values, callback)
 
 
 _KEPT = 50
