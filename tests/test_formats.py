@@ -211,6 +211,38 @@ def test_what_does_nothing_or_may_matter_is_told(tmp_path: Path):
     assert "leave it no motion" in alfmu.imported(path).notes[-1]
 
 
+USUAL = {
+    "urdf": URDF.format(
+        "<material name='blue'><color rgba='0 0 1 1'/></material><link name='tool'/><joint name='f' type='fixed'>"
+        "<parent link='b'/><child link='tool'/><axis xyz='0 0 0'/><limit effort='0' velocity='0'/></joint>"
+        "<gazebo reference='b'><material>Gazebo/Red</material><turnGravityOff>false</turnGravityOff></gazebo>"
+        "<gazebo><plugin filename='a.so' name='p'><x>1</x></plugin></gazebo><ros2_control name='c'><x/></ros2_control>"
+        "<transmission name='t'><type>Simple</type><joint name='j'><hardwareInterface>E</hardwareInterface></joint>"
+        "<actuator name='m'><mechanicalReduction>10</mechanicalReduction></actuator></transmission>"
+    ),
+    "sdf": SDF.format(
+        "<joint name='j' type='revolute'><parent>world</parent><child>l</child><axis><limit><lower>-1</lower><upper>1"
+        "</upper><stiffness>1e8</stiffness></limit><dynamics><friction>0</friction></dynamics></axis><physics><ode/>"
+        "</physics></joint><frame name='f'><pose>0 0 1 0 0 0</pose></frame><plugin name='x'><y/></plugin>"
+    ),
+    "xml": mjcf(
+        before="<size njmax='5'/><visual><map force='1'/></visual><statistic extent='2'/><custom><numeric name='a'/>"
+        "</custom>",
+        after="<sensor><jointpos joint='j'/></sensor><contact><exclude body1='b' body2='world'/></contact>",
+    ),
+}  # fmt: skip
+"""What files of these formats often have, and does nothing."""
+
+
+@pytest.mark.parametrize("kind", USUAL)
+def test_what_files_often_have_is_left_out(kind: str, tmp_path: Path):
+    path = tmp_path / f"robot.{kind}"
+    path.write_text(USUAL[kind])
+    found = alfmu.imported(path)
+    assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
+    assert len(found.left_out) + len(found.warnings) > 2
+
+
 def test_included_files_are_one_with_the_file(tmp_path: Path):
     whole = (HERE / "slider_crank.xml").read_text()
     begin, end = whole.index('<body name="piston"'), whole.index("</worldbody>")
