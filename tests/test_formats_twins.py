@@ -146,7 +146,7 @@ def test_a_parallelogram_that_starts_flat_turns_as_its_pendulum(tmp_path: Path):
         alfmu.simulate(mechanism, 0.1, 0.1, parameters={"start.left_angle_rate": 2.0})
 
 
-@pytest.mark.skipif(importlib.util.find_spec("pinocchio") is None, reason="Pinocchio is not installed")
+@pytest.mark.skipif(importlib.util.find_spec("pinocchio") is None, reason="Pinocchio is not installed (extra bench)")
 def test_a_tree_of_urdf_moves_as_in_pinocchio(tmp_path: Path):
     import pinocchio
 
