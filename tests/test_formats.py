@@ -3,95 +3,21 @@
 import importlib.util
 import json
 from pathlib import Path
+from xml.etree import ElementTree
 
 import fmpy
 import numpy as np
 import pytest
-from oracles.linkages import mujoco_accelerations
+from oracles.linkages import by_mujoco, moving
 
 import alfmu
 from alfmu.cli import main
-from alfmu.oracle import Instance
 
 HERE = Path(__file__).parent / "linkages"
 STORED = HERE / "accelerations.json"
 """What `python tests/test_formats.py` writes, with MuJoCo; used where MuJoCo is not installed."""
 
 MUJOCO = importlib.util.find_spec("mujoco") is not None
-
-SCALAR = (2, 3)
-"""Types of joints with one coordinate in MuJoCo: slide and hinge."""
-
-Vector = np.ndarray
-
-
-def plain(name: str) -> str:
-    return name.replace(" ", "_")
-
-
-def product(a: Vector, b: Vector) -> Vector:
-    return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
-
-
-def matrix(e: Vector) -> Vector:
-    w, x = e[0], e[1:]
-    return (w * w - x @ x) * np.eye(3) + 2 * np.outer(x, x) + 2 * w * np.cross(x, np.eye(3)).T
-
-
-def moving(path: Path, seed: int) -> tuple[list[str], Vector, Vector, Vector, Vector]:
-    """Names of coordinates, places, rates, accelerations and inputs at random starts, loops closed by alfmu."""
-    rng = np.random.default_rng(seed)
-    mechanism = alfmu.imported(path).mechanism
-    i = Instance(mechanism)
-    i.set("solver.method", "rk4")
-    for s in mechanism.starts:
-        i.set(f"start.{s.name}", s.value + 0.2 * rng.normal())
-        i.set(f"start.{s.rate_name}", rng.normal())
-    i.initialize()
-    u = 2 * rng.normal(size=len(mechanism.inputs))
-    a = i.accelerations(i.q, i.v, u, 0.0, patience=100)[0]
-    return [c.name for c in i.equations.coordinates], i.q.copy(), i.v.copy(), a, u
-
-
-def by_mujoco(path: Path, names: list[str], q: Vector, v: Vector, a: Vector, u: Vector) -> tuple[Vector, Vector, float]:
-    """alfmu's accelerations in MuJoCo's coordinates, MuJoCo's at the same places and rates, and how loops open."""
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_path(str(path))
-    data = mujoco.MjData(model)
-    for j in range(model.njnt):
-        at = model.jnt_qposadr[j]
-        # Body frames of alfmu are parallel to the ground where all coordinates are zero; quaternions begin as they are.
-        if model.jnt_type[j] in SCALAR:
-            data.qpos[at] = 0.0
-    mujoco.mj_forward(model, data)
-    zero = data.xmat.reshape(-1, 3, 3).copy()
-    places, rates, found = np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv)
-    for j in range(model.njnt):
-        at, d, body = model.jnt_qposadr[j], model.jnt_dofadr[j], model.jnt_bodyid[j]
-        name, link, R = plain(model.joint(j).name or ""), plain(model.body(body).name), zero[body]
-        kind = model.jnt_type[j]
-        if kind in SCALAR:
-            k = next(k for k, each in enumerate(names) if each in (f"{name}_angle", f"{name}_position"))
-            places[at], rates[d], found[d] = q[k], v[k], a[k]
-            continue
-        free = int(kind) == int(mujoco.mjtJoint.mjJNT_FREE)
-        k = [names.index(f"{link if free else name}_e{i}") for i in range(4)]
-        e, back = q[k], np.array([1, -1, -1, -1]) * q[k]
-        w, dw = 2 * product(back, v[k])[1:], 2 * product(back, a[k])[1:]
-        d, at = d + 3 * free, at + 3 * free
-        rates[d : d + 3], found[d : d + 3] = R.T @ w, R.T @ dw
-        places[at : at + 4] = e[0], *(R.T @ e[1:])
-        if free:
-            turn = matrix(e)
-            mujoco.mju_mat2Quat(places[at : at + 4], (turn @ R).ravel())
-            k, arm = [names.index(f"{link}_{x}") for x in "xyz"], -turn @ R @ model.body_ipos[body]
-            w, dw = turn @ w, turn @ dw
-            places[at - 3 : at] = q[k] + arm
-            rates[d - 3 : d] = v[k] + np.cross(w, arm)
-            found[d - 3 : d] = a[k] + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
-    return found, *mujoco_accelerations(path, places, rates, u)[::2]
-
 
 MJCF = ["five_bar", "spatial", "coupled", "slider_crank"]
 
@@ -190,6 +116,13 @@ BODY = (
 )
 
 
+SDF = "<sdf version='1.9'><model name='m'><link name='l'/>{}</model></sdf>"
+URDF = (
+    "<robot name='r'><link name='a'/><link name='b'/><joint name='j' type='continuous'><parent link='a'/>"
+    "<child link='b'/></joint>{}</robot>"
+)
+
+
 def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", after: str = "") -> str:
     return BODY.format(before, joint, geom, inner, after)
 
@@ -233,6 +166,21 @@ def mjcf(before: str = "", joint: str = "", geom: str = "", inner: str = "", aft
          "<child link='b'/></joint></robot>", "a joint of type 'planar' does not map"),
         ("<robot name='r'><link name='a'/><link name='b'/></robot>", "2 links without a parent"),
         ("<robot name='r'><link name='a'/><xacro:arm/></robot>", "expand it first"),
+        (mjcf(before='<default class="top"/>'), "its name is main"),
+        (mjcf(before='<option actuatorgroupdisable="0"/>'), "leave the actuators out"),
+        (mjcf(before='<option><flag wobble="enable"/></option>'), "does not know the flag wobble"),
+        (mjcf(before='<option><wobble/></option>'), "does not know what <wobble> in <option> does"),
+        (mjcf(inner='<body name="c"><freejoint align="true"/></body>'), "it moves frames, not bodies"),
+        (mjcf(after='<equality><weld body1="b" torquescale="0"/></equality>'), "use connect"),
+        (mjcf(before='<option><flag filterparent="disable"/></option>',
+              inner='<body name="c"><joint/><geom size="1"/></body>'), "could touch, of b and c"),
+        (SDF.format("<joint name='j' type='revolute'><parent>world</parent><child>l</child><axis><dynamics><dampning>1"
+                    "</dampning></dynamics></axis></joint>"), "does not know what <dampning> in <dynamics> does"),
+        (SDF.format("<joint name='j' type='ball' use='1'><parent>world</parent><child>l</child></joint>"),
+         'does not know what use="1" of <joint> does'),
+        (URDF.format("<gazebo reference='b'><turnGravityOff>true</turnGravityOff></gazebo>"), "gravity acts on all"),
+        (URDF.format("<transmission name='t'><joint name='j'/><actuator name='a'><drake:rotor_inertia value='1'/>"
+                     "</actuator></transmission>"), "inertia of a rotor does not map"),
     ],
 )  # fmt: skip
 def test_what_does_not_map_is_refused_by_name(text: str, said: str, tmp_path: Path):
@@ -241,6 +189,129 @@ def test_what_does_not_map_is_refused_by_name(text: str, said: str, tmp_path: Pa
     with pytest.raises(alfmu.InputError, match=said) as error:
         alfmu.load(str(path))
     assert "robot.xml" in str(error.value)
+
+
+def test_what_does_nothing_or_may_matter_is_told(tmp_path: Path):
+    path = tmp_path / "robot.xml"
+    path.write_text(mjcf(before='<option timestep="0.001"/>', joint=' range="-1 1"'))
+    found = alfmu.imported(path)
+    assert "settings of MuJoCo's solver, as constraints are rigid here (line 1)" in found.left_out
+    assert found.warnings == ("limits of joints (line 1, j)",)
+    path = tmp_path / "robot.sdf"
+    limit = "<axis><limit><upper>1</upper></limit></axis>"
+    path.write_text(SDF.format(
+        f"<joint name='j' type='revolute'><parent>world</parent><child>l</child>{limit}</joint>"
+    ))  # fmt: skip
+    assert alfmu.imported(path).warnings == ("limits of joints (line 1, j)",)
+    path.write_text(SDF.format("<link name='k'/>" + "".join(
+        f"<joint name='j{a}{b}' type='fixed'><parent>{a}</parent><child>{b}</child></joint>"
+        for a, b in (("world", "l"), ("l", "k"), ("world", "k"))
+    ) + "<link name='n'/><joint name='x' type='revolute'><parent>world</parent><child>n</child><axis/></joint>"
+        "<joint name='y' type='fixed'><parent>k</parent><child>n</child></joint>"))  # fmt: skip
+    assert "leave it no motion" in alfmu.imported(path).notes[-1]
+
+
+USUAL = {
+    "urdf": URDF.format(
+        "<material name='blue'><color rgba='0 0 1 1'/></material><link name='tool'/><joint name='f' type='fixed'>"
+        "<parent link='b'/><child link='tool'/><axis xyz='0 0 0'/><limit effort='0' velocity='0'/></joint>"
+        "<gazebo reference='b'><material>Gazebo/Red</material><turnGravityOff>false</turnGravityOff></gazebo>"
+        "<gazebo><plugin filename='a.so' name='p'><x>1</x></plugin></gazebo><ros2_control name='c'><x/></ros2_control>"
+        "<transmission name='t'><type>Simple</type><joint name='j'><hardwareInterface>E</hardwareInterface></joint>"
+        "<actuator name='m'><mechanicalReduction>10</mechanicalReduction></actuator></transmission>"
+    ),
+    "sdf": SDF.format(
+        "<joint name='j' type='revolute'><parent>world</parent><child>l</child><axis><limit><lower>-1</lower><upper>1"
+        "</upper><stiffness>1e8</stiffness></limit><dynamics><friction>0</friction></dynamics></axis><physics><ode/>"
+        "</physics></joint><frame name='f'><pose>0 0 1 0 0 0</pose></frame><plugin name='x'><y/></plugin>"
+    ),
+    "xml": mjcf(
+        before="<size njmax='5'/><visual><map force='1'/></visual><statistic extent='2'/><custom><numeric name='a'/>"
+        "</custom>",
+        after="<sensor><jointpos joint='j'/></sensor><contact><exclude body1='b' body2='world'/></contact>",
+    ),
+}  # fmt: skip
+"""What files of these formats often have, and does nothing."""
+
+
+@pytest.mark.parametrize("kind", USUAL)
+def test_what_files_often_have_is_left_out(kind: str, tmp_path: Path):
+    path = tmp_path / f"robot.{kind}"
+    path.write_text(USUAL[kind])
+    found = alfmu.imported(path)
+    assert [c.name for c in found.mechanism.coordinates] == ["j_angle"]
+    assert len(found.left_out) + len(found.warnings) > 2
+
+
+def test_included_files_are_one_with_the_file(tmp_path: Path):
+    whole = (HERE / "slider_crank.xml").read_text()
+    begin, end = whole.index('<body name="piston"'), whole.index("</worldbody>")
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "piston.xml").write_text(f"<mujocoinclude>{whole[begin:end]}</mujocoinclude>")
+    path = tmp_path / "slider_crank.xml"
+    path.write_text(f'{whole[:begin]}<include file="parts/piston.xml"/>{whole[end:]}')
+    found, own = alfmu.imported(path), alfmu.imported(HERE / "slider_crank.xml")
+    assert 'm.coordinate("guide_position"' in found.source()
+    assert found.source() == own.source()
+
+
+CHANGED = [
+    ("crank", "pos", "0.1 0 0.2"), ("main", "axis", "0 2 0"), ("main", "damping", "0.3"), ("main", "ref", "10"),
+    ("main", "stiffness", "2"), ("main", "armature", "0.01"), ("main", "pos", "0.01 0 0"), ("pin", "springref", "5"),
+    ("rod", "pos", "0.11 0.02 0"), ("rod_mass", "euler", "1 2 30"), ("guide", "axis", "1 0 0.1"),
+    ("guide", "stiffness", "20"), ("guide", "damping", "3"), ("piston", "pos", "0.4 0.1 0.09"),
+]  # fmt: skip
+"""Attributes of slider_crank.xml, by the name of their element."""
+
+
+@pytest.mark.skipif(not MUJOCO, reason="MuJoCo is not installed (extra bench)")
+def test_each_attribute_changes_what_it_changes_in_mujoco(tmp_path: Path):
+    path = tmp_path / "slider_crank.xml"
+    root = ElementTree.fromstring((HERE / "slider_crank.xml").read_text())
+    for pose in root.iter("inertial"):
+        pose.attrib["mass"] = "0.6"
+    for name, attribute, value in CHANGED:
+        element = next(each for each in root.iter() if each.get("name") == name)
+        element.set(attribute, value)  # on top of what was changed before
+        path.write_text(ElementTree.tostring(root, encoding="unicode"))
+        found, reference, opens = by_mujoco(path, *moving(path, 0))
+        assert opens < 1e-12
+        assert np.abs(reference).max() > 1
+        np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), err_msg=f"{name} {attribute}")
+
+
+def test_a_recipe_of_a_file_becomes_a_native_fmu(tmp_path: Path):
+    (tmp_path / "five_bar.xml").write_text((HERE / "five_bar.xml").read_text())
+    recipe = tmp_path / "pair.py"
+    recipe.write_text(
+        'from alfmu import Recipe\n\nrecipe = Recipe("five_bar.xml", kind="native", outputs=["left.angle"], '
+        'options={"contacts": "leave"}, parameters={"left_motor": 0.2})\n'
+    )
+    assert main(["export", str(recipe), "-o", str(tmp_path / "pair.fmu")]) == 0
+    run = fmpy.simulate_fmu(str(tmp_path / "pair.fmu"), stop_time=0.2, output_interval=0.02)
+    own = alfmu.simulate(str(HERE / "five_bar.xml"), 0.2, 0.02, inputs={"left_motor": 0.2})
+    assert run.dtype.names == ("time", "left.angle")
+    assert np.ptp(own["left.angle"]) > 0.1
+    np.testing.assert_allclose(run["left.angle"], own["left.angle"], atol=1e-9)
+
+
+def test_lines_of_python_are_short(tmp_path: Path):
+    long = "a very long name that never ends and goes on for ever and ever " * 3
+    path = tmp_path / "long.xml"
+    path.write_text(mjcf(
+        joint=f' class="{long}"', before=f'<default><default class="{long}"/></default>',
+        after=f'<actuator><general name="{long}" joint="j" gear="1.23456789" gainprm="2.3456789" biastype="affine" '
+        'biasprm="1.2345 2.3456 3.4567" ctrlrange="-1 1.2345" forcerange="-2.3456 3"/></actuator>',
+    ).replace("<mujoco>", f'<mujoco model="{long}">').replace('name="b"', f'name="{long}"'))  # fmt: skip
+    found = alfmu.imported(path)
+    text = found.source()
+    assert max(map(len, text.split("\n"))) <= 120
+    (tmp_path / "long.py").write_text(text)
+    again = alfmu.load(str(tmp_path / "long.py"))
+    assert alfmu.derive(again).inputs[0].name == alfmu.derive(found.mechanism).inputs[0].name
+    runs = [alfmu.simulate(m, 0.2, 0.1, inputs={m.inputs[0].name: 0.5}) for m in (again, found.mechanism)]
+    assert np.ptp(runs[0]["j.angle"]) > 0
+    np.testing.assert_array_equal(runs[0]["j.angle"], runs[1]["j.angle"])
 
 
 def test_contacts_are_refused_until_they_are_left_out(tmp_path: Path):
@@ -253,10 +324,15 @@ def test_contacts_are_refused_until_they_are_left_out(tmp_path: Path):
 
 def test_a_keyframe_is_the_start_and_drives_are_inputs(tmp_path: Path):
     path = tmp_path / "robot.xml"
-    path.write_text(mjcf(after='<keyframe><key name="up" qpos="0.7" qvel="-2"/></keyframe>'))
+    path.write_text(
+        mjcf(after='<actuator><motor name="u" joint="j"/></actuator><keyframe><key name="up" qpos="0.7" qvel="-2" '
+             'ctrl="3"/></keyframe>')
+    )  # fmt: skip
     m = alfmu.load(str(path), key="up", drives="j")
     assert (m.starts[0].value, m.starts[0].rate) == (0.7, -2)
-    assert [x.name for x in m.inputs] == ["j_drive"]
+    assert [(x.name, x.start) for x in m.inputs] == [("u", 3.0)]
+    path.write_text(mjcf())
+    assert [x.name for x in alfmu.load(str(path), drives="j").inputs] == ["j_drive"]
     with pytest.raises(alfmu.InputError, match="there is no keyframe 'down'"):
         alfmu.load(str(path), key="down")
 

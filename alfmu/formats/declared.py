@@ -26,6 +26,15 @@ __all__ = ["declared", "plain_name"]
 _RANK = 1e-9
 """Singular value of constraints, by the largest, below which one is zero: files give places to some ten digits."""
 
+_LONGEST = 60
+"""Characters of a name: with words behind it, a line of Python holds it."""
+
+_BESIDE = 1e-2
+"""Distance [m, rad] of a place beside the start: far from round-off, near on the scale of mechanisms."""
+
+_CORRECTIONS = 12
+"""Corrections that close the loops there: each at least halves a gap near a singular position."""
+
 _GOOD = 0.1
 """Share of a motion that a driven joint needs, by the largest of all, to be taken as independent before others."""
 
@@ -56,7 +65,7 @@ _METHODS = {
 
 def plain_name(name: str) -> str:
     """A name in letters, digits and underscores."""
-    plain = re.sub(r"[^A-Za-z0-9_]+", "_", name)[:100].strip("_") or "part"
+    plain = re.sub(r"[^A-Za-z0-9_]+", "_", name)[:_LONGEST].strip("_") or "part"
     return plain if re.match(r"[A-Za-z]", plain) else f"n{plain}"
 
 
@@ -67,6 +76,8 @@ def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str]
     chosen = {c.name for c in mechanism.coordinates}
     if mechanism.closures:
         chosen, gap = independent(mechanism, guessed.values, guessed.driven)
+        if not chosen:
+            told.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
         if gap > _OPEN:
             told.append(
                 f"its loops are open by up to {gap:.2g} m or rad in the file; they are closed at the start by moving "
@@ -87,10 +98,22 @@ def independent(mechanism: Mechanism, values: Mapping[str, float], driven: Seque
     q = ca.vertcat(*(c.q for c in mechanism.coordinates))
     phi = ca.vertcat(*residuals)
     both = ca.Function("loops", [q], [phi, ca.jacobian(phi, q)])
-    gaps, matrix = (np.array(x) for x in both([values[c.name] for c in mechanism.coordinates]))
-    _, sizes, turned = np.linalg.svd(matrix)
-    rank = int(np.sum(sizes > _RANK * sizes.max(initial=0.0)))
-    motions = turned[rank:].T  # (n, freedoms)
+
+    def at(place: Array) -> tuple[Array, Array, Array]:
+        """Gaps, their Jacobian and the motions that it leaves (n, freedoms)."""
+        gaps, matrix = (np.array(x) for x in both(place))
+        _, sizes, turned = np.linalg.svd(matrix)
+        return gaps.ravel(), matrix, turned[np.sum(sizes > _RANK * sizes.max(initial=0.0)) :].T
+
+    start = vector([values[c.name] for c in mechanism.coordinates])
+    gaps, _, motions = at(start)
+    # Where a mechanism begins in a singular position, a place beside it tells how many coordinates are independent.
+    beside = start + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
+    for _ in range(_CORRECTIONS):
+        left, matrix, fewer = at(beside)
+        beside = beside - np.linalg.lstsq(matrix, left, rcond=_RANK)[0]
+    if np.abs(left).max(initial=0.0) < _RANK and np.linalg.norm(beside - start) < 10 * _BESIDE:
+        motions = fewer
     chosen: set[str] = set()
     names = [c.name for c in mechanism.coordinates]
     for _ in range(motions.shape[1]):
@@ -379,7 +402,7 @@ class _Declaring:
 
     def _motor(self, motor: Motor) -> None:
         name = self._name(motor.name, "motor")
-        u = self.script.do("input", name, motor.unit, keep=name)
+        u = self.script.do("input", name, motor.unit, **({"start": motor.start} if motor.start else {}), keep=name)
         if motor.control is not None:
             u = u.limited(*motor.control)
         q = self.coordinates[motor.joint][0]

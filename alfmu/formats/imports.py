@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,6 +17,9 @@ from .linkage import Linkage
 from .markup import Node, parsed
 
 __all__ = ["Imported", "factory", "imported"]
+
+_WIDTH = 116
+"""Characters of a line of Python's text."""
 
 _NAMED = 4
 """Names that a line of what was left out shows."""
@@ -103,20 +107,22 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
         if not isinstance(value, str):
             raise InputError(f"{path}: option {name} is {shown(value)}; give a text")
     linkage = read(root, **options)
+    root.finish({node for nodes in linkage.left_out.values() for node in nodes})
     linkage.name = linkage.name or path.stem
     linkage.drive(drives)
     if not linkage.joints:
         root.fail("nothing in it moves: it has no joint with a coordinate")
-    script, renamed, told = declared(linkage, f"{linkage.name}, imported from {path.name} ({called})")
+    title = f"{' '.join(linkage.name.split())[:40]}, imported from {path.name[-40:]} ({called})"
+    script, renamed, told = declared(linkage, title)
     left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)
     warned = tuple(_line(what, nodes) for what, nodes in linkage.warned.items())
     notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *told)
     script.mechanism.documentation = _documentation(linkage, called, left, warned, notes, renamed)
     doc = "\n".join(
-        [f"{linkage.name}, imported from {path.name} ({called}).", *([""] if (warned or left or notes) else [])]
-        + [f"Left out, and may matter: {each}" for each in warned]
-        + [f"Left out: {each}" for each in left]
-        + [f"Note: {each}" for each in notes]
+        [f"{title}.", *([""] if (warned or left or notes) else [])]
+        + [textwrap.fill(f"Left out, and may matter: {each}", _WIDTH) for each in warned]
+        + [textwrap.fill(f"Left out: {each}", _WIDTH) for each in left]
+        + [textwrap.fill(f"Note: {each}", _WIDTH) for each in notes]
     )
     doc = doc.replace("\\", "/").replace('"', "'")
     return Imported(

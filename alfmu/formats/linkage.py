@@ -142,6 +142,7 @@ class Motor:
     """Constant, per length and per rate of the joint."""
     control: tuple[float, float] | None = None
     force: tuple[float, float] | None = None
+    start: float = 0.0
 
 
 @dataclass(eq=False)

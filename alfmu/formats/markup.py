@@ -7,8 +7,8 @@ notes what was taken, so that nothing is passed over in silence.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Container, Iterator, Mapping, Sequence
+from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import Never
 from xml.parsers import expat
@@ -27,10 +27,32 @@ DEEPEST = 200
 MOST = 200_000
 """Elements of a file."""
 
+_UNKNOWN = "alfmu does not know what {} does to the motion; leave it out if it does nothing"
+
 _LONGEST = 100_000
 """Numbers of one attribute."""
 
 _FLAGS = {"true": True, "1": True, "false": False, "0": False}
+
+
+class Attributes(dict[str, str]):
+    """Attributes of an element, which know what was asked for."""
+
+    def __init__(self, given: Mapping[str, str]):
+        super().__init__(given)
+        self.taken: set[str] = set()
+
+    def __getitem__(self, name: str) -> str:
+        self.taken.add(name)
+        return super().__getitem__(name)
+
+    def __contains__(self, name: object) -> bool:
+        self.taken.add(str(name))
+        return super().__contains__(name)
+
+    def get(self, name: str, default: str = "") -> str:  # type: ignore[override]
+        self.taken.add(name)
+        return super().get(name, default)
 
 
 @dataclass(eq=False)
@@ -38,12 +60,17 @@ class Node:
     """An element of a file."""
 
     tag: str
-    attributes: dict[str, str]
+    given: InitVar[Mapping[str, str]]
     file: Path
     line: int
     parent: Node | None = None
     children: list[Node] = field(default_factory=list)
     text: str = ""
+    taken: bool = False
+    """Whether it was asked for."""
+
+    def __post_init__(self, given: Mapping[str, str]) -> None:
+        self.attributes = Attributes(given)
 
     @property
     def path(self) -> str:
@@ -63,7 +90,28 @@ class Node:
 
     def all(self, *tags: str) -> list[Node]:
         """Children with one of these tags."""
-        return [child for child in self.children if child.tag in tags]
+        found = [child for child in self.children if child.tag in tags]
+        for child in found:
+            child.taken = True
+        return found
+
+    def each(self) -> Iterator[Node]:
+        """All children, for one who judges each by its tag."""
+        for child in self.children:
+            child.taken = True
+            yield child
+
+    def finish(self, left: Container[Node]) -> None:
+        """Refuse what nobody asked for, here and below; what is left out is passed over."""
+        if self in left or self.tag == "plugin":
+            return
+        for name, value in self.attributes.items():
+            if name not in self.attributes.taken and name != "name" and not name.startswith("xmlns"):
+                self.fail(_UNKNOWN.format(f'{name}="{value[:60]}" of <{self.tag}>'))
+        for child in self.children:
+            if not child.taken:
+                child.fail(_UNKNOWN.format(f"<{child.tag[:60]}> in <{self.tag}>"))
+            child.finish(left)
 
     def one(self, tag: str) -> Node | None:
         """The child with a tag, None where there is none; InputError where there are several."""
@@ -98,6 +146,7 @@ class Reading:
     def text(self, name: str, default: str | None = None) -> str:
         """An attribute as text; InputError where it is not there and has no default."""
         self._taken.add(name)
+        self.node.attributes.taken.add(name)
         if name in self._given:
             return self._given[name][0]
         if default is None:
@@ -147,12 +196,10 @@ class Reading:
 
     def done(self, harmless: Sequence[str] = ()) -> None:
         """Refuse what was not taken and is not harmless."""
+        self.node.attributes.taken.update(self._given)
         for name, (value, node) in self._given.items():
             if name not in self._taken and name not in harmless:
-                node.fail(
-                    f'alfmu does not know what {name}="{value[:60]}" of <{self.node.tag}> does to the motion; '
-                    "leave it out if it does nothing"
-                )
+                node.fail(_UNKNOWN.format(f'{name}="{value[:60]}" of <{self.node.tag}>'))
 
 
 def numbers(node: Node, what: str, text: str, count: int | range) -> list[float]:

@@ -24,50 +24,28 @@ __all__ = ["read"]
 _VISUAL = {"asset", "visual", "statistic", "size", "sensor", "custom"}
 """Sections that do nothing to the motion."""
 
+_MEDIUM = "alfmu has no medium around bodies; leave it out"
+_SOLVER = "settings of MuJoCo's solver, as constraints are rigid here"
 _IN_BODIES = {"camera", "light"}
 _ACTUATORS = ("motor", "general", "position", "velocity")
 _SHARED = {"name", "class", "group", "user", "joint", "gear", "ctrllimited", "ctrlrange", "forcelimited", "forcerange"}
 """Attributes that actuators of all kinds have; defaults of one kind count for all."""
 
-_HARMLESS_GEOM = [
-    "name",
-    "class",
-    "type",
-    "size",
-    "fromto",
-    "pos",
-    "quat",
-    "axisangle",
-    "xyaxes",
-    "zaxis",
-    "euler",
-    "mass",
-    "density",
-    "shellinertia",
-    "fitscale",
-    "mesh",
-    "hfield",
-    "contype",
-    "conaffinity",
-    "group",
-    "user",
-    "material",
-    "rgba",
-    "condim",
-    "priority",
-    "friction",
-    "solmix",
-    "solref",
-    "solimp",
-    "margin",
-    "gap",
-    "surfacevel",
-]
+_HARMLESS_GEOM = (
+    "name", "class", "type", "size", "fromto", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler", "mass",
+    "density", "shellinertia", "fitscale", "mesh", "hfield", "contype", "conaffinity", "group", "user", "material",
+    "rgba", "condim", "priority", "friction", "solmix", "solref", "solimp", "margin", "gap", "surfacevel",
+)  # fmt: skip
 _DYNAMICS = (
     "dyntype", "actdim", "timeconst", "inheritrange", "dampratio", "delay", "nsample", "armature", "damping",
 )  # fmt: skip
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
+_FLAGS = {
+    "actuation", "autoreset", "clampctrl", "constraint", "contact", "damper", "diagexact", "energy", "equality",
+    "eulerdamp", "filterparent", "frictionloss", "fwdinv", "gravity", "invdiscrete", "island", "limit", "midphase",
+    "multiccd", "nativeccd", "override", "passive", "refsafe", "sensor", "sleep", "spring", "warmstart",
+}  # fmt: skip
 _DEEPEST = 8
 """Files that include each other."""
 
@@ -115,7 +93,7 @@ class _File:
         self.sites: dict[str, tuple[Link | None, Pose]] = {}
         self.geoms: list[tuple[Link | None, Node, int, int]] = []
         self.free: set[Link] = set()
-        for section in root.children:
+        for section in root.each():
             self._section(section)
         for node in root.all("worldbody"):
             self._tree(node, None, Pose(), None)
@@ -123,21 +101,21 @@ class _File:
         for node in root.all("equality"):
             self._equalities(node)
         for node in root.all("actuator"):
-            for each in node.children:
+            for each in node.each():
                 self._actuator(each)
-        if contacts == "refuse":
+        if contacts == "refuse" and not self.settings.off & {"contact", "constraint"}:
             self._contacts()
+        else:
+            self.linkage.leave("contacts", *root.all("contact"))
         self._start(key)
 
     def _section(self, section: Node) -> None:
         tag = section.tag
         if tag in _VISUAL:
-            if section.children or tag in ("statistic",):
-                self.linkage.leave(
-                    {"asset": "assets", "sensor": "sensors"}.get(tag, tag), *(section.children or [section])
-                )
+            what = {"asset": "assets", "sensor": "sensors"}.get(tag, tag)
+            self.linkage.leave(what, *(section.each() if section.children and not section.attributes else [section]))
         elif tag in ("tendon", "deformable", "extension"):
-            for child in section.children:
+            for child in section.each():
                 child.fail(
                     f"a <{child.tag}> does not map; alfmu takes bodies, joints, connect, weld and joint equalities, "
                     "and motors on joints (declare the rest in the file that `alfmu import` writes)"
@@ -184,20 +162,17 @@ class _File:
             given = Reading(node)
             x, y, z = given.numbers("gravity", 3, found.gravity)
             found.gravity = (x, y, z)
-            given.refuse(
-                {
-                    "density": "alfmu has no medium around bodies; leave it out",
-                    "viscosity": "alfmu has no medium around bodies; leave it out",
-                    "wind": "alfmu has no medium around bodies; leave it out",
-                }
-            )
+            given.refuse(dict.fromkeys(("density", "viscosity", "wind"), _MEDIUM))
             given.done(
                 ("timestep", "integrator", "solver", "cone", "jacobian", "iterations", "tolerance", "ls_iterations",
                  "ls_tolerance", "noslip_iterations", "noslip_tolerance", "ccd_iterations", "ccd_tolerance",
                  "sdf_iterations", "sdf_initpoints", "impratio", "magnetic", "o_margin", "o_solref", "o_solimp",
                  "o_friction", "actuatorgroupdisable", "apirate", "sleep_tolerance")
             )  # fmt: skip
-            given.refuse({"actuatorgroupdisable": "leave the actuators out"})
+            if given.has("actuatorgroupdisable"):
+                given.fail("actuatorgroupdisable", "actuatorgroupdisable does not map; leave the actuators out")
+            if set(node.attributes) - {"gravity", "density", "viscosity", "wind"}:
+                self.linkage.leave(_SOLVER, node)
             for flags in node.all("flag"):
                 self._flags(Reading(flags), found)
         if "gravity" in found.off:
@@ -206,22 +181,26 @@ class _File:
 
     def _flags(self, given: Reading, found: _Settings) -> None:
         for name in given.node.attributes:
-            state = given.choice(name, ("enable", "disable"))
-            if state == "disable" and name in ("gravity", "equality", "constraint", "contact", "limit", "frictionloss"):
+            if given.choice(name, ("enable", "disable")) == "disable":
                 found.off.add(name)
-            elif state == "disable" and name in ("passive", "spring", "damper", "actuation", "clampctrl"):
-                given.fail(name, f'{name}="disable" does not map; leave out what it disables')
-            elif state == "enable" and name == "override":
+                if name in ("passive", "spring", "damper", "actuation", "clampctrl"):
+                    given.fail(name, f'{name}="disable" does not map; leave out what it disables')
+            elif name == "override":
                 given.fail(name, 'override="enable" does not map: contacts are not taken')
+            if name not in _FLAGS:
+                given.fail(name, f"alfmu does not know the flag {name}; leave it out if it does nothing to the motion")
 
     def _default(self, node: Node, parent: str | None) -> None:
         given = Reading(node)
         name = given.text("class", "main" if parent is None else None)
+        if parent is None and name != "main":
+            given.fail("class", f"the outermost default class is called {shown(name[:40])}; its name is main")
         given.done()
         known_before = self.defaults.get(name, {}) if parent is None else {}
         self.defaults[name] = {tag: dict(x) for tag, x in (self.defaults[parent] if parent else known_before).items()}
-        for child in node.children:
+        for child in node.each():
             if child.tag != "default":
+                child.attributes.taken.update(child.attributes)
                 self.defaults[name].setdefault(child.tag, {}).update(
                     {k: (v, child) for k, v in child.attributes.items()}
                 )
@@ -243,7 +222,7 @@ class _File:
     def _tree(self, node: Node, link: Link | None, pose: Pose, childclass: str | None) -> list[Inertial]:
         """What is in a body, or in a frame of it at a pose; masses of its geoms."""
         parts = []
-        for child in node.children:
+        for child in node.each():
             if child.tag == "body":
                 self._body(child, link, pose, childclass)
             elif child.tag == "frame":
@@ -396,15 +375,20 @@ class _File:
             given.refuse(
                 {"frictionloss": "alfmu's dry friction follows from the joint's reaction (`Mechanism.friction`)"}
             )
-        given.refuse({"springdamper": "give stiffness and damping"})
-        given.refuse({"actuatorgravcomp": "alfmu's gravity acts on all bodies"})
+        given.refuse(
+            {
+                "springdamper": "give stiffness and damping",
+                "actuatorgravcomp": "alfmu's gravity acts on all bodies",
+                "align": "it moves frames, not bodies; leave it out",
+                "actuatorfrcrange": "limit the motor by forcerange",
+            }
+        )
         limits = given.numbers("range", 2, (0.0, 0.0))
         limited = given.text("limited", "auto")
         if (limited == "true" or (limited == "auto" and self.settings.autolimits and any(limits))) and (
             not self.settings.off & {"limit", "constraint"}
         ):
             self.linkage.warn("limits of joints", node)
-        given.refuse({"actuatorfrcrange": "limit the motor by forcerange"})
         given.done(
             ("class", "group", "user", "type", "pos", "axis", "ref", "springref", "solreflimit", "solimplimit",
              "solreffriction", "solimpfriction", "margin", "align", "frictionloss", "range", "limited",
@@ -429,7 +413,7 @@ class _File:
         kind = given.text("type", "mesh" if given.has("mesh") else "sphere")
         masks = [int(given.number(name, 1)) for name in ("contype", "conaffinity")]
         self.geoms.append((link, node, masks[0], masks[1]))
-        given.refuse({"fluidshape": "alfmu has no medium around bodies; leave it out"})
+        given.refuse({"fluidshape": _MEDIUM})
         given.done((*_HARMLESS_GEOM, "fluidcoef", "fluidshape"))
         self.linkage.leave("shapes of geoms", node)
         if link is None or kind in ("plane", "hfield"):
@@ -475,9 +459,9 @@ class _File:
 
     def _equalities(self, section: Node) -> None:
         if self.settings.off & {"equality", "constraint"}:
-            self.linkage.leave("equality constraints, which the options disable", *section.children)
+            self.linkage.leave("equality constraints, which the options disable", section)
             return
-        for i, node in enumerate(section.children):
+        for i, node in enumerate(section.each()):
             if node.tag not in ("connect", "weld", "joint"):
                 node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld and joint")
             given = self._reading(node, None, "equality", node.tag)
@@ -492,7 +476,9 @@ class _File:
                 self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
             else:
                 self.linkage.closures.append(self._equality(given, name))
-            given.done(("class", "solref", "solimp", "torquescale", "user", "anchor", "relpose"))
+            if given.has("solref") or given.has("solimp"):
+                self.linkage.leave(_SOLVER, node)
+            given.done(("class", "solref", "solimp", "user", "anchor", "relpose"))
 
     def _scalar(self, given: Reading, which: str) -> Joint:
         name = given.text(which)
@@ -519,6 +505,8 @@ class _File:
             return Closure(name, kind, node, (first, Pose(anchor)), (second, Pose(apart.inverse.at(anchor))))
         # The anchor is in the frame of the second body.
         anchor = vector(given.numbers("anchor", 3, (0, 0, 0)))
+        if not given.number("torquescale", 1.0) > 0:
+            given.fail("torquescale", "a weld that leaves turns free does not map; use connect")
         posed = given.numbers("relpose", 7, (0, 1, 0, 0, 0, 0, 0))
         if any(posed[3:]):
             # MuJoCo holds the anchor at the place of relpose itself.
@@ -546,13 +534,9 @@ class _File:
         for name, (_, origin) in given._given.items():
             if name not in _SHARED and origin.tag != kind:
                 origin.fail(f"{name} of <{origin.tag}> counts for the <{kind}> in line {node.line} too; give it there")
-        others = dict.fromkeys(
-            ("jointinparent", "tendon", "site", "body", "slidersite", "cranksite", "refsite"),
-            "alfmu takes motors on joints",
-        )
-        for each in others:
+        for each in ("jointinparent", "tendon", "site", "body", "slidersite", "cranksite", "refsite"):
             if given.has(each):
-                given.fail(each, f"{each} does not map: {others[each]}")
+                given.fail(each, f"{each} does not map: alfmu takes motors on joints")
         joint = self._scalar(given, "joint")
         name = given.text("name", f"{joint.name}_{kind}")
         rotary = joint.kind == "revolute"
@@ -591,8 +575,6 @@ class _File:
 
     def _contacts(self) -> None:
         """Refuse a file whose bodies could touch each other."""
-        if self.settings.off & {"contact", "constraint"}:
-            return
         excluded = set()
         for section in self.root.all("contact"):
             for pair in section.all("pair"):
@@ -606,7 +588,8 @@ class _File:
                 if a is b or not (type1 & affinity2 or type2 & affinity1):
                     continue
                 # MuJoCo leaves out contacts of a body with its parent, unless that is the world.
-                if a is not None and b is not None and (_moving(a.parent) is b or _moving(b.parent) is a):
+                related = a is not None and b is not None and (_moving(a.parent) is b or _moving(b.parent) is a)
+                if related and "filterparent" not in self.settings.off:
                     continue
                 names = [link.name if link is not None else "world" for link in (two, one)]
                 if frozenset(names) not in excluded:
@@ -624,8 +607,9 @@ class _File:
             if joint.kind == "free":
                 pose = self._at_reference(next(link for link in self.linkage.links if joint in link.joints))
                 joint.start = (*pose.place.tolist(), *quaternion(pose.turn).tolist())
+        rest = [each for name, each in named.items() if name != key]
+        self.linkage.leave("keyframes, one of which --option key=NAME takes as the start", *rest)
         if not key:
-            self.linkage.leave("keyframes, one of which --option key=NAME takes as the start", *keys)
             return
         known(self.root, key, named, "keyframe")
         given = Reading(named[key])
@@ -634,7 +618,11 @@ class _File:
         positions = given.numbers("qpos", sum(a for a, _ in sizes)) if given.has("qpos") else None
         rates = given.numbers("qvel", sum(b for _, b in sizes)) if given.has("qvel") else None
         given.refuse(dict.fromkeys(("act", "mpos", "mquat"), "alfmu has no such state"))
-        given.done(("name", "time", "ctrl", "mpos", "mquat", "act"))
+        if given.has("ctrl"):
+            motors = self.linkage.motors
+            for motor, x in zip(motors, given.numbers("ctrl", len(motors)), strict=True):
+                motor.start = x
+        given.done(("name", "time"))
         for joint, (a, b) in zip(self.linkage.joints, sizes, strict=True):
             if positions is not None:
                 joint.start, positions = tuple(positions[:a]), positions[a:]
@@ -689,7 +677,7 @@ def _include(node: Node, folder: Path, depth: int, read: list[Path]) -> None:
             child.fail(f"more than {_FILES} files are included")
         root = parsed(path)
         _include(root, folder, depth + 1, read)
-        for each in root.children:
+        for each in root.each():
             each.parent = node
         children += root.children
     node.children = children

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import keyword
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -86,6 +87,16 @@ def _bracketed(thing: Any) -> str:
     return text if not isinstance(thing, Named) or thing.plain else f"({text})"
 
 
+def _folded(text: str) -> str:
+    """What stands in brackets, over several lines where it is long, broken at spaces outside texts."""
+    lines = [""]
+    for word in re.findall(r'(?:"(?:\\.|[^"\\])*"|[^\s"])+', text):
+        if lines[-1] and len(lines[-1]) + len(word) > _WIDTH - 12:
+            lines.append("")
+        lines[-1] += f" {word}" if lines[-1] else word
+    return "\n        ".join(lines)
+
+
 class Script:
     """Makes a mechanism by calls and writes them down."""
 
@@ -104,7 +115,7 @@ class Script:
         begin = f"{variable + ' = ' if keep else ''}m.{method}("
         line = f"{begin}{', '.join(given)})"
         if len(line) > _WIDTH:
-            line = begin + "".join(f"\n    {each}," for each in given) + "\n)"
+            line = begin + "".join(f"\n    {_folded(each)}," for each in given) + "\n)"
         self._lines.append(line)
         return Named(made, variable)
 
@@ -124,6 +135,7 @@ class Script:
             head += ["import casadi as ca", ""]
         name, description = written(self.mechanism.name), written(self.mechanism.description)
         head += ["from alfmu import Mechanism", "", "", f"def {function}() -> Mechanism:"]
-        head += [f"    m = Mechanism({name}, {description})"]
+        made = f"    m = Mechanism({name}, {description})"
+        head += [made if len(made) <= _WIDTH else f"    m = Mechanism(\n        {name},\n        {description},\n    )"]
         lines = [f"    {line}" if line else "" for line in body.split("\n")]
         return "\n".join([*head, *lines, "    return m", ""])

@@ -121,13 +121,17 @@ class _File:
         return moving[0]
 
     def _world(self, world: Node) -> None:
-        for child in world.children:
+        for child in world.each():
             if child.tag == "include":
                 child.fail("models by <include> do not map; put the model into the file")
             if child.tag not in _WORLD_HARMLESS | {"wind"}:
                 child.fail(f"<{child.tag}> of a world does not map; alfmu takes a model and gravity")
             if child.tag == "plugin":
                 self.linkage.warn(_PROGRAMS, child)
+            elif child.tag not in ("gravity", "model"):
+                self.linkage.leave("settings of the world", child)
+            if child.tag == "physics" and child.one("gravity") is not None:
+                child.fail("gravity stands in <physics>, as in old files; put it into <world>")
         if world.one("gravity") is not None:
             gravity = world.one("gravity")
             assert gravity is not None
@@ -149,7 +153,7 @@ class _File:
 
     def _model(self) -> None:
         node = self.model
-        for child in node.children:
+        for child in node.each():
             if child.tag in ("plugin",):
                 self.linkage.warn(_PROGRAMS, child)
             elif child.tag in ("include", "model"):
@@ -162,8 +166,7 @@ class _File:
                 child.fail(f"<{child.tag}> of a model does not map; alfmu takes links, joints and frames")
         given = Reading(node)
         given.text("name")
-        if given.text("placement_frame", "") or given.text("canonical_link", ""):
-            self.linkage.leave("placement_frame and canonical_link", node)
+        given.text("canonical_link", "")
         self.nodes = {each.attributes.get("name", ""): each for each in node.all("link", "joint", "frame")}
         if len(self.nodes) < len(node.all("link", "joint", "frame")):
             node.fail("two of its links, joints and frames have the same name, or none; names are used once")
@@ -268,6 +271,10 @@ class _File:
                     self.linkage.note(
                         "reactions act on the parent link of joints that are taken from child to parent", step
                     )
+                    if kind == "universal":
+                        self.linkage.note(
+                            "angle 1 of such a universal joint is about <axis2>, angle 2 about <axis>", step
+                        )
                 joint = Joint(step.attributes["name"], kind, step, at.place, axes, lead=details["lead"])
                 count = {"spherical": 4, "universal": 2}.get(kind, 1)
                 joint.start, joint.rates = joint.zero, (0.0,) * (3 if kind == "spherical" else count)
@@ -277,13 +284,15 @@ class _File:
                 self.made[joint.name] = joint
                 link.joints.append(joint)
                 mimics += [(mimic, joint) for mimic in details["mimic"]]
+        for name, each in self.nodes.items():
+            self._pose(name, each)
         for each in left:
             self.linkage.closures.append(self._closure(each, *ends[each]))
         for mimic, joint in mimics:
             self._mimic(mimic, joint)
 
     def _made(self, node: Node, parent: Link | None, pose: Pose) -> Link:
-        for child in node.children:
+        for child in node.each():
             if child.tag in _LEFT:
                 self.linkage.leave(_LEFT[child.tag], child)
             elif child.tag == "plugin":
@@ -308,7 +317,7 @@ class _File:
             self.linkage.note("1 kg and 1 kg.m2 are taken, as SDF says, for links without <inertial>", link)
             return Inertial(1.0, np.zeros(3), np.eye(3))
         Reading(node).refuse({"auto": "give mass and inertia"})
-        for child in node.children:
+        for child in node.each():
             if child.tag not in ("pose", "mass", "inertia"):
                 child.fail(f"<{child.tag}> does not map; alfmu takes pose, mass and inertia")
         posed = node.one("pose")
@@ -365,6 +374,7 @@ class _File:
         follow(self.linkage, node, joint, self.made[name], factor, offset - factor * reference)
 
 
+_LIMITS = {"lower": -1e16, "upper": 1e16, "effort": -1.0, "velocity": -1.0}
 _MIMIC = {"multiplier": 1.0, "offset": 0.0, "reference": 0.0}
 
 
@@ -386,16 +396,18 @@ def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[
     kind = node.attributes.get("type", "")
     if kind not in _KINDS:
         node.fail(_LATER.format(shown(kind[:40])))
+    kind = _KINDS[kind]
+    wanted = {"revolute": ["axis"], "prismatic": ["axis"], "screw": ["axis"], "universal": ["axis", "axis2"]}
     allowed = {"parent", "child", "pose", "axis", "axis2", "physics", "sensor", "screw_thread_pitch", "thread_pitch"}
-    for child in node.children:
+    for child in node.each():
         if child.tag == "sensor":
             linkage.leave("sensors", child)
         elif child.tag == "physics":
             linkage.leave("settings of solvers", child)
         elif child.tag not in allowed:
             child.fail(f"<{child.tag}> of a joint does not map")
-    wanted = {"revolute": ["axis"], "prismatic": ["axis"], "screw": ["axis"], "universal": ["axis", "axis2"]}
-    kind = _KINDS[kind]
+        elif child.tag in ("axis", "axis2") and child.tag not in wanted.get(kind, []):
+            linkage.leave("axes of joints that have none", child)
     found: dict = {"frame": frame, "axes": [], "damping": (), "stiffness": (), "rest": (), "lead": 0.0, "mimic": []}
     for tag in wanted.get(kind, []):
         axis = node.one(tag)
@@ -418,12 +430,13 @@ def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[
 
 def _axis(linkage: Linkage, axis: Node, found: dict) -> None:
     """Springs, dampers, limits and followers of an axis."""
-    for child in axis.children:
+    for child in axis.each():
         if child.tag == "mimic":
             found["mimic"].append(child)
         elif child.tag == "limit":
-            bounds = [number(child, each, x) for each, x in (("lower", -1e16), ("upper", 1e16))]
-            if max(map(abs, bounds)) < 1e15:
+            linkage.leave("stiffness of limits", *child.all("stiffness", "dissipation"))
+            low, high, effort, speed = (number(child, each, x) for each, x in _LIMITS.items())
+            if min(abs(low), abs(high)) < 1e15 or any(0 <= x < 1e15 for x in (effort, speed)):
                 linkage.warn("limits of joints", child.parent.parent)  # type: ignore[union-attr,list-item]
         elif child.tag not in ("xyz", "dynamics", "use_parent_model_frame", "initial_position"):
             child.fail(f"<{child.tag}> of an axis does not map")

@@ -28,6 +28,14 @@ _LOOPS = {
 }
 _LEFT = {"visual": "visuals", "collision": "shapes of collisions", "sensor": "sensors"}
 
+_MOVED = ("axis", "dynamics", "mimic", "limit")
+_MOVING = {
+    "turnGravityOff": "alfmu's gravity acts on all bodies",
+    "dampingFactor": "give joints damping",
+    "springStiffness": "declare the spring in the file that `alfmu import` writes",
+}
+"""Settings for Gazebo that change how something moves, with what is possible instead."""
+
 
 def read(root: Node, base: str = "fixed") -> Linkage:
     """The linkage of a URDF file; see `imported` for the options."""
@@ -46,7 +54,7 @@ class _File:
         nodes = {each.attributes.get("name", ""): each for each in root.all("link")}
         if len(nodes) < len(root.all("link")) or "" in nodes:
             root.fail("two of its links have the same name, or one has none; names are used once")
-        for child in root.children:
+        for child in root.each():
             self._section(child)
         self._tree(nodes, root.all("joint"), base)
         for child in root.all("loop_joint", "drake:loop_joint"):
@@ -114,7 +122,9 @@ class _File:
         child = joint.one(which)
         if child is None:
             joint.fail(f"it has no <{which}>; give one")
-        name = Reading(child).text("link")
+        given = Reading(child)
+        name = given.text("link")
+        given.done()
         known(child, name, nodes, "link")
         return name
 
@@ -122,7 +132,7 @@ class _File:
         given = Reading(node)
         name = given.text("name")
         given.done(("type",))
-        for child in node.children:
+        for child in node.each():
             if child.tag in _LEFT:
                 self.linkage.leave(_LEFT[child.tag], child)
             elif child.tag != "inertial":
@@ -154,7 +164,12 @@ class _File:
 
     def _origin(self, node: Node, tag: str = "origin") -> Pose:
         child = node.one(tag)
-        return Pose() if child is None else self._posed(Reading(child))
+        if child is None:
+            return Pose()
+        given = Reading(child)
+        found = self._posed(given)
+        given.done()
+        return found
 
     def _posed(self, given: Reading) -> Pose:
         """xyz and rpy of an element."""
@@ -182,15 +197,21 @@ class _File:
                 f"a joint of type {shown(kind[:40])} does not map; alfmu takes revolute, continuous, prismatic, fixed "
                 "and floating ones"
             )
-        for child in node.children:
+        for child in node.each():
             if child.tag in ("safety_controller", "calibration"):
                 self.linkage.leave(child.tag, child)
-            elif child.tag == "limit" and kind != "fixed":
+            elif child.tag == "limit" and kind not in ("fixed", "floating"):
                 x = Reading(child)
-                if kind != "continuous" and (x.number("lower", 0.0) or x.number("upper", 0.0)):
+                limits = [x.number(each, 0.0) for each in ("lower", "upper", "effort", "velocity")]
+                x.done()
+                if kind != "continuous" or any(limits[2:]):
                     self.linkage.warn("limits of joints", node)
             elif child.tag not in ("origin", "parent", "child", "axis", "dynamics", "mimic", "limit"):
                 child.fail(f"<{child.tag}> of a joint does not map")
+            elif child.tag in _MOVED and kind in ("fixed", "floating"):
+                if child.tag == "mimic" or (child.tag, kind) == ("dynamics", "floating"):
+                    child.fail(f"<{child.tag}> of a {kind} joint does not map")
+                self.linkage.leave("what joints without an axis say of one", child)
         if kind == "fixed":
             return []
         if kind == "floating" and link.parent is not None and (link.parent.parent or link.parent.joints):
@@ -208,8 +229,6 @@ class _File:
             joint.damping = (given.positive("damping", 0.0),)
             given.refuse({"friction": "alfmu's dry friction follows from the reaction (`Mechanism.friction`)"})
             given.done(("friction",))
-            if joint.damping[0] and kind == "floating":
-                dynamics.fail("damping of a floating joint does not map")
         self.joints[name] = joint
         link.joints.append(joint)
         return [(mimic, joint)] if (mimic := node.one("mimic")) is not None else []
@@ -233,15 +252,20 @@ class _File:
             ends.append((self.links[link], self._posed(given)))
             given.done()
         axes = (self._axis(node),) if kind in ("revolute", "continuous", "prismatic") else ()
+        if not axes:
+            self.linkage.leave("what joints without an axis say of one", *node.all("axis"))
         return Closure(name, _LOOPS[kind], node, ends[0], ends[1], axes)
 
     def _gazebo(self, node: Node) -> None:
-        for child in node.children:
-            if child.tag == "joint" and "reference" not in node.attributes:
+        refers = "reference" in node.attributes
+        for child in node.each():
+            if child.tag == "joint" and not refers:
                 self.linkage.closures.append(self._gazebo_joint(child))
             elif child.tag == "plugin":
                 self.linkage.warn("plugins, which are programs", child)
             else:
+                if child.tag in _MOVING and child.text.strip().lower() not in ("", "0", "0.0", "false"):
+                    child.fail(f"<{child.tag}> does not map: {_MOVING[child.tag]}")
                 self.linkage.leave("settings for Gazebo", child)
 
     def _gazebo_joint(self, node: Node) -> Closure:
@@ -274,6 +298,12 @@ class _File:
         return joint_closure(node, kind, details, places[0], places[1])
 
     def _transmission(self, node: Node) -> None:
+        self.linkage.leave("what transmissions say beside their joints", node)
+        for each in node.below():
+            if each.tag in ("drake:rotor_inertia", "drake:gear_ratio"):
+                each.fail("the inertia of a rotor does not map; declare it in the file that `alfmu import` writes")
+            if each.tag == "mechanicalReduction":
+                self.linkage.note("inputs of transmissions are efforts of the joints, not of the actuators", node)
         for each in node.all("joint"):
             name = Reading(each).text("name")
             known(each, name, self.joints, "joint that moves")

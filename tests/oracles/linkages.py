@@ -3,9 +3,114 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+import alfmu
+from alfmu.analysis.situation import situation, source
+
+SCALAR = (2, 3)
+"""Types of joints with one coordinate in MuJoCo: slide and hinge."""
+
+
+def plain(name: str) -> str:
+    return name.replace(" ", "_")
+
+
+def product(a: NDArray, b: NDArray) -> NDArray:
+    return np.array([a[0] * b[0] - a[1:] @ b[1:], *(a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:]))])
+
+
+def matrix(e: NDArray) -> NDArray:
+    w, x = e[0], e[1:]
+    return (w * w - x @ x) * np.eye(3) + 2 * np.outer(x, x) + 2 * w * np.cross(x, np.eye(3)).T
+
+
+def moving(path: Path, seed: int) -> tuple[list[str], NDArray, NDArray, NDArray, NDArray]:
+    """Names of coordinates, places, rates, accelerations and inputs at random starts, loops closed by alfmu."""
+    rng = np.random.default_rng(seed)
+    mechanism = alfmu.imported(path).mechanism
+    given: dict[str, float] = {}
+    for s in mechanism.starts:
+        given |= {f"start.{s.name}": s.value + 0.2 * rng.normal(), f"start.{s.rate_name}": rng.normal()}
+    found = situation(source(mechanism, given))
+    e, q, v = found.equations, found.state.q, found.state.v
+    u = 2 * rng.normal(size=len(mechanism.inputs))
+    M, C, F, xi = (np.array(x) for x in e.functions["dynamics"](q, v, u, found.p, 0.0))
+    whole = np.block([[M, C.T], [C, np.zeros((len(C),) * 2)]])
+    a = np.linalg.lstsq(whole, np.concatenate([F.ravel(), xi.ravel()]), rcond=1e-13)[0][: len(M)]
+    return [c.name for c in e.coordinates], q, v, a, u
+
+
+def by_mujoco(
+    path: Path, names: list[str], q: NDArray, v: NDArray, a: NDArray, u: NDArray
+) -> tuple[NDArray, NDArray, float]:
+    """alfmu's accelerations in MuJoCo's coordinates, MuJoCo's at the same places and rates, and how loops open.
+
+    Joints that alfmu has no coordinate for stand and move as MuJoCo's constraints have them, and are left out.
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    for j in range(model.njnt):
+        at = model.jnt_qposadr[j]
+        # Body frames of alfmu are parallel to the ground where all coordinates are zero; quaternions begin as they are.
+        if model.jnt_type[j] in SCALAR:
+            data.qpos[at] = 0.0
+    mujoco.mj_forward(model, data)
+    zero = data.xmat.reshape(-1, 3, 3).copy()
+    places, rates, found = np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv)
+    unknown = np.zeros(model.nv, dtype=bool)
+    for j in range(model.njnt):
+        at, d, body = model.jnt_qposadr[j], model.jnt_dofadr[j], model.jnt_bodyid[j]
+        name, link, R = plain(model.joint(j).name or ""), plain(model.body(body).name), zero[body]
+        kind = model.jnt_type[j]
+        if kind in SCALAR:
+            k = next((names.index(x) for x in (f"{name}_angle", f"{name}_position", name) if x in names), None)
+            if k is None:
+                unknown[d] = True
+            else:
+                places[at], rates[d], found[d] = q[k], v[k], a[k]
+            continue
+        free = int(kind) == int(mujoco.mjtJoint.mjJNT_FREE)
+        k = [names.index(f"{link if free else name}_e{i}") for i in range(4)]
+        e, back = q[k], np.array([1, -1, -1, -1]) * q[k]
+        w, dw = 2 * product(back, v[k])[1:], 2 * product(back, a[k])[1:]
+        d, at = d + 3 * free, at + 3 * free
+        rates[d : d + 3], found[d : d + 3] = R.T @ w, R.T @ dw
+        places[at : at + 4] = e[0], *(R.T @ e[1:])
+        if free:
+            turn = matrix(e)
+            mujoco.mju_mat2Quat(places[at : at + 4], (turn @ R).ravel())
+            k, arm = [names.index(f"{link}_{x}") for x in "xyz"], -turn @ R @ model.body_ipos[body]
+            w, dw = turn @ w, turn @ dw
+            places[at - 3 : at] = q[k] + arm
+            rates[d - 3 : d] = v[k] + np.cross(w, arm)
+            found[d - 3 : d] = a[k] + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
+    if unknown.any():
+        _follow(model, data, unknown, places, rates)
+    reference, _, opens = mujoco_accelerations(path, places, rates, u)
+    return found[~unknown], reference[~unknown], opens
+
+
+def _follow(model: Any, data: Any, unknown: NDArray, places: NDArray, rates: NDArray) -> None:
+    """Places and rates of joints by MuJoCo's constraints, in place (Newton's method with its Jacobian)."""
+    import mujoco
+
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    data.qpos[:] = places
+    for _ in range(12):
+        mujoco.mj_forward(model, data)
+        J, gaps = data.efc_J.reshape(-1, model.nv), data.efc_pos.copy()
+        step = np.zeros(model.nv)
+        step[unknown] = np.linalg.lstsq(J[:, unknown], -gaps)[0]
+        mujoco.mj_integratePos(model, data.qpos, step, 1.0)
+    assert np.abs(gaps).max() < 1e-11
+    places[:] = data.qpos
+    rates[unknown] = np.linalg.lstsq(J[:, unknown], -J[:, ~unknown] @ rates[~unknown])[0]
 
 
 def mujoco_accelerations(
@@ -52,9 +157,13 @@ def mujoco_accelerations(
             rows.append(row[None])
             drifts.append(np.array([drift]))
             continue
-        assert model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_BODY
-        anchor = model.eq_data[i, :3] if kind == mujoco.mjtEq.mjEQ_CONNECT else model.eq_data[i, 3:6]
-        other = model.eq_data[i, 3:6] if kind == mujoco.mjtEq.mjEQ_CONNECT else model.eq_data[i, :3]
+        if model.eq_objtype[i] == mujoco.mjtObj.mjOBJ_SITE:
+            anchor, other = model.site_pos[[one, two]]
+            one, two = model.site_bodyid[[one, two]]
+        else:
+            anchor, other = model.eq_data[i, :3], model.eq_data[i, 3:6]
+            if kind == mujoco.mjtEq.mjEQ_WELD:
+                anchor, other = other, anchor
         # What stands in the first and the second body.
         p1 = data.xpos[one] + data.xmat[one].reshape(3, 3) @ anchor
         p2 = data.xpos[two] + data.xmat[two].reshape(3, 3) @ other
