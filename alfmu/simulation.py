@@ -18,6 +18,7 @@ from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
 from .model.settings import Settings
+from .model.words import shown
 from .result import Result, Signal, read_inputs
 from .runtime import Instance
 from .runtime.prepare import prepared, with_defaults
@@ -31,11 +32,13 @@ __all__ = [
     "KERNELS",
     "Result",
     "Unit",
+    "by_name",
     "communication_points",
     "instance",
     "prepared",
     "read_inputs",
     "run",
+    "signals_of",
     "simulate",
     "with_defaults",
 ]
@@ -106,7 +109,7 @@ def simulate(
     Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
     that has begun, the exception's `result` has the rows up to then.
     """
-    given: dict[str, float | str] = dict(parameters or {})
+    given: dict[str, float | str] = by_name(mechanism, "parameters", parameters)
     how: dict[str, Any] = {"inputs": inputs, "progress": progress, "held_rows": held_rows}
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
         if not (outputs is freeze is kernel is start is None):
@@ -180,7 +183,7 @@ def run(
         unit.set(name, value)
     variables = [*unit.outputs, *unit.input_variables]
     times = communication_points(unit.name, stop_time, communication_step, 1 + len(variables))
-    signals = {name: signal_of(signal) for name, signal in (inputs or {}).items()}
+    signals = signals_of(unit.name, inputs)
     names, units = [v.name for v in variables], {v.name: v.unit for v in variables}
     switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
 
@@ -300,10 +303,47 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
     return times
 
 
-def signal_of(signal: Signal) -> Callable[[float], float]:
-    if callable(signal):
-        return signal
-    if isinstance(signal, tuple):
-        times, values = signal
-        return lambda t: float(np.interp(t, times, values))
-    return lambda t: signal
+def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Values by the names of what they are for; InputError where they are given in another way."""
+    if given is not None and not isinstance(given, Mapping):
+        name = getattr(mechanism, "name", mechanism)
+        raise InputError(f"{name}: the {what} are {shown(given)}; give a dictionary of values by their names")
+    return dict(given or {})
+
+
+def signals_of(mechanism: object, inputs: Mapping[str, Signal] | None) -> dict[str, Callable[[float], float]]:
+    """Inputs as functions of time [s], by name; InputError where one is no signal."""
+    found: dict[str, Callable[[float], float]] = {}
+    for name, signal in by_name(mechanism, "inputs", inputs).items():
+        if callable(signal):
+            found[name] = signal
+        elif isinstance(signal, tuple):
+            found[name] = _of_table(mechanism, name, signal)
+        elif isinstance(signal, float | int | np.number):
+            found[name] = lambda t, value=signal: value
+        else:
+            raise InputError(f"{_no_signal(mechanism, name)} is {shown(signal)}; {_SIGNALS}")
+    return found
+
+
+_SIGNALS = "give a number, a function of time, or a pair (times, values)"
+
+
+def _no_signal(mechanism: object, name: str) -> str:
+    return f"{getattr(mechanism, 'name', mechanism)}: the signal of {name}"
+
+
+def _of_table(mechanism: object, name: str, table: tuple[Any, ...]) -> Callable[[float], float]:
+    """Straight lines through the points of a table, which go on as they began and ended."""
+    try:
+        times, values = (np.array(each, float) for each in table)
+    except (TypeError, ValueError):
+        raise InputError(f"{_no_signal(mechanism, name)} is {shown(table)}; {_SIGNALS}") from None
+    if times.ndim != 1 or times.shape != values.shape or not times.size:
+        raise InputError(
+            f"{_no_signal(mechanism, name)} has times of shape {times.shape} and values of shape {values.shape}; give "
+            "one value for each time"
+        )
+    if not (np.diff(times) >= 0).all():
+        raise InputError(f"{_no_signal(mechanism, name)} has times that do not rise; give them in order")
+    return lambda t: float(np.interp(t, times, values))

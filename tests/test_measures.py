@@ -106,7 +106,7 @@ def test_a_place_is_an_expression_in_coordinates():
     [
         ("hing", "arm has no joint or spring hing to measure; did you mean hinge"),
         ("glue", "glue is a weld, which has no single free motion"),
-        (3, "arm has no joint or spring 3"),
+        (3, "takes joints, springs or their names, not 3"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(asked: object, said: str):
