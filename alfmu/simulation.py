@@ -287,10 +287,9 @@ def _step_by_step(
 
 def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray[np.float64]:
     """0, step, 2 step, ... and stop_time itself; InputError where a result of so many columns would be too large."""
-    if not (math.isfinite(step) and step > 0):
-        raise InputError(f"{name}: the step is {step} s; it must be a finite number above zero")
-    if not (math.isfinite(stop_time) and stop_time > 0):
-        raise InputError(f"{name}: the stop time is {stop_time} s; it must be a finite number above zero")
+    for what, given in (("step", step), ("stop time", stop_time)):
+        if not (isinstance(given, float | int | np.number) and math.isfinite(given) and given > 0):
+            raise InputError(f"{name}: the {what} is {given!r} s; it must be a finite number above zero")
     if (points := stop_time / step) * columns > MOST:
         raise InputError(
             f"{name}: {points:.2g} communication points of {step:g} s up to {stop_time:g} s, with {columns} numbers at "

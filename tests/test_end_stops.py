@@ -91,13 +91,13 @@ def test_a_bumper_between_two_points_is_felt_by_the_bearing():
     ("given", "said"),
     [
         ({}, "end stop floor has no limit"),
-        ({"upper": -1.0, "lower": 0.0}, "upper limit -1 and the lower limit 0"),
+        ({"upper": -1.0, "lower": 0.0}, "upper limit -1 and the lower limit 0; the upper one must be above"),
         ({"lower": 0.0, "dissipation": 0.1, "restitution": 0.5}, "has a dissipation and a restitution"),
-        ({"lower": 0.0, "restitution": 1.5}, "restitution of end stop floor is 1.5 1; it must be from 0 to 1"),
+        ({"lower": 0.0, "restitution": 1.5}, "restitution of end stop floor is 1.5; it must be from 0 to 1"),
         ({"lower": 0.0, "onset": 0.0}, "the onset of end stop floor is 0 m; it must be above zero"),
-        ({"lower": 0.0, "stiffness": -1.0}, "the stiffness of end stop floor is -1 N/m"),
-        ({"lower": 0.0, "of": 3.0}, "depends on no coordinate"),
-        ({"lower": 0.0, "of": "fal"}, "give a number or an expression"),
+        ({"lower": 0.0, "stiffness": -1.0}, "the stiffness of end stop floor is -1 N/m; it must not be negative"),
+        ({"lower": 0.0, "of": 3.0}, "takes a joint, two markers or an expression in coordinates, not 3.0"),
+        ({"lower": 0.0, "of": "fall"}, "takes a joint, two markers or an expression in coordinates, not 'fall'"),
     ],
 )
 def test_a_stop_that_cannot_be_is_refused(given: dict, said: str):

@@ -663,6 +663,10 @@ def _declared(line: str) -> None:
         ("m.friction(guide, coulomb=0.2, radius=0.1)", "a prismatic joint has no radius"),
         ("m.friction(guide, radius=0.1)", "no coefficient; give coulomb"),
         ("m.friction(guide, coulomb=-0.1)", "coulomb of friction of guide is -0.1; it must not be negative"),
+        ("m.friction(guide, coulomb='rough')", "coulomb of friction of guide is 'rough'; give a number"),
+        ("m.friction(guide, coulomb=m.parameter('mu', 0.1) - 0.3)", "is -0.2; it must not be negative"),
+        ("m.friction(guide, -2.0)", "the viscous coefficient of friction of guide is -2 N.s/m; it must not be"),
+        ("m.friction(guide, coulomb=0.1, static=-0.2)", "static of friction of guide is -0.2; it must not be"),
         ("m.friction(guide, coulomb=0.3, static=0.2)", "static = 0.2 below coulomb = 0.3"),
         ("m.friction(guide, coulomb=0.3, stribeck=0.2)", "give static"),
         ("m.friction(guide, coulomb=0.3, static=0.4, stribeck=0.0)", "is 0 m/s; it must be above zero"),
@@ -673,6 +677,16 @@ def _declared(line: str) -> None:
 def test_a_declaration_that_makes_no_sense_is_refused(line, said):
     with pytest.raises(DeclarationError, match=said):
         _declared(line)
+
+
+def test_a_coefficient_that_is_a_parameter_is_not_negative_later_either():
+    m = alfmu.Mechanism("m")
+    block = m.body("block", mass=1.0)
+    guide = m.prismatic("guide", m.ground.at(), block.at(), coordinate=m.coordinate("x", "m", independent=True))
+    m.friction(guide, coulomb=m.parameter("mu", 0.3))
+    m.gravity(0, -9.81)
+    with pytest.raises(InputError, match=r"m: mu = -0.1 1 is outside"):
+        alfmu.simulate(m, 0.1, 0.1, parameters={"mu": -0.1})
 
 
 def test_methods_without_dry_friction_are_refused_by_name(incline):

@@ -118,6 +118,8 @@ def test_what_belongs_to_no_mechanism_is_refused():
     one, other = arm("coordinates"), arm("coordinates")
     with pytest.raises(alfmu.DeclarationError, match="spring of another mechanism"):
         one.measure(other.springs[0])
+    with pytest.raises(alfmu.DeclarationError, match="slide is a joint of another mechanism; arm has slide, hinge"):
+        one.measure(other.joints[0])
     with pytest.raises(alfmu.DeclarationError, match="belongs to no mechanism"):
         _ = type(one.ground)("alone", 1.0, 1.0, (0.0, 0.0)).angle
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from .cams import Cam, Profile, cam
-from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
+from .checks import jump_in, number, perhaps_an_impact, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
 from .motion import DERIVATIVES, JUMPS, ORDERS, Input, Signal
 from .relations import (
@@ -1768,9 +1768,9 @@ class Mechanism:
         joints with coordinates do not contain it.
         """
         self._claim(name, unit, "a constraint")
-        Mechanism.closures.of(self).append(
-            Constraint(name, self._of_coordinates(f"constraint {name}", expression, unit), unit)
-        )
+        value = self._of_coordinates(f"constraint {name}", expression, unit)
+        self._no_jumps(f"constraint {name}", value, unit)
+        Mechanism.closures.of(self).append(Constraint(name, value, unit))
 
     def compliances(self) -> None:
         """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.
@@ -1820,6 +1820,7 @@ class Mechanism:
         if any(isinstance(c, Motion) and c.name == name for c in self.closures):
             raise DeclarationError(f"{self.name}: {name} has a motion already; give it one")
         law = symbolic(self._quantity(f"the motion of {name}", law, unit, LAW))
+        self._no_jumps(f"the motion of {name}", law, unit)
         self.moves = True
         value = None
         coordinate = None if placed is None else self._by_symbol.get(key_of(placed))
@@ -1979,6 +1980,7 @@ class Mechanism:
             what = f"the coordinate of {joint.name}, a {joint.kind},"
             along = "m" if joint.kind == "prismatic" else "rad"
             joint.coordinate = self._quantity(what, joint.coordinate, along, PLACE)
+            self._no_jumps(what, joint.coordinate, along)
             # The joint places whichever body has no place yet, the second one if it can.
             target = second if not second.is_placed else first
             if target.is_placed:
@@ -2156,6 +2158,28 @@ class Mechanism:
             if isinstance(given, Input):
                 value = ca.substitute(value, symbol, self._signal(given).at(self.time))
         return value
+
+    def _no_jumps(self, what: str, value: Scalar, unit: str) -> None:
+        """What moves bodies in time does so without a jump, at the defaults of parameters and up to the stop time.
+
+        Raises DeclarationError with the size of a jump; a jump of the rate is an impact, of which it warns. What
+        follows an input is looked at by the run.
+        """
+        symbols = symbols_in(value)
+        kinds = {key_of(symbol): self._symbols[key_of(symbol)].kind for symbol in symbols}
+        if "time" not in kinds.values() or "inputs" in kinds.values():
+            return
+        known = {key_of(x.symbol): x.default for x in self.parameters}
+        others = [symbol for symbol in symbols if kinds[key_of(symbol)] != "time"]
+        at = ca.substitute(symbolic(value), stack(others), stack([known.get(key_of(x), 0.5) for x in others]))
+        what, stop = f"{self.name}: {what}", self.experiment.stop_time
+        if found := jump_in(at, self.time, stop):
+            raise DeclarationError(
+                f"{what} jumps by {found[1]:.6g} {unit} at t = {found[0]:.6g} s, which no rigid mechanism follows; "
+                "give a law without jumps"
+            )
+        if found := jump_in(ca.jacobian(at, self.time), self.time, stop):
+            perhaps_an_impact(what, *found, rate_of(unit))
 
     def _signal(self, given: Input) -> Signal:
         """The signal of an input, declared where the input moves something for the first time."""
