@@ -441,7 +441,6 @@ def test_a_place_that_jumps_is_refused_and_a_rate_that_jumps_is_told():
         lambda t: 0.1 * ca.sin(2e3 * t),
         lambda t: t**1.5,
         lambda t: ca.fmax(t - 1, 0) ** 2,
-        lambda t: ca.log(t - 2),
     ],
 )
 def test_laws_in_parts_and_steep_ones_are_none_that_jump(law):

@@ -16,10 +16,14 @@ import casadi as ca
 from ..equations.derivation import Kinematics
 from ..model.errors import DeclarationError
 from ..model.mechanism import Joint, Mechanism, Scalar, stack, symbolic
-from ..model.words import shown
+from ..model.spatial import SpatialJoint
+from ..model.words import in_words, shown
 from .declared import named
 
 __all__ = ["Gearbox", "Motor", "dc_motor"]
+
+_DRIVEN = ("revolute", "prismatic", "screw")
+"""Kinds of joints that a motor drives."""
 
 TURNING = 0.1
 """speed of a rotor [rad/s]: up to about this the loss of a gearbox builds up; well below the speeds of motors, and so
@@ -56,7 +60,7 @@ class Motor:
 def dc_motor(
     m: Mechanism,
     name: str,
-    joint: Joint | None = None,
+    joint: Joint | SpatialJoint | None = None,
     *,
     voltage: Scalar,
     resistance: Scalar,
@@ -70,14 +74,17 @@ def dc_motor(
 ) -> Motor:
     """A DC motor that turns the second body of a revolute joint from the first, or moves that of a prismatic one.
 
+    Joints in space are driven as those in the plane are, and a screw, too, by its angle.
+
     `voltage` [V] is any expression: an input, the output of a controller. `resistance` [Ohm], `inductance` [H],
     `constant` [N.m/A, V.s/rad] and `inertia` [kg.m2] of the rotor are numbers, which become the parameters
     `<name>.resistance` and so on, or expressions in parameters. An inductance of 0 gives a current without delay.
     `current` [A] is that at the start, `nominal` [A] what a large one is (as in `Mechanism.state`).
 
     A rotor with inertia is a body of its own, `<name>.rotor`, in a bearing on the first body: it counts with the square
-    of the gearbox's ratio, and the joints that carry the motor feel it. Without a joint `speed` [rad/s] is that of the
-    shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which then has the inertia.
+    of the gearbox's ratio, and the joints that carry the motor feel it. In space it turns about the axis of the joint,
+    as a thin disc, whose inertia across the axis is half of that about it. Without a joint `speed` [rad/s] is that of
+    the shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which then has the inertia.
 
     Outputs are `<name>.current`, `<name>.torque` and `<name>.voltage`. Raises DeclarationError where what is given
     makes no motor.
@@ -108,7 +115,12 @@ def dc_motor(
 
 
 def _check(
-    m: Mechanism, name: str, joint: Joint | None, speed: Scalar | None, inertia: Scalar, gearbox: Gearbox
+    m: Mechanism,
+    name: str,
+    joint: Joint | SpatialJoint | None,
+    speed: Scalar | None,
+    inertia: Scalar,
+    gearbox: Gearbox,
 ) -> None:
     if not isinstance(gearbox, Gearbox):
         raise DeclarationError(f"{m.name}: the gearbox of {name} is {shown(gearbox)}; give parts.Gearbox(ratio=...)")
@@ -123,14 +135,20 @@ def _check(
                 f"{m.name}: the motor {name} has no joint, so that no rotor and no gearbox belong to it; give them to "
                 "the mechanism that it drives"
             )
-    elif not isinstance(joint, Joint) or joint.kind not in ("revolute", "prismatic") or joint not in m.joints:
+    elif not isinstance(joint, Joint | SpatialJoint) or joint.kind not in _DRIVEN or joint not in _joints(m):
         raise DeclarationError(
             f"{m.name}: the motor {name} is on {joint.name if hasattr(joint, 'name') else shown(joint)}; give it a "
-            "revolute or prismatic joint in the plane, of this mechanism"
+            f"joint of this mechanism that is {in_words([f'a {kind}' for kind in _DRIVEN])}, in the plane or in space"
         )
 
 
-def _geared(m: Mechanism, name: str, gearbox: Gearbox, joint: Joint | None) -> tuple[Scalar, Scalar, Scalar]:
+def _joints(m: Mechanism) -> tuple[Joint | SpatialJoint, ...]:
+    return *m.joints, *m.spatial_joints
+
+
+def _geared(
+    m: Mechanism, name: str, gearbox: Gearbox, joint: Joint | SpatialJoint | None
+) -> tuple[Scalar, Scalar, Scalar]:
     """Ratio, efficiency and damping, as parameters where they differ from those of no gearbox."""
     none, ratio, efficiency, damping = Gearbox(), gearbox.ratio, gearbox.efficiency, gearbox.damping
     if isinstance(ratio, ca.SX) or ratio != none.ratio:
@@ -142,7 +160,7 @@ def _geared(m: Mechanism, name: str, gearbox: Gearbox, joint: Joint | None) -> t
     return ratio, efficiency, damping
 
 
-def _rate(m: Mechanism, joint: Joint) -> ca.SX:
+def _rate(m: Mechanism, joint: Joint | SpatialJoint) -> ca.SX:
     """Rate of the free displacement of a joint."""
     q, v = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qv")
     return ca.jtimes(Kinematics(m).free(joint), q, v)
@@ -157,7 +175,13 @@ def _through(torque: ca.SX, speed: ca.SX, efficiency: Scalar) -> ca.SX:
 
 
 def _mounted(
-    m: Mechanism, name: str, joint: Joint, ratio: Scalar, torque: ca.SX, inertia: Scalar, damping: Scalar
+    m: Mechanism,
+    name: str,
+    joint: Joint | SpatialJoint,
+    ratio: Scalar,
+    torque: ca.SX,
+    inertia: Scalar,
+    damping: Scalar,
 ) -> None:
     """The torque on the joint, by a rotor in a bearing on the first body where it has inertia."""
     if not isinstance(inertia, ca.SX) and inertia == 0:
@@ -166,9 +190,21 @@ def _mounted(
             m.spring_damper(joint, damping=ratio**2 * damping)
         return
     J = named(m, name, "inertia", inertia, "kg.m2", "inertia of the rotor", minimum=0.0)
-    rotor = m.body(f"{name}.rotor", mass=0.0, inertia=J)
     turned = ratio * Kinematics(m).free(joint)
-    bearing = m.revolute(f"{name}.bearing", joint.first, rotor.at(), coordinate=turned)
+    bearing: Joint | SpatialJoint
+    if isinstance(joint, SpatialJoint):
+        disc = m.spatial_body(f"{name}.rotor", mass=0.0, inertia=(J / 2, J / 2, J), relative=True)
+        bearing = m.spatial_revolute(
+            f"{name}.bearing",
+            joint.first,
+            disc.at(),
+            axis=joint.axes[0],
+            second_axis=(0.0, 0.0, 1.0),
+            coordinate=turned,
+        )
+    else:
+        rotor = m.body(f"{name}.rotor", mass=0.0, inertia=J)
+        bearing = m.revolute(f"{name}.bearing", joint.first, rotor.at(), coordinate=turned)
     m.drive(bearing, torque)
     if isinstance(damping, ca.SX):
         m.friction(bearing, damping)
