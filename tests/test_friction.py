@@ -1,6 +1,7 @@
 """Dry friction that follows from the load: closed forms, a reference from event to event, jams, shares, FMUs."""
 
 import math
+import re
 
 import casadi as ca
 import fmpy
@@ -640,6 +641,27 @@ def test_a_lock_lets_friction_hold_after_it(incline):
     i.step(0.5)
     assert i.get("guide.slip") == 0.0
     assert i.get("block.position") == pytest.approx(place, abs=1e-15)
+
+
+def test_an_impact_says_that_dry_friction_takes_no_part_in_it(caplog):
+    """The blow of a lock beside a guide that rubs has the momentum of a smooth guide; the one that locks says so, too."""
+    m = block()
+    th = m.coordinate("th", "rad", start=-1.0, rate=3.0, independent=True)
+    bar = m.bar("bar", mass=1.0, length=0.7)
+    m.lock(m.revolute("knee", m.bodies[0].at(), bar.start, coordinate=th))
+    i = alfmu.Instance(m)
+    i.set("start.speed", 1.0)
+    i.initialize()
+    i.step(0.05)
+    assert not caplog.records
+    i.set("knee.locked", True)
+    i.step(0.01)
+    assert i.get("monitor.energy_lost") > 0.1
+    (record,) = caplog.records
+    said = (
+        rf"an impact took {i.get('monitor.energy_lost'):.3g} J, and dry friction took no part in it: .* such as guide"
+    )
+    assert re.search(said, record.getMessage())
 
 
 # What is refused ----------------------------------------------------------------------------------------------------

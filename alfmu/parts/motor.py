@@ -84,7 +84,7 @@ def dc_motor(
     A rotor with inertia is a body of its own, `<name>.rotor`, in a bearing on the first body: it counts with the square
     of the gearbox's ratio, and the joints that carry the motor feel it. In space it turns about the axis of the joint,
     as a thin disc, whose inertia across the axis is half of that about it. Without a joint `speed` [rad/s] is that of
-    the shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which then has the inertia.
+    the shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which has the inertia.
 
     Outputs are `<name>.current`, `<name>.torque` and `<name>.voltage`. Raises DeclarationError where what is given
     makes no motor.
