@@ -644,7 +644,7 @@ def test_a_lock_lets_friction_hold_after_it(incline):
 
 
 def test_an_impact_says_that_dry_friction_takes_no_part_in_it(caplog):
-    """The blow of a lock beside a guide that rubs has the momentum of a smooth guide; the one that locks says so, too."""
+    """A lock stops a bar on a block that slides on a guide that rubs."""
     m = block()
     th = m.coordinate("th", "rad", start=-1.0, rate=3.0, independent=True)
     bar = m.bar("bar", mass=1.0, length=0.7)
