@@ -13,10 +13,13 @@ _HOME = {
     "AssemblyError": "model.errors",
     "Body": "model.mechanism",
     "DeclarationError": "model.errors",
+    "Derivatives": "gradients",
     "Equations": "equations",
     "Equilibrium": "analysis.equilibria",
     "Experiment": "model.mechanism",
     "ExportError": "model.errors",
+    "Fit": "gradients",
+    "Gradient": "gradients",
     "InputError": "model.errors",
     "Imported": "formats",
     "Instance": "runtime",
@@ -27,16 +30,24 @@ _HOME = {
     "Recipe": "fmi.recipe",
     "Result": "result",
     "StepError": "model.errors",
+    "System": "systems.system",
+    "Sweep": "sweeps.results",
     "WriteError": "model.errors",
+    "couple": "systems.coupling",
+    "derivatives": "gradients",
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
     "export": "fmi.export",
+    "fit": "gradients",
+    "gradient": "gradients",
     "imported": "formats",
     "linearize": "analysis.linearization",
     "load": "model.registry",
     "mechanisms": "model.registry",
     "mobility": "analysis.freedoms",
     "simulate": "simulation",
+    "sweep": "sweeps.sweep",
+    "validate": "fmi.checks.validation",
 }
 """Public name -> module; imported when first used."""
 
@@ -49,10 +60,17 @@ if TYPE_CHECKING:
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
     from .equations import Equations as Equations
+    from .fmi.checks.validation import validate as validate
     from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
     from .formats import Imported as Imported
     from .formats import imported as imported
+    from .gradients import Derivatives as Derivatives
+    from .gradients import Fit as Fit
+    from .gradients import Gradient as Gradient
+    from .gradients import derivatives as derivatives
+    from .gradients import fit as fit
+    from .gradients import gradient as gradient
     from .model.errors import AlfmuError as AlfmuError
     from .model.errors import AlfmuWarning as AlfmuWarning
     from .model.errors import AssemblyError as AssemblyError
@@ -72,6 +90,10 @@ if TYPE_CHECKING:
     from .runtime import Instance as Instance
     from .runtime.reuse import derive as derive
     from .simulation import simulate as simulate
+    from .sweeps.results import Sweep as Sweep
+    from .sweeps.sweep import sweep as sweep
+    from .systems.coupling import couple as couple
+    from .systems.system import System as System
 
     __version__: str
 

@@ -27,7 +27,7 @@ try:
 except ImportError:  # Windows
     fcntl = None
 
-__all__ = ["atomic", "scratch", "write"]
+__all__ = ["atomic", "exclusive", "scratch", "write"]
 
 _YOUNG = 60.0
 """Age [s] up to which what is not locked is taken as being made."""
@@ -76,6 +76,37 @@ def scratch() -> Iterator[Path]:
         finally:
             if lock is not None:
                 os.close(lock)
+
+
+@contextmanager
+def exclusive(folder: Path) -> Iterator[bool]:
+    """A folder of one's own as long as the block lasts, made where there is none; False where another process has it.
+
+    A process that is killed leaves it free. Windows and some network drives have no such lock: it is always True there.
+    Raises WriteError.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder, os.O_RDONLY) if fcntl else None
+    except OSError as error:
+        raise WriteError(f"cannot write into {folder} ({error.strerror or error})") from error
+    try:
+        yield _locked(lock)
+    finally:
+        if lock is not None:
+            os.close(lock)
+
+
+def _locked(descriptor: int | None) -> bool:
+    """Whether a folder could be locked, or needs no lock; False where another process has it."""
+    try:
+        if descriptor is not None:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # not on every network drive
+        return True
+    return True
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -30,16 +31,20 @@ if TYPE_CHECKING:
 
 __all__ = [
     "KERNELS",
+    "Prepared",
     "Result",
     "Unit",
     "by_name",
     "communication_points",
     "instance",
+    "prepare",
     "prepared",
     "read_inputs",
     "run",
     "signals_of",
     "simulate",
+    "table_of",
+    "values_of",
     "with_defaults",
 ]
 
@@ -90,7 +95,7 @@ def simulate(
     """Run a mechanism from 0 to `stop_time` [s] with communication steps of `communication_step` [s].
 
     `mechanism` is a `Mechanism`, a Python file that declares one, the name of a mechanism or of a recipe, an `.fmu`
-    file, a `Recipe`, or equations.
+    file, a `Recipe`, or equations; an `.ssp` or a `.toml` file is a connected system (`alfmu.System`).
 
     `parameters` sets parameters, start values and solver variables by name, such as `solver.method`. `inputs` gives
     each input by name as a number, a function of time [s], or a table (times, values) between whose points it is
@@ -110,6 +115,17 @@ def simulate(
     that has begun, the exception's `result` has the rows up to then.
     """
     given: dict[str, float | str] = by_name(mechanism, "parameters", parameters)
+    if isinstance(mechanism, str | Path) and str(mechanism).lower().endswith((".ssp", ".toml")):
+        if not (outputs is freeze is kernel is start is None):
+            raise InputError(
+                f"{mechanism}: outputs, frozen parameters, the kernel and the start are those of its components; give "
+                "them there"
+            )
+        from .systems.system import System
+
+        system = System.load(mechanism)
+        more: dict[str, Any] = {"inputs": inputs, "parameters": given, "held_rows": held_rows, "progress": progress}
+        return system.simulate(stop_time, communication_step, **more)
     how: dict[str, Any] = {"inputs": inputs, "progress": progress, "held_rows": held_rows}
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
         if not (outputs is freeze is kernel is start is None):
@@ -118,6 +134,37 @@ def simulate(
                 "exported; give them to alfmu.export()"
             )
         return _simulate_fmu(mechanism, stop_time, communication_step, given, how)
+    found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel)
+    stop_time = found.stop_time if stop_time is None else stop_time
+    step = found.interval if communication_step is None else communication_step
+    return run(found.unit, stop_time, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a run of a mechanism begins with."""
+
+    unit: Instance
+    left: Mapping[str, float | str]
+    """Parameters that are still to be set."""
+    stop_time: float
+    interval: float
+    facts: Mapping[str, Any]
+    declared: Mechanism | None
+
+
+def prepare(
+    mechanism: str | Path | Mechanism | Equations | Recipe,
+    parameters: Mapping[str, float | str],
+    inputs: Mapping[str, Signal] | None = None,
+    start: str | Equilibrium | None = None,
+    outputs: Sequence[str] | None = None,
+    freeze: Sequence[str] | None = None,
+    kernel: str | None = None,
+    kept: Sequence[str] = (),
+) -> Prepared:
+    """An instance that is not yet initialised, for arguments of `simulate`; parameters in `kept` are never folded."""
+    given, declared = dict(parameters), None
     facts: dict[str, Any] = {}
     if isinstance(mechanism, Equations):
         equations = mechanism
@@ -126,13 +173,15 @@ def simulate(
         from .fmi.recipe import of
 
         recipe = of(mechanism)
-        how["declared"] = declared = recipe.declared()
+        declared = recipe.declared()
         equations, given = derive(declared), {**recipe.parameters, **given}
         outputs = recipe.outputs if outputs is None else outputs
         freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
         start = start or recipe.start
         facts |= {"mechanism": str(recipe), "options": declared.options}
     kernel = kernel or DEFAULT
+    if freeze is not None:
+        freeze = [name for name in freeze if name not in kept]
     scene, left = ready(equations, given, outputs, freeze, kernel)
     if start not in (None, "declared"):
         from .analysis.states import rest
@@ -140,9 +189,8 @@ def simulate(
         found = rest(with_defaults(equations, given), start, inputs)
         scene, left = starting_at(with_defaults(scene, left), found.q, found.states, found.kept), {}
         facts["start"] = dict(found.coordinates)
-    stop_time = equations.stop_time if stop_time is None else stop_time
-    step = equations.interval if communication_step is None else communication_step
-    return run(instance(scene, kernel), stop_time, step, parameters=left, facts={**facts, "parameters": given}, **how)
+    facts["parameters"] = given
+    return Prepared(instance(scene, kernel), left, equations.stop_time, equations.interval, facts, declared)
 
 
 def _simulate_fmu(
@@ -183,15 +231,8 @@ def run(
         unit.set(name, value)
     variables = [*unit.outputs, *unit.input_variables]
     times = communication_points(unit.name, stop_time, communication_step, 1 + len(variables))
-    signals = signals_of(unit.name, inputs)
     names, units = [v.name for v in variables], {v.name: v.unit for v in variables}
-    switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
-
-    def at(name: str, t: float) -> float:
-        value = signals[name](t)
-        # A table between 0 and 1 switches half-way.
-        return value >= 0.5 if name in switches and 0 <= value <= 1 else value
-
+    signals, at = by_name(unit, "inputs", inputs), values_of(unit, inputs)
     if isinstance(unit, Instance) and getattr(unit, "run", None) and not held_rows:
         values, ended = _in_one_call(unit, times, list(signals), at, names, progress)
     else:
@@ -204,6 +245,19 @@ def run(
     if isinstance(unit, Instance) and unit.adapts:
         _tell_of_small_states(unit, result)
     return result
+
+
+def values_of(unit: Unit, inputs: Mapping[str, Signal] | None) -> Callable[[str, float], float]:
+    """The value of an input at a time [s]."""
+    signals = signals_of(unit.name, inputs)
+    switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
+
+    def at(name: str, t: float) -> float:
+        value = signals[name](t)
+        # A table between 0 and 1 switches half-way.
+        return value >= 0.5 if name in switches and 0 <= value <= 1 else value
+
+    return at
 
 
 def _tell_of_small_states(unit: Instance, result: Result) -> None:
@@ -219,6 +273,13 @@ def _tell_of_small_states(unit: Instance, result: Result) -> None:
             )
 
 
+def table_of(
+    inputs: Sequence[str], at: Callable[[str, float], float], times: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Inputs by columns, at times by rows."""
+    return np.array([[at(name, t) for name in inputs] for t in times], float).reshape(len(times), len(inputs))
+
+
 def _in_one_call(
     unit: Instance,
     times: NDArray[np.float64],
@@ -230,7 +291,7 @@ def _in_one_call(
     """The values of a run that is one call of the runtime, and why it ended early."""
     for name in inputs:
         unit.set(name, at(name, times[0]))
-    table = np.array([[at(name, t) for name in inputs] for t in times], float).reshape(len(times), len(inputs))
+    table = table_of(inputs, at, times)
     shown = iter(progress(times[:-1]))
     passed = 0
 

@@ -6,6 +6,7 @@ A page is read from top to bottom, in a folder of its own:
                   has to be what an `output` block right after it shows
     ```console    lines that begin with `$ ` run in a shell; what they print has to be what stands below them, if
                   anything does
+    ```toml       a first line `# drive.toml` saves the block under this name
     ```output     see above; `...` stands for anything, and any blank equals any other
 
 A block in another language does not run. `-D snippets_pages=REGEX` runs some of the pages alone, those whose names
@@ -37,7 +38,7 @@ EVERY = ".*"
 
 _FENCE = re.compile(r"^```(python|console)$", re.MULTILINE)
 
-_SAVED = re.compile(r"# ([\w-]+\.(?:py|csv))\n")
+_SAVED = re.compile(r"# ([\w-]+\.(?:py|csv|toml))\n")
 
 
 def runs(text: str) -> bool:
@@ -64,6 +65,12 @@ def _python(example: Any) -> None:
     names["printed"] = out.getvalue()
 
 
+def _toml(example: Any) -> None:
+    saved = _SAVED.match(example.parsed)
+    if saved:
+        Path(saved[1]).write_text(example.parsed, encoding="utf-8")
+
+
 def _output(example: Any) -> None:
     check(example.parsed, example.namespace["printed"])
 
@@ -84,7 +91,7 @@ def run(page: Path) -> None:
     from sybil import Sybil
     from sybil.parsers.myst import CodeBlockParser
 
-    evaluators = {"python": _python, "output": _output, "console": _console}
+    evaluators = {"python": _python, "toml": _toml, "output": _output, "console": _console}
     parsers = [CodeBlockParser(language, evaluator) for language, evaluator in evaluators.items()]
     for example in Sybil(parsers).parse(page).examples():
         try:

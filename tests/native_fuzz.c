@@ -306,6 +306,7 @@ static void others(Fuzz *f, Unit *u, int legal)
 #define DEBUG fmi3SetDebugLogging
 #define OUTPUT_DERIVATIVES fmi3GetOutputDerivatives
 #define DERIVATIVE fmi3GetDirectionalDerivative
+#define BACK fmi3GetAdjointDerivative
 #define GET_FLOATS fmi3GetFloat64
 #define SET_FLOATS fmi3SetFloat64
 #define GET_INTS fmi3GetInt32
@@ -471,7 +472,6 @@ static void others(Fuzz *f, Unit *u, int legal)
     case 2:
         CALLED(fmi3GetBinary, nothing, c, &reference, count, &number, (void *)room, count);
         CALLED(fmi3SetBinary, nothing, c, &reference, count, sizes, (void *)room, count);
-        CALLED(fmi3GetAdjointDerivative, nothing, c, &reference, count, &reference, count, &seed, count, &real, count);
         CALLED(fmi3GetClock, nothing, c, &reference, count, &a);
         CALLED(fmi3SetClock, nothing, c, &reference, count, &a);
         break;
@@ -723,6 +723,13 @@ static void derivatives(Fuzz *f, Unit *u, int legal)
                 == OK
             && !(isfinite(changes[0]) && isfinite(changes[1])))
             wrong(f, "a derivative that is not finite, and OK");
+#ifdef BACK
+        if (CALLED(BACK, legal && u->phase & (INITIALIZING | RUN) ? any : ONLY(ERROR_), u->handle, unknowns, 2, knowns, 2,
+                directions, 2, changes, 2)
+                == OK
+            && !(isfinite(changes[0]) && isfinite(changes[1])))
+            wrong(f, "an adjoint derivative that is not finite, and OK");
+#endif
         return;
     }
     if (CALLED(OUTPUT_DERIVATIVES, run ? any : ONLY(ERROR_), u->handle, unknowns, 2, orders, changes, 2) == OK

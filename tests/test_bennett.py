@@ -9,7 +9,8 @@ from oracles import ode
 from scenes import derived, started
 
 import alfmu
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.simulation import prepared, run
 
 STEPS = (0.02, 0.01, 0.005, 0.0025)

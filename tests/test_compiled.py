@@ -21,7 +21,8 @@ import alfmu
 from alfmu.cli import main
 from alfmu.equations import Equations
 from alfmu.fmi import export, native
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.fmi.slave import COMPILED
 from alfmu.kernel import emit, stream
 from alfmu.kernel.tables import machine_code, packed

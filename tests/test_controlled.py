@@ -14,7 +14,8 @@ from scenes import derived, made
 
 import alfmu
 from alfmu import runtime
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.kernel.memory import PACE, Layout
 from alfmu.kernel.tables import packed
 from alfmu.method.inputs import Past

@@ -11,7 +11,8 @@ from oracles.free_body import Balance
 from scenes import derived, readings, started
 
 import alfmu
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.model.stops import contact
 from alfmu.simulation import prepared, run
 

@@ -10,7 +10,8 @@ from oracles.flexible_four_bar import FlexibleFourBar
 from scenes import derived, readings, started
 
 import alfmu
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.simulation import prepared, run
 
 START = (0.5, 1e-3, 6.0, 0.0)

@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from test_spatial import moving
 
 import alfmu
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.method.singular import BRANCH_MARGIN
 from alfmu.simulation import prepared, run
 

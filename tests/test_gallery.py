@@ -24,6 +24,12 @@ def windscreen_wiper(n: Names) -> None:
     assert n["apart"] < 1e-9
 
 
+def coupler_curve(n: Names) -> None:
+    assert n["first_apart"] > 0.1
+    assert n["lengths_apart"] < 1e-10
+    assert n["path_apart"] < 1e-10
+
+
 def jansen_leg(n: Names) -> None:
     assert n["deviation"] < 1e-9
     # The path is the same in the second turn as in the first.
@@ -163,7 +169,16 @@ def bar_clamp(n: Names) -> None:
 CHECKS: dict[str, Callable[[Names], None]] = {
     check.__name__: check
     for check in (
-        *(windscreen_wiper, jansen_leg, peaucellier, scissor_lift, excavator, planar_robot, stewart_platform),
+        *(
+            windscreen_wiper,
+            coupler_curve,
+            jansen_leg,
+            peaucellier,
+            scissor_lift,
+            excavator,
+            planar_robot,
+            stewart_platform,
+        ),
         *(
             toggle_press,
             crank_press,

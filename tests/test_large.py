@@ -9,7 +9,7 @@ from scenes import derived, started
 
 import alfmu
 from alfmu.equations.evaluation import DENSE
-from alfmu.fmi.drive import validate
+from alfmu.fmi.checks.validation import validate
 
 LOOPS = 30
 """Of rows of four-bars in points: more than DENSE coordinates."""

@@ -22,7 +22,8 @@ import alfmu
 from alfmu.cli import main
 from alfmu.equations.interface import CHOICES
 from alfmu.fmi import native
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.kernel.memory import Layout
 from alfmu.model.settings import BRANCHES, FIXED, FORMULATIONS
 from alfmu.runtime import build
@@ -127,7 +128,7 @@ some_cases = pytest.mark.parametrize("name", ["five_bar", "particle_on_circle", 
 def test_validation_finds_nothing(built, name):
     path = built(name)
     assert validate_fmu(str(path)) == []
-    assert validate(path, 20) == []
+    assert validate(path) == []
 
 
 @pytest.mark.parametrize("name", ["five_bar", "slider_crank", "particle_on_circle", "flexible_four_bar", "end_stop"])

@@ -13,7 +13,8 @@ from scipy.optimize import fsolve
 from scipy.spatial.transform import Rotation
 
 import alfmu
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.runtime.probe import Probe
 from alfmu.simulation import run
 

@@ -11,7 +11,8 @@ from scenes import by_rk4, derived
 import alfmu
 from alfmu.cli import main
 from alfmu.equations.specialisation import specialised
-from alfmu.fmi.drive import Fmu, validate
+from alfmu.fmi.checks.validation import validate
+from alfmu.fmi.drive import Fmu
 from alfmu.kernel.form import called
 from alfmu.simulation import prepared, run
 from alfmu.studies.cost import cost, described, operations

@@ -25,8 +25,10 @@ from pathlib import Path
 import alfmu
 from alfmu import AlfmuError, AlfmuWarning, AssemblyError, DeclarationError, ExportError, InputError, StepError
 from alfmu import Body, Equations, Experiment, Instance, Joint, Marker, Mechanism, Recipe, Result, derive, export, load
-from alfmu import Imported, imported
+from alfmu import Imported, Sweep, imported, sweep
 from alfmu import Equilibrium, Linearization, WriteError, equilibrium, linearize, mechanisms, mobility, parts, simulate
+from alfmu import Derivatives, Fit, Gradient, derivatives, fit, gradient
+from alfmu import System, couple, validate
 
 warnings.simplefilter("error", AlfmuWarning)
 
@@ -76,18 +78,34 @@ reveal_type(equations.n + len(mechanisms()))
 again: Result = Result.from_csv("run.csv")
 again.to_csv("copy.csv")
 made: Path = export("five_bar", "five_bar.fmu")
+problems: list[str] = validate(made, checks=["step.*"])
 rest: Equilibrium = equilibrium(pendulum(), parameters={"m": 2.0}).nearest
 reveal_type(rest.stable)
 linear: Linearization = linearize(pendulum(), rest)
 reveal_type(linear.A)
 reveal_type(linearize(pendulum(), [0.0, 1.0]))
 reveal_type(mobility(pendulum(), stop_time=0.0).groups[0].rows)
+many: Sweep = sweep(pendulum(), {"m": "uniform(0.9,1.1)", "start.angle": [0.1, 0.2]}, 10, keep=["max(rod.angle)"])
+reveal_type(many["max(rod.angle)"])
+reveal_type(many.summary.spreads[0].sensitivities["m"])
 simulate(pendulum(), start=rest)
+system = System("pair", {"a": pendulum(), "b": Recipe("five_bar")}, [("b.link1.angle", "a.torque")], {"a.x": 1.0})
+reveal_type(system.simulate(master="iterated"))
+reveal_type(couple(system, halvings=2).order("held"))
+changes: Derivatives = derivatives(pendulum(), ["m"], 1.0)
+reveal_type(changes["rod.angle", "m"])
+slope: Gradient = gradient(pendulum(), "rod.angle", ["m"], 1.0)
+reveal_type(slope["m"])
+fitted: Fit = fit(pendulum(), r, ["m"], bounds={"m": (0.1, 2.0)})
+reveal_type(fitted.plot())
 """
 
 REVEALED = (
     *("Result", "float64", "float64", "Result", "list[", "str", "str"),
     *("float", "str", "float64", "str", "Path", "int", "bool", "float64", "Linearization", "str"),
+    *("ndarray", "float"),
+    *("Result", "float"),
+    *("float64", "float", "Figure"),
 )
 """What stands in the types that checkers reveal, in their order."""
 

@@ -15,12 +15,12 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..model.errors import AlfmuError, AlfmuWarning
-from . import analyses, fmus, judged, looks, runs, shells
+from . import analyses, fits, fmus, judged, looks, many, runs, shells, systems
 from .says import failed, fall_silent, handling, perhaps
 
 __all__ = ["main", "parser"]
 
-COMMANDS = (looks, fmus, runs, analyses, judged, shells)
+COMMANDS = (looks, fmus, runs, many, fits, systems, analyses, judged, shells)
 """Modules with commands, in the order of the help; `add` adds them."""
 
 

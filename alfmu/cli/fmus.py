@@ -5,17 +5,36 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from .options import EITHER_HELP, STEP, Command, add_kernel, add_name, add_scene, add_start, changed_by, name_list
+from ..model.errors import InputError
+from ..systems.ssp import VERSIONS
+from .options import (
+    EITHER_HELP,
+    STEP,
+    Command,
+    add_kernel,
+    add_name,
+    add_scene,
+    add_start,
+    changed_by,
+    file_name,
+    name_list,
+)
+from .says import checking, once_written, say
 
 _EXPORT = """A recipe is a Python file that says what an FMU is made of: `recipe = alfmu.Recipe("five_bar",
 outputs=["*.angle"])`. What the options say takes precedence over it, those of --option and --set one by one."""
+
+_VALIDATE = """An FMU is native code, and checking how it behaves runs that code with all your rights: validate FMUs
+from strangers with --static, or where they can do no harm. It runs in a process of its own, so that an FMU that crashes
+or does not return is a failed check with the call that it was in. Its files are looked at first, and all of the archive
+has to be sound. Exit code 0: nothing failed; 1: something did."""
 
 
 def add(command: Command) -> None:
     """Add them to the command line."""
     sub = command("export", _export, "write the FMU (co-simulation) of a recipe or a mechanism")
     sub.epilog = _EXPORT
-    add_name(sub, "mechanism", "NAME", EITHER_HELP)
+    add_name(sub, "mechanism", "NAME", EITHER_HELP, ".toml")
     sub.add_argument("-o", "--output", metavar="PATH", help="FMU file or folder to write (default: NAME.fmu here)")
     sub.add_argument(
         "--kind",
@@ -42,13 +61,50 @@ def add(command: Command) -> None:
         help="have reference results inside (default) or, to be smaller, leave them out",
     )
     add_scene(sub)
+    sub.add_argument(
+        "--ssp",
+        action="store_true",
+        help="NAME is a TOML file of a connected system (see `alfmu system`); write it as an SSP with its FMUs inside",
+    )
+    sub.add_argument(
+        "--ssp-version",
+        metavar="VERSION",
+        choices=VERSIONS,
+        help=f"version of SSP (default: {VERSIONS[0]}, which all importers take)",
+    )
 
-    what = "check an FMU: fmpy's validation, a run, reset, rewind, reproducibility, its reference results"
-    sub = command("validate", _validate, what)
-    sub.add_argument("fmu", metavar="FMU", help="an .fmu file")
+    sub = command(
+        "validate", _validate, "check an FMU of any tool: its files, its recorded runs, and how it answers calls"
+    )
+    sub.epilog = _VALIDATE
+    sub.add_argument("fmu", metavar="FMU", nargs="?", help="an .fmu file, of FMI 2 or 3, for co-simulation")
+    sub.add_argument("--static", action="store_true", help="look at its files alone, and run nothing of it")
+    sub.add_argument(
+        "--checks",
+        metavar="PATTERNS",
+        type=name_list,
+        help="only these checks, as state.*,step.zero; with those that they build on (default: all)",
+    )
+    sub.add_argument("--list", action="store_true", help="list the checks, with what the standard says, and end")
+    sub.add_argument("--every", action="store_true", help="print the checks that passed, too")
+    sub.add_argument("--json", action="store_true", help="print all of it as JSON, for programs")
+    sub.add_argument(
+        "-o", "--output", metavar="FILE", help="write a report to hand on: .html, .md (a table), .svg or .json"
+    )
+    sub.add_argument(
+        "--tolerance",
+        type=float,
+        metavar="X",
+        help="how near recorded runs have to come, over 1 and the largest value (default: 1e-6 for FMUs of alfmu, "
+        "1e-3 for others)",
+    )
+    sub.add_argument("--timeout", type=float, metavar="S", help="time in s after which a check is ended (default: 120)")
 
 
 def _export(chosen: argparse.Namespace) -> None:
+    if chosen.ssp or chosen.ssp_version:
+        _export_system(chosen)
+        return
     from ..fmi.export import export
     from ..fmi.native import libraries_in
     from ..fmi.recipe import load
@@ -70,11 +126,47 @@ def _export(chosen: argparse.Namespace) -> None:
     print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
 
 
-def _validate(chosen: argparse.Namespace) -> int:
-    from ..fmi.drive import validate
+def _export_system(chosen: argparse.Namespace) -> None:
+    from ..systems.system import System
 
-    problems = validate(chosen.fmu)
-    for problem in problems:
-        print(problem)
-    print(f"{chosen.fmu}: {len(problems)} problem{'s' * (len(problems) != 1)} found")
-    return int(bool(problems))
+    own = ("kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure")
+    own += ("option", "set", "compliances", "reference")
+    if given := [name for name in own if getattr(chosen, name) not in (None, [])]:
+        raise InputError(f"{chosen.mechanism}: --{given[0]} is for an FMU; give it to a component, in the file")
+    if not chosen.ssp:
+        raise InputError("--ssp-version needs --ssp")
+    system = System.load(chosen.mechanism).changed(stop_time=chosen.stop_time, communication_step=chosen.step)
+    path = Path(chosen.output or f"{file_name(system.name)}.ssp")
+    said, version = once_written(path), chosen.ssp_version or VERSIONS[0]
+    system.export(path, version=version)
+    count = len(system.components)
+    print(f"{said} ({path.stat().st_size / 1000:.0f} kB): SSP {version} of {count} components")
+
+
+def _validate(chosen: argparse.Namespace) -> int:
+    from ..fmi.checks.pages import as_json, check_form, lines, save
+    from ..fmi.checks.validation import TIMEOUT, examine, known_checks
+
+    if chosen.list:
+        for each in known_checks().values():
+            print(f"{each.id}: {each.title}. {each.demand} ({'; '.join(dict.fromkeys(each.sections.values()))})")
+        return 0
+    if not chosen.fmu:
+        raise InputError("validate takes an .fmu file")
+    if chosen.output:
+        check_form(chosen.output)
+    with checking() as progress:
+        report = examine(
+            chosen.fmu,
+            static=chosen.static,
+            checks=chosen.checks,
+            tolerance=chosen.tolerance,
+            timeout=TIMEOUT if chosen.timeout is None else chosen.timeout,
+            progress=progress,
+        )
+    print(as_json(report) if chosen.json else "\n".join(lines(report, chosen.every)))
+    if chosen.output:
+        wrote = once_written(Path(chosen.output))
+        save(report, chosen.output)
+        say(chosen, wrote)
+    return int(bool(report.problems))

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..kernel import DEFAULT, KERNELS
+from ..model.errors import InputError
 
 if TYPE_CHECKING:
     from ..equations import Equations
@@ -172,6 +173,16 @@ def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
     for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
         perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
     return equations
+
+
+def refuse_scene_of_fmu(chosen: argparse.Namespace, fmu: str) -> None:
+    """InputError where something is asked for that an FMU has fixed."""
+    fixed = ("option", "kernel", "outputs", "freeze", "lock", "release", "measure", "compliances", "start")
+    if any(getattr(chosen, name, None) for name in fixed):
+        raise InputError(
+            f"{fmu}: options, outputs, frozen parameters, locks, the start and the kernel of an FMU are fixed when it "
+            "is exported; give them to `alfmu export`"
+        )
 
 
 def file_name(name: str) -> str:

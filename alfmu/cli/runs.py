@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ from .options import (
     chosen_recipe,
     equations_of,
     file_name,
+    refuse_scene_of_fmu,
 )
 from .says import between_steps, failed, fall_silent, once_written, progress_bar
 
@@ -43,20 +44,9 @@ def add(command: Command) -> None:
     sub.add_argument(
         *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the unit's own)"
     )
-    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
     add_start(sub)
-    sub.add_argument(
-        "--held-rows",
-        action="store_true",
-        help="rows show outputs with the inputs of the step that ends there, as importers record them (fmpy, fmusim); "
-        "without it, with the inputs that are set there",
-    )
-    sub.add_argument("-o", "--output", metavar="FILE.csv", help="where to write the result (default: NAME.csv here)")
+    add_table(sub)
     add_kernel(sub)
-    sub.add_argument("--plot", metavar="FILE.png", help="also draw the result (PNG, SVG or PDF)")
-    sub.add_argument(
-        "--plot-names", metavar="PATTERN", nargs="+", help='what to draw, such as "link*.angle" "*.force.*"'
-    )
     add_scene(sub)
 
     sub = command("animate", _animate, "turn a result into a film that a person can watch (GIF or HTML)")
@@ -77,9 +67,74 @@ def add(command: Command) -> None:
 
 
 def _simulate(chosen: argparse.Namespace) -> None:
-    from ..result import read_inputs
     from ..simulation import run
     from ..studies.about import notes
+
+    inputs = given_inputs(chosen)
+    unit, own = _unit(chosen, inputs)
+    asked = {"stop_time": chosen.stop_time, "communication_step": chosen.step}
+    how = {**own, **{name: value for name, value in asked.items() if value is not None}}
+    try:
+        run_and_keep(
+            chosen,
+            unit.name,
+            lambda progress: run(unit, **how, inputs=inputs, progress=progress, held_rows=chosen.held_rows),
+            lambda: notes(unit),
+        )
+    finally:
+        if hasattr(unit, "close"):
+            unit.close()
+
+
+def run_and_keep(
+    chosen: argparse.Namespace,
+    name: str,
+    run: Callable[[Callable[..., Iterable[Any]]], Result],
+    notes: Callable[[], Iterable[str]] = tuple,
+) -> None:
+    """Run something with a progress, and keep its rows as a table and a picture: those up to its end if it ends early.
+
+    Notes are said where it came to its end.
+    """
+    table = _table_path(chosen, name)
+    try:
+        with between_steps(progress_bar("simulating")) as progress:
+            result = run(progress)
+        said = notes()
+    except (AlfmuError, KeyboardInterrupt) as ended:
+        made = getattr(ended, "result", None)
+        if made is not None:
+            try:
+                _keep(chosen, made, table)
+            except AlfmuError as error:
+                failed(str(error))
+            except BrokenPipeError:
+                fall_silent()
+        raise
+    for note in said:
+        print(note)
+    _keep(chosen, result, table)
+
+
+def add_table(sub: argparse.ArgumentParser) -> None:
+    """Where the rows of a run go."""
+    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
+    sub.add_argument("-o", "--output", metavar="FILE.csv", help="where to write the result (default: NAME.csv here)")
+    sub.add_argument("--plot", metavar="FILE.png", help="also draw the result (PNG, SVG or PDF)")
+    sub.add_argument(
+        "--plot-names", metavar="PATTERN", nargs="+", help='what to draw, such as "link*.angle" "*.force.*"'
+    )
+    sub.add_argument(
+        "--held-rows",
+        action="store_true",
+        help="rows show outputs with the inputs of the step that ends there, as importers record them (fmpy, fmusim); "
+        "without it, with the inputs that are set there",
+    )
+
+
+def given_inputs(chosen: argparse.Namespace) -> dict[str, Signal]:
+    """Inputs over time from a file; what is to be drawn is checked as well, before anything runs."""
+    from ..result import read_inputs
 
     inputs = read_inputs(chosen.input) if chosen.input else {}
     if chosen.plot_names and not chosen.plot:
@@ -88,30 +143,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
         from ..view.plot import check_name
 
         check_name(Path(chosen.plot))
-    unit, own = _unit(chosen, inputs)
-    asked = {"stop_time": chosen.stop_time, "communication_step": chosen.step}
-    how = {**own, **{name: value for name, value in asked.items() if value is not None}}
-    try:
-        table = _table_path(chosen, unit.name)
-        with between_steps(progress_bar("simulating")) as progress:
-            result = run(unit, **how, inputs=inputs, progress=progress, held_rows=chosen.held_rows)
-        said = notes(unit)
-    except (AlfmuError, KeyboardInterrupt) as ended:
-        result = getattr(ended, "result", None)
-        if result is not None:
-            try:
-                _keep(chosen, result, table)
-            except AlfmuError as error:
-                failed(str(error))
-            except BrokenPipeError:
-                fall_silent()
-        raise
-    finally:
-        if hasattr(unit, "close"):
-            unit.close()
-    for note in said:
-        print(note)
-    _keep(chosen, result, table)
+    return inputs
 
 
 def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any, dict[str, Any]]:
@@ -119,23 +151,7 @@ def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any
     if chosen.unit.endswith(".fmu"):
         from ..fmi.drive import Fmu
 
-        if any(
-            (
-                chosen.option,
-                chosen.kernel,
-                chosen.outputs,
-                chosen.freeze,
-                chosen.lock,
-                chosen.release,
-                chosen.measure,
-                chosen.compliances,
-                chosen.start,
-            )
-        ):
-            raise InputError(
-                f"{chosen.unit}: options, outputs, frozen parameters, locks, the start and the kernel of an FMU are "
-                "fixed when it is exported; give them to `alfmu export`"
-            )
+        refuse_scene_of_fmu(chosen, chosen.unit)
         fmu, given = Fmu(chosen.unit), dict(chosen.set)
         about = {"parameters": given, "facts": fmu.facts(given), "declared": fmu.declared()}
         return fmu, {**about, "stop_time": fmu.stop_time, "communication_step": fmu.interval}

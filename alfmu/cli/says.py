@@ -54,6 +54,20 @@ def progress_bar(what: str, unit: str = "step") -> Callable[[Iterable[Any]], Ite
 
 
 @contextmanager
+def checking() -> Iterator[Callable[[str], None]]:
+    """Shows on a terminal what is being checked, where that takes longer than a second."""
+    from tqdm import tqdm
+
+    with tqdm(desc="checking", unit="check", delay=1.0, disable=None, leave=False) as bar:
+
+        def show(what: str) -> None:
+            bar.set_postfix_str(what, refresh=False)
+            bar.update()
+
+        yield show
+
+
+@contextmanager
 def handling(handler: Callable[..., Any], *signals: signal.Signals) -> Iterator[None]:
     """Handle signals; in the main thread, where Python takes them."""
     main = threading.current_thread() is threading.main_thread()

@@ -79,7 +79,7 @@ def model_description(
         canNotUseMemoryManagementFunctions="true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
-        providesDirectionalDerivative=derivatives,
+        providesDirectionalDerivative=str(native).lower(),
         maxOutputDerivativeOrder=str(2 * native),
     )
     if sources:
@@ -130,7 +130,8 @@ def model_description3(
         modelIdentifier=e.name,
         canGetAndSetFMUState="true",
         canSerializeFMUState="true",
-        providesDirectionalDerivatives=str(bool(e.inputs)).lower(),
+        providesDirectionalDerivatives="true",
+        providesAdjointDerivatives="true",
         canHandleVariableCommunicationStepSize="true",
         maxOutputDerivativeOrder="2",
         canReturnEarlyAfterIntermediateUpdate="true",
@@ -274,6 +275,8 @@ def _at_the_start(variables: Sequence[tuple[str, Variable]], output: Variable) -
     Those are parameters, Boolean inputs, which take effect at once at the start, and what the output follows later too.
     """
     later = {f"solver.{name}" for name in _LATER}
+    if output.name == "monitor.iterations":  # which says what the start took, and methods count differently
+        later -= {"solver.method"}
     return [
         i
         for i, (causality, v) in enumerate(variables)

@@ -1,10 +1,9 @@
-"""An FMU driven through fmpy, behind the same calls as an `Instance`; and its validation."""
+"""An FMU driven through fmpy, behind the same calls as an `Instance`."""
 
 from __future__ import annotations
 
 import json
 import logging
-import math
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -22,22 +21,18 @@ from ..model import registry
 from ..model.errors import AlfmuError, ExportError, InputError, StepError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
-from ..result import Result
-from ..simulation import run
-from .experiment import Experiment, unlike
 from .slave import OPTIONS
 
 try:
     from fmpy import extract, instantiate_fmu, read_model_description
     from fmpy.fmi1 import FMICallException
     from fmpy.model_description import ModelDescription, ModelVariable
-    from fmpy.validation import validate_fmu
 except ModuleNotFoundError as error:
     raise InputError(
         f"running or checking an FMU takes fmpy ({error}); install it with: pip install 'alfmu[fmu]'"
     ) from None
 
-__all__ = ["Fmu", "validate"]
+__all__ = ["Fmu", "checked_archive", "checked_folder", "description_of", "kind_of"]
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -74,6 +69,11 @@ _LOGGERS: list[object] = []
 """Callbacks of all FMUs, which have to outlive them."""
 
 
+def kind_of(type_name: str) -> str:
+    """The type of a variable of FMI 2 or 3 as it is called here; Binary and others are `Other`."""
+    return _KINDS.get(type_name, "Other")
+
+
 class Fmu:
     """A co-simulation FMU of FMI 2 or 3, unpacked and instantiated; close it, or use it in a `with` statement.
 
@@ -81,8 +81,8 @@ class Fmu:
     """
 
     def __init__(self, path: str | Path):
-        _check_archive(path)
-        self.description = _description(path)
+        checked_archive(path)
+        self.description = description_of(path)
         self._version = self.description.fmiVersion[:1]
         if self._version not in _STATE or self.description.coSimulation is None:
             raise ExportError(f"{path} is no co-simulation FMU of FMI 2.0 or 3.0; alfmu drives no other")
@@ -102,7 +102,7 @@ class Fmu:
         with ExitStack() as stack:
             self._folder = stack.enter_context(scratch())
             extract(str(path), self._folder)
-            self._check_folder(path)
+            checked_folder(self._folder, path)
             try:
                 self.slave = instantiate_fmu(
                     self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged
@@ -155,10 +155,29 @@ class Fmu:
             kind = "Integer" if self._version == "2" else "Int64"
         self._call(f"set{kind}", [variable.valueReference], [value])
 
-    def initialize(self) -> None:
+    @property
+    def interpolates(self) -> bool:
+        """Whether inputs may change linearly within a communication step (`slope`)."""
+        return self._version == "2" and bool(self.description.coSimulation.canInterpolateInputs)
+
+    def slope(self, name: str, rate: float) -> None:
+        """How an input that is a number changes in the next communication step, per second."""
+        self._call("setRealInputDerivatives", [self._by_name[name].valueReference], [1], [rate])
+
+    def followed(self, output: str) -> frozenset[str]:
+        """The inputs that an output follows without delay; all of them where the description does not say."""
+        inputs = frozenset(v.name for v in self._of("input"))
+        for unknown in self.description.outputs:
+            if unknown.variable.name == output and unknown.dependencies is not None:
+                return inputs & {v.name for v in unknown.dependencies}
+        return inputs
+
+    def initialize(self, start_time: float = 0.0) -> None:
         if self._version == "2":
-            self._call("setupExperiment", startTime=0.0)
-        self._call("enterInitializationMode")
+            self._call("setupExperiment", startTime=start_time)
+            self._call("enterInitializationMode")
+        else:
+            self._call("enterInitializationMode", startTime=start_time)
         self._call("exitInitializationMode")
         self.begun = True
 
@@ -208,9 +227,9 @@ class Fmu:
         finally:
             self._call(free, state)
 
-    def reference(self) -> tuple[Experiment, Result] | None:
-        """The experiment and the reference results inside, None where there are none."""
-        return Experiment.read(self._folder, self.description.coSimulation.modelIdentifier)
+    def settable(self) -> list[Variable]:
+        """Parameters that are numbers."""
+        return [_variable(v) for v in self._of("parameter") if _KINDS.get(v.type) in ("Real", "Integer", "Boolean")]
 
     def facts(self, parameters: Mapping[str, float | str]) -> dict[str, Any]:
         """What a result of it says of what was run, with these parameters."""
@@ -223,16 +242,6 @@ class Fmu:
             return registry.load(self.mechanism, **self.options) if self.mechanism in registry.mechanisms() else None
         except (AlfmuError, TypeError, ValueError):  # options are what the FMU says
             return None
-
-    def _check_folder(self, path: str | Path) -> None:
-        """ExportError where pythonfmu's library would end the process: of a URI, it decodes blanks alone."""
-        resources = self._folder / "resources"
-        if (resources / "slavemodule.txt").is_file() and "%" in resources.as_uri().replace("%20", ""):
-            raise ExportError(
-                f"{path} is of kind python, and cannot be started in {resources.parent}, where FMUs are unpacked: "
-                "pythonfmu takes ASCII letters, digits, blanks and -._~ in a path alone; set TMPDIR to another one, or "
-                "export with --kind native"
-            )
 
     def _of(self, causality: str) -> Iterator[ModelVariable]:
         return (v for v in self._by_name.values() if v.causality == causality)
@@ -254,7 +263,7 @@ class Fmu:
         return words[-1] if words and words[-1] else what
 
 
-def _check_archive(path: str | Path) -> None:
+def checked_archive(path: str | Path, kind: str = "an FMU") -> None:
     """ExportError where an archive is damaged, too large, or has files with places outside its folder."""
     try:
         with zipfile.ZipFile(path) as archive:
@@ -268,15 +277,26 @@ def _check_archive(path: str | Path) -> None:
             damaged = archive.testzip()
     except (OSError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
         why = getattr(error, "strerror", None) or error
-        raise ExportError(f"{path} is not an FMU that can be read ({why})") from None
+        raise ExportError(f"{path} is not {kind} that can be read ({why})") from None
     if damaged:
         raise ExportError(f"{path} is damaged: the check sum of {damaged} does not agree; export or copy it again")
 
 
-def _description(path: str | Path) -> ModelDescription:
-    """The description in an FMU."""
+def checked_folder(folder: Path, path: str | Path) -> None:
+    """ExportError where pythonfmu's library would end the process: of a URI, it decodes blanks alone."""
+    resources = folder / "resources"
+    if (resources / "slavemodule.txt").is_file() and "%" in resources.as_uri().replace("%20", ""):
+        raise ExportError(
+            f"{path} is of kind python, and cannot be started in {resources.parent}, where FMUs are unpacked: "
+            "pythonfmu takes ASCII letters, digits, blanks and -._~ in a path alone; set TMPDIR to another one, or "
+            "export with --kind native"
+        )
+
+
+def description_of(path: str | Path, valid: bool = True) -> ModelDescription:
+    """The description in an FMU, which has to follow the schema where it shall be `valid`."""
     try:
-        found = read_model_description(str(path))
+        found = read_model_description(str(path), validate=valid)
     except Exception as error:  # fmpy raises whatever the XML parser raised
         raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
     kinds = (found.coSimulation, found.modelExchange, getattr(found, "scheduledExecution", None))
@@ -294,71 +314,6 @@ def _facts(path: Path) -> tuple[str, dict[str, Any]] | None:
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return (mechanism, options) if isinstance(mechanism, str) and isinstance(options, dict) else None
-
-
-def validate(path: str | Path, steps: int = 50) -> list[str]:
-    """Problems of an FMU: fmpy's validation; if that finds none, a run, a reset, a rewind and a second instance, and
-    the reference results inside it.
-
-    An empty list means that none was found. Raises ExportError where the file is no FMU that can be opened.
-    """
-    _check_archive(path)
-    try:
-        problems = [f"fmpy: {problem}" for problem in validate_fmu(str(path))]
-    except Exception as error:  # fmpy raises whatever its parts raised
-        raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
-    if problems:
-        return problems
-    with Fmu(path) as fmu, Fmu(path) as other:
-        step = min(fmu.interval, fmu.stop_time / steps)
-        try:
-            first = _run(fmu, step, steps)
-            state = fmu.save()
-            onward = _run(fmu, step, steps, begin=steps)
-            if not all(math.isfinite(x) for row in (*first, *onward) for x in row):
-                problems.append("run: an output is not finite")
-            fmu.restore(state)
-            if not _same(onward, _run(fmu, step, steps, begin=steps)):
-                problems.append("rewind: after restoring a state the run is not the same")
-            fmu.reset()
-            if not _same(first, _run(fmu, step, steps)):
-                problems.append("reset: after a reset the run is not the same")
-            if not _same(first, _run(other, step, steps)):
-                problems.append("reproducibility: a second instance does not give the same run")
-            problems += _unlike_reference(fmu)
-        except StepError as error:
-            problems.append(f"run: {error}")
-    return problems
-
-
-def _unlike_reference(fmu: Fmu) -> list[str]:
-    """How a run differs from the reference results inside an FMU."""
-    try:
-        found = fmu.reference()
-        if found is None:
-            return []
-        experiment, expected = found
-        fmu.reset()
-        result = run(fmu, experiment.stop_time, experiment.step)
-    except InputError as error:
-        return [f"reference results: {error}"]
-    if missing := set(expected.names) - set(result.names):
-        return [f"reference results: {min(missing)} is no output of the FMU"]
-    return [f"reference results: {each}" for each in unlike(expected, experiment, result)]
-
-
-def _run(fmu: Fmu, step: float, steps: int, begin: int = 0) -> list[NDArray[np.float64]]:
-    if not fmu.begun:
-        fmu.initialize()
-    rows = [fmu.read()]
-    for i in range(begin, begin + steps):
-        fmu.step(step, i * step)
-        rows.append(fmu.read())
-    return rows
-
-
-def _same(a: list[NDArray[np.float64]], b: list[NDArray[np.float64]]) -> bool:
-    return len(a) == len(b) and all(np.array_equal(x, y, equal_nan=True) for x, y in zip(a, b, strict=True))
 
 
 def _truth(value: float | str) -> bool:

@@ -43,12 +43,12 @@ from .description import (
     model_description,
     model_description3,
 )
-from .experiment import reference_results
 from .recipe import Recipe, load
+from .records import record_files
 from .slave import COMPILED, OPTIONS, SCENE
 from .terminals import document, terminals
 
-__all__ = ["RUN_SIDE", "described", "export", "packed_scene"]
+__all__ = ["RUN_SIDE", "archive", "described", "export", "packed_scene"]
 
 RUN_SIDE = ("runtime/library.py", "fmi/slave.py")
 """Modules of alfmu that travel inside an FMU for Python, beside the C library."""
@@ -105,9 +105,9 @@ def export(
     apart = ("solver.",) if recipe.start == "declared" else ("solver.", "start.")
     posed = {name: value for name, value in recipe.parameters.items() if not name.startswith(apart)}
     picture = model_png(declared, posed, equations=every)
-    results = reference_results(equations) if recipe.reference else {}
+    results = record_files(equations) if recipe.reference else {}
     if recipe.kind == "native":
-        _archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
+        archive(path, {**results, **_native(recipe, equations, declared, version, picture)})
         return path
     sources, scene, name = {each: _source(each) for each in RUN_SIDE}, packed(equations), equations.name
     hosts = [each for each in native.platforms(name, ()) if each in HOSTS]
@@ -141,9 +141,9 @@ def export(
             "modelDescription.xml": model_description(equations, version, generator, guid, credits=_credits(declared)),
             _PICTURE[2]: picture,
         }
-        with zipfile.ZipFile(made) as archive:
-            files = {info.filename: archive.read(info) for info in archive.infolist() if not info.is_dir()}
-        _archive(path, {**files, **described, **results})
+        with zipfile.ZipFile(made) as built:
+            files = {info.filename: built.read(info) for info in built.infolist() if not info.is_dir()}
+        archive(path, {**files, **described, **results})
     return path
 
 
@@ -312,10 +312,10 @@ def _temporary_in(folder: Path) -> Iterator[None]:
         tempfile.tempdir = before
 
 
-def _archive(path: Path, files: Mapping[str, bytes]) -> None:
-    """An FMU of these files, sorted, compressed, and free of time stamps and owners."""
-    with atomic(path) as file, zipfile.ZipFile(file, "w") as archive:
+def archive(path: Path, files: Mapping[str, bytes]) -> None:
+    """A zip archive of these files, sorted, compressed, and free of time stamps and owners."""
+    with atomic(path) as file, zipfile.ZipFile(file, "w") as packed_files:
         for name in sorted(files):
             info = zipfile.ZipInfo(name, _PINNED)
             info.external_attr = 0o644 << 16
-            archive.writestr(info, files[name], zipfile.ZIP_DEFLATED, 9)
+            packed_files.writestr(info, files[name], zipfile.ZIP_DEFLATED, 9)

@@ -130,7 +130,7 @@ class Recipe(Brief):
     fmi: int = 2
     """Version of FMI; 3 for native FMUs."""
     reference: bool = True
-    """Whether reference results (`alfmu.fmi.experiment`) are inside."""
+    """Whether reference results (`alfmu.fmi.records`) are inside."""
     interval: InitVar[float | None] = None
     """Former name of `communication_step`."""
 

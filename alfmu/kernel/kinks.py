@@ -12,7 +12,7 @@ from casadi import SX
 
 from .stream import BINARY, Instructions
 
-__all__ = ["kinks"]
+__all__ = ["JUMPS", "jumps", "kinks"]
 
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)
 """Operations with a kink, or a jump, where both operands are equal."""
@@ -49,3 +49,23 @@ def kinks(f: ca.Function, arguments: list[SX], along: SX) -> SX:
             k = (first, second)[_SIGNED[code]]
             found.setdefault((k, k), values[k])
     return ca.vertcat(*(x for x in found.values() if ca.depends_on(x, along)))
+
+
+JUMPS = {
+    ca.OP_LT: "comparisons",
+    ca.OP_LE: "comparisons",
+    ca.OP_EQ: "comparisons",
+    ca.OP_NE: "comparisons",
+    ca.OP_SIGN: "signs",
+    ca.OP_COPYSIGN: "signs",
+    ca.OP_FLOOR: "whole numbers",
+    ca.OP_CEIL: "whole numbers",
+    ca.OP_FMOD: "remainders",
+    ca.OP_REMAINDER: "remainders",
+}
+"""Operations that may jump, in words: maxima, minima and absolute values have kinks alone."""
+
+
+def jumps(f: ca.Function) -> list[str]:
+    """What a function that calls no other has that may jump, in words."""
+    return sorted({JUMPS[code] for code in Instructions.of(f).code.tolist() if code in JUMPS})

@@ -17,13 +17,14 @@ from threading import Lock
 
 import casadi as ca
 import numpy as np
+from casadi import SX
 from numpy.typing import NDArray
 
 from . import passes
 from .arrangement import KINDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
 from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
-from .stream import BINARY, UNARY, Instructions
+from .stream import BINARY, UNARY, Instructions, number
 
 __all__ = ["CALLS", "Code", "Constants", "Writer", "code", "operations_header"]
 
@@ -37,6 +38,9 @@ def operations_header() -> str:
     named = set(KINDS) - {ca.OP_DIV}
     for name, table in (("BINARY_OPERATIONS", BINARY), ("UNARY_OPERATIONS", UNARY)):
         rows = [f"    X({KINDS.index(each)}, {text.format('a', 'b')})" for each, text in table.items() if each in named]
+        lines += [f"#define {name}(X) \\", *(f"{row} \\" for row in rows[:-1]), rows[-1], ""]
+    for name, table in (("BINARY_PARTIALS", BINARY), ("UNARY_PARTIALS", UNARY)):
+        rows = [f"    X({KINDS.index(each)}, {', '.join(_partials(each))})" for each in table if each in named]
         lines += [f"#define {name}(X) \\", *(f"{row} \\" for row in rows[:-1]), rows[-1], ""]
     counts = ", ".join(str(OPERANDS[kind]) for kind in KINDS)
     lines += [
@@ -56,6 +60,27 @@ def operations_header() -> str:
 
 OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | SUMS
 """How many operands operations of a kind have."""
+
+
+def _partials(operation: int) -> list[str]:
+    """Derivatives of an operation by its operands a and b, in C; CasADi derives them."""
+    operands = [SX.sym(name) for name in ("a", "b")[: OPERANDS[operation]]]
+    value = SX.binary(operation, *operands) if len(operands) == 2 else SX.unary(operation, *operands)
+    return [_in_c(ca.jacobian(value, each)) for each in operands]
+
+
+def _in_c(x: SX) -> str:
+    """A number that depends on symbols, in C."""
+    if x.is_constant():
+        return number(float(x))
+    if x.is_symbolic():
+        return x.name()
+    text = f"({(BINARY | UNARY)[x.op()].format(*(_in_c(x.dep(k)) for k in range(x.n_dep())))})"
+    return f"((double){text})" if x.op() in _TRUTHS else text
+
+
+_TRUTHS = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT)
+"""Operations that give 0 or 1, which are whole numbers in C."""
 
 
 def _macro(name: str) -> str:

@@ -633,8 +633,7 @@ class Scene:
         x = known.get("x", SX(0, 1))
         if e.states:
             trouble += 1 - (ca.sumsqr(x) < math.inf)
-        turned = (q - z[: e.n])[[i for i, c in enumerate(e.coordinates) if c.unit == "rad"]]
-        trouble += 1 - (ca.sumsqr(turned) <= TURN**2)
+        trouble += 1 - (ca.sumsqr(self._angles(q - z[: e.n])) <= TURN**2)
         change = known.get("error", sum(x.change for x in evaluations) / (evaluations[0].size + _TINY))
         angles = self._unwrapped(q, z[2 * e.n : layout.work])
         arrival = known["arrival"] if "arrival" in known else z[layout.time] + known["dt"]
@@ -696,12 +695,16 @@ class Scene:
 
     # Residues and factors ------------------------------------------------------------------------------------------
 
+    def _angles(self, q: SX) -> SX:
+        """Of coordinates, those in rad."""
+        return q[[i for i, c in enumerate(self.e.coordinates) if c.unit == "rad"]]
+
     def _closed(self, left: SX, q: SX, v: SX) -> SX:
         """Whether both residues (squared) are within the tolerance, or within round-off.
 
-        The digits that turned angles have lost move what C belongs to, by which no v makes dependent rows of C v vanish.
+        The digits that turned angles have lost move what C belongs to, so that no v makes its dependent rows vanish.
         """
-        turned = ca.fmax(1, ca.sumsqr(q[[i for i, c in enumerate(self.e.coordinates) if c.unit == "rad"]]))
+        turned = ca.fmax(1, ca.sumsqr(self._angles(q)))
         return self._within(left[0], q) * self._within(left[1], v, turned)
 
     def _within(self, residue: SX, x: SX, larger: SX | float = 1.0) -> SX:

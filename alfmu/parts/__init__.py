@@ -1,10 +1,11 @@
-"""Parts that a mechanism is driven by, declared in one call each: a DC motor, a gearbox, a PI controller.
+"""Parts that a mechanism is driven by, declared in one call each: a DC motor, a gearbox, a PI controller, a load.
 
 Each is made of what a user could declare too: states, bodies, drives, parameters, outputs. Their names begin with the
-name of the part.
+name of the part. `blocks` has them as mechanisms of their own, to be connected as FMUs.
 """
 
 from .control import pi_controller
+from .load import Load, load
 from .motor import Gearbox, Motor, dc_motor
 
-__all__ = ["Gearbox", "Motor", "dc_motor", "pi_controller"]
+__all__ = ["Gearbox", "Load", "Motor", "dc_motor", "load", "pi_controller"]

@@ -13,7 +13,7 @@ import casadi as ca
 
 from ..model.errors import DeclarationError
 from ..model.mechanism import Mechanism, Scalar, symbolic
-from .declared import named, quotient
+from .declared import label, named, of, quotient
 
 __all__ = ["pi_controller"]
 
@@ -51,13 +51,15 @@ def pi_controller(
     K = named(m, name, "gain", gain, quotient(of_output, of_error), "gain")
     T = named(m, name, "time", time, "s", "time of the integral part", minimum=1e-9)
     error = wanted - measured
-    z = m.state(f"{name}.integral", of_output, start=start, nominal=nominal, description=f"integral part of {name}")
+    z = m.state(
+        label(name, "integral"), of_output, start=start, nominal=nominal, description=f"integral part{of(name)}"
+    )
     asked = K * error + z
     output = asked
     if limit is not None:
         most = named(m, name, "limit", limit, of_output, "largest output", minimum=0.0)
         output = ca.fmax(-most, ca.fmin(most, asked))
     m.derivative(z, (K * error + output - asked) / T)
-    m.output(f"{name}.error", error, of_error, f"what {name} corrects")
-    m.output(f"{name}.output", output, of_output, f"output of {name}")
+    m.output(label(name, "error"), error, of_error, f"what {name or 'it'} corrects")
+    m.output(label(name, "output"), output, of_output, f"output{of(name)}")
     return symbolic(output)

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from ..equations.derivation import Kinematics
 from ..model.errors import DeclarationError
-from ..model.mechanism import Joint, Mechanism, Scalar, stack, symbolic
+from ..model.mechanism import Joint, Mechanism, Scalar, symbolic
 from ..model.spatial import SpatialJoint
 from ..model.words import in_words, shown
-from .declared import named
+from .declared import label, mounted, named, of, rate_of_joint
 
 __all__ = ["Gearbox", "Motor", "dc_motor"]
 
@@ -86,31 +85,34 @@ def dc_motor(
     as a thin disc, whose inertia across the axis is half of that about it. Without a joint `speed` [rad/s] is that of
     the shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which has the inertia.
 
-    Outputs are `<name>.current`, `<name>.torque` and `<name>.voltage`. Raises DeclarationError where what is given
-    makes no motor.
+    Outputs are `<name>.current`, `<name>.torque` and `<name>.voltage`. An empty name is that of a mechanism that is
+    nothing but the motor: nothing stands in front of its names, and the voltage is no output. Raises DeclarationError
+    where what is given makes no motor.
     """
     gearbox = gearbox or Gearbox()
     _check(m, name, joint, speed, inertia, gearbox)
     R = named(m, name, "resistance", resistance, "Ohm", "resistance", minimum=0.0)
     k = named(m, name, "constant", constant, "N.m/A", "torque per current, and voltage per speed,")
     r, efficiency, damping = _geared(m, name, gearbox, joint)
-    w = symbolic(0.0 if speed is None else speed) if joint is None else r * _rate(m, joint)
+    w = symbolic(0.0 if speed is None else speed) if joint is None else r * rate_of_joint(m, joint)
     instant = not isinstance(inductance, ca.SX) and inductance == 0
     if instant:
         i = symbolic((voltage - k * w) / R)
-        m.output(f"{name}.current", i, "A", f"current of {name}")
+        m.output(label(name, "current"), i, "A", f"current{of(name)}")
     else:
         L = named(m, name, "inductance", inductance, "H", "inductance", minimum=1e-12)
-        i = m.state(f"{name}.current", "A", start=current, nominal=nominal, description=f"current of {name}")
+        i = m.state(label(name, "current"), "A", start=current, nominal=nominal, description=f"current{of(name)}")
         m.derivative(i, (voltage - R * i - k * w) / L)
     torque = _through(k * i, w, efficiency)
     if joint is not None:
-        _mounted(m, name, joint, r, torque, inertia, damping)
+        mounted(m, name, "rotor", joint, r, torque, inertia, damping)
     out = torque if joint is None else r * torque
     sliding = joint is not None and joint.kind == "prismatic"
-    what = f"{'force' if sliding else 'torque'} of {name} on {joint.name if joint else 'its shaft'}"
-    m.output(f"{name}.torque" if not sliding else f"{name}.force", out, "N" if sliding else "N.m", what)
-    m.output(f"{name}.voltage", voltage, "V", f"voltage of {name}")
+    kind = "force" if sliding else "torque"
+    what = f"{kind}{of(name)} on {joint.name if joint else 'its shaft'}"
+    m.output(label(name, kind), out, "N" if sliding else "N.m", what)
+    if name:  # what has none is a mechanism of its own, whose input the voltage is
+        m.output(f"{name}.voltage", voltage, "V", f"voltage of {name}")
     return Motor(i, symbolic(out), w)
 
 
@@ -160,51 +162,9 @@ def _geared(
     return ratio, efficiency, damping
 
 
-def _rate(m: Mechanism, joint: Joint | SpatialJoint) -> ca.SX:
-    """Rate of the free displacement of a joint."""
-    q, v = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qv")
-    return ca.jtimes(Kinematics(m).free(joint), q, v)
-
-
 def _through(torque: ca.SX, speed: ca.SX, efficiency: Scalar) -> ca.SX:
     """What passes a gearbox, on the side of the motor: less where the motor drives, more where it is driven."""
     if not isinstance(efficiency, ca.SX) and efficiency == 1:
         return torque
     passed = torque * ca.if_else(torque * speed > 0, efficiency, 1 / efficiency)
     return torque - ca.fabs(ca.tanh(speed / TURNING)) * (torque - passed)
-
-
-def _mounted(
-    m: Mechanism,
-    name: str,
-    joint: Joint | SpatialJoint,
-    ratio: Scalar,
-    torque: ca.SX,
-    inertia: Scalar,
-    damping: Scalar,
-) -> None:
-    """The torque on the joint, by a rotor in a bearing on the first body where it has inertia."""
-    if not isinstance(inertia, ca.SX) and inertia == 0:
-        m.drive(joint, ratio * torque)
-        if isinstance(damping, ca.SX):
-            m.spring_damper(joint, damping=ratio**2 * damping)
-        return
-    J = named(m, name, "inertia", inertia, "kg.m2", "inertia of the rotor", minimum=0.0)
-    turned = ratio * Kinematics(m).free(joint)
-    bearing: Joint | SpatialJoint
-    if isinstance(joint, SpatialJoint):
-        disc = m.spatial_body(f"{name}.rotor", mass=0.0, inertia=(J / 2, J / 2, J), relative=True)
-        bearing = m.spatial_revolute(
-            f"{name}.bearing",
-            joint.first,
-            disc.at(),
-            axis=joint.axes[0],
-            second_axis=(0.0, 0.0, 1.0),
-            coordinate=turned,
-        )
-    else:
-        rotor = m.body(f"{name}.rotor", mass=0.0, inertia=J)
-        bearing = m.revolute(f"{name}.bearing", joint.first, rotor.at(), coordinate=turned)
-    m.drive(bearing, torque)
-    if isinstance(damping, ca.SX):
-        m.friction(bearing, damping)

@@ -10,6 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "lanes.h"
 #include "layout.h"
 #include "linear.h"
 
@@ -18,7 +19,6 @@
 #pragma GCC visibility push(hidden)
 #endif
 
-#define LANES 8 /* sets of arguments that a function is called for at once */
 #define MOST_ARGUMENTS 160 /* of a function, results included */
 /* Most internal steps, or tries of them, in one communication step, so that every call comes back: the five-bar makes a
    million in 4 s, the flexible four-bar by a stiff method in 17 s. */
@@ -242,6 +242,8 @@ typedef struct Instance {
     char text[1024];   /* what happened last */
     int warns;         /* whether there is a warning that nobody has read yet */
     char warning[1024];
+    struct Tape *tape; /* what is done is written on it, where there is one (tape.h) */
+    struct Gradient *gradient; /* of what is read at an instant, once a host has asked for it (partial.c) */
 } Instance;
 
 /* What an instance warns of once in a run. */
@@ -258,11 +260,14 @@ Instance *instance_new(const Scene *scene);
 void instance_free(Instance *i);
 void instance_reset(Instance *i);
 void instance_balance(Instance *i);
+void instance_remember(Instance *i);
+void instance_go_back(Instance *i);
 void warn(Instance *i, int of, const char *format, ...);
 int variable_count(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);
 double instance_get(const Instance *i, int reference);
+const double *instance_place(const Instance *i, int reference);
 void instance_get_many(const Instance *i, const int *references, int count, double *values);
 Outcome instance_stabilise(Instance *i, double zeta, double omega, int projection);
 Outcome instance_set_slope(Instance *i, int reference, double value);
@@ -275,6 +280,11 @@ Outcome instance_step(Instance *i, double start, double h);
 Outcome instance_read(Instance *i);
 Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *directions, double *changes);
+/* The same by inputs, and before the run by parameters and start values: along a direction of what is known, or back from
+   one of what is not. */
+int has_derivatives(const Scene *s, int reference);
+Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *seed, int back, double *found);
 Outcome instance_output_derivatives(
     Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
 double *instance_time(Instance *i);
@@ -336,6 +346,9 @@ int move_by(const Scene *s, int formulation);
 /* Registers with what they begin with, once there is room for them: `lanes` from the first place that suits. */
 double *lanes_from(double *place);
 void registers_begin(Instance *i);
+
+/* What the operations of a function give, once its arguments stand in the registers. */
+void evaluate(const Function *f, double *registers, double *values);
 
 /* A function of the scene on arrays; a program on the memory. */
 void call(Instance *i, int which, const double *const *x, double *const *y);

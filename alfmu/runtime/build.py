@@ -60,8 +60,8 @@ HERE = _MACHINES.get((sys.platform, platform.machine().lower()), "")
 FLAGS = ("-O2", "-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
 """`-ffp-contract=off`: a sum of products is rounded as it is written, so that compiled scenes give the same numbers."""
 
-_OF_HOSTS = ("component.c", "fmi2.c", "fmi3.c", "files.c", "resources.c")
-"""What a page has no use for: the functions of FMI, and files."""
+_OF_HOSTS = ("component.c", "fmi2.c", "fmi3.c", "files.c", "resources.c", "gradient.c")
+"""What a page has no use for: the functions of FMI, files, and runs with derivatives."""
 
 _WEB_FLAGS = ("-mexec-model=reactor", "-Wl,--export-dynamic", "-Wl,--export=malloc", "-Wl,--export=free")
 """A library that the page calls, with memory that the page may ask for."""

@@ -306,7 +306,9 @@ Status component_get(Component *c, const unsigned *references, size_t count, voi
 {
     Instance *i;
     int outputs = 0, finite = 1;
-    if (!component_in(c, KNOWN, call) || !addressed(c, references, count, values, value_count, form, call))
+    /* FMI 3 gives start values as soon as there is an instance, FMI 2 when initialisation has begun. */
+    const int phases = component_good(c) && c->has_time ? KNOWN | INSTANTIATED : KNOWN;
+    if (!component_in(c, phases, call) || !addressed(c, references, count, values, value_count, form, call))
         return WRONG;
     i = c->instance;
     for (size_t k = 0; k < count; k++)
@@ -377,22 +379,47 @@ Status component_output_derivatives(Component *c, const unsigned *references, si
     return FINE;
 }
 
-Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
-    size_t known_count, const double *directions, size_t direction_count, double *changes, size_t change_count,
-    const char *call)
+/* Whether outputs can be differentiated by these variables now. */
+static int addressed_knowns(
+    Component *c, const unsigned *references, size_t count, const void *values, size_t value_count, const char *call)
 {
+    const Scene *s = c->instance->scene;
+    const char *why = NULL;
+    if (!addressed(c, references, count, values, value_count, FLOATS, call))
+        return 0;
+    for (size_t k = 0; k < count && !why; k++)
+        if (is_time(c, references[k]) || !has_derivatives(s, (int)references[k]))
+            why = "there are derivatives by inputs, parameters and start values alone";
+        else if (s->variables[references[k]].kind == PARAMETER && phase(c) != INITIALIZING)
+            why = "parameters and start values are fixed once the run has begun; ask for derivatives by them before";
+    if (why)
+        component_refuse(c, ERROR_, call, why);
+    return !why;
+}
+
+/* Along a direction of what is known, or back from one of what is not. */
+Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back, const char *call)
+{
+    const size_t *of_unknowns = back ? &seed_count : &found_count, *of_knowns = back ? &found_count : &seed_count;
+    int inputs = 1;
     Instance *i;
+    Outcome outcome;
     if (!component_in(c, KNOWN, call)
-        || !addressed_kind(c, unknowns, unknown_count, changes, change_count, OUTPUT, call)
-        || !addressed_kind(c, knowns, known_count, directions, direction_count, INPUT, call))
+        || !addressed_kind(c, unknowns, unknown_count, back ? seed : found, *of_unknowns, OUTPUT, call)
+        || !addressed_knowns(c, knowns, known_count, back ? found : seed, *of_knowns, call))
         return WRONG;
     i = c->instance;
     if (!i->flags.initialized && (phase(c) != INITIALIZING || !begun(c)))
         return component_refuse(c, ERROR_, call, "outputs are known after initialising");
-    if (instance_read(i) != DONE
-        || instance_derivative(i, unknowns, unknown_count, knowns, known_count, directions, changes) != DONE)
-        return refused(c, DISCARDED);
-    return FINE;
+    for (size_t k = 0; k < known_count; k++)
+        inputs &= i->scene->variables[knowns[k]].kind == INPUT;
+    outcome = instance_read(i);
+    if (outcome == DONE && inputs && !back) /* What the scene has for them, which is evaluated at once. */
+        outcome = instance_derivative(i, unknowns, unknown_count, knowns, known_count, seed, found);
+    else if (outcome == DONE)
+        outcome = instance_sweep(i, unknowns, unknown_count, knowns, known_count, seed, back, found);
+    return outcome == DONE ? FINE : refused(c, DISCARDED);
 }
 
 /* Steps ------------------------------------------------------------------------------------------------------------ */

@@ -218,15 +218,15 @@ API fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueRefer
     fmi3Float64 sensitivity[], size_t sensitivity_count)
 {
     return (fmi3Status)component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
-        sensitivity, sensitivity_count, "fmi3GetDirectionalDerivative");
+        sensitivity, sensitivity_count, 0, "fmi3GetDirectionalDerivative");
 }
 
 API fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
     const fmi3ValueReference knowns[], size_t known_count, const fmi3Float64 seed[], size_t seed_count,
     fmi3Float64 sensitivity[], size_t sensitivity_count)
 {
-    return none(c, unknown_count + known_count + seed_count + sensitivity_count, "fmi3GetAdjointDerivative", unknowns,
-        knowns, seed, sensitivity);
+    return (fmi3Status)component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
+        sensitivity, sensitivity_count, 1, "fmi3GetAdjointDerivative");
 }
 
 API fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference references[], size_t count,

@@ -1,6 +1,7 @@
 /* Values, communication steps, events, outputs and the state of an instance, as instance.py has them. */
 
 #include "alfmu.h"
+#include "tape.h"
 
 #include <assert.h>
 #include <float.h>
@@ -160,6 +161,7 @@ Instance *instance_new(const Scene *s)
 void instance_free(Instance *i)
 {
     if (i) {
+        gradient_free(i->gradient);
         free(i->numbers);
         free(i);
     }
@@ -355,21 +357,33 @@ static double unsigned_nan(double value)
     return isnan(value) ? fabs(value) : value;
 }
 
-static inline double value_of(const Instance *i, int reference)
+/* Where the value of a variable stands; NULL for a choice. */
+static inline const double *place_of_value(const Instance *i, int reference)
 {
     const Scene *s = i->scene;
     const int output = reference - (variable_count(s) - s->outputs), event = output - (s->outputs - s->event_count);
     if (event >= 0)
-        return s->event_places[event] < s->impulses ? i->impulses[s->event_places[event]] : *i->lost;
+        return s->event_places[event] < s->impulses ? i->impulses + s->event_places[event] : i->lost;
     if (output >= 0)
-        return i->m[s->seen + output];
+        return i->m + s->seen + output;
     if (reference < s->parameters)
-        return i->values[reference];
+        return i->values + reference;
     reference -= s->parameters;
     if (reference < s->choices)
-        return i->flags.choice[reference] + 1;
+        return NULL;
     reference -= s->choices;
-    return reference < s->inputs ? i->m[s->u + reference] : i->wanted[reference - s->inputs];
+    return reference < s->inputs ? i->m + s->u + reference : i->wanted + (reference - s->inputs);
+}
+
+static inline double value_of(const Instance *i, int reference)
+{
+    const double *place = place_of_value(i, reference);
+    return place ? *place : i->flags.choice[reference - i->scene->parameters] + 1;
+}
+
+const double *instance_place(const Instance *i, int reference)
+{
+    return place_of_value(i, reference);
 }
 
 double instance_get(const Instance *i, int reference)
@@ -581,6 +595,8 @@ void weigh(Instance *i)
         for (int c = 0; s->brakes && c < s->l; c++)
             matrix[r * s->l + c] = r == c ? rows[r] : 0.0;
     }
+    if (s->brakes)
+        tape_clearing(i, matrix, (size_t)s->l * (size_t)s->l);
     for (int r = 0; r < s->compliances; r++)
         least = fmin(least, i->compliances[r]);
     for (int r = 0; r < s->compliances; r++)
@@ -641,8 +657,11 @@ void settle_kernel(Instance *i)
 void parameters(Instance *i)
 {
     const Scene *s = i->scene;
-    memcpy(field(i, s->p), i->values, (size_t)s->own * sizeof(double));
-    memcpy(field(i, s->p) + s->own, i->kept, (size_t)s->held * sizeof(double));
+    double *p = field(i, s->p);
+    memcpy(p, i->values, (size_t)s->own * sizeof *p);
+    memcpy(p + s->own, i->kept, (size_t)s->held * sizeof *p);
+    tape_copy(i, p, i->values, (size_t)s->own);
+    tape_copy(i, p + s->own, i->kept, (size_t)s->held);
 }
 
 /* Topology --------------------------------------------------------------------------------------------------------- */
@@ -707,6 +726,15 @@ static double energy(Instance *i, const double *v, double *kinetic)
     return found;
 }
 
+/* The energy now into a place of its own, written down where there is a tape. */
+static void energy_into(Instance *i, const double *v, double *into)
+{
+    const Scene *s = i->scene;
+    const double *x[] = {field(i, s->z), v, field(i, s->p)};
+    double *y[] = {into, into + 1};
+    taped_call(i, s->energy, x, y);
+}
+
 static const char *method_name(const Instance *i)
 {
     const Scene *s = i->scene;
@@ -743,7 +771,8 @@ static Outcome change(Instance *i, const double *on)
 {
     const Scene *s = i->scene;
     const size_t used = i->used;
-    double *q = field(i, s->z), *v = q + s->n, *w = i->workspace, gap, kinetic;
+    double *q = field(i, s->z), *v = q + s->n, *w = i->workspace, *work = q + s->work, gap;
+    double *energies = take(i, 4);
     unsigned char *held = (unsigned char *)take(i, (size_t)s->l), *new = (unsigned char *)take(i, (size_t)s->l);
     char label[100];
     int row, any = 0;
@@ -765,15 +794,29 @@ static Outcome change(Instance *i, const double *on)
     else
         outcome = check_masses(i, q, held);
     if (outcome == DONE && any) {
-        const double before = s->timed ? energy(i, v, &kinetic) : 0.0;
+        const double *more[] = {work, energies + 2, energies}, *lost[] = {work, w + s->lost};
+        const double factors[] = {1.0, 1.0, -1.0}, once_less[] = {1.0, -1.0};
+        if (s->timed)
+            energy_into(i, v, energies);
         run(i, s->impact);
         memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
-        /* What comes into force while it moves does work, too. */
-        field(i, s->z)[s->work] += s->timed ? energy(i, v, &kinetic) - before : -w[s->lost];
+        tape_copy(i, v, w + s->struck, (size_t)s->n);
+        if (s->timed) { /* What comes into force while it moves does work, too. */
+            energy_into(i, v, energies + 2);
+            *work += energies[2] - energies[0];
+            tape_sum(i, work, 3, more, factors);
+        } else {
+            *work += -w[s->lost];
+            tape_sum(i, work, 2, lost, once_less);
+        }
         *i->lost += w[s->lost];
+        lost[0] = i->lost;
+        tape_sum(i, i->lost, 2, lost, factors);
         for (int k = 0; k < s->impulses; k++)
-            if (new[s->impulse_rows[k]])
+            if (new[s->impulse_rows[k]]) {
                 i->impulses[k] = w[s->impulse + s->impulse_rows[k]];
+                tape_copy(i, i->impulses + k, w + s->impulse + s->impulse_rows[k], 1);
+            }
         if (s->frictions)
             tell_of_impact(i, v, w[s->lost]);
     }
@@ -786,13 +829,13 @@ static Outcome change(Instance *i, const double *on)
     return outcome;
 }
 
-static void remember(Instance *i)
+void instance_remember(Instance *i)
 {
     memcpy(i->before, i->numbers, i->count * sizeof *i->numbers);
     i->flags_before = i->flags;
 }
 
-static void go_back(Instance *i)
+void instance_go_back(Instance *i)
 {
     memcpy(i->numbers, i->before, i->count * sizeof *i->numbers);
     i->flags = i->flags_before;
@@ -809,10 +852,12 @@ static Outcome take_effect(Instance *i)
         double *displacements = take(i, (size_t)s->held);
         const double *x[] = {field(i, s->z), field(i, s->p)};
         double *y[] = {displacements};
-        call(i, s->displacements, x, y);
+        taped_call(i, s->displacements, x, y);
         for (int k = 0; k < s->switches; k++)
-            if (s->switched[k].value >= 0 && i->wanted[k] != 0.0 && i->on[k] == 0.0)
+            if (s->switched[k].value >= 0 && i->wanted[k] != 0.0 && i->on[k] == 0.0) {
                 i->kept[s->switched[k].value] = displacements[s->switched[k].value];
+                tape_copy(i, i->kept + s->switched[k].value, displacements + s->switched[k].value, 1);
+            }
         parameters(i);
     }
     if (s->frictions) {
@@ -865,15 +910,17 @@ Outcome projected(Instance *i, double *q, double *v)
         constraints_at(i, q, v, NULL, C, phi, cv);
         if (closed(i, phi, C, q))
             break;
-        call(i, s->place, x, y);
+        taped_call(i, s->place, x, y);
         memcpy(q, next, n * sizeof *q);
+        tape_copy(i, q, next, n);
     }
     for (int pass = 0; pass < CORRECTIONS; pass++) {
         constraints_at(i, q, v, NULL, C, phi, cv);
         if (closed(i, cv, C, v))
             break;
-        call(i, s->settle, at, settled);
+        taped_call(i, s->settle, at, settled);
         memcpy(v, next, n * sizeof *v);
+        tape_copy(i, v, next, n);
     }
     for (int of_velocity = 0; of_velocity < 2 && outcome == DONE; of_velocity++) {
         int row;
@@ -945,8 +992,11 @@ void instance_balance(Instance *i)
 static void tell_step_error(Instance *i)
 {
     const Scene *s = i->scene;
-    if (s->monitor_step_error >= 0)
-        i->m[s->seen + s->monitor_step_error] = i->counts[STEP_ERROR];
+    double *told = i->m + s->seen + s->monitor_step_error;
+    if (s->monitor_step_error >= 0) {
+        *told = i->counts[STEP_ERROR];
+        tape_clearing(i, told, 1);
+    }
 }
 
 static Outcome comply(Instance *i)
@@ -971,12 +1021,21 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
 {
     const Scene *s = i->scene;
     double *z = field(i, s->z), kinetic;
+    const double *first = i->values + s->own + 2 * s->starts + s->compliances;
     memset(z, 0, state_length(s) * sizeof *z);
     memcpy(z, q, (size_t)s->n * sizeof *q);
     memcpy(z + s->n, v, (size_t)s->n * sizeof *v);
-    for (int k = 0; k < s->angles; k++)
-        z[2 * s->n + k] = s->angle_starts[k] < 0 ? 0.0 : i->values[s->own + s->angle_starts[k]];
-    memcpy(states(i), i->values + s->own + 2 * s->starts + s->compliances, (size_t)states_of(s) * sizeof *z);
+    tape_clearing(i, z, state_length(s));
+    tape_copy(i, z, q, (size_t)s->n);
+    tape_copy(i, z + s->n, v, (size_t)s->n);
+    for (int k = 0; k < s->angles; k++) {
+        const double *angle = s->angle_starts[k] < 0 ? NULL : i->values + s->own + s->angle_starts[k];
+        z[2 * s->n + k] = angle ? *angle : 0.0;
+        if (angle)
+            tape_copy(i, z + 2 * s->n + k, angle, 1);
+    }
+    memcpy(states(i), first, (size_t)states_of(s) * sizeof *z);
+    tape_copy(i, states(i), first, (size_t)states_of(s));
     z[s->time] = time;
     memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
     *i->lost = 0.0;
@@ -1221,6 +1280,7 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
         return outcome;
     after[s->trouble] = 0.0;
     memcpy(m + s->z, after, state_length(s) * sizeof *m);
+    tape_copy(i, m + s->z, after, state_length(s));
     return DONE;
 }
 
@@ -1456,11 +1516,11 @@ Outcome instance_ready(Instance *i, double start, double h)
     if (outcome != DONE || !i->flags.pending)
         return outcome;
     i->used = 0;
-    remember(i);
+    instance_remember(i);
     hand_over(i);
     outcome = take_effect(i);
     if (outcome != DONE) {
-        go_back(i);
+        instance_go_back(i);
         memcpy(i->wanted, i->on, (size_t)i->scene->switches * sizeof *i->on);
         i->flags.pending = 0;
     }
@@ -1482,7 +1542,7 @@ Outcome instance_step(Instance *i, double start, double h)
     if (outcome != DONE)
         return outcome;
     if (changed && !pending) /* What sticks may change in a step. */
-        remember(i);
+        instance_remember(i);
     i->used = 0;
     if (!i->within)
         i->left = MOST_STEPS;
@@ -1492,7 +1552,7 @@ Outcome instance_step(Instance *i, double start, double h)
     hand_over(i);
     outcome = whole_step(i, start, h);
     if (outcome != DONE && changed)
-        go_back(i);
+        instance_go_back(i);
     else if (outcome != DONE)
         step_back(i);
     if (outcome != DONE && signals) {
@@ -1588,6 +1648,8 @@ Outcome instance_read(Instance *i)
     if (i->flags.known)
         return DONE;
     i->used = 0;
+    if (i->tape)
+        i->tape->reading = i->tape->used;
     hand_over(i);
     if (i->flags.brakes)
         hold(i);
@@ -1683,7 +1745,7 @@ Outcome instance_output_derivatives(
     const Scene *s = i->scene;
     const double start = *instance_time(i), h = APART * i->values[s->step_size];
     Outcome outcome = DONE;
-    remember(i);
+    instance_remember(i);
     i->left = MOST_STEPS;
     i->flags.pending = 0;
     i->slopes[0] = start;
@@ -1706,7 +1768,7 @@ Outcome instance_output_derivatives(
     }
     for (size_t each = 0; each < count; each++)
         values[each] /= orders[each] == 1 ? h : h * h;
-    go_back(i);
+    instance_go_back(i);
     i->within = 0;
     i->used = 0;
     for (size_t each = 0; outcome == DONE && each < count; each++)
@@ -1876,12 +1938,12 @@ Outcome state_restore(Instance *i, const unsigned char *state, size_t size)
             "%s: the saved state is not one of this mechanism, or has changed since (check sum); save it again",
             i->scene->name);
     memcpy(&h, state, sizeof h);
-    remember(i);
+    instance_remember(i);
     i->flags = h.flags;
     memcpy(i->numbers, state + sizeof h, i->count * sizeof *i->numbers);
     outcome = sound(i);
     if (outcome != DONE)
-        go_back(i);
+        instance_go_back(i);
     return outcome;
 }
 
@@ -1902,12 +1964,12 @@ Outcome instance_penalize(Instance *i, const double *penalties)
     }
     i->used = 0;
     hand_over(i);
-    remember(i);
+    instance_remember(i);
     memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
     i->flags.scaled = 0;
     outcome = change(i, i->on);
     if (outcome != DONE)
-        go_back(i);
+        instance_go_back(i);
     i->used = 0;
     return outcome;
 }

@@ -204,6 +204,19 @@ class Instance:
         elif self._unit.set(reference, value if isinstance(value, str) else float(value)) != DONE:
             raise InputError(self._unit.text)
 
+    def slope(self, name: str, rate: float) -> None:
+        """How an input changes in the next communication step, per second, from the value that was set; the value at
+        its end is held from there on. `set` takes the rate back.
+
+        Raises InputError where that is no input whose value is a number, or the rate is not finite.
+        """
+        v = self._variables.get(name)
+        if v not in self.input_variables or v.type != "Real":
+            names = [each.name for each in self.input_variables if each.type == "Real"]
+            raise InputError(f"{self.name} has no input {name!r} that is a number; {there_is(name, names)}")
+        if self._unit.slope(self._references[name], float(rate)) != DONE:
+            raise InputError(self._unit.text)
+
     def _retrace(self, name: str, value: float | str) -> None:
         """Another method of integration, or order of inputs: another scene, with the values that are set."""
         changed: dict[str, Any] = {name: int(value) if name == "input_order" else value}

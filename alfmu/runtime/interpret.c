@@ -7,8 +7,10 @@
 #include <string.h>
 
 #include "alfmu.h"
+#include "lanes.h"
 #include "linear.h"
 #include "operations.h"
+#include "tape.h"
 
 /* Runs of equal operations: the kind, how many there are, the places of their operands. The same text serves places of 16
    and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an operation
@@ -204,7 +206,7 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r
 }
 
 /* What the operations of a function give, once its arguments stand in the registers. */
-static void evaluate(const Function *f, double *r, double *values)
+void evaluate(const Function *f, double *r, double *values)
 {
     if (f->narrow)
         narrow_runs(f->narrow, f->narrow + f->words, r, values);
@@ -241,6 +243,8 @@ static void call_at(Instance *i, const Function *f, const int32_t *at)
 {
     double *m = i->m, *r = i->registers, *d = r + i->scene->constant_count;
     size_t k = 0;
+    if (i->tape)
+        tape_call_at(i, f, at);
     if (f->compiled) {
         const double *x[MOST_ARGUMENTS];
         double *y[MOST_ARGUMENTS];
@@ -287,25 +291,6 @@ static void solve_dense(Instance *i, int size, const double *matrix, const doubl
    lanes, so that what it takes to find its operands is shared. The numbers are those of one call after the other, which
    compilers without vectors make. */
 #if defined(__GNUC__)
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute) && !defined(__SANITIZE_THREAD__)
-#if __has_attribute(target_clones)
-#define BY_PROCESSOR __attribute__((target_clones("avx2", "default")))
-#endif
-#endif
-#if defined(BY_PROCESSOR) /* The loader chooses what this processor has, before a thread sanitizer is there. */
-#define PART 4
-#else
-#define BY_PROCESSOR
-#define PART 2
-#endif
-
-typedef double Part __attribute__((vector_size(8 * PART)));
-typedef union {
-    Part part[LANES / PART];
-    double lane[LANES];
-} Lanes;
-
-#define EACH_PART _Pragma("GCC unroll 8") for (int part = 0; part < LANES / PART; part++)
 #undef OPERAND
 #define OPERAND(k) r[at[k]].part[part]
 #undef SUM
@@ -320,7 +305,7 @@ typedef union {
         for (; count; count--, at += 2, d++) \
             EACH_PART \
             { \
-                const Part a = OPERAND(0), b = OPERAND(1); \
+                const Vector a = OPERAND(0), b = OPERAND(1); \
                 d->part[part] = value; \
             } \
         break;
@@ -369,6 +354,8 @@ static void call_lanes(Instance *i, const Function *f, int count, const int32_t 
     const int each = f->inputs + f->outputs, constants = i->scene->constant_count;
     Lanes *r = (Lanes *)i->lanes, *d = r + constants;
     const uint16_t *from = f->narrow + f->words;
+    for (int lane = 0; i->tape && lane < count; lane++)
+        tape_call_at(i, f, at + lane * each);
     for (int j = 0; j < f->inputs; d += f->lengths[j++], at++)
         for (int lane = 0; lane < count; lane++) {
             const double *x = i->m + at[lane * each];
@@ -428,6 +415,8 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
             for (int j = 0; j < count; j++)
                 parts[j] = m + at[4 + j];
             factor(at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
+            if (i->tape)
+                tape_factor(i, at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
             at += 6 + count;
             break;
         }
@@ -436,6 +425,8 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
             for (int j = 0; j < at[1]; j++)
                 right[j] = m + at[4 + j];
             solve(at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
+            if (i->tape)
+                tape_solve(i, at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
             at += 5 + at[1];
             break;
         }
@@ -458,6 +449,8 @@ static void run_code(Instance *i, const int32_t *at, const int32_t *end)
         }
         case LEAST_NORM_CODE: /* unknowns; matrix, right-hand side; solution */
             solve_dense(i, at[0], m + at[1], m + at[2], m + at[3]);
+            if (i->tape)
+                tape_least_norm(i, at[0], m + at[1], m + at[2], m + at[3]);
             at += 4;
             break;
         }

@@ -8,19 +8,7 @@
 
 #include "alfmu.h"
 #include "fmi.h"
-
-/* A run in one call: a grid of communication points, inputs at each, the variables that are wanted at each. */
-typedef struct {
-    const double *times; /* communication points, the start first */
-    long count;
-    const int *inputs; /* references of inputs, by columns of `table`, a row for each communication point */
-    int input_count;
-    const double *table;
-    const int *wanted; /* references, by columns of `values` */
-    int wanted_count;
-    double *values;
-    int (*progress)(long done); /* some times a second, where there is one; zero interrupts the run */
-} Run;
+#include "run.h"
 
 API int alfmu_scene_version(void)
 {
@@ -144,6 +132,12 @@ API void alfmu_set_time(Instance *i, double time)
 API int alfmu_tolerate(Instance *i, double tolerance)
 {
     return (int)instance_tolerate(i, tolerance);
+}
+
+/* How an input changes in the next communication step, per second; it is held in those after it. */
+API int alfmu_slope(Instance *i, int reference, double value)
+{
+    return (int)instance_set_slope(i, reference, value);
 }
 
 /* From here on parameters are fixed, or can be changed again. */

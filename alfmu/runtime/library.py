@@ -12,7 +12,10 @@ from ctypes import POINTER, c_char_p, c_double, c_int, c_long, c_size_t, c_void_
 from functools import cache, partial
 from pathlib import Path
 
-__all__ = ["BRAKES", "DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD", "Scene", "Unit", "library"]
+__all__ = [
+    *("BRAKES", "DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD"),
+    *("Run", "Scene", "Unit", "library"),
+]
 
 DONE, REFUSED, OPEN, FAILED, UNHELD, BRAKES = range(6)
 """What a call comes to: done; refused, nothing has changed; constraints cannot be closed; failed; a massless body that
@@ -64,6 +67,7 @@ _SIGNATURES = {
     "get_many": (c_int, c_void_p, c_void_p, c_int, c_void_p),
     "time": (c_double, c_void_p),
     "set_time": (None, c_void_p, c_double),
+    "slope": (c_int, c_void_p, c_int, c_double),
     "tolerate": (c_int, c_void_p, c_double),
     "run_on": (None, c_void_p, c_int),
     "initialized": (c_int, c_void_p),
@@ -83,6 +87,11 @@ _SIGNATURES = {
     "penalties": (None, c_void_p, c_void_p),
     "counts": (None, c_void_p, c_void_p),
     "run": (c_long, c_void_p, POINTER(_Run), POINTER(c_int)),
+    "gradient_new": (c_void_p, c_void_p, c_int),
+    "gradient_free": (None, c_void_p),
+    "tangent_run": (c_long, c_void_p, POINTER(_Run), c_int, c_void_p, c_void_p, c_void_p, POINTER(c_int)),
+    "recorded_run": (c_long, c_void_p, POINTER(_Run), c_double, POINTER(c_int)),
+    "adjoint_run": (c_int, c_void_p, POINTER(_Run), c_void_p, c_void_p, c_void_p),
 }
 """Result and arguments of each function."""
 
@@ -219,13 +228,21 @@ class Unit:
     def reset(self) -> None:
         self.scene.library.alfmu_reset(self.address)
 
+    def _known(self, references: Sequence[int]) -> None:
+        """IndexError where no variable has one of these value references; the library would read beside its memory."""
+        for each in references:
+            if not 0 <= each < len(self.scene.kinds):
+                raise IndexError(f"{self.scene.name}: no variable has the value reference {each}")
+
     def set(self, reference: int, value: float | str) -> int:
+        self._known([reference])
         c = self.scene.library
         if self.scene.kinds[reference] == "choice":
             return c.alfmu_choose(self.address, reference, str(value).encode())
         return c.alfmu_set(self.address, reference, value)
 
     def get(self, reference: int) -> float | str:
+        self._known([reference])
         if self.scene.kinds[reference] == "choice":
             return self.scene.library.alfmu_chosen(self.address, reference).decode()
         return self._get(self._address, reference)
@@ -234,12 +251,17 @@ class Unit:
         """The outcome of reading, and the values; NaN where outputs cannot be computed."""
         key = tuple(references)
         if key not in self._many:
+            self._known(key)
             if len(self._many) > _KEPT:
                 self._many.clear()
             self._many[key] = (c_int * len(key))(*key), (c_double * len(key))()
         wanted, values = self._many[key]
         outcome = self.scene.library.alfmu_get_many(self.address, wanted, len(key), values)
         return outcome, values[:]
+
+    def slope(self, reference: int, value: float) -> int:
+        """How an input changes in the next communication step, per second."""
+        return self.scene.library.alfmu_slope(self.address, reference, value)
 
     def tolerate(self, tolerance: float) -> int:
         return self.scene.library.alfmu_tolerate(self.address, tolerance)
@@ -280,22 +302,29 @@ class Unit:
         progress: Callable[[int], int] | None = None,
     ) -> tuple[int, int]:
         """Communication points, inputs and values by addresses; how many rows were made, and the outcome."""
-        columns, read = (c_int * len(inputs))(*inputs), (c_int * len(wanted))(*wanted)
-        callback = _Progress(progress) if progress else _Progress()
-        run = _Run(
-            times,
-            count,
-            ctypes.cast(columns, c_void_p),
-            len(inputs),
-            table,
-            ctypes.cast(read, c_void_p),
-            len(wanted),
-            values,
-            callback,
-        )
-        outcome = c_int()
-        made = self.scene.library.alfmu_run(self.address, ctypes.byref(run), ctypes.byref(outcome))
+        run, outcome = Run(times, count, inputs, table, wanted, values, progress), c_int()
+        made = self.scene.library.alfmu_run(self.address, ctypes.byref(run.asked), ctypes.byref(outcome))
         return made, outcome.value
+
+
+class Run:
+    """What a run in one call is asked for: communication points, inputs and values by addresses, references."""
+
+    def __init__(
+        self,
+        times: int,
+        count: int,
+        inputs: Sequence[int],
+        table: int,
+        wanted: Sequence[int],
+        values: int,
+        progress: Callable[[int], int] | None = None,
+    ):
+        columns, read = (c_int * len(inputs))(*inputs), (c_int * len(wanted))(*wanted)
+        places = [ctypes.cast(each, c_void_p) for each in (columns, read)]
+        callback = _Progress(progress) if progress else _Progress()
+        self._kept = columns, read, callback
+        self.asked: _Run = _Run(times, count, places[0], len(inputs), table, places[1], len(wanted), values, callback)
 
 
 _KEPT = 50

@@ -43,6 +43,49 @@
     X(47, acosh(a)) \
     X(48, atanh(a))
 
+#define BINARY_PARTIALS(X) \
+    X(10, 0.0, 0.0) \
+    X(11, 0.0, 0.0) \
+    X(12, 0.0, 0.0) \
+    X(13, 0.0, 0.0) \
+    X(14, 0.0, 0.0) \
+    X(15, 0.0, 0.0) \
+    X(16, 0.0, (a ? 1.0 : 0.0)) \
+    X(17, (b * (pow(a, (b - 1.0)))), ((log(a)) * (pow(a, b)))) \
+    X(18, (b * (pow(a, (b - 1.0)))), ((log(a)) * (pow(a, b)))) \
+    X(19, (b / ((a * a) + (b * b))), (-(a / ((a * a) + (b * b))))) \
+    X(20, (((double)(a <= b)) / (((double)(a <= b)) + ((double)(b <= a)))), (((double)(b <= a)) / (((double)(a <= b)) + ((double)(b <= a))))) \
+    X(21, (((double)(b <= a)) / (((double)(b <= a)) + ((double)(a <= b)))), (((double)(a <= b)) / (((double)(b <= a)) + ((double)(a <= b))))) \
+    X(22, 1.0, (((fmod(a, b)) - a) / b)) \
+    X(23, 1.0, (((remainder(a, b)) - a) / b)) \
+    X(24, (a / (hypot(a, b))), (b / (hypot(a, b)))) \
+    X(25, ((copysign(1.0, b)) * (a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : a)), 0.0)
+
+#define UNARY_PARTIALS(X) \
+    X(26, 0.0) \
+    X(27, 0.0) \
+    X(28, (a > 0.0 ? 1.0 : a < 0.0 ? -1.0 : a)) \
+    X(29, 0.0) \
+    X(30, 0.0) \
+    X(31, (1.0 / (2.0 * (sqrt(a))))) \
+    X(32, (exp(a))) \
+    X(33, (1.0 / a)) \
+    X(34, (exp(a))) \
+    X(35, (1.0 / (1.0 + a))) \
+    X(36, (1.1283791670955126 * (exp((-(a * a)))))) \
+    X(37, (cos(a))) \
+    X(38, (-(sin(a)))) \
+    X(39, (1.0 / ((cos(a)) * (cos(a))))) \
+    X(40, (1.0 / (sqrt((1.0 - (a * a)))))) \
+    X(41, ((-1.0) / (sqrt((1.0 - (a * a)))))) \
+    X(42, (1.0 / (1.0 + (a * a)))) \
+    X(43, (cosh(a))) \
+    X(44, (sinh(a))) \
+    X(45, (1.0 - ((tanh(a)) * (tanh(a))))) \
+    X(46, (1.0 / (sqrt((1.0 + (a * a)))))) \
+    X(47, ((1.0 / (sqrt((a - 1.0)))) / (sqrt((a + 1.0))))) \
+    X(48, (1.0 / (1.0 - (a * a))))
+
 #define SUM1_KIND 0
 #define SUM2_KIND 1
 #define SUM4_KIND 2

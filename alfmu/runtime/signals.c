@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "alfmu.h"
+#include "tape.h"
 
 /* What is heard of an input: how many points are known, of which derivative, their times and values, newest first. */
 enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
@@ -104,6 +105,7 @@ void signals_begin(Instance *i, double time)
         return;
     i->kept[s->held - 1 - s->followed_count * POLYNOMIAL] = time;
     memset(i->heard, 0, (size_t)s->followed_count * HEARD * sizeof *i->heard);
+    tape_clearing(i, i->heard, (size_t)s->followed_count * HEARD);
     for (int k = 0; k < s->followed_count; k++) {
         const Given g = given(i, k);
         double *c = polynomial(i, k);
@@ -112,8 +114,40 @@ void signals_begin(Instance *i, double time)
         c[1] = g.value[0];
         c[2] = g.value[1];
         c[3] = g.value[2] / 2;
+        tape_clearing(i, c, POLYNOMIAL);
+        for (int each = 0; each <= s->followed[k].derivatives; each++) {
+            const double *from[] = {i->m + s->u + s->followed[k].input + each}, half[] = {each == 2 ? 0.5 : 1.0};
+            tape_sum(i, c + 1 + each, 1, from, half);
+        }
     }
 }
+
+/* The polynomial of an input for a step of h [s], from where the one before has come. */
+static void aim(const Followed *f, const Given *g, double *c, double *heard, double start, double h)
+{
+    double now[3], end[3];
+    at(c, start, now);
+    hear(heard, g, start);
+    foreseen(heard, g, f->order, h, end);
+    memset(c, 0, POLYNOMIAL * sizeof *c);
+    c[0] = start;
+    c[1] = now[0];
+    c[2] = now[1];
+    if (g->level < 2) {
+        const double way = end[0] - now[0];
+        c[3] = (3 * way - (2 * now[1] + end[1]) * h) / (h * h);
+        c[4] = (-2 * way + (now[1] + end[1]) * h) / (h * h * h);
+    } else {
+        const double way = end[0] - now[0] - h * (now[1] + h * now[2] / 2);
+        const double faster = (end[1] - now[1] - h * now[2]) * h, bent = (end[2] - now[2]) * h * h / 2;
+        c[3] = now[2] / 2;
+        c[4] = (10 * way - 4 * faster + bent) / (h * h * h);
+        c[5] = (-15 * way + 7 * faster - 2 * bent) / (h * h * h * h);
+        c[6] = (6 * way - 3 * faster + bent) / (h * h * h * h * h);
+    }
+}
+
+static void tape_aim(Instance *i, int which, int level, double start, double h);
 
 Outcome signals_aim(Instance *i, double start, double h)
 {
@@ -132,26 +166,104 @@ Outcome signals_aim(Instance *i, double start, double h)
     }
     for (int k = 0; k < s->followed_count; k++) {
         const Given g = given(i, k);
-        double *c = polynomial(i, k), *heard = i->heard + k * HEARD, now[3], end[3];
-        at(c, start, now);
-        hear(heard, &g, start);
-        foreseen(heard, &g, s->followed[k].order, h, end);
-        memset(c, 0, POLYNOMIAL * sizeof *c);
-        c[0] = start;
-        c[1] = now[0];
-        c[2] = now[1];
-        if (g.level < 2) {
-            const double way = end[0] - now[0];
-            c[3] = (3 * way - (2 * now[1] + end[1]) * h) / (h * h);
-            c[4] = (-2 * way + (now[1] + end[1]) * h) / (h * h * h);
-        } else {
-            const double way = end[0] - now[0] - h * (now[1] + h * now[2] / 2);
-            const double faster = (end[1] - now[1] - h * now[2]) * h, bent = (end[2] - now[2]) * h * h / 2;
-            c[3] = now[2] / 2;
-            c[4] = (10 * way - 4 * faster + bent) / (h * h * h);
-            c[5] = (-15 * way + 7 * faster - 2 * bent) / (h * h * h * h);
-            c[6] = (6 * way - 3 * faster + bent) / (h * h * h * h * h);
-        }
+        tape_aim(i, k, g.level, start, h);
+        aim(s->followed + k, &g, polynomial(i, k), i->heard + k * HEARD, start, h);
     }
     return DONE;
+}
+
+/* Derivatives --------------------------------------------------------------------------------------------------------- */
+
+/* What is aimed at depends on values in proportion, its times being what they are: its tangents are what `aim` makes of
+   theirs. */
+
+enum { SAVED_LEVEL = HEARD, SAVED_START, SAVED_STEP, SAVED_FROM, SAVED };
+
+static void tape_aim(Instance *i, int which, int level, double start, double h)
+{
+    const Scene *s = i->scene;
+    Entry *e = tape_entry(i, AIMED, which, 3, SAVED);
+    double *saved;
+    if (!e)
+        return;
+    saved = i->tape->numbers + e->numbers;
+    memcpy(saved, i->heard + which * HEARD, HEARD * sizeof *saved);
+    saved[SAVED_LEVEL] = level;
+    saved[SAVED_START] = start;
+    saved[SAVED_STEP] = h;
+    saved[SAVED_FROM] = polynomial(i, which)[0];
+    i->tape->words[e->words] = place_of(i, polynomial(i, which));
+    i->tape->words[e->words + 1] = place_of(i, i->heard + which * HEARD);
+    i->tape->words[e->words + 2] = place_of(i, i->m + s->u + s->followed[which].input);
+}
+
+/* Numbers that an aim depends on, and that it gives: of the input, of the polynomial, of what is heard. */
+#define OF_INPUT 3
+#define AIM_NUMBERS (OF_INPUT + POLYNOMIAL - 1 + HEARD_POINTS)
+
+/* `x` (AIM_NUMBERS) becomes what the aim makes of it. */
+static void aim_along(const Followed *f, const double *saved, double *x)
+{
+    double c[POLYNOMIAL], heard[HEARD];
+    Given g = {{0.0, 0.0, 0.0}, (int)saved[SAVED_LEVEL]};
+    c[0] = saved[SAVED_FROM];
+    memcpy(c + 1, x + OF_INPUT, (POLYNOMIAL - 1) * sizeof *c);
+    memcpy(heard, saved, sizeof heard);
+    memcpy(heard + VALUES, x + OF_INPUT + POLYNOMIAL - 1, HEARD_POINTS * sizeof *heard);
+    for (int k = 0; k <= f->derivatives; k++)
+        g.value[k] = x[k];
+    aim(f, &g, c, heard, saved[SAVED_START], saved[SAVED_STEP]);
+    memcpy(x + OF_INPUT, c + 1, (POLYNOMIAL - 1) * sizeof *c);
+    memcpy(x + OF_INPUT + POLYNOMIAL - 1, heard + VALUES, HEARD_POINTS * sizeof *heard);
+}
+
+/* Where a number of an aim stands; -1 for a derivative that the input has not. */
+static int32_t aim_place(const Followed *f, const int32_t *words, int k)
+{
+    if (k < OF_INPUT)
+        return k <= f->derivatives ? words[2] + k : -1;
+    k -= OF_INPUT;
+    return k < POLYNOMIAL - 1 ? words[0] + 1 + k : words[1] + VALUES + (k - (POLYNOMIAL - 1));
+}
+
+void aimed_tangents(Gradient *g, const Entry *e)
+{
+    const Followed *f = g->instance->scene->followed + e->what;
+    const int32_t *words = g->tape->words + e->words;
+    const double *saved = g->tape->numbers + e->numbers;
+    for (int block = 0; block < g->blocks; block++)
+        for (int lane = 0; lane < LANES; lane++) {
+            Lanes *t = g->tangents + (size_t)block * g->places;
+            double x[AIM_NUMBERS];
+            for (int k = 0; k < AIM_NUMBERS; k++) {
+                const int32_t place = aim_place(f, words, k);
+                x[k] = place < 0 ? 0.0 : t[place].lane[lane];
+            }
+            aim_along(f, saved, x);
+            for (int k = OF_INPUT; k < AIM_NUMBERS; k++)
+                t[aim_place(f, words, k)].lane[lane] = x[k];
+        }
+}
+
+void aimed_adjoints(Gradient *g, const Entry *e)
+{
+    const Followed *f = g->instance->scene->followed + e->what;
+    const int32_t *words = g->tape->words + e->words;
+    const double *saved = g->tape->numbers + e->numbers;
+    double weights[AIM_NUMBERS] = {0.0};
+    for (int k = OF_INPUT; k < AIM_NUMBERS; k++) {
+        weights[k] = g->adjoints[aim_place(f, words, k)];
+        g->adjoints[aim_place(f, words, k)] = 0.0;
+    }
+    for (int each = 0; each < AIM_NUMBERS; each++) {
+        const int32_t place = aim_place(f, words, each);
+        double x[AIM_NUMBERS] = {0.0}, sum = 0.0;
+        if (place < 0)
+            continue;
+        x[each] = 1.0;
+        aim_along(f, saved, x);
+        for (int k = OF_INPUT; k < AIM_NUMBERS; k++)
+            sum += weights[k] * x[k];
+        g->adjoints[place] += sum;
+    }
 }

@@ -6,18 +6,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "alfmu.h"
-
-/* A matrix of nonzeros. */
-typedef struct {
-    const Pattern *pattern;
-    double *values;
-} Matrix;
-
-/* The matrix J of an assembly: derivatives of constraints or gaps, and below them of the start values that are kept. */
-typedef struct {
-    Matrix constraints, ties;
-} Rows;
+#include "start.h"
+#include "tape.h"
 
 /* What an assembly closes: the gaps of the rows that are held, and the start values. */
 typedef struct {
@@ -32,7 +22,7 @@ static const double *starts(const Instance *i)
     return i->values + i->scene->own;
 }
 
-static Matrix matrix_new(Instance *i, const Pattern *pattern)
+Matrix matrix_new(Instance *i, const Pattern *pattern)
 {
     return (Matrix){pattern, take(i, (size_t)pattern->entries)};
 }
@@ -54,15 +44,13 @@ static void weigh_rows(Matrix a, const double *weights)
         a.values[e] *= weights[a.pattern->indices[e]];
 }
 
-/* y = J x */
-static void all_times(const Rows *J, const double *x, double *y)
+void all_times(const Rows *J, const double *x, double *y)
 {
     times(J->constraints, x, y);
     times(J->ties, x, y + J->constraints.pattern->rows);
 }
 
-/* x = J' y */
-static void all_times_back(const Rows *J, const double *y, double *x)
+void all_times_back(const Rows *J, const double *y, double *x)
 {
     const Matrix parts[] = {J->constraints, J->ties};
     memset(x, 0, (size_t)parts->pattern->columns * sizeof *x);
@@ -107,11 +95,11 @@ static double squared(Instance *i, const Rows *J, double *a)
    until it gains no more, at most so often. x = J' lam, and lam = (J J' + 1 / alpha)^-1 (r - J x) adds up, so that rows
    that depend on each other share it; a direction that rows hold less than some 1e-6 of what they hold others needs more
    passes than there are. */
-static void least_correction(Instance *i, const Rows *J, const double *r, int most, double *x)
+void least_multipliers(Instance *i, const Rows *J, const double *r, int most, double *lam, double *x)
 {
     const Envelope *e = &i->scene->closing;
     const size_t used = i->used, rows = (size_t)e->size;
-    double *a = take(i, e->entries), *lam = take(i, rows), *left = take(i, rows), *change = take(i, rows);
+    double *a = take(i, e->entries), *left = take(i, rows), *change = take(i, rows);
     double *work = take(i, rows), size = norm(r, e->size), before = INFINITY;
     squared(i, J, a);
     envelope_factor(e, a, DBL_MIN);
@@ -129,6 +117,13 @@ static void least_correction(Instance *i, const Rows *J, const double *r, int mo
         before = size;
         size = norm(left, e->size);
     }
+    i->used = used;
+}
+
+static void least_correction(Instance *i, const Rows *J, const double *r, int most, double *x)
+{
+    const size_t used = i->used;
+    least_multipliers(i, J, r, most, take(i, (size_t)i->scene->closing.size), x);
     i->used = used;
 }
 
@@ -166,13 +161,13 @@ static double followed(Instance *i, Loops *loops, double *q)
 {
     const Scene *s = i->scene;
     const size_t used = i->used;
-    double *dq = take(i, (size_t)s->n), first = -1.0;
+    double *dq = take(i, (size_t)s->n), *lam = take(i, (size_t)loops->count), first = -1.0;
     closure_at(i, loops, q);
     for (int k = 0; k < MOST; k++) {
         double size = norm(loops->residue, loops->count), turned = 1e-300, part;
         if (largest(loops->residue, loops->count) <= TOLERANCE * fmax(1.0, largest(q, s->n)))
             break;
-        least_correction(i, &loops->J, loops->residue, CORRECTIONS, dq);
+        least_multipliers(i, &loops->J, loops->residue, CORRECTIONS, lam, dq);
         if (first < 0.0)
             first = norm(dq, s->n);
         for (int c = 0; c < s->n; c++)
@@ -187,6 +182,7 @@ static double followed(Instance *i, Loops *loops, double *q)
         }
         if (part <= 1e-4)
             break;
+        tape_closing(i, loops->held, q, dq, lam, part);
         memcpy(q, loops->trial, (size_t)s->n * sizeof *q);
     }
     i->used = used;
@@ -221,6 +217,7 @@ static int nearest(Instance *i, Loops *loops, const double *guess, double size, 
     const Scene *s = i->scene;
     const size_t used = i->used;
     double *q = take(i, (size_t)s->n), best = INFINITY;
+    const int paused = tape_pause(i, 1);
     another->way = INFINITY;
     for (int k = 0; k < TRIES; k++) {
         double away = 0.0;
@@ -242,6 +239,7 @@ static int nearest(Instance *i, Loops *loops, const double *guess, double size, 
                 another->q[c] = guess[c] + short_way(s, c, q[c] - guess[c]);
         }
     }
+    tape_pause(i, paused);
     i->used = used;
     return best < INFINITY;
 }
@@ -252,10 +250,12 @@ static int determined(Instance *i, Loops *loops, const double *assembly)
     const Scene *s = i->scene;
     const size_t used = i->used;
     double *q = take(i, (size_t)s->n);
+    const int paused = tape_pause(i, 1);
     int back;
     for (int c = 0; c < s->n; c++)
         q[c] = assembly[c] + DISTINCT * s->normal[c] / sqrt(s->n);
     followed(i, loops, q);
+    tape_pause(i, paused);
     back = closes(i, loops, q) && apart(s, assembly, q) < DISTINCT * DISTINCT;
     i->used = used;
     return back;
@@ -341,6 +341,7 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
     int most, found, direct;
     i->text[0] = '\0';
     memcpy(q, guess, (size_t)s->n * sizeof *q);
+    tape_copy(i, q, guess, (size_t)s->n);
     step = followed(i, loops, q);
     moved = closes(i, loops, q) ? way(s, guess, q, &most) : INFINITY;
     direct = moved <= 1.5 * step + 1e-6;
@@ -383,6 +384,7 @@ static void rated(Instance *i, Loops *loops, const double *q, const double *rate
     const Scene *s = i->scene;
     const size_t used = i->used;
     double *made = take(i, (size_t)loops->count), *dv = take(i, (size_t)s->n), *weights = take(i, (size_t)s->l);
+    double *lam = take(i, (size_t)loops->count);
     const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
     closure_at(i, loops, q);
     constraints_at(i, q, v, NULL, J.constraints.values, NULL, NULL);
@@ -400,7 +402,8 @@ static void rated(Instance *i, Loops *loops, const double *q, const double *rate
             left[r] = (r < s->l ? 0.0 : rate[s->tied[r - s->l]]) - made[r];
         if (pass == 2)
             break;
-        least_correction(i, &J, left, CORRECTIONS, dv);
+        least_multipliers(i, &J, left, CORRECTIONS, lam, dv);
+        tape_rating(i, loops->held, q, v, dv, lam);
         for (int c = 0; c < s->n; c++)
             v[c] += dv[c];
     }
@@ -469,6 +472,7 @@ void set_off(Instance *i, const unsigned char *held, const double *q, double *v)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, n = (size_t)s->n;
+    const int paused = tape_pause(i, 1);
     double *guess = take(i, n), *way = take(i, n), *equal = take(i, (size_t)s->starts), size;
     const double *x[] = {field(i, s->p), starts(i), equal};
     double *y[] = {guess, way};
@@ -483,6 +487,7 @@ void set_off(Instance *i, const unsigned char *held, const double *q, double *v)
     if (size > 0.0 && largest(loops.residue, loops.count) <= ROUGH * size)
         for (int c = 0; c < dependent(s); c++)
             v[c] = DIRECTION / size * way[c];
+    tape_pause(i, paused);
     i->used = used;
 }
 
@@ -507,7 +512,7 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     Loops loops = loops_new(i, held);
     const char *open;
     Outcome outcome;
-    call(i, s->guesses, x, y);
+    taped_call(i, s->guesses, x, y);
     if (!isfinite(norm(guess, s->n)))
         outcome = say(
             i, FAILED, "%s: the start guess is not finite; check the dimensions and start values", s->name);
@@ -516,8 +521,10 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
             "%s: at the start guess the gap of %s is not finite; check the dimensions, axes and start values", s->name, open);
     else
         outcome = positions(i, &loops, guess, q);
-    if (outcome == DONE)
+    if (outcome == DONE) {
+        tape_closing(i, held, q, NULL, NULL, 1.0); /* Where it ends, the loops are closed. */
         outcome = rates(i, &loops, q, v);
+    }
     i->used = used;
     return outcome;
 }
@@ -1082,7 +1089,7 @@ void hold(Instance *i)
     sizes = take(i, l);
     /* S5: at a singular position the combinations of the place before it are kept. */
     ranges(i, field(i, s->z), combinations, sizes);
-    if (sizes[rank - 1] > REGULAR * sizes[0])
+    if (sizes[rank - 1] > REGULAR * sizes[0]) {
         for (int a = 0; a < s->l; a++)
             for (int b = 0; b < s->l; b++) {
                 double sum = 0.0;
@@ -1090,6 +1097,8 @@ void hold(Instance *i)
                     sum += combinations[k * s->l + a] * combinations[k * s->l + b];
                 matrix[a * s->l + b] = sqrt(i->penalty[a]) * sum * sqrt(i->penalty[b]) / *i->largest_penalty;
             }
+        tape_holding(i, field(i, s->z), matrix);
+    }
     i->used = used;
 }
 

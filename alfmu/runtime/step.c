@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "alfmu.h"
+#include "tape.h"
 
 /* Internal steps from one question to the next, whether a run goes on. */
 #define LOOK 64
@@ -41,9 +42,11 @@ long advance(Instance *i, long steps, double dt)
             && i->workspace[s->read_watch + WATCH_NEAR] != 0.0)
             tier = 2;
         for (;;) {
+            const Mark begin = tape_mark(i);
             run(i, onward && tier == 0 ? s->onward : tiers[tier]);
             if (after[s->trouble] == 0.0)
                 break;
+            tape_cut(i, begin);
             /* Near a singular position no step but that on the branch can be good. */
             if (tier == 2 || (tier == 1 && after[s->near] == 0.0))
                 return done;
@@ -52,6 +55,7 @@ long advance(Instance *i, long steps, double dt)
                 return done;
         }
         memcpy(m + s->z, after, state_length(s) * sizeof *m);
+        tape_copy(i, m + s->z, after, state_length(s));
         m[s->tally + tier] += 1.0;
         i->shared += onward && tier == 0;
         if (tier == 2)
@@ -222,6 +226,7 @@ int cover(Instance *i, double end, long tries)
             if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
                 pace[PACE_OTHER_DT] *= REGAINED;
             memcpy(m + s->z, after, state_length(s) * sizeof *m);
+            tape_copy(i, m + s->z, after, state_length(s));
         }
         tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;
     }
@@ -236,6 +241,7 @@ int communicate(Instance *i, double start, double h, long *made)
     double *m = i->m, *z = m + s->z, ratio;
     double counted[TALLY];
     const size_t state = state_length(s) * sizeof *m, past = (size_t)s->past_size * sizeof *m;
+    const Mark begun = tape_mark(i);
     long steps;
     *made = -1;
     if (!(h > 0.0 && h < INFINITY && fabs(start - z[s->time]) <= 1e-6 * h + 1e-12 * fabs(start)))
@@ -252,6 +258,7 @@ int communicate(Instance *i, double start, double h, long *made)
         run(i, s->reach);
     *made = advance(i, steps, h / (double)steps);
     if (*made != steps) {
+        tape_cut(i, begun);
         memcpy(z, m + s->begin, state);
         memcpy(m + s->tally, counted, TALLY * sizeof *m);
         memcpy(m + s->past, i->past_before, past);

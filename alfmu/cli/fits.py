@@ -1,0 +1,107 @@
+"""The command that fits parameters and start values to measurements."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..model.errors import InputError
+from .options import Command, add_name, add_option, add_set, chosen_recipe, name_list
+from .says import once_written
+
+_FIT = """The table has a column `time` in s, which begins where the run does. Columns with names of outputs are
+measurements (`nan` where there is none), those with names of inputs drive the run. Values that --set gives are first
+guesses of what is varied. Deviations come from what is left after the fit; a combination of numbers that the data do
+not tell is warned of."""
+
+
+def add(command: Command) -> None:
+    """Add it to the command line."""
+    sub = command("fit", _fit, "fit parameters and start values to measurements, by least squares")
+    sub.epilog = _FIT
+    add_name(sub, "name", "NAME", "a mechanism, a recipe, or a Python file")
+    sub.add_argument("data", metavar="DATA.csv", help="measurements over time, and inputs")
+    sub.add_argument(
+        "--vary", type=name_list, metavar="NAME,...", required=True, help="parameters and start values, such as m2,l"
+    )
+    sub.add_argument(
+        "--bounds",
+        metavar="NAME=LOW:HIGH",
+        action="append",
+        type=_bounds,
+        default=[],
+        help="keep a number between these (default: the bounds of the mechanism)",
+    )
+    sub.add_argument(
+        "--columns", type=name_list, metavar="NAME,...", help="measurements that count (default: all that are outputs)"
+    )
+    sub.add_argument(
+        "--deviation",
+        metavar="NAME=SIZE",
+        action="append",
+        type=_size,
+        default=[],
+        help="standard deviation of a measured column, by which it counts (default: the range of the column)",
+    )
+    sub.add_argument("-o", "--output", metavar="FILE.csv", help="write the fitted run")
+    sub.add_argument("--plot", metavar="FILE.png", help="draw measurements, the fitted run and what is left")
+    add_option(sub)
+    add_set(sub)
+
+
+def _bounds(text: str) -> tuple[str, tuple[float, float]]:
+    name, _, both = text.partition("=")
+    low, _, high = both.partition(":")
+    try:
+        return name, (float(low), float(high))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=LOW:HIGH, such as m2=0.5:2") from None
+
+
+def _size(text: str) -> tuple[str, float]:
+    name, _, size = text.partition("=")
+    try:
+        return name, float(size)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=SIZE, such as link1.angle=0.01") from None
+
+
+def _fit(chosen: argparse.Namespace) -> None:
+    from ..gradients import fit
+
+    if chosen.plot:
+        from ..view.plot import check_name
+
+        check_name(Path(chosen.plot))
+    if chosen.output and not chosen.output.endswith(".csv"):
+        raise InputError(f"{chosen.output} cannot hold a table; its name must end in .csv")
+    recipe = chosen_recipe(chosen, chosen.name)
+
+    def show(run: int, size: float) -> None:
+        if sys.stderr.isatty():
+            print(f"\rrun {run}: differs by {size:.6g} of what is measured", end="", file=sys.stderr, flush=True)
+
+    found = fit(
+        recipe,
+        chosen.data,
+        chosen.vary,
+        bounds=dict(chosen.bounds),
+        columns=chosen.columns,
+        deviations=dict(chosen.deviation),
+        progress=show,
+    )
+    if sys.stderr.isatty():
+        print(file=sys.stderr)
+    print(found)
+    print(f"{found.runs} runs; {found.said}")
+    if chosen.output:
+        said = once_written(Path(chosen.output))
+        found.result.to_csv(chosen.output)
+        print(said)
+    if chosen.plot:
+        from ..view.plot import save
+
+        said = once_written(Path(chosen.plot))
+        save(found.plot(), Path(chosen.plot), 150)
+        print(said)

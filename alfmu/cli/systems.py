@@ -1,0 +1,91 @@
+"""Commands for connected systems: system, couple."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..systems.masters import MASTERS
+from .options import STEP, Command, add_set, name_list
+from .runs import add_table, given_inputs, run_and_keep
+from .says import once_written, progress_bar
+
+_SYSTEM = """The file says which mechanisms, parts and FMUs there are, what is connected to what, and how it is run; its
+form is in the documentation, howto/systems. Columns are called COMPONENT.VARIABLE. --set and --input give parameters
+and free inputs by these names. An .ssp is data: its FMUs run, nothing else of it does. `alfmu export --ssp FILE.toml`
+writes one."""
+
+_COUPLE = """The file has a table [monolithic] that names one mechanism with all the parts, and the outputs that are
+compared. The communication step of the file is halved; each is run with held, extrapolated and iterated inputs. A run
+counts as stable as long as no output is further off than its largest value."""
+
+
+def add(command: Command) -> None:
+    """Add them to the command line."""
+    sub = command("system", _system, "run connected mechanisms, parts and FMUs, from a TOML file or an SSP")
+    sub.epilog = _SYSTEM
+    sub.add_argument("system", metavar="FILE.toml|FILE.ssp", help="what describes the system")
+    sub.add_argument("--stop-time", type=float, metavar="S", help="end of the run in s (default: the system's own)")
+    sub.add_argument(
+        *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the system's)"
+    )
+    sub.add_argument(
+        "--master", choices=list(MASTERS), help="; ".join(f"{name}: {text}" for name, text in MASTERS.items())
+    )
+    add_table(sub)
+    add_set(sub)
+
+    sub = command("couple", _couple, "measure what coupling costs: error and energy as the communication step halves")
+    sub.epilog = _COUPLE
+    sub.add_argument("system", metavar="FILE.toml", help="a system with a table [monolithic]")
+    sub.add_argument("-o", "--output", metavar="FILE.csv", help="write the table")
+    sub.add_argument("--plot", metavar="FILE.png", help="draw error over step and energy over time (PNG, SVG or PDF)")
+    sub.add_argument(
+        "--halvings", type=int, metavar="N", help="how often the communication step is halved (default: 5)"
+    )
+    sub.add_argument("--masters", type=name_list, metavar="NAMES", help=f"of {','.join(MASTERS)} (default: all)")
+    sub.add_argument(
+        "--tolerance", type=float, metavar="T", help="relative tolerance of the components (default: 1e-9)"
+    )
+    sub.add_argument("--no-stability", action="store_true", help="leave out the search of the largest stable steps")
+
+
+def _system(chosen: argparse.Namespace) -> None:
+    from ..systems.system import System
+
+    inputs = given_inputs(chosen)
+    system = System.load(chosen.system)
+    run_and_keep(
+        chosen,
+        system.name,
+        lambda progress: system.simulate(
+            chosen.stop_time,
+            chosen.step,
+            inputs=inputs,
+            parameters=dict(chosen.set),
+            master=chosen.master,
+            held_rows=chosen.held_rows,
+            progress=progress,
+        ),
+    )
+
+
+def _couple(chosen: argparse.Namespace) -> None:
+    from ..systems.coupling import check_file, couple
+
+    table, plot = (Path(x) if x else None for x in (chosen.output, chosen.plot))
+    if table:
+        check_file(table)
+    if plot:
+        from ..view.plot import check_name
+
+        check_name(plot)
+    asked = {"halvings": chosen.halvings, "masters": chosen.masters, "tolerance": chosen.tolerance}
+    how = {name: value for name, value in asked.items() if value is not None}
+    found = couple(chosen.system, **how, stability=not chosen.no_stability, progress=progress_bar("coupling", "run"))
+    print("\n".join(found.lines()))
+    for path, write in ((table, found.save), (plot, found.plot)):
+        if path:
+            said = once_written(path)
+            write(path)
+            print(said)

@@ -1,0 +1,129 @@
+"""The process in which an FMU runs while it is checked: what it does there cannot take the checker down.
+
+`python -m alfmu.fmi.checks.child FOLDER` reads `task.json` in that folder and writes one file with a finding for each
+check. Where the system can, each check runs in a copy of this process, so that checks do not see each other.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+from fmpy import read_model_description
+
+from . import calls, motion, values
+from .registry import CHECKS, FAILED, NOT_APPLICABLE, PASSED, UNJUDGED, Check, Fault, NotApplicable, Task, Unjudged
+from .unit import Broken, Journal, Session
+
+__all__ = ["CURRENT", "JOURNAL", "RECORD", "TASK", "all_checks", "main", "result_file"]
+
+TASK, JOURNAL, CURRENT = "task.json", "journal", "current"
+"""Files in the folder: what is to be done, the call that is being made, the check that runs."""
+
+RECORD = "record."
+"""How ids of records begin; the name of the record follows."""
+
+_MODULES = calls, values, motion
+"""All that have checks."""
+
+
+def all_checks(records: list[str]) -> dict[str, Check]:
+    """Every check by its id, those of records behind `run.default`."""
+
+    def replaying(number: int) -> Callable[[Session, Task], str]:
+        return lambda session, task: motion.replayed(session, task, number)
+
+    replayed = {
+        f"{RECORD}{name}": Check(
+            f"{RECORD}{name}",
+            f"The recorded run {name} comes out again",
+            "An experiment in the FMU can be run with what is in the FMU, and gives its reference results",
+            dict.fromkeys("23", "FMI-LS-REF, Role experiment"),
+            replaying(number),
+        )
+        for number, name in enumerate(records)
+    }
+    order = sorted(CHECKS, key=lambda each: (each != "api.version", each != "run.default"))
+    return {each: CHECKS[each] for each in order[:2]} | replayed | {each: CHECKS[each] for each in order[2:]}
+
+
+def result_file(folder: Path, id: str) -> Path:
+    """Where the finding of a check stands; names of records may be of any length."""
+    return folder / f"finding-{hashlib.sha256(id.encode()).hexdigest()}.json"
+
+
+def main(folder: Path) -> int:
+    """Run the checks that are still to be done; 0 where all have a finding."""
+    task = json.loads((folder / TASK).read_text(encoding="utf-8"))
+    checks = all_checks([record["name"] for record in task["records"]])
+    given = Task(task["records"], task["tolerance"])
+    fork = hasattr(os, "fork") and not task["together"]
+    description = read_model_description(task["fmu"], validate=False)
+    for id in task["checks"]:
+        if result_file(folder, id).exists():
+            continue
+        (folder / CURRENT).write_text(id, encoding="utf-8")
+        if fork:
+            child = os.fork()
+            if child == 0:
+                _one(folder, checks[id], description, task, given)
+                os._exit(0)
+            _, status = os.waitpid(child, 0)
+            if status or not result_file(folder, id).exists():
+                # The process that watches takes this one for the one that died, with what it was doing.
+                os._exit(128 + os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status))
+        else:
+            _one(folder, checks[id], description, task, given)
+    return 0
+
+
+def _one(folder: Path, check: Check, description: object, task: dict, given: Task) -> None:
+    """Write the finding of one check."""
+    version = description.fmiVersion[:1]
+    result, detail, session = UNJUDGED, "", None
+    if check.after and (earlier := result_file(folder, check.after)).exists():
+        before = json.loads(earlier.read_text(encoding="utf-8"))
+        if before["result"] == FAILED:
+            detail = f"{check.after} failed"
+    if not detail:
+        try:
+            session = Session(Path(task["folder"]), description, Journal(folder / JOURNAL))
+            result, detail = PASSED, check.run(session, given) or ""
+        except Fault as fault:
+            result, detail = FAILED, str(fault)
+        except Broken as broken:
+            result, detail = FAILED, str(broken)
+        except NotApplicable as reason:
+            result, detail = NOT_APPLICABLE, str(reason)
+        except Unjudged as reason:
+            result, detail = UNJUDGED, str(reason)
+        except AttributeError as error:
+            # fmpy looks all functions of the interface up when it loads the library.
+            if session is not None:
+                raise
+            result, detail = FAILED, f"the library lacks a function of FMI ({error})"
+        except Exception as error:
+            if session is not None:
+                raise
+            result, detail = FAILED, f"the library cannot be loaded ({error})"
+    finding = check.finding(version, result, detail)
+    path = result_file(folder, check.id)
+    partial = path.with_suffix(".part")
+    partial.write_text(json.dumps(finding.as_data()), encoding="utf-8")
+    partial.replace(path)
+
+
+if __name__ == "__main__":
+    if hasattr(signal, "SIGPIPE"):
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+    try:
+        sys.exit(main(Path(sys.argv[1])))
+    except Exception:
+        traceback.print_exc()
+        os._exit(70)

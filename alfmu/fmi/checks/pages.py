@@ -1,0 +1,152 @@
+"""What was found of an FMU as text, as a page, as a table in Markdown, as a picture, as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from html import escape
+from pathlib import Path
+from textwrap import shorten
+
+from ...files import write
+from ...model.errors import InputError
+from ...model.words import counted
+from .registry import FAILED, NOT_APPLICABLE, PASSED, UNJUDGED, Finding
+from .validation import Report
+
+__all__ = ["FORMS", "check_form", "html", "lines", "markdown", "save", "summary", "svg"]
+
+_COLOURS = {PASSED: "#2b7a3d", FAILED: "#b3261e", NOT_APPLICABLE: "#7a7a7a", UNJUDGED: "#9a6700"}
+"""Dark enough on white for text: contrast is 4.5 or more."""
+
+_MARKS = {PASSED: "✓", FAILED: "✗", NOT_APPLICABLE: "–", UNJUDGED: "?"}
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #1d1d1b; max-width: 78rem; margin: 2rem auto; padding: 0 1.2rem; }
+h1 { font-size: 1.5rem; margin-bottom: .2rem; } .facts { color: #555; margin: 0 0 1rem; }
+.counts { display: flex; gap: 1.5rem; flex-wrap: wrap; padding: 0; list-style: none; } .counts b { font-size: 1.3rem; }
+.table { overflow-x: auto; } table { border-collapse: collapse; width: 100%; min-width: 64rem; table-layout: fixed; }
+th, td { text-align: left; vertical-align: top; padding: .45rem .7rem; border-bottom: 1px solid #ddd; }
+th { background: #f4f4f1; } td p { margin: 0; overflow-wrap: anywhere; } .small { color: #555; font-size: .86em; }
+code { font-size: .92em; overflow-wrap: anywhere; } .result { font-weight: 600; }
+tr.failed { background: #fdf1f0; }
+@media print { body { margin: 0; font-size: 11px; } tr { break-inside: avoid; } }
+"""
+
+
+_COLUMNS = "".join(f'<col style="width: {width}">' for width in ("14%", "16%", "28%", "28%", "14%"))
+
+
+def summary(report: Report) -> str:
+    """One line: how many problems, and how many checks had which result."""
+    counts = report.counts()
+    each = ", ".join(f"{number} {result}" for result, number in counts.items() if number)
+    total = counted(len(report.findings), "check")
+    return f"{report.path}: {counted(counts[FAILED], 'problem')} found ({total}: {each})"
+
+
+def lines(report: Report, every: bool = False) -> list[str]:
+    """The checks that failed or could not be judged, or every one, and the summary."""
+    shown = [f for f in report.findings if every or f.result in (FAILED, UNJUDGED)]
+    wide = max((len(f.id) for f in shown), default=0)
+    said = [f"{f.result:<{len(UNJUDGED)}}  {f.id:<{wide}}  {f.detail or f.title}" for f in shown]
+    return [*said, summary(report)]
+
+
+def markdown(report: Report) -> str:
+    """A table, for a message to whoever made the FMU."""
+
+    def cell(text: str) -> str:
+        return escape(text, quote=False).replace("|", "\\|").replace("\n", " ")
+
+    rows = [
+        f"| {_MARKS[f.result]} {f.result} | `{f.id}` | {cell(f.title)} | {cell(f.detail)} | {cell(f.section)}: "
+        f"{cell(f.demand)} |"
+        for f in _by_weight(report)
+    ]
+    head = "| Result | Check | What | Seen | What the standard says |\n|---|---|---|---|---|"
+    return (
+        f"# {cell(report.name)}\n\n{cell(_facts(report))}\n\n{cell(summary(report))}\n\n{head}\n"
+        + "\n".join(rows)
+        + "\n"
+    )
+
+
+def html(report: Report) -> str:
+    """A page that needs nothing else."""
+    counts = "".join(
+        f'<li style="color:{_COLOURS[result]}"><b>{number}</b> {result}</li>'
+        for result, number in report.counts().items()
+    )
+    rows = "\n".join(
+        f'<tr class="{"failed" if f.result == FAILED else ""}"><td class="result" style="color:{_COLOURS[f.result]}">'
+        f"{_MARKS[f.result]} {f.result}</td><td><code>{escape(f.id)}</code></td>"
+        f'<td><p>{escape(f.title)}</p><p class="small">{escape(f.demand)}</p></td>'
+        f'<td><p>{escape(f.detail)}</p></td><td class="small">{escape(f.section)}</td></tr>'
+        for f in _by_weight(report)
+    )
+    title = f"Validation of {escape(report.name)}"
+    return f"""<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title><style>{_STYLE}</style></head><body>
+<h1>{title}</h1><p class="facts">{escape(_facts(report))}</p><ul class="counts">{counts}</ul>
+<div class="table"><table>{_COLUMNS}
+<thead><tr><th>Result</th><th>Check</th><th>What, and what the standard says</th><th>Seen</th>
+<th>Section</th></tr></thead><tbody>
+{rows}
+</tbody></table></div></body></html>
+"""
+
+
+def svg(report: Report) -> str:
+    """A picture: a line for each check."""
+    row, top, wide = 20, 58, 960
+    high = top + row * len(report.findings) + 14
+    texts = []
+    for i, f in enumerate(report.findings):
+        y, colour = top + row * i + 14, _COLOURS[f.result]
+        bold = ' font-weight="600"' if f.result == FAILED else ""
+        seen = f.detail if f.result in (FAILED, UNJUDGED) else f.title
+        texts.append(
+            f'<text x="16" y="{y}" fill="{colour}"{bold}>{_MARKS[f.result]}</text>'
+            f'<text x="36" y="{y}" fill="{colour}"{bold}>{f.result}</text>'
+            f'<text x="182" y="{y}" font-family="monospace" font-size="12">{escape(f.id)}</text>'
+            f'<text x="390" y="{y}"{bold}>{escape(shorten(seen, 72 if bold else 82, placeholder=" ..."))}</text>'
+        )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {wide} {high}" width="{wide}" height="{high}" '
+        f'font-family="system-ui, sans-serif" font-size="13" fill="#1d1d1b"><title>{escape(summary(report))}</title>'
+        f'<rect width="{wide}" height="{high}" fill="white"/>'
+        f'<text x="16" y="24" font-size="16" font-weight="600">{escape(shorten(_facts(report), 100))}</text>'
+        f'<text x="16" y="44" fill="#555">{escape(shorten(summary(report), 130))}</text>{"".join(texts)}</svg>\n'
+    )
+
+
+def as_json(report: Report) -> str:
+    return json.dumps(report.as_data(), indent=1, ensure_ascii=False) + "\n"
+
+
+FORMS: dict[str, Callable[[Report], str]] = {".html": html, ".md": markdown, ".svg": svg, ".json": as_json}
+"""Forms of a report by the suffix of its file."""
+
+
+def check_form(path: str | Path) -> None:
+    """InputError where no report is written under such a name."""
+    if Path(path).suffix.lower() not in FORMS:
+        raise InputError(f"{path} has to end in {', '.join(FORMS)}")
+
+
+def save(report: Report, path: str | Path) -> None:
+    """Write a report in the form that the suffix tells; InputError where it tells none, WriteError."""
+    check_form(path)
+    write(path, FORMS[Path(path).suffix.lower()](report).encode())
+
+
+def _facts(report: Report) -> str:
+    return f"{report.name}, an FMU of FMI {report.fmi} by {report.tool}"
+
+
+def _by_weight(report: Report) -> list[Finding]:
+    """Failed ones first, then those that could not be judged."""
+    order = (FAILED, UNJUDGED, PASSED, NOT_APPLICABLE)
+    return sorted(report.findings, key=lambda f: order.index(f.result))

@@ -1,0 +1,407 @@
+"""Validate an FMU: static checks first, then records of runs and calls in a process that may die."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from hashlib import new as digest_by
+from pathlib import Path
+from typing import Any
+
+import fmpy
+from fmpy import extract
+from fmpy.model_description import ModelDescription
+from fmpy.validation import validate_fmu
+
+from ...files import scratch
+from ...model.errors import ExportError, InputError
+from ...model.words import there_is
+from ...result import Result
+from ..drive import checked_archive, checked_folder, description_of
+from ..records import AGREES, FOLDER, Record, listed, records_in
+from .child import CURRENT, JOURNAL, TASK, all_checks, result_file
+from .registry import FAILED, NOT_APPLICABLE, PASSED, UNJUDGED, Check, Finding
+from .unit import Journal
+
+__all__ = ["OTHERS_AGREE", "TIMEOUT", "Report", "examine", "known_checks", "validate"]
+
+TIMEOUT = 120.0
+"""Time [s] that a check may take: minutes are for FMUs that take a second for a step."""
+
+OTHERS_AGREE = 1e-3
+"""Largest difference [1] from what other tools recorded, which seldom say how good it is."""
+
+_RESULTS = (PASSED, FAILED, NOT_APPLICABLE, UNJUDGED)
+
+_DIED = 70
+"""Exit code of the process where the checker itself is at fault."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What was found of an FMU, check by check."""
+
+    path: str
+    name: str
+    fmi: str
+    tool: str
+    """What made it, as it says."""
+    findings: tuple[Finding, ...]
+    seconds: float
+
+    @property
+    def problems(self) -> list[str]:
+        """The failed checks, in sentences."""
+        return [f"{f.id}: {f.detail}" for f in self.findings if f.result == FAILED]
+
+    def counts(self) -> dict[str, int]:
+        """How many checks had each result."""
+        return {result: sum(f.result == result for f in self.findings) for result in _RESULTS}
+
+    def as_data(self) -> dict[str, Any]:
+        """For JSON."""
+        facts = {"fmu": self.path, "model": self.name, "fmi": self.fmi, "tool": self.tool}
+        return {**facts, "counts": self.counts(), "findings": [f.as_data() for f in self.findings]}
+
+
+def validate(
+    path: str | Path, *, static: bool = False, checks: Sequence[str] | None = None, tolerance: float | None = None
+) -> list[str]:
+    """Problems of an FMU of any tool: an empty list means that none was found.
+
+    Its archive, its description (by fmpy) and the records in it are looked at first. Then its code runs, in a process
+    of its own: the recorded runs have to come out again within `tolerance` [1] (1e-6 for FMUs of alfmu, 1e-3 for
+    others, over 1 and the largest value), and calls of FMI have to do what the standard says. **This executes the code
+    of the FMU**, with all rights of the user; `static` leaves it out. `checks` are ids of checks or patterns such as
+    `state.*`, None for all. Raises ExportError where the file is no FMU that can be opened, InputError where there is
+    no such check.
+    """
+    return examine(path, static=static, checks=checks, tolerance=tolerance).problems
+
+
+def examine(
+    path: str | Path,
+    *,
+    static: bool = False,
+    checks: Sequence[str] | None = None,
+    tolerance: float | None = None,
+    timeout: float = TIMEOUT,
+    progress: Callable[[str], object] = lambda id: None,
+    together: bool = False,
+) -> Report:
+    """The same with all that was found; `progress` is told the id of each check before it runs.
+
+    `timeout` [s] ends a check that does not. With `together` all checks run in one process, as they do on Windows.
+    """
+    began = time.monotonic()
+    if not (timeout > 0 and (tolerance is None or tolerance > 0)):
+        raise InputError("timeout and tolerance are above zero")
+    checked_archive(path)
+    with scratch() as folder:
+        findings, description = _static(path, folder)
+        ids = _chosen(checks, [each.name for each in _good(folder)])
+        runs = next(each.result for each in findings if each.id == "file.library") == PASSED
+        findings = [each for each in findings if checks is None or _matches(each.id, checks)]
+        if static:
+            pass
+        elif not runs:
+            known, version = all_checks([each.name for each in _good(folder)]), description.fmiVersion[:1]
+            why = "the FMU cannot run here; see file.library"
+            findings += [known[id].finding(version, UNJUDGED, why) for id in ids]
+        elif ids:
+            findings += _dynamic(path, folder, description, ids, tolerance, timeout, progress, together)
+    tool = description.generationTool or "an unknown tool"
+    seconds = time.monotonic() - began
+    return Report(str(path), description.modelName, description.fmiVersion, tool, tuple(findings), seconds)
+
+
+def known_checks() -> dict[str, Check]:
+    """Every check by its id, those of files first; records of an FMU have checks `record.NAME` besides."""
+    return {**_STATIC, **all_checks([])}
+
+
+def _matches(id: str, patterns: Iterable[str]) -> bool:
+    return any(fnmatchcase(id, pattern) for pattern in patterns)
+
+
+def _chosen(patterns: Sequence[str] | None, records: list[str]) -> list[str]:
+    """Ids of the checks that run; InputError for a pattern that fits none."""
+    known = list(all_checks(records))
+    if patterns is None:
+        return known
+    for pattern in patterns:
+        if not any(fnmatchcase(each, pattern) for each in [*_STATIC, *known]):
+            raise InputError(f"there is no check {pattern!r}; {there_is(pattern, [*_STATIC, *known])}")
+    wanted = [each for each in known if _matches(each, patterns)]
+    after = {all_checks(records)[each].after for each in wanted} - {None}
+    return [each for each in known if each in wanted or each in after]
+
+
+# Files ----------------------------------------------------------------------------------------------------------------
+
+
+def _of_files(id: str, title: str, demand: str, fmi2: str, fmi3: str) -> Check:
+    return Check(id, title, demand, {"2": f"FMI 2.0.5, {fmi2}", "3": f"FMI 3.0, {fmi3}"}, None, None)
+
+
+_STATIC = {
+    each.id: each
+    for each in (
+        _of_files(
+            *("file.description", "The description is valid", "modelDescription.xml follows the schema and its rules"),
+            *("2.2 FMI Description Schema", "FMI Description Schema"),
+        ),
+        _of_files(
+            "file.values",
+            "Units, types and start values fit together",
+            "Start values are within min and max and are items of enumerations; units are defined",
+            "2.2.2 Definition of Units; 2.2.3; 2.2.7",
+            "Definition of Units, of Types, and of Model Variables",
+        ),
+        _of_files(
+            "file.library",
+            "There is a library for this machine",
+            "The binaries are in a folder with the name of the platform",
+            "2.3 FMU Distribution",
+            "Structure of the ZIP File",
+        ),
+        Check(
+            "file.records",
+            "The related files are what the manifest says",
+            "Each file has the check sum of the manifest, and experiments can be read with what is in the FMU",
+            dict.fromkeys("23", "FMI-LS-REF, Layered Standard Manifest File"),
+            None,
+            None,
+        ),
+    )
+}
+
+
+def _static(path: str | Path, folder: Path) -> tuple[list[Finding], ModelDescription]:
+    """What can be found of files without running anything, in an FMU that is unpacked here."""
+    description = description_of(path, valid=False)
+    version = description.fmiVersion[:1]
+    try:
+        problems = [f"{problem}" for problem in validate_fmu(str(path))]
+    except Exception as error:  # fmpy raises whatever its parts raised
+        raise ExportError(f"{path} is not an FMU that can be read ({error})") from None
+    extract(str(path), str(folder))
+    found = {
+        "file.description": (problems, "by the rules of fmpy"),
+        "file.values": (_values(description), f"{len(description.modelVariables)} variables"),
+        "file.records": _related(folder),
+    }
+    findings = []
+    for id, one in _STATIC.items():
+        if id == "file.library":
+            findings.append(_library(one, folder, description))
+            continue
+        faults, said = found[id]
+        result = FAILED if faults else NOT_APPLICABLE if said is None else PASSED
+        more = f"; and {len(faults) - 5} more" if len(faults) > 5 else ""
+        text = "; ".join(" ".join(each.split()) for each in faults[:5]) + more
+        findings.append(one.finding(version, result, text or said or "it has none"))
+    return findings, description
+
+
+def _values(description: ModelDescription) -> list[str]:
+    """What of units, types and start values does not fit."""
+    faults = []
+    units = {each.name for each in description.unitDefinitions}
+    for v in description.modelVariables:
+        simple = v.declaredType
+        low, high = (getattr(v, key, None) or getattr(simple, key, None) for key in ("min", "max"))
+        # fmpy looks at units of variables, and not at those of their types.
+        unit = None if v.unit else getattr(simple, "unit", None)
+        if unit and unit not in units:
+            faults.append(f"{v.name} has the unit {unit} by its type, and it is not defined")
+        numbers = v.type not in ("String", "Boolean", "Binary", "Clock")
+        with suppress(ValueError, TypeError):
+            if numbers and low is not None and high is not None and float(low) > float(high):
+                faults.append(f"min of {v.name} is {low} and max {high}")
+            starts = str(v.start).split() if numbers and v.start is not None else ()
+            for start in starts:
+                outside = (low is not None and float(start) < float(low)) or (
+                    high is not None and float(start) > float(high)
+                )
+                if outside:
+                    faults.append(f"{v.name} starts with {start}, outside its bounds")
+            if v.type == "Enumeration" and simple is not None and starts:
+                items = {int(item.value) for item in simple.items}
+                if int(starts[0]) not in items:
+                    faults.append(f"{v.name} starts with {starts[0]}, which is no item of {simple.name}")
+    return faults
+
+
+def _library(check: Check, folder: Path, description: ModelDescription) -> Finding:
+    version, simulation = description.fmiVersion[:1], description.coSimulation
+    if simulation is None or version not in "23":
+        return check.finding(version, UNJUDGED, "it is no FMU for co-simulation of FMI 2 or 3, and no other is run")
+    platform = fmpy.platform if version == "2" else fmpy.platform_tuple
+    file = folder / "binaries" / platform / f"{simulation.modelIdentifier}{fmpy.sharedLibraryExtension}"
+    there = sorted(each.name for each in (folder / "binaries").glob("*") if any(each.iterdir()))
+    have = f"it has those of {', '.join(there) or 'none'}"
+    if not file.is_file():
+        return check.finding(version, UNJUDGED, f"there is none for {platform}, so that its code cannot run; {have}")
+    return check.finding(version, PASSED, have)
+
+
+def _related(folder: Path) -> tuple[list[str], str | None]:
+    """What is wrong with files that the manifest of FMI-LS-REF names; None instead of a text where there is none."""
+    try:
+        related = listed(folder)
+    except InputError as error:
+        return [str(error)], ""
+    faults = []
+    for each in related:
+        file = (folder / FOLDER / each.source).resolve()
+        if not file.is_relative_to(folder.resolve()) or not file.is_file():
+            faults.append(f"{each.source} is named and not there")
+        elif each.checksum:
+            name = each.algorithm.lower().replace("sha-", "sha").replace("-", "_")
+            try:
+                found = digest_by(name, file.read_bytes()).hexdigest()
+            except ValueError:
+                faults.append(f"{each.source} has a check sum of an unknown kind, {each.algorithm}")
+                continue
+            if found != each.checksum.lower():
+                faults.append(f"{each.source} was changed since the manifest was written (check sum)")
+    records = list(records_in(folder))
+    faults += [str(each) for each in records if isinstance(each, InputError)]
+    return faults, f"{len(related)} files, {len(records)} recorded runs" if related else None
+
+
+def _good(folder: Path) -> list[Record]:
+    """The records that can be run, those of one name once."""
+    found = [each for each in records_in(folder) if isinstance(each, Record)]
+    return list({each.name: each for each in found}.values())
+
+
+# The process ----------------------------------------------------------------------------------------------------------
+
+
+def _dynamic(
+    path: str | Path,
+    folder: Path,
+    description: ModelDescription,
+    ids: list[str],
+    tolerance: float | None,
+    timeout: float,
+    progress: Callable[[str], object],
+    together: bool,
+) -> list[Finding]:
+    """The findings of checks that run the FMU."""
+    version, records = description.fmiVersion[:1], _good(folder)
+    checks = all_checks([each.name for each in records])
+    checked_folder(folder, path)
+    if tolerance is None:
+        tolerance = AGREES if (description.generationTool or "").startswith("alfmu") else OTHERS_AGREE
+    with scratch() as box:
+        task = {
+            "fmu": str(folder),
+            "folder": str(folder),
+            "checks": ids,
+            "records": [_plain(each) for each in records],
+            "tolerance": tolerance,
+            "together": together,
+        }
+        (box / TASK).write_text(json.dumps(task), encoding="utf-8")
+        while left := [id for id in ids if not result_file(box, id).exists()]:
+            why = _watched(box, timeout, progress)
+            died = (box / CURRENT).read_text(encoding="utf-8") if (box / CURRENT).exists() else left[0]
+            if not result_file(box, died).exists():
+                _write(box, checks[died].finding(version, *why))
+        return [Finding(**json.loads(result_file(box, id).read_text(encoding="utf-8"))) for id in ids]
+
+
+def _write(box: Path, finding: Finding) -> None:
+    result_file(box, finding.id).write_text(json.dumps(finding.as_data()), encoding="utf-8")
+
+
+def _watched(box: Path, timeout: float, progress: Callable[[str], object]) -> tuple[str, str]:
+    """Run the process until it ends or a check takes too long.
+
+    Gives the result and the reason of the check that it was making then, for the case that it has none.
+    """
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[3]), *_search()])}
+    command = [sys.executable, "-m", f"{__package__}.child", str(box)]
+    (box / CURRENT).unlink(missing_ok=True)
+    (box / JOURNAL).unlink(missing_ok=True)
+    with (box / "output").open("wb") as output:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, env=environment, start_new_session=True
+        )
+        shown, since, late = "", time.monotonic(), False
+        try:
+            while True:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(0.02)
+                current = (box / CURRENT).read_text(encoding="utf-8") if (box / CURRENT).exists() else ""
+                if current and current != shown:
+                    shown, since = current, time.monotonic()
+                    progress(current)
+                if process.poll() is not None:
+                    break
+                if time.monotonic() - since > timeout:
+                    late = True
+                    break
+        finally:
+            _end(process)
+    call = Journal.read(box / JOURNAL)
+    where = f" in {call}" if call else " between calls"
+    if late:
+        return FAILED, f"it did not return within {timeout:g} s{where}"
+    if process.returncode == _DIED:
+        said = (box / "output").read_text(encoding="utf-8", errors="replace").strip().splitlines() or [""]
+        return UNJUDGED, f"the checker stopped{where}: {said[-1]}"
+    result = UNJUDGED if "had ended with Fatal" in call else FAILED
+    return result, f"the FMU ended its process{where} ({_how(process.returncode)})"
+
+
+def _search() -> list[str]:
+    return [each for each in os.environ.get("PYTHONPATH", "").split(os.pathsep) if each]
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process that was started here, and those that it started."""
+    if hasattr(os, "killpg"):
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(process.pid, signal.SIGKILL)
+    else:
+        process.kill()
+    process.wait()
+
+
+def _how(code: int) -> str:
+    """How a process ended."""
+    number = -code if code < 0 else code - 128
+    with suppress(ValueError):
+        return signal.Signals(number).name
+    return f"exit code {code if code < 2**31 else hex(code)}"
+
+
+def _plain(record: Record) -> dict[str, Any]:
+    """A record as data."""
+
+    def table(result: Result | None) -> dict[str, Any] | None:
+        if result is None:
+            return None
+        return {"time": result.time.tolist(), "names": list(result.names), "values": result.values.tolist()}
+
+    return {
+        "name": record.name,
+        "start_time": record.start_time,
+        "stop_time": record.stop_time,
+        "step_size": record.step_size,
+        "parameters": dict(record.parameters),
+        "stimuli": table(record.stimuli),
+        "references": table(record.references),
+    }

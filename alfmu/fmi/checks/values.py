@@ -1,0 +1,277 @@
+"""Start values, bounds, numbers that are none, enumerations, and what depends on what."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .calls import refused, sample
+from .motion import driven, moved
+from .registry import NotApplicable, Task, Unjudged, check, judge
+from .unit import WARNING, Broken, Session, Unit, Variable, shown
+
+_PARAMETERS = 60
+"""Variables of which the influence on the start is tried, each in an instance of its own."""
+
+_SEEN = 1e-9
+"""Change [1] of an output, over 1 and its value, that is no round-off."""
+
+
+@check(
+    "values.start",
+    "Start values are those of the description",
+    "A variable with a start value has it before initialisation and, where initial is exact, after it",
+    "2.2.7 Definition of Model Variables (start, initial)",
+    "Definition of Model Variables (start, initial)",
+)
+def starts(s: Session, task: Task) -> str:
+    known = [v for v in s.variables if v.start is not None and (v.initial == "exact" or v.causality == "input")]
+    if not known:
+        raise NotApplicable("no variable has a start value")
+    faults = []
+    early = s.unit()
+    early.show_starts()
+    for unit, when in ((early, "before initialisation ends"), (s.ready(), "after initialisation")):
+        for v in known:
+            status, value = unit.get(v)
+            if status > WARNING:
+                faults.append(f"{v.name} cannot be read {when} ({shown(status)})")
+                break
+            if not _equal(v, value):
+                faults.append(f"{v.name} is {value!r} {when}, and its start value is {v.start!r}")
+        unit.end()
+    return judge(faults, f"{len(known)} variables")
+
+
+def _equal(v: Variable, value: Any) -> bool:
+    if v.type == "Float32":
+        return bool(np.float32(v.start) == np.float32(value))
+    return value == v.start
+
+
+@check(
+    "values.bounds",
+    "Values outside min and max are refused or handled",
+    "An FMU does not rely on min and max: it returns Discard or Error, or is able to handle such values",
+    "2.2.7 Definition of Model Variables (min, max); 2.1.3",
+    "Handling min/max Range Violations",
+)
+def bounds(s: Session, task: Task) -> str:
+    limited = [
+        (v, value, running)
+        for v in s.of("parameter", "input")
+        if v.variability != "constant" and not v.items
+        for value in (_below(v), _above(v))
+        if value is not None
+        for running in ([False, True] if v.causality == "input" else [False])
+    ]
+    if not limited:
+        raise NotApplicable("no input or parameter has min or max")
+    faults, taken, count = [], [], 0
+    for v, value, running in limited:
+        how = _handled(s, v, value, running)
+        count += 1
+        if how == "taken":
+            taken.append(v.name)
+        elif how:
+            faults.append(f"{v.name} = {value:g}, outside its bounds, {how}")
+    text = f"{count} values: {count - len(taken)} refused"
+    text += f", {len(taken)} handled ({', '.join(dict.fromkeys(taken[:3]))})" if taken else ""
+    return judge(faults, text)
+
+
+def _below(v: Variable) -> float | int | None:
+    return None if v.minimum is None else _beyond(v, v.minimum, -1)
+
+
+def _above(v: Variable) -> float | int | None:
+    return None if v.maximum is None else _beyond(v, v.maximum, 1)
+
+
+def _beyond(v: Variable, limit: float, sign: int) -> float | int | None:
+    """A value beyond a bound; None where the type has none."""
+    if v.type in ("Real", "Float32", "Float64"):
+        return limit + sign * max(1.0, abs(limit)) if math.isfinite(limit) else None
+    value = int(limit) + sign
+    bits = {"Integer": 32}.get(v.type) or int("".join(c for c in v.type if c.isdigit()))
+    low, high = (0, 2**bits - 1) if v.type.startswith("U") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    return value if low <= value <= high else None
+
+
+def _handled(s: Session, v: Variable, value: Any, running: bool) -> str:
+    """Nothing where a value is refused, "taken" where all stays finite with it, or what goes wrong."""
+    unit = s.ready() if running else s.unit()
+    calls: list[Callable[[], int]] = [lambda: unit.set(v, value)]
+    if not running:
+        calls += [unit.enter, unit.exit]
+    calls += [lambda: unit.step_raw(unit.time, s.step)]
+    for call in calls:
+        if call() > WARNING:
+            unit.end()
+            return ""
+    try:
+        found = unit.read(s.numbers)
+    except Broken:
+        return ""
+    finally:
+        unit.end()
+    names = [s.numbers[i].name for i in np.flatnonzero(~np.isfinite(found))]
+    return f"is taken, and {names[0]} is not finite afterwards, with OK" if names else "taken"
+
+
+@check(
+    "values.nonfinite",
+    "Inputs that are no numbers do not pass in silence",
+    "Outputs are finite, or a call says that they are not: NaN and infinities as inputs are refused or handled",
+    "2.1.3 Status Returned by Functions",
+    "Status Returned by Functions",
+)
+def nonfinite(s: Session, task: Task) -> str:
+    inputs = [v for v in s.of("input") if v.type in ("Real", "Float64", "Float32")]
+    if not inputs:
+        raise NotApplicable("there are no real inputs")
+    faults, taken = [], []
+    for v in inputs[:10]:
+        for value in (math.nan, math.inf, -math.inf):
+            how = _handled(s, v, value, running=True)
+            if how == "taken":
+                taken.append(f"{v.name} = {value}")
+            elif how:
+                faults.append(f"{v.name} = {value} {how}")
+    return judge(faults, f"handled: {', '.join(taken)}" if taken else "refused")
+
+
+@check(
+    "values.types",
+    "Values read are of their type",
+    "Integer and enumeration outputs are within min and max and are items; a value that is no item is not taken",
+    "2.2.3 Definition of Types; 2.2.7",
+    "Handling min/max Range Violations, and Definition of Types",
+)
+def types(s: Session, task: Task) -> str:
+    listed = [v for v in s.variables if v.items]
+    whole = [v for v in s.outputs if "Int" in v.type]
+    if not listed and not whole:
+        raise NotApplicable("there are no enumerations, and no integer outputs")
+    faults = []
+    unit = s.ready()
+    driven(unit, 3)
+    for v in [*whole, *listed]:
+        status, value = unit.get(v)
+        if status > WARNING:
+            faults.append(f"{v.name} cannot be read ({shown(status)})")
+        elif v.items and value not in v.items:
+            faults.append(f"{v.name} is {value}, which is no item of its type")
+        elif (v.minimum is not None and value < v.minimum) or (v.maximum is not None and value > v.maximum):
+            faults.append(f"{v.name} is {value}, outside its bounds")
+    unit.end()
+    for v in listed:
+        if v.causality not in ("parameter", "input"):
+            continue
+        other = max(v.items) + 1
+        unit = s.unit()
+        status = unit.set(v, other)
+        if not refused(unit, status, running=False) and unit.get(v)[1] == other:
+            faults.append(f"{v.name} takes {other}, which is no item of its type, with {shown(status)}")
+        unit.end()
+    return judge(faults, f"{len(listed)} enumerations, {len(whole)} integer outputs")
+
+
+# Dependencies ---------------------------------------------------------------------------------------------------------
+
+
+def _declared(s: Session, unknowns: Any) -> dict[str, set[str] | None]:
+    """By the names of unknowns, the names of what they depend on; None stands for everything."""
+    return {
+        each.variable.name: None if each.dependencies is None else {v.name for v in each.dependencies}
+        for each in unknowns
+        if each.variable is not None
+    }
+
+
+def _changed(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    return np.abs(after - before) > _SEEN * (1 + np.abs(before))
+
+
+@check(
+    "dependencies.outputs",
+    "Outputs depend on the inputs that are declared, and on no others",
+    "dependencies lists all inputs that an output depends on at the same time",
+    "2.2.8 Definition of the Model Structure",
+    "Definition of the Model Structure",
+)
+def dependencies(s: Session, task: Task) -> str:
+    declared = {name: on for name, on in _declared(s, s.description.outputs).items() if on is not None}
+    inputs = [v for v in s.of("input") if v.type not in ("String",)]
+    outputs = [v for v in s.numbers if v.name in declared]
+    if not inputs or not outputs:
+        raise NotApplicable("no output lists its dependencies" if inputs else "there are no inputs")
+    unit = s.ready()
+    driven(unit, 3)
+    before, faults, seen = unit.read(outputs), [], 0
+    for v in inputs:
+        status, at = unit.get(v)
+        unit.must(status, f"Get{v.type}")
+        if (value := _other(v, at)) is None or unit.set(v, value) > WARNING:
+            continue
+        after = unit.read(outputs)
+        for i in np.flatnonzero(_changed(before, after)):
+            seen += 1
+            if v.name not in declared[outputs[i].name]:
+                faults.append(f"{outputs[i].name} follows {v.name} at once, which its dependencies do not list")
+        unit.must(unit.set(v, at), f"Set{v.type} of {v.name}")
+    total = sum(len(on & {v.name for v in inputs}) for on in declared.values())
+    return judge(faults, f"{seen} of {total} declared dependencies were seen here")
+
+
+def _other(v: Variable, at: Any) -> Any:
+    """Another value that a variable may have; None where there is none."""
+    if v.type == "Boolean":
+        return not at
+    if v.items:
+        return next((each for each in v.items if each != at), None)
+    if v.type in ("Real", "Float32", "Float64"):
+        low = -math.inf if v.minimum is None else v.minimum
+        high = math.inf if v.maximum is None else v.maximum
+        by = 0.01 * (v.nominal or max(1.0, abs(at)))
+        return next((each for each in (at + by, at - by) if low <= each <= high), None)
+    return None
+
+
+@check(
+    "dependencies.start",
+    "Values at the start depend on what is declared, and on nothing else",
+    "dependencies of initial unknowns list all that they depend on when initialisation ends",
+    "2.2.8 Definition of the Model Structure (InitialUnknowns)",
+    "Definition of the Model Structure (InitialUnknown)",
+)
+def initial(s: Session, task: Task) -> str:
+    declared = {name: on for name, on in _declared(s, s.description.initialUnknowns).items() if on is not None}
+    outputs = [v for v in s.numbers if v.name in declared]
+    knowns = [v for v in s.of("parameter", "input") if v.type != "String" and v.variability != "constant"]
+    if not outputs or not knowns:
+        raise NotApplicable("no initial unknown lists its dependencies")
+    before, faults, tried = s.ready().read(outputs), [], 0
+    for v in knowns[:_PARAMETERS]:
+        unit: Unit = s.unit()
+        value = moved(v, 1e-3) if v.type in ("Real", "Float32", "Float64") else _other(v, sample(v))
+        try:
+            if value is None or unit.set(v, value) > WARNING:
+                continue
+            unit.begin()
+            after = unit.read(outputs)
+        except Broken:  # such a start may not be possible
+            continue
+        finally:
+            unit.end()
+        tried += 1
+        names = [outputs[i].name for i in np.flatnonzero(_changed(before, after))]
+        wrong = [name for name in names if v.name not in declared[name]]
+        faults += [f"{name} follows {v.name} at the start, which its dependencies do not list" for name in wrong]
+    if not tried:
+        raise Unjudged("no variable can be changed before the start")
+    left = f", {len(knowns) - _PARAMETERS} left out" if len(knowns) > _PARAMETERS else ""
+    return judge(faults, f"{len(outputs)} unknowns by {tried} variables{left}")

@@ -1,0 +1,60 @@
+"""Parameter sets of the standard SSP (`.ssv`): numbers, truths and texts by the names of variables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from xml.etree import ElementTree as ET
+
+from ..model.errors import InputError
+
+__all__ = ["SSV", "parameter_set", "read_parameter_set"]
+
+SSV = "application/x-ssp-parameter-set"
+"""Media type."""
+
+_VALUES = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
+
+_TRUTHS = {"true": True, "1": True, "false": False, "0": False}
+
+_TYPES = {"Real": float, "Integer": int, "Boolean": lambda text: _TRUTHS[text], "String": str, "Enumeration": str}
+"""Elements of SSP 1.0 that hold a value, and what it is in Python."""
+
+
+def parameter_set(name: str, values: Mapping[str, float | int | bool | str]) -> bytes:
+    """A parameter set (SSP 1.0) of these values, as UTF-8."""
+    ET.register_namespace("ssv", _VALUES)
+    root = ET.Element(f"{{{_VALUES}}}ParameterSet", version="1.0", name=name)
+    listed = ET.SubElement(root, f"{{{_VALUES}}}Parameters")
+    for each, value in values.items():
+        kind = {bool: "Boolean", int: "Integer", str: "String"}.get(type(value), "Real")
+        text = str(value).lower() if kind == "Boolean" else f"{value:.17g}" if kind == "Real" else str(value)
+        ET.SubElement(ET.SubElement(listed, f"{{{_VALUES}}}Parameter", name=each), f"{{{_VALUES}}}{kind}", value=text)
+    ET.indent(root)
+    return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+
+
+def read_parameter_set(data: bytes, name: str) -> dict[str, float | int | bool | str]:
+    """The values by name in a parameter set of SSP 1.0 or 2.0; InputError, with the `name` of the file, where it is
+    none, or has a value of another form."""
+    try:
+        root = ET.fromstring(data)
+    except ET.ParseError as error:
+        raise InputError(f"{name} is no XML ({error})") from None
+    if _plain(root) != "ParameterSet":
+        raise InputError(f"{name} is a {_plain(root)}, and no ParameterSet")
+    found: dict[str, float | int | bool | str] = {}
+    for each in (one for one in root.iter() if _plain(one) == "Parameter"):
+        variable, value = each.get("name"), next(iter(each), None)
+        kind = "nothing" if value is None else _plain(value)
+        if variable is None or value is None or kind not in _TYPES:
+            raise InputError(f"{name}: the parameter {variable} holds {kind}; {', '.join(_TYPES)} are read")
+        try:
+            found[variable] = _TYPES[kind](value.attrib["value"])
+        except (KeyError, ValueError):
+            raise InputError(f"{name}: {variable} is {value.get('value')!r}, which is no {kind}") from None
+    return found
+
+
+def _plain(element: ET.Element) -> str:
+    """The name of an element without its namespace."""
+    return element.tag.rpartition("}")[2]

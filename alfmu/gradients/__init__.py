@@ -1,0 +1,20 @@
+"""Derivatives of runs by parameters, start values and inputs; functions of a run; parameters fitted to measurements."""
+
+from .fitting import Fit, fit
+from .functions import Columns, Final, Function, Integral, Maximum, TimeOfMaximum
+from .run import Derivatives, Gradient, derivatives, gradient
+
+__all__ = [
+    "Columns",
+    "Derivatives",
+    "Final",
+    "Fit",
+    "Function",
+    "Gradient",
+    "Integral",
+    "Maximum",
+    "TimeOfMaximum",
+    "derivatives",
+    "fit",
+    "gradient",
+]

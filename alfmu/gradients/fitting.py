@@ -1,0 +1,320 @@
+"""Parameters and start values fitted to measured columns: SciPy's least squares with the derivatives of the run."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from ..equations import Equations
+from ..model.errors import AlfmuError, InputError
+from ..model.mechanism import Mechanism
+from ..model.words import there_is
+from ..result import Result, Signal
+from .run import Runs
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ..fmi.recipe import Recipe
+
+__all__ = ["Fit", "fit"]
+
+_LOGGER = logging.getLogger("alfmu")
+
+_UNSEEN = 1e-7
+"""Singular value of the derivatives, over the largest one, below which the data tell nothing of a combination of
+numbers [1]: derivatives have a relative error of some 1e-9."""
+
+_WORSE = 1e3
+"""Residuals of a run that cannot be made, over those of the first guess [1]: no such step is taken."""
+
+_TOLERANCE = 1e-12
+"""Relative change of the sum of squares, and of the numbers, at which the fit ends [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Numbers that bring a run nearest to measurements: `found["m2"]`."""
+
+    values: Mapping[str, float]
+    errors: Mapping[str, float]
+    """Standard deviation of each, from the residuals as they are; infinite where the data do not tell it."""
+    units: Mapping[str, str]
+    covariance: NDArray[np.float64]
+    """(numbers, numbers), in the order of `values`."""
+    bounds: Mapping[str, tuple[float, float]]
+    noise: Mapping[str, float]
+    """Root of the mean square of what each measured column differs by."""
+    result: Result
+    """The run with these numbers, at the times of the measurements."""
+    data: Result
+    """What was measured."""
+    runs: int
+    """Runs that it took, those with derivatives included."""
+    said: str
+    """Why it ended."""
+
+    def __getitem__(self, name: str) -> float:
+        if name not in self.values:
+            raise InputError(f"{name!r} was not fitted; {there_is(name, list(self.values))}")
+        return self.values[name]
+
+    @property
+    def residuals(self) -> dict[str, NDArray[np.float64]]:
+        """What was measured less the run, by column; NaN where nothing was measured."""
+        return {name: self.data[name] - self.result[name] for name in self.noise}
+
+    @property
+    def correlation(self) -> NDArray[np.float64]:
+        """(numbers, numbers): covariances over the standard deviations of both."""
+        sizes = np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore"):
+            return self.covariance / np.outer(sizes, sizes)
+
+    def __str__(self) -> str:
+        wide = max(map(len, self.values))
+        lines = []
+        for name, value in self.values.items():
+            low, high = self.bounds[name]
+            at_bound = " (at its bound)" if value in (low, high) else ""
+            error = self.errors[name]
+            known = f"+/- {error:.2g}" if math.isfinite(error) else "not told by the data"
+            lines.append(f"{name:{wide}}  {value:.8g} {self.units[name]}  {known}{at_bound}")
+        lines += [f"{name}: differs by {size:.3g} {self.data.units.get(name, '')}" for name, size in self.noise.items()]
+        return "\n".join(line.rstrip() for line in lines)
+
+    def plot(self) -> Figure:
+        """Measured points, the run through them, and what is left, by column."""
+        from ..view.fitted import figure
+
+        return figure(self.data, self.result, list(self.noise))
+
+
+def fit(
+    mechanism: str | Path | Mechanism | Equations | Recipe,
+    data: str | Path | Result,
+    vary: Sequence[str] | Mapping[str, float],
+    *,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    columns: Sequence[str] | None = None,
+    deviations: Mapping[str, float] | None = None,
+    inputs: Mapping[str, Signal] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Fit:
+    """Find parameters and start values with which a run is nearest to measurements, by least squares.
+
+    `data` is a table (CSV or a `Result`) with a column `time` [s], which begins where the run does; columns with names
+    of outputs are measurements (NaN where there is none), those with names of inputs drive the run. `columns` are the
+    measurements that count, None for all there are. `vary` names parameters and start values, with a first guess each
+    where it is a mapping. `bounds` has the least and largest value of some; others keep to those of the mechanism.
+    Residuals of a column count by its standard deviation in `deviations`, by the range of the column where that is not
+    known. `progress` is called with the number of the run and the root of the mean square of its weighed residuals.
+
+    The covariance comes from the residuals that are left, so that it tells errors of measuring, not of the model. A
+    combination of numbers that the data do not tell is warned of. Raises InputError where a name or number is wrong.
+    """
+    table = data if isinstance(data, Result) else Result.from_csv(data)
+    guesses = dict(vary) if isinstance(vary, Mapping) else {}
+    given = {**(parameters or {}), **guesses}
+    runs = _runs(mechanism, list(vary), table, inputs, given)
+    measured = _measured(runs, table, columns)
+    seen = np.column_stack([table[name] for name in measured])
+    known = np.isfinite(seen)
+    sizes = _sizes(measured, seen, known, deviations or {})
+    low, high = _bounds(runs, bounds or {})
+    scale = [_scale(runs, name) for name in runs.by]
+    first = np.array([runs.unit.get(name) for name in runs.by], float)
+    if (outside := (first < low) | (first > high)).any():
+        k = int(np.argmax(outside))
+        raise InputError(f"{runs.by[k]} begins at {first[k]:g}, outside its bounds [{low[k]:g}, {high[k]:g}]")
+    problem = _Problem(runs, measured, seen, known, sizes, progress)
+    ended = least_squares(
+        problem.residuals,
+        first,
+        problem.derivatives,
+        bounds=(low, high),
+        x_scale=scale,
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        gtol=_TOLERANCE,
+    )
+    covariance = _covariance(runs, problem, ended.x, np.array(scale))
+    result = problem.result(ended.x)
+    left = np.where(known, seen - np.column_stack([result[name] for name in measured]), 0.0)
+    counted = np.maximum(known.sum(axis=0), 1)
+    units = {v.name: v.unit for v in runs.unit.parameters}
+    return Fit(
+        values=dict(zip(runs.by, ended.x.tolist(), strict=True)),
+        errors=dict(zip(runs.by, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
+        units={name: units[name] for name in runs.by},
+        covariance=covariance,
+        bounds={name: (float(a), float(b)) for name, a, b in zip(runs.by, low, high, strict=True)},
+        noise=dict(zip(measured, np.sqrt((left**2).sum(axis=0) / counted).tolist(), strict=True)),
+        result=result,
+        data=table,
+        runs=problem.made,
+        said=str(ended.message),
+    )
+
+
+def _runs(
+    mechanism: Any,
+    vary: list[str],
+    table: Result,
+    inputs: Mapping[str, Signal] | None,
+    parameters: Mapping[str, float | str],
+) -> Runs:
+    """Runs at the times of a table, with the inputs that it has."""
+    if not vary:
+        raise InputError("there is nothing to vary; name parameters or start values")
+    times = np.asarray(table.time)
+    if len(times) < 2 or not (np.diff(times) > 0).all():
+        raise InputError(f"{table.mechanism}: the times of measurements must grow from row to row")
+    runs = Runs(mechanism, vary, None, None, inputs, parameters, times=times)
+    drivers = [v.name for v in runs.unit.input_variables if v.name in table.names]
+    for name in drivers:
+        if not np.isfinite(table[name]).all():
+            raise InputError(f"the input {name} is not finite in the data; fill in what is missing")
+    if drivers:
+        held: dict[str, Signal] = {name: (times, table[name]) for name in drivers}
+        runs = Runs(mechanism, vary, None, None, {**held, **(inputs or {})}, parameters, times=times)
+    if by_input := [name for name in vary if name in runs.inputs]:
+        raise InputError(f"{by_input[0]} is an input; vary parameters and start values")
+    return runs
+
+
+def _measured(runs: Runs, table: Result, columns: Sequence[str] | None) -> list[str]:
+    """Columns that count."""
+    outputs = [v.name for v in runs.unit.outputs]
+    found = [name for name in table.names if name in outputs] if columns is None else list(columns)
+    for name in found:
+        if name not in table.names:
+            raise InputError(f"the data have no column {name!r}; {there_is(name, table.names)}")
+        if name not in outputs:
+            raise InputError(f"{runs.unit.name} has no output {name!r}; {there_is(name, outputs)}")
+    if not found:
+        names = ", ".join(table.names[:5])
+        raise InputError(f"no column of the data ({names}) is an output of {runs.unit.name}, such as {outputs[0]}")
+    return found
+
+
+def _sizes(
+    measured: list[str], seen: NDArray[np.float64], known: NDArray[np.bool_], deviations: Mapping[str, float]
+) -> NDArray[np.float64]:
+    """What residuals of each column are divided by."""
+    for name, value in deviations.items():
+        if name not in measured:
+            raise InputError(f"a deviation is given for {name!r}, which is not measured; {there_is(name, measured)}")
+        if not (math.isfinite(value) and value > 0):
+            raise InputError(f"the deviation of {name} is {value}; it must be a finite number above zero")
+    sizes = []
+    for k, name in enumerate(measured):
+        values = seen[known[:, k], k]
+        if not len(values):
+            raise InputError(f"the column {name} has no number")
+        sizes.append(deviations.get(name, float(np.ptp(values)) or 1.0))
+    return np.array(sizes)
+
+
+def _scale(runs: Runs, name: str) -> float:
+    """A usual size of a number: its present one, or 1."""
+    return abs(float(runs.unit.get(name))) or 1.0
+
+
+def _bounds(runs: Runs, bounds: Mapping[str, tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    variables = {v.name: v for v in runs.unit.parameters}
+    for name, (a, b) in bounds.items():
+        if name not in runs.by:
+            raise InputError(f"bounds are given for {name!r}, which is not varied; {there_is(name, runs.by)}")
+        if not a < b:
+            raise InputError(f"the bounds of {name} are {a} and {b}; the first must be less")
+    low, high = [], []
+    for name in runs.by:
+        v = variables[name]
+        own = (-math.inf if v.minimum is None else v.minimum, math.inf if v.maximum is None else v.maximum)
+        a, b = bounds.get(name, own)
+        low.append(max(a, own[0]))
+        high.append(min(b, own[1]))
+    return np.array(low), np.array(high)
+
+
+class _Problem:
+    """Residuals and their derivatives, each run made once."""
+
+    def __init__(
+        self,
+        runs: Runs,
+        measured: list[str],
+        seen: NDArray[np.float64],
+        known: NDArray[np.bool_],
+        sizes: NDArray[np.float64],
+        progress: Callable[[int, float], None] | None,
+    ):
+        self._runs, self._measured, self._seen, self._known, self._sizes = runs, measured, seen, known, sizes
+        self._progress = progress
+        self._at: NDArray[np.float64] | None = None
+        self._values = self._slopes = np.empty(0)
+        self._worst = 0.0
+        self.made = 0
+
+    def _make(self, x: NDArray[np.float64]) -> None:
+        if self._at is not None and np.array_equal(x, self._at):
+            return
+        self._runs.set(x)
+        self._values, self._slopes = self._runs.tangents(self._measured)
+        self._at = x.copy()
+        self.made += 1
+
+    def residuals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        try:
+            self._make(x)
+        except AlfmuError:
+            if not self.made:
+                raise
+            self._at = None
+            return np.full(int(self._known.sum()), self._worst)
+        found = ((self._values - self._seen) / self._sizes)[self._known]
+        if not self._worst:
+            self._worst = _WORSE * (float(np.abs(found).max()) or 1.0)
+        if self._progress:
+            self._progress(self.made, math.sqrt(float(np.mean(found**2))))
+        return found
+
+    def derivatives(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        self._make(x)
+        return (self._slopes / self._sizes[:, None])[self._known]
+
+    def result(self, x: NDArray[np.float64]) -> Result:
+        self._make(x)
+        return self._runs.result(self._measured, self._values)
+
+
+def _covariance(
+    runs: Runs, problem: _Problem, x: NDArray[np.float64], scale: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(J' J)^-1 times the variance of what is left; infinite where the data do not tell a number."""
+    left, slopes = problem.residuals(x), problem.derivatives(x) * scale
+    _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
+    seen = sizes > _UNSEEN * sizes[0]
+    variance = float(left @ left) / max(len(left) - len(x), 1)
+    inverse = rows[seen].T / sizes[seen]
+    covariance = variance * inverse @ inverse.T * np.outer(scale, scale)
+    hidden = np.abs(rows[~seen]).max(axis=0, initial=0.0) > math.sqrt(_UNSEEN)
+    if hidden.any():
+        names = ", ".join(name for name, each in zip(runs.by, hidden, strict=True) if each)
+        _LOGGER.warning(
+            "%s: the data do not tell %s, or tell a combination of them alone; vary fewer, or measure more",
+            *(runs.unit.name, names),
+        )
+        covariance[hidden, :] = covariance[:, hidden] = np.nan
+        covariance[hidden, hidden] = np.inf
+    return covariance

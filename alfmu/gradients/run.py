@@ -1,0 +1,267 @@
+"""Runs with derivatives: `derivatives` of each column forward, `gradient` of a function of a run back."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import oracle
+from ..equations import Equations
+from ..kernel.kinks import jumps
+from ..model.errors import InputError
+from ..model.mechanism import Mechanism
+from ..model.words import there_is
+from ..result import Result, Signal
+from ..runtime.sweeps import Sweeps
+from ..simulation import Progress, communication_points, prepare, table_of, values_of
+from .functions import Expression, Final, Function
+
+if TYPE_CHECKING:
+    from ..fmi.recipe import Recipe
+
+__all__ = ["Derivatives", "Gradient", "derivatives", "gradient"]
+
+_LOGGER = logging.getLogger("alfmu")
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Columns of a run and their derivatives: `found["link1.angle"]` is an array (k, by), `found["link1.angle", "m2"]`
+    one of them (k,)."""
+
+    result: Result
+    """The run itself."""
+    by: tuple[str, ...]
+    values: NDArray[np.float64]
+    """(k, columns of the result, by)"""
+
+    def __getitem__(self, name: str | tuple[str, str]) -> NDArray[np.float64]:
+        column, by = (name, None) if isinstance(name, str) else name
+        if column not in self.result.names:
+            raise InputError(f"there is no column {column!r}; {there_is(column, self.result.names)}")
+        found = self.values[:, self.result.names.index(column)]
+        if by is None:
+            return found
+        if by not in self.by:
+            raise InputError(f"there is no derivative by {by!r}; {there_is(by, self.by)}")
+        return found[:, self.by.index(by)]
+
+    def __repr__(self) -> str:
+        rows, columns = self.values.shape[:2]
+        return f"Derivatives({self.result.mechanism}: {rows} rows, {columns} columns by {', '.join(self.by)})"
+
+
+@dataclass(frozen=True, eq=False)
+class Gradient:
+    """A function of a run and its derivatives: `found["m2"]`."""
+
+    value: float
+    by: Mapping[str, float]
+    """Derivatives by parameters and start values; of an input, by the same change of it all the time."""
+    inputs: Mapping[str, NDArray[np.float64]]
+    """Derivatives by each input at each communication point (k,), from which on it is held for a step."""
+    result: Result
+    """The run itself, with the columns that the function takes."""
+
+    def __getitem__(self, name: str) -> float:
+        if name not in self.by:
+            raise InputError(f"there is no derivative by {name!r}; {there_is(name, list(self.by))}")
+        return self.by[name]
+
+
+class Runs:
+    """Runs of one mechanism with the same communication points and inputs, that differ in numbers."""
+
+    def __init__(
+        self,
+        mechanism: Any,
+        by: Sequence[str],
+        stop_time: float | None,
+        communication_step: float | None,
+        inputs: Mapping[str, Signal] | None,
+        parameters: Mapping[str, float | str] | None,
+        outputs: Sequence[str] | None = None,
+        times: NDArray[np.float64] | None = None,
+    ):
+        if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
+            raise InputError(f"{mechanism}: runs of an FMU have no derivatives; give the mechanism that it was made of")
+        if isinstance(by, str):
+            raise InputError(f"by is {by!r}; give a list of names")
+        found = prepare(mechanism, parameters or {}, inputs, outputs=outputs, kept=by)
+        if isinstance(found.unit, oracle.Instance):
+            raise InputError(f"{found.unit.name}: the kernel oracle has no derivatives; use another one")
+        self.unit, self.facts, self.declared = found.unit, found.facts, found.declared
+        for name, value in found.left.items():
+            self.unit.set(name, value)
+        self.by = tuple(by)
+        self.names = [v.name for v in self.unit.parameters]
+        own = {v.name for v in self.unit.input_variables if v.type != "Boolean"}
+        self._check(own)
+        given: dict[str, Signal] = dict(inputs or {})
+        for name in self.by:
+            if name in own and name not in given:
+                given[name] = self.unit.get(name)
+        self.inputs = list(given)
+        stop = found.stop_time if stop_time is None else stop_time
+        step = found.interval if communication_step is None else communication_step
+        self.times = communication_points(self.unit.name, stop, step) if times is None else times
+        self.table = table_of(self.inputs, values_of(self.unit, given), self.times)
+        # Begun once, as a run begins: warns of the start, and traces again where redundant constraints would brake.
+        self.unit.time = float(self.times[0])
+        self.unit.initialize_with(dict(zip(self.inputs, self.table[0], strict=True)))
+        if told := jumps(self.unit.equations.functions["dynamics"]):
+            _LOGGER.warning(
+                "%s: its forces have %s, as contacts do; derivatives are right where forces change without a jump, and "
+                "leave out what a jump adds",
+                *(self.unit.name, " and ".join(told)),
+            )
+
+    def _check(self, inputs: set[str]) -> None:
+        e = self.unit.equations
+        count, starts = len(e.parameters), 2 * len(e.starts)
+        states = count + starts + len(e.compliances)
+        known = {*self.names[: count + starts], *self.names[states : states + len(e.states)], *inputs}
+        for name in self.by:
+            if name not in known:
+                raise InputError(
+                    f"{e.name} has no parameter, start value or input {name!r} to differentiate by; "
+                    f"{there_is(name, sorted(known))}"
+                )
+
+    def columns(self, names: Sequence[str] | None = None) -> list[str]:
+        """All outputs and inputs, or those of some names."""
+        known = [v.name for v in (*self.unit.outputs, *self.unit.input_variables)]
+        for name in names or ():
+            if name not in known:
+                raise InputError(f"{self.unit.name} has no output or input {name!r}; {there_is(name, known)}")
+        return list(names) if names is not None else known
+
+    def set(self, values: Sequence[float] | NDArray[np.float64]) -> None:
+        """Other values of what it is differentiated by, for the next run."""
+        self.unit._unit.run_on(False)
+        for name, value in zip(self.by, values, strict=True):
+            self.unit.set(name, float(value))
+
+    def sweeps(self, wanted: Sequence[str], directions: int, progress: Callable[[int], bool] | None) -> Sweeps:
+        return Sweeps(self.unit, self.times, self.inputs, self.table, wanted, progress, directions)
+
+    def tangents(
+        self, wanted: Sequence[str], progress: Callable[[int], bool] | None = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Values (k, wanted) and their derivatives (k, wanted, by)."""
+        sweeps = self.sweeps(wanted, len(self.by), progress)
+        seeds = np.zeros((len(self.names), len(self.by)))
+        of_inputs = np.zeros((*self.table.shape, len(self.by)))
+        for k, name in enumerate(self.by):
+            if name in self.inputs:
+                of_inputs[:, self.inputs.index(name), k] = 1.0
+            else:
+                seeds[self.names.index(name), k] = 1.0
+        found = sweeps.tangents(seeds, of_inputs)
+        self.checked(found)
+        return sweeps.values, found
+
+    def checked(self, found: NDArray[np.float64]) -> None:
+        if not np.isfinite(found).all():
+            raise InputError(
+                f"{self.unit.name}: a derivative is not finite, as at the root of zero or where a length vanishes; "
+                "change the start values or parameters a little"
+            )
+
+    def result(self, names: Sequence[str], values: NDArray[np.float64]) -> Result:
+        units = {v.name: v.unit for v in (*self.unit.outputs, *self.unit.input_variables)}
+        units = {name: units[name] for name in names}
+        return Result(
+            self.unit.name,
+            self.times,
+            tuple(names),
+            units,
+            values,
+            self.unit.counters,
+            self.facts,
+            self.declared,
+        )
+
+
+def shown(progress: Progress, times: NDArray[np.float64]) -> Callable[[int], bool]:
+    """A function of the communication points that are done, which moves what `progress` shows."""
+    points, passed = iter(progress(times[:-1])), 0
+
+    def show(done: int) -> bool:
+        nonlocal passed
+        for _ in range(done - passed):
+            next(points, None)
+        passed = max(done, passed)
+        return True
+
+    return show
+
+
+def derivatives(
+    mechanism: str | Path | Mechanism | Equations | Recipe,
+    by: Sequence[str],
+    stop_time: float | None = None,
+    communication_step: float | None = None,
+    *,
+    outputs: Sequence[str] | None = None,
+    inputs: Mapping[str, Signal] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    progress: Progress = iter,
+) -> Derivatives:
+    """Run a mechanism as `simulate` does, with the derivatives of outputs by numbers.
+
+    `by` names parameters, start values and inputs; the derivative by an input is that by the same change of it all the
+    time. `outputs` names the outputs and inputs that are wanted, None for all. The derivatives are those of the steps
+    that were made, projections and iterations included; which steps, tiers and ranks were taken is left as it is. The
+    time goes with the number of derivatives; for one number of a run by many use `gradient`.
+
+    Raises InputError where a name is wrong, and where there are no derivatives, as with dry friction. Warns of forces
+    that may jump.
+    """
+    runs = Runs(mechanism, by, stop_time, communication_step, inputs, parameters)
+    names = runs.columns(outputs)
+    values, found = runs.tangents(names, shown(progress, runs.times))
+    return Derivatives(runs.result(names, values), runs.by, found)
+
+
+def gradient(
+    mechanism: str | Path | Mechanism | Equations | Recipe,
+    of: Function | Expression,
+    by: Sequence[str],
+    stop_time: float | None = None,
+    communication_step: float | None = None,
+    *,
+    inputs: Mapping[str, Signal] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    progress: Progress = iter,
+) -> Gradient:
+    """A function of a run and its derivatives by any number of numbers, in the time of a few runs.
+
+    `of` is a function of `alfmu.gradients` (`Final`, `Integral`, `Maximum`, `TimeOfMaximum`, `Columns`); an expression
+    alone is its final value. `by` names parameters, start values and inputs; derivatives by each given input at each
+    communication point are there too. The run is swept back; where it is too long to be kept, it is run again in parts.
+
+    Raises and warns as `derivatives` does.
+    """
+    function = of if isinstance(of, Function) else Final(of)
+    runs = Runs(mechanism, by, stop_time, communication_step, inputs, parameters)
+    names = runs.columns(function.names)
+    sweeps = runs.sweeps(names, 0, shown(progress, runs.times))
+    sweeps.record()
+    value, weights = function.weighed(runs.times, sweeps.values)
+    result = runs.result(names, sweeps.values)
+    of_parameters, of_inputs = sweeps.adjoints(weights)
+    runs.checked(of_parameters)
+    runs.checked(of_inputs)
+    at_points = dict(zip(runs.inputs, of_inputs.T, strict=True))
+    found = {
+        name: float(at_points[name].sum() if name in at_points else of_parameters[runs.names.index(name)])
+        for name in runs.by
+    }
+    return Gradient(value, found, at_points, result)

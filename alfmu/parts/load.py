@@ -1,0 +1,73 @@
+"""A load on a joint that turns: a flywheel, viscous friction, a torque that opposes the motion, a fan.
+
+With w the speed of the joint, J the inertia, b the damping, T the opposing torque and c that of the fan,
+
+    J dw/dt = -b w - T tanh(w / w0) - c |w| w + what drives the joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+from ..model.errors import DeclarationError
+from ..model.mechanism import Joint, Mechanism, Scalar, symbolic
+from ..model.words import shown
+from .declared import label, mounted, named, of, rate_of_joint
+from .motor import TURNING
+
+__all__ = ["Load", "load"]
+
+
+@dataclass(frozen=True)
+class Load:
+    """Quantities of a load, for outputs and controllers: expressions in the symbols of its mechanism."""
+
+    speed: ca.SX
+    """Of the joint [rad/s]."""
+    torque: ca.SX
+    """On the joint, without that of the inertia [N.m]."""
+
+
+def load(
+    m: Mechanism,
+    name: str,
+    joint: Joint,
+    *,
+    inertia: Scalar = 0.0,
+    damping: Scalar = 0.0,
+    opposing: Scalar = 0.0,
+    fan: Scalar = 0.0,
+) -> Load:
+    """A load on a revolute joint, which drives it, brakes it and gives it inertia.
+
+    `inertia` [kg.m2] is that of a flywheel, a body `<name>.wheel` of its own. `damping` [N.m.s/rad] is viscous,
+    `opposing` [N.m] a torque against the motion, which builds up within `alfmu.parts.motor.TURNING` of standstill and
+    so holds nothing at rest, `fan` [kg.m2] a torque over the square of the speed. Numbers other than zero become the
+    parameters `<name>.inertia` and so on; expressions stay what they are.
+
+    The output `<name>.torque` is the torque on the joint without that of the inertia; an empty name leaves out what
+    stands in front. Raises DeclarationError where the joint is none that turns, or nothing is given.
+    """
+    if not isinstance(joint, Joint) or joint.kind != "revolute" or joint not in m.joints:
+        raise DeclarationError(
+            f"{m.name}: the load{of(name)} is on {joint.name if hasattr(joint, 'name') else shown(joint)}; give it a "
+            "revolute joint in the plane, of this mechanism"
+        )
+    given = {"inertia": inertia, "damping": damping, "opposing": opposing, "fan": fan}
+    if not any(isinstance(x, ca.SX) or x != 0 for x in given.values()):
+        raise DeclarationError(f"{m.name}: the load{of(name)} loads nothing; give one of {', '.join(given)}")
+    w = rate_of_joint(m, joint)
+    torque = symbolic(0.0)
+    if isinstance(damping, ca.SX) or damping != 0:
+        torque -= named(m, name, "damping", damping, "N.m.s/rad", "viscous friction", minimum=0.0) * w
+    if isinstance(opposing, ca.SX) or opposing != 0:
+        most = named(m, name, "opposing", opposing, "N.m", "torque against the motion", minimum=0.0)
+        torque -= most * ca.tanh(w / TURNING)
+    if isinstance(fan, ca.SX) or fan != 0:
+        c = named(m, name, "fan", fan, "kg.m2", "torque over the square of the speed", minimum=0.0)
+        torque -= c * ca.fabs(w) * w
+    mounted(m, name, "wheel", joint, 1.0, torque, inertia, 0.0)
+    m.output(label(name, "torque"), torque, "N.m", f"torque{of(name)} on {joint.name}")
+    return Load(w, torque)

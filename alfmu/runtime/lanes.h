@@ -1,0 +1,34 @@
+/* Numbers in lanes: several sets of a number side by side, which vectors of the processor work on at once. */
+
+#ifndef ALFMU_LANES_H
+#define ALFMU_LANES_H
+
+#define LANES 8 /* sets of arguments that a function is called for at once; directions of derivatives in a block */
+
+#if defined(__GNUC__)
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__has_attribute) && !defined(__SANITIZE_THREAD__)
+#if __has_attribute(target_clones)
+#define BY_PROCESSOR __attribute__((target_clones("avx2", "default")))
+#endif
+#endif
+#if defined(BY_PROCESSOR) /* The loader chooses what this processor has, before a thread sanitizer is there. */
+#define PART 4
+#else
+#define BY_PROCESSOR
+#define PART 2
+#endif
+typedef double Vector __attribute__((vector_size(8 * PART)));
+#define EACH_PART _Pragma("GCC unroll 8") for (int part = 0; part < LANES / PART; part++)
+#else /* Compilers without vectors. */
+#define BY_PROCESSOR
+#define PART 1
+typedef double Vector;
+#define EACH_PART for (int part = 0; part < LANES / PART; part++)
+#endif
+
+typedef union {
+    Vector part[LANES / PART];
+    double lane[LANES];
+} Lanes;
+
+#endif

@@ -1,0 +1,96 @@
+/* Derivatives of what is read at an instant, for hosts: of outputs by inputs, and while the run begins by parameters and
+   start values too, along a direction or back from one. What is read, or the start and what is read, is written on a tape
+   and swept; the instance is left as it was. */
+
+#include <math.h>
+#include <string.h>
+
+#include "tape.h"
+
+/* Numbers that a run can be differentiated by: parameters and start values, quantities of first-order equations, inputs. */
+int has_derivatives(const Scene *s, int reference)
+{
+    const int starts = s->own + 2 * s->starts, states = starts + s->compliances;
+    const Variable *v = s->variables + reference;
+    if (v->kind == INPUT)
+        return 1;
+    return v->kind == PARAMETER && (reference < starts || (reference >= states && reference < s->parameters - s->solver));
+}
+
+Outcome differentiable(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (s->frictions)
+        return say(i, REFUSED,
+            "%s: derivatives of a run with dry friction are not known: when joints stick and slide changes with each "
+            "number; take the friction out, or make it viscous",
+            s->name);
+    return DONE;
+}
+
+/* What is read now, or the start too, on the tape. */
+static Outcome written(Instance *i, Gradient *g, int of_start)
+{
+    Outcome outcome = DONE;
+    tape_clear(g->tape);
+    if (of_start)
+        outcome = differentiable(i);
+    i->tape = g->tape;
+    if (outcome == DONE && of_start)
+        outcome = instance_initialize(i);
+    i->flags.known = i->onward = 0;
+    if (outcome == DONE)
+        outcome = instance_read(i);
+    i->tape = NULL;
+    if (outcome == DONE && g->tape->lost)
+        outcome = say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
+    return outcome;
+}
+
+static int32_t place_of_variable(const Instance *i, unsigned reference)
+{
+    return place_of(i, instance_place(i, (int)reference));
+}
+
+Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *seed, int back, double *found)
+{
+    const Mark begin = {0, 0, 0};
+    const size_t count = back ? known_count : unknown_count;
+    Gradient *g;
+    Outcome outcome;
+    int of_start = 0;
+    for (size_t k = 0; k < known_count; k++)
+        of_start |= i->scene->variables[knowns[k]].kind == PARAMETER;
+    if (!i->gradient)
+        i->gradient = gradient_new(i, 1);
+    g = i->gradient;
+    if (!g)
+        return say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
+    instance_remember(i);
+    outcome = written(i, g, of_start);
+    instance_go_back(i);
+    i->used = 0;
+    if (outcome != DONE)
+        return outcome;
+    if (back) {
+        memset(g->adjoints, 0, g->places * sizeof *g->adjoints);
+        for (size_t k = 0; k < unknown_count; k++)
+            g->adjoints[place_of_variable(i, unknowns[k])] += seed[k];
+        adjoints_along(g, begin);
+        for (size_t k = 0; k < known_count; k++)
+            found[k] = g->adjoints[place_of_variable(i, knowns[k])];
+    } else {
+        memset(g->tangents, 0, g->places * sizeof *g->tangents);
+        for (size_t k = 0; k < known_count; k++)
+            g->tangents[place_of_variable(i, knowns[k])].lane[0] += seed[k];
+        tangents_along(g, begin);
+        for (size_t k = 0; k < unknown_count; k++)
+            found[k] = g->tangents[place_of_variable(i, unknowns[k])].lane[0];
+    }
+    i->used = 0;
+    for (size_t k = 0; k < count; k++)
+        if (!isfinite(found[k]))
+            return say(i, FAILED, "%s, t = %.6g s: derivatives cannot be computed here", i->scene->name, *instance_time(i));
+    return DONE;
+}

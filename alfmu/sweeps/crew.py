@@ -1,0 +1,385 @@
+"""Who makes the runs: this process, processes of this machine, or the workers of a Dask cluster, by the same calls.
+
+A range of cases is handed out, and a worker gives back as many as it begins within `PART` seconds; what is left is
+handed out again. A worker that ends takes no more with it than what it has in hand, which others make again. Cases that
+no process survives are found by halving, alone, and become rows with the reason.
+"""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import signal
+import sys
+import threading
+import time
+import types
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
+
+from ..model.errors import InputError, WriteError
+from .jobs import Job, NeedsBrakes, Part, begin, lost, run_part
+from .parts import Store, kept
+from .variations import Cases
+
+__all__ = ["Crew", "Processes", "Stop", "cluster", "make", "stopping"]
+
+PART = 2.0
+"""Time [s] after which a part is handed in: what a killed process loses, and what writing a file is small beside."""
+
+SHORT = 0.1
+"""Time [s] of the smallest pieces that the end of a sweep is divided into, so that all workers end together."""
+
+PART_NUMBERS = 4_000_000
+"""Numbers in a part, at most: 32 MB."""
+
+PART_CASES = 20_000
+"""Cases in a part, at most."""
+
+AT_HAND = 2
+"""Ranges that are handed out for each worker: one it works on, and the next."""
+
+DEATHS = 2
+"""Processes that end over the same cases before these are suspected and run alone."""
+
+GLANCE = 0.2
+"""Time [s] between looks at whether the user wants to stop."""
+
+LEAVE = 1.0
+"""Time [s] that processes have to end by themselves."""
+
+PATIENCE = 60.0
+"""Time [s] that a cluster without workers is waited for."""
+
+
+class Stop:
+    """Whether the user asked to stop: once, after what is under way; twice, at once."""
+
+    def __init__(self) -> None:
+        self.asked = 0
+        self.told: Callable[[], None] = bool  # type: ignore[assignment]
+
+    def __call__(self) -> bool:
+        return self.asked > 0
+
+    def ask(self, number: int, frame: object) -> None:
+        self.asked += 1
+        if self.asked > 1:
+            raise KeyboardInterrupt
+        self.told()
+
+
+@contextmanager
+def stopping() -> Iterator[Stop]:
+    """Interrupts, and requests to end, are asked for politely in the main thread, where Python takes them."""
+    stop = Stop()
+    main = threading.current_thread() is threading.main_thread()
+    before = {each: signal.signal(each, stop.ask) for each in (signal.SIGINT, signal.SIGTERM) if main}
+    try:
+        yield stop
+    finally:
+        for each, old in before.items():
+            signal.signal(each, old)
+
+
+class Crew(Protocol):
+    """Workers that can be handed ranges of cases."""
+
+    def workers(self) -> int:
+        """How many there are now."""
+
+    def submit(self, job: Job, first: int, values: Any) -> Future[Part]: ...
+
+    def renew(self) -> None:
+        """Go on after workers were lost."""
+
+    def close(self) -> None:
+        """End what this crew started, with what it has in hand."""
+
+    deadly: tuple[type[BaseException], ...]
+    """What a range comes to whose worker was lost."""
+
+
+@dataclass
+class Processes:
+    """Processes of this machine, which end with this one."""
+
+    count: int
+    deadly: tuple[type[BaseException], ...] = (BrokenExecutor,)
+    _pool: ProcessPoolExecutor | None = None
+
+    def workers(self) -> int:
+        return self.count
+
+    def submit(self, job: Job, first: int, values: Any) -> Future[Part]:
+        if self._pool is None:
+            context = multiprocessing.get_context("spawn")
+            self._pool = ProcessPoolExecutor(self.count, context, begin)
+        with _without_main():
+            return self._pool.submit(run_part, job, first, values, PART)
+
+    def renew(self) -> None:
+        self.close()
+
+    def close(self) -> None:
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            processes = list((pool._processes or {}).values())
+            pool.shutdown(wait=False, cancel_futures=True)
+            end = time.monotonic() + LEAVE
+            for each in processes:  # those with nothing in hand end by themselves
+                each.join(max(0.0, end - time.monotonic()))
+            for each in processes:
+                each.terminate()
+                each.join()
+
+
+@contextmanager
+def _without_main() -> Iterator[None]:
+    """While processes are started, they are not told of the user's script, which each would run again.
+
+    What they do is in modules; so scripts need no `if __name__ == "__main__"` around a sweep.
+    """
+    script = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = script
+
+
+@dataclass
+class Cluster:
+    """The workers of a Dask cluster."""
+
+    client: Any
+    deadly: tuple[type[BaseException], ...]
+    _executor: Executor = field(init=False)
+    _known: tuple[float, int] = (-math.inf, 0)
+
+    def __post_init__(self) -> None:
+        self._executor = self.client.get_executor(pure=False)
+
+    def workers(self) -> int:
+        asked, count = self._known
+        if time.monotonic() - asked > 1.0:
+            count = sum(each["nthreads"] for each in self.client.scheduler_info(n_workers=-1)["workers"].values())
+            self._known = time.monotonic(), count
+        return count
+
+    def submit(self, job: Job, first: int, values: Any) -> Future[Part]:
+        return self._executor.submit(run_part, job, first, values, PART)
+
+    def renew(self) -> None:
+        pass
+
+    def close(self) -> None:
+        with suppress(Exception):  # a scheduler that is gone has nothing left to cancel
+            self._executor.shutdown(wait=False, cancel_futures=True)
+            self.client.close(timeout=5)
+
+
+WAIT = 10
+"""Time [s] that a scheduler is waited for."""
+
+
+def cluster(address: str) -> Cluster:
+    """The workers of a Dask cluster by the address of its scheduler, such as `tcp://10.0.0.5:8786`.
+
+    Raises InputError where there is none. Needs `alfmu[sweep]`, here and where the workers are.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise InputError("a cluster takes distributed; install it with: pip install 'alfmu[sweep]'") from None
+    try:
+        client = distributed.Client(address, timeout=WAIT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"there is no Dask scheduler at {address} ({error})") from None
+    return Cluster(client, (distributed.scheduler.KilledWorker,))
+
+
+@dataclass
+class _Range:
+    """Cases that are to be made."""
+
+    first: int
+    stop: int
+    deaths: int = 0
+
+    def __len__(self) -> int:
+        return self.stop - self.first
+
+    def split(self, count: int) -> tuple[_Range, _Range]:
+        return replace(self, stop=self.first + count), replace(self, first=self.first + count)
+
+
+def make(
+    job: Job,
+    cases: Cases,
+    store: Store,
+    crew: Crew | None,
+    stop: Stop,
+    done: Callable[[int], None],
+    brakes: Callable[[], Job],
+    seconds: float | None = None,
+) -> float:
+    """Make all cases that a store misses, or as many as the user and the time allow; the time of a run [s].
+
+    Without a crew, this process makes them, for a time [s] at most where one is given. `done` is told how many cases
+    were added; `brakes` gives the job with the scene that `NeedsBrakes` asks for. Raises WriteError where a part cannot
+    be kept.
+    """
+    work = _Work(job, cases, store, stop, done, brakes)
+    try:
+        if crew is None:
+            work.alone(math.inf if seconds is None else seconds)
+        else:
+            work.shared(crew)
+    except WriteError as error:
+        raise WriteError(f"{error}; {kept(store)}") from error
+    return work.pace
+
+
+class _Work:
+    def __init__(
+        self,
+        job: Job,
+        cases: Cases,
+        store: Store,
+        stop: Stop,
+        done: Callable[[int], None],
+        brakes: Callable[[], Job],
+    ):
+        self.job, self.cases, self.store, self.stop, self.done, self.brakes = job, cases, store, stop, done, brakes
+        self.waiting = deque(_Range(*each) for each in store.missing())
+        self.suspects: deque[_Range] = deque()
+        self.pace = 0.0
+        """Time of a run [s]; zero where it is not known yet."""
+        self.most = max(1, min(PART_CASES, PART_NUMBERS // job.numbers))
+
+    # In this process -------------------------------------------------------------------------------------------------
+
+    def alone(self, seconds: float) -> None:
+        """Make cases here until a time [s] is over."""
+        end = time.perf_counter() + seconds
+        while self.waiting and not self.stop() and (left := end - time.perf_counter()) > 0:
+            given = self._next(self.most)
+            values = self.cases.values(given.first, given.stop)
+            try:
+                part = run_part(self.job, given.first, values, min(PART, left), self.stop)
+            except NeedsBrakes:
+                self._with_brakes(given)
+                continue
+            self._keep(given, part)
+
+    # With others -----------------------------------------------------------------------------------------------------
+
+    def shared(self, crew: Crew) -> None:
+        """Hand out cases to workers, and keep what they make."""
+        under_way: dict[Future[Part], _Range] = {}
+        alone_since = time.monotonic()
+        try:
+            while (self.waiting or self.suspects or under_way) and not (self.stop() and not under_way):
+                workers = crew.workers()
+                if workers:
+                    alone_since = time.monotonic()
+                elif time.monotonic() - alone_since > PATIENCE:
+                    raise InputError(f"the cluster has had no workers for {PATIENCE:.0f} s; {kept(self.store)}")
+                while (given := self._chosen(len(under_way), workers)) is not None:
+                    values = self.cases.values(given.first, given.stop)
+                    try:
+                        under_way[crew.submit(self.job, given.first, values)] = given
+                    except crew.deadly:
+                        self.waiting.appendleft(given)
+                        if not under_way:
+                            crew.renew()
+                        break
+                if self.stop():  # what no worker has begun yet is not waited for
+                    under_way = {each: given for each, given in under_way.items() if not each.cancel()}
+                finished = wait(under_way, GLANCE, FIRST_COMPLETED).done
+                if not under_way:
+                    time.sleep(GLANCE)
+                dead = [under_way[each] for each in finished if not self._taken(crew, each, under_way[each])]
+                for each in finished:
+                    del under_way[each]
+                if dead:
+                    if not isinstance(crew, Cluster):
+                        # All that the pool had in hand ends with it, but what was finished in the same moment.
+                        for each, given in under_way.items():
+                            if not (each.done() and self._taken(crew, each, given)):
+                                dead.append(given)
+                        under_way.clear()
+                    crew.renew()
+                    self._mourn(dead, certain=isinstance(crew, Cluster))
+        finally:
+            for each in under_way:
+                each.cancel()
+
+    def _chosen(self, under_way: int, workers: int) -> _Range | None:
+        """The next range to hand out; None where it is to be waited."""
+        if self.stop():
+            return None
+        if self.suspects:
+            return self.suspects.popleft() if not under_way else None
+        if not self.waiting or under_way >= AT_HAND * workers:
+            return None
+        left = sum(map(len, self.waiting))
+        least = math.ceil(SHORT / self.pace) if self.pace else 1
+        usual = math.ceil(1.5 * PART / self.pace) if self.pace else self.most
+        return self._next(min(self.most, usual, max(least, left // (AT_HAND * workers))))
+
+    def _next(self, most: int) -> _Range:
+        """So many of the cases that wait, at most."""
+        given = self.waiting.popleft()
+        if len(given) > most:
+            given, rest = given.split(most)
+            self.waiting.appendleft(rest)
+        return given
+
+    def _taken(self, crew: Crew, future: Future[Part], given: _Range) -> bool:
+        """Keep what a worker made; False where it was lost."""
+        try:
+            part = future.result()
+        except crew.deadly:
+            return False
+        except NeedsBrakes:
+            self._with_brakes(given)
+            return True
+        self._keep(given, part)
+        return True
+
+    def _keep(self, given: _Range, part: Part) -> None:
+        self.store.add(part)
+        made = len(part)
+        self.pace = part.seconds / made or self.pace
+        if made < len(given):
+            rest = given.split(made)[1]
+            (self.suspects if given.deaths >= DEATHS else self.waiting).appendleft(rest)
+        self.done(made)
+
+    def _with_brakes(self, given: _Range) -> None:
+        if not getattr(self.job, "braking", None):
+            self.job = self.brakes()
+        self.waiting.appendleft(given)
+
+    def _mourn(self, dead: Sequence[_Range], certain: bool) -> None:
+        """Cases whose worker ended are made again; those over which several ended, alone and in halves."""
+        for each in dead:
+            each.deaths += DEATHS if certain else 1
+            if each.deaths < DEATHS:
+                self.waiting.appendleft(each)
+            elif each.deaths == DEATHS:  # it was not alone, so that another may have been at fault
+                self.suspects.append(each)
+            elif len(each) > 1:
+                first, second = each.split(len(each) // 2)
+                self.suspects.extend([first, second])
+            else:
+                values = self.cases.values(each.first, each.stop)
+                why = f"{self.job.name}: the process that ran this case ended without a word, each time"
+                self.store.add(lost(self.job, each.first, values, why))
+                self.done(1)

@@ -1,0 +1,393 @@
+"""What a worker does: runs of one job with other numbers each, on instances that are used again and again.
+
+A worker gets a job as data and imports neither what traces a scene nor CasADi; FMUs alone take the library's driver.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import os
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.errors import AlfmuError
+from ..runtime.library import BRAKES, DONE, Scene, Unit
+from .measures import Measure, measured
+
+__all__ = ["Code", "FmuJob", "Job", "NeedsBrakes", "Part", "Ran", "SceneJob", "run_part", "runner_of"]
+
+Table = NDArray[np.float64]
+
+KEPT = 2
+"""Runners of different jobs that a thread of a worker keeps."""
+
+
+class NeedsBrakes(Exception):
+    """A case needs the scene traced for redundant constraints that would brake."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """What all runs of a sweep have in common, as data that can be sent to another process or machine."""
+
+    name: str
+    """Of the mechanism, or of the model of an FMU."""
+    identity: str
+    """A digest of what is run."""
+    times: Table
+    """(points,) communication points [s]."""
+    fixed: tuple[tuple[str, float | str], ...]
+    """Values that are the same in all runs, by name."""
+    inputs: tuple[str, ...]
+    """Inputs that change over time."""
+    table: Table
+    """(points, inputs): their values."""
+    varied: tuple[str, ...]
+    outputs: tuple[str, ...]
+    """Outputs that are read, in the order of the columns of a run."""
+    measures: tuple[Measure, ...]
+    """Numbers that are kept of a run."""
+    series: tuple[str, ...]
+    """Outputs that are kept over time."""
+    token: str = field(default_factory=lambda: uuid.uuid4().hex)
+    """By which a worker knows this job and its other forms from any other."""
+
+    @property
+    def numbers(self) -> int:
+        """Numbers that are kept of a case."""
+        return len(self.varied) + len(self.measures) + len(self.times) * len(self.series)
+
+
+@dataclass(frozen=True)
+class Code:
+    """Compiled functions of a scene, and where they run."""
+
+    machine: str
+    content: bytes
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneJob(Job):
+    """Runs of a scene by alfmu's runtime."""
+
+    scene: bytes
+    code: Code | None
+    penalty: tuple[float, ...] | None
+    """Of each constraint, where they differ."""
+    stabilisation: tuple[float, float, int]
+    """zeta, omega, and whether steps project: what a scene does not say by itself."""
+    braking: tuple[bytes, Code | None] | None = None
+    """The scene traced for redundant constraints that would brake, once a case asked for it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FmuJob(Job):
+    """Runs of an FMU by the library's driver."""
+
+    archive: bytes = field(repr=False)
+
+
+@dataclass
+class Ran:
+    """What one run gave."""
+
+    rows: Table
+    """(points, outputs), fewer where it failed."""
+    failure: str
+    """Why it ended early; empty where it did not."""
+    warning: str
+
+
+@dataclass
+class Part:
+    """What was kept of some cases, one after the other."""
+
+    first: int
+    """Number of the first case."""
+    values: Table
+    """(cases, varied)"""
+    kept: Table
+    """(cases, measures); not a number where the run failed."""
+    series: Table
+    """(cases, points, series); not a number from where the run failed."""
+    ended: Table
+    """(cases,) [s]: the last communication point that was reached; not a number where the start failed."""
+    failures: list[str]
+    warnings: list[str]
+    seconds: float
+    """How long it took [s]."""
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+class Runner(Protocol):
+    """Makes one run after the other."""
+
+    def run(self, values: Table) -> Ran: ...
+    def close(self) -> None: ...
+
+
+def run_part(job: Job, first: int, values: Table, seconds: float, stop: Callable[[], bool] = bool) -> Part:
+    """The cases with these numbers (cases, varied), or as many of them as are begun within a time [s], one at least.
+
+    `stop` is asked between two runs whether to end earlier. Raises NeedsBrakes, and what keeps the job from running.
+    """
+    begun, count = time.perf_counter(), len(values)
+    runner, make = runner_of(job), measured(job.times)
+    place = {name: i for i, name in enumerate(job.outputs)}
+    of = {f: [i for i, m in enumerate(job.measures) if m.function == f] for f in make}
+    of = {f: places for f, places in of.items() if places}
+    columns = {f: [place[job.measures[i].output] for i in places] for f, places in of.items()}
+    over_time = [place[name] for name in job.series]
+    kept = np.full((count, len(job.measures)), np.nan)
+    series = np.full((count, len(job.times), len(over_time)), np.nan)
+    ended = np.full(count, np.nan)
+    failures, warnings = [], []
+    for case, numbers in enumerate(values):
+        ran = runner.run(numbers)
+        if not ran.failure:
+            for f, places in of.items():
+                kept[case, places] = make[f](ran.rows[:, columns[f]])
+        if over_time:
+            series[case, : len(ran.rows)] = ran.rows[:, over_time]
+        if len(ran.rows):
+            ended[case] = job.times[len(ran.rows) - 1]
+        failures.append(ran.failure)
+        warnings.append(ran.warning)
+        if time.perf_counter() - begun > seconds or stop():
+            break
+    made = len(failures)
+    took = time.perf_counter() - begun
+    return Part(first, values[:made], kept[:made], series[:made], ended[:made], failures, warnings, took)
+
+
+_OWN = threading.local()
+"""Runners of each thread: an instance belongs to one thread at a time."""
+
+
+def runner_of(job: Job) -> Runner:
+    """The runner of a job in this thread, made once."""
+    known: dict[Any, Runner] = _OWN.__dict__.setdefault("runners", {})
+    key = job.token, *(getattr(job, form, None) is not None for form in ("code", "braking"))
+    if key not in known:
+        while len(known) >= KEPT:
+            known.pop(next(iter(known))).close()
+        known[key] = _SceneRunner(job) if isinstance(job, SceneJob) else _FmuRunner(job)  # type: ignore[arg-type]
+    return known[key]
+
+
+# Scenes --------------------------------------------------------------------------------------------------------------
+
+
+class _SceneRunner:
+    """Runs of a scene, each one call of the runtime."""
+
+    def __init__(self, job: SceneJob):
+        self.job = job
+        self.table = np.ascontiguousarray(job.table, float)
+        self.times = np.ascontiguousarray(job.times, float)
+        self.rows = np.empty((len(job.times), len(job.outputs)))
+        self.units = [_Seat(job, job.scene, job.code)]
+        if job.braking:
+            self.units.append(_Seat(job, *job.braking))
+
+    def run(self, values: Table) -> Ran:
+        for seat in self.units:
+            outcome, made, why, warning = seat.run(self, values)
+            if outcome != BRAKES:
+                return Ran(self.rows[:made], why, warning)
+        raise NeedsBrakes
+
+    def close(self) -> None:
+        pass
+
+
+class _Seat:
+    """An instance of a scene that makes one run after the other."""
+
+    def __init__(self, job: SceneJob, scene: bytes, code: Code | None):
+        self.scene = Scene(scene)
+        if code and code.machine == machine():
+            _compiled(self.scene, code)
+        self.unit = Unit(self.scene)
+        place = self.scene.references
+        self.job = job
+        self.varied = [place[name] for name in job.varied]
+        self.inputs = [place[name] for name in job.inputs]
+        self.wanted = [place[name] for name in job.outputs]
+        self.unit.reset()
+        # What the scene begins with anyway is not set again in each run.
+        self.fixed = [(place[name], x) for name, x in job.fixed if self.unit.get(place[name]) != x]
+
+    def run(self, given: _SceneRunner, values: Table) -> tuple[int, int, str, str]:
+        """The outcome, how many rows were made, why not all of them, and what the runtime warns of."""
+        unit, c = self.unit, self.scene.library
+        unit.reset()
+        c.alfmu_stabilise(unit.address, *self.job.stabilisation)
+        begin = list(zip(self.inputs, given.table[0], strict=True))
+        for reference, value in (*self.fixed, *zip(self.varied, values.tolist(), strict=True), *begin):
+            if (outcome := unit.set(reference, value)) != DONE:
+                return outcome, 0, unit.text, unit.warning()
+        if self.job.penalty is not None:
+            alpha = np.array(self.job.penalty)
+            if (outcome := c.alfmu_penalize(unit.address, alpha.ctypes.data)) != DONE:
+                return outcome, 0, unit.text, unit.warning()
+        unit.time = given.times[0]
+        made = 0
+        if (outcome := unit.initialize()) == DONE:
+            times, table, rows = (x.ctypes.data for x in (given.times, given.table, given.rows))
+            made, outcome = unit.run(times, len(given.times), self.inputs, table, self.wanted, rows)
+        return outcome, made, unit.text if outcome != DONE else "", unit.warning()
+
+
+def machine() -> str:
+    """What compiled functions are made for."""
+    import platform
+
+    return f"{platform.system()} {platform.machine()}"
+
+
+def _compiled(scene: Scene, code: Code) -> None:
+    """Compiled functions for a scene; where they cannot be loaded, it is interpreted, with the same numbers."""
+    from ..files import scratch
+
+    with scratch() as folder, suppress(OSError):
+        path = folder / "kernel"
+        path.write_bytes(code.content)
+        scene.compiled_by(path)
+
+
+# FMUs ----------------------------------------------------------------------------------------------------------------
+
+_ONE_AT_A_TIME = threading.RLock()
+"""FMUs are run by one thread of a process: fmpy's messages belong to nobody."""
+
+
+class _FmuRunner:
+    """Runs of an FMU, step by step on one instance, which is reset before each; a new one where a run failed."""
+
+    def __init__(self, job: FmuJob):
+        from ..files import scratch
+
+        self.job = job
+        self.files = ExitStack()
+        self.path = self.files.enter_context(scratch()) / "unit.fmu"
+        self.path.write_bytes(job.archive)
+        self.fmu: Any = None
+        atexit.register(self.close)
+
+    def run(self, values: Table) -> Ran:
+        with _ONE_AT_A_TIME, _heard() as said:
+            rows, failure = self._run(values)
+        return Ran(rows, failure, "\n".join(text for text in dict.fromkeys(said) if text != failure))
+
+    def _run(self, values: Table) -> tuple[Table, str]:
+        from ..simulation import run
+
+        job = self.job
+        inputs = {name: (job.times, job.table[:, i]) for i, name in enumerate(job.inputs)}
+        parameters = {**dict(job.fixed), **dict(zip(job.varied, values.tolist(), strict=True))}
+        whole, step = float(job.times[-1]), float(job.times[1] - job.times[0])
+        failure, result = "", None
+        try:
+            result = run(self._ready(), whole, step, inputs=inputs, parameters=parameters)
+        except AlfmuError as error:
+            result, failure = error.result, str(error) or type(error).__name__
+            self._drop()
+        if result is None:
+            return np.empty((0, len(job.outputs))), failure
+        return np.column_stack([result[name] for name in job.outputs]), failure
+
+    def _ready(self) -> Any:
+        """An instance that can be initialised."""
+        from ..fmi.drive import Fmu
+
+        if self.fmu is not None and self.fmu.begun:
+            try:
+                self.fmu.reset()
+            except AlfmuError:
+                self._drop()
+        if self.fmu is None:
+            self.fmu = Fmu(self.path)
+        return self.fmu
+
+    def _drop(self) -> None:
+        fmu, self.fmu = self.fmu, None
+        if fmu is not None:
+            fmu.close()
+
+    def close(self) -> None:
+        atexit.unregister(self.close)
+        self._drop()
+        self.files.close()
+
+
+class _Ear(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.said: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.said.append(record.getMessage())
+
+
+@contextmanager
+def _heard() -> Iterator[list[str]]:
+    """What the library warns of while a run is made, kept and not shown."""
+    logger, ear = logging.getLogger("alfmu"), _Ear()
+    before = logger.propagate
+    logger.addHandler(ear)
+    logger.propagate = False
+    try:
+        yield ear.said
+    finally:
+        logger.removeHandler(ear)
+        logger.propagate = before
+
+
+# Processes -----------------------------------------------------------------------------------------------------------
+
+
+def begin() -> None:
+    """What a process of workers does first: it leaves interrupts to the process that started it, and ends with that."""
+    import multiprocessing
+    import signal
+    from multiprocessing.connection import wait
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "SIGTERM"):
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+
+    def follow(sentinel: int) -> None:
+        wait([sentinel])
+        os._exit(1)
+
+    if parent is not None:
+        threading.Thread(target=follow, args=(parent.sentinel,), daemon=True).start()
+
+
+def lost(job: Job, first: int, values: Table, why: str) -> Part:
+    """A part of cases that no process survives."""
+    n, none = len(values), np.full(len(values), np.nan)
+    series: Sequence[int] = (n, len(job.times), len(job.series))
+    return Part(
+        first,
+        values,
+        np.full((n, len(job.measures)), np.nan),
+        np.full(series, np.nan),
+        none,
+        [why] * n,
+        [""] * n,
+        0.0,
+    )

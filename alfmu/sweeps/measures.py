@@ -1,0 +1,100 @@
+"""What is kept of a run: numbers by name such as `max(A.force.x)`, made of columns over time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.errors import InputError
+from ..model.words import there_is
+
+__all__ = ["FUNCTIONS", "USUAL", "Measure", "matching", "measured", "measures"]
+
+Table = NDArray[np.float64]
+
+FUNCTIONS = {
+    "final": "the last value",
+    "min": "the least value",
+    "max": "the largest value",
+    "mean": "the mean over time",
+    "peak": "the largest magnitude",
+    "rms": "the root of the mean square over time",
+}
+"""What can be kept of an output over a run, at its communication points."""
+
+USUAL = ("final", "min", "max", "mean")
+"""What is kept where a pattern names outputs alone."""
+
+INNER = ("multiplier[[]*", "monitor.*")
+"""Outputs that are not kept unless they are asked for."""
+
+MOST_COLUMNS = 4000
+"""Numbers that are kept of a run, at most."""
+
+_CALL = re.compile(rf"({'|'.join(FUNCTIONS)})\((.+)\)")
+
+
+@dataclass(frozen=True, order=True)
+class Measure:
+    """One number of a run."""
+
+    function: str
+    output: str
+
+    def __str__(self) -> str:
+        return f"{self.function}({self.output})"
+
+
+def measures(unit: str, keep: Sequence[str] | None, outputs: Sequence[str]) -> list[Measure]:
+    """The numbers that patterns ask for, such as `A.force.*` (all of USUAL) or `max(A.force.*)`, each once.
+
+    None stands for USUAL of all outputs but multipliers and monitors. Raises InputError where a pattern matches none.
+    """
+    if keep is None:
+        names = [name for name in outputs if not any(fnmatchcase(name, inner) for inner in INNER)] or list(outputs)
+        found = dict.fromkeys(Measure(function, name) for name in names for function in USUAL)
+    else:
+        found = {}
+        for pattern in [keep] if isinstance(keep, str) else keep:
+            called = _CALL.fullmatch(pattern) if pattern not in outputs else None
+            functions, names = ((called[1],), called[2]) if called else (USUAL, pattern)
+            each = matching(unit, [names], outputs)
+            found |= dict.fromkeys(Measure(function, name) for name in each for function in functions)
+    if not found:
+        raise InputError(f"{unit}: nothing is kept of a run; name outputs to keep")
+    if len(found) > MOST_COLUMNS:
+        raise InputError(
+            f"{unit}: {len(found)} numbers are to be kept of each run, more than {MOST_COLUMNS}; name the outputs to "
+            'keep, such as --keep "max(*.force.*)"'
+        )
+    return list(found)
+
+
+def matching(unit: str, patterns: Sequence[str], outputs: Sequence[str]) -> list[str]:
+    """The outputs that match names or patterns, each once; InputError where one matches none."""
+    found: dict[str, None] = {}
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        fit = [name for name in outputs if name == pattern or fnmatchcase(name, pattern)]
+        if not fit:
+            raise InputError(f"{unit} has no output {pattern!r} to keep; {there_is(pattern, outputs)}")
+        found |= dict.fromkeys(fit)
+    return list(found)
+
+
+def measured(times: Table) -> dict[str, Callable[[Table], Table]]:
+    """The functions of columns (points, outputs) over communication points (points,) [s], by name."""
+    steps = np.diff(times)
+    weights = (np.append(steps, 0.0) + np.append(0.0, steps)) / (2 * (times[-1] - times[0]))
+    return {
+        "final": lambda y: y[-1],
+        "min": lambda y: y.min(axis=0),
+        "max": lambda y: y.max(axis=0),
+        "mean": lambda y: weights @ y,
+        "peak": lambda y: np.abs(y).max(axis=0),
+        "rms": lambda y: np.sqrt(weights @ y**2),
+    }

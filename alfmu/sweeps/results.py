@@ -1,0 +1,188 @@
+"""A sweep that was made: its columns, its summary, its page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from html import escape
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..files import write
+from ..model.errors import InputError
+from ..model.words import there_is
+from .parts import FORMS, Folder, Plan, Store, read_plan
+from .summary import QUANTILES, Summary, summarised
+
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["Sweep"]
+
+SUMMARY, PAGE = "summary.json", "sweep.html"
+
+LISTED = 12
+"""Kept numbers that the command line lists."""
+
+NOTED = 0.2
+"""Rank correlation [1] below which the command line names no varied number."""
+
+
+class Sweep:
+    """Runs with other numbers each: `sweep["max(A.force.x)"]` is an array with a value for each finished case.
+
+    Columns are `case`, the varied names, what was kept, `end_time` [s], `failure` and `warning` (texts, empty where
+    there is nothing to say); numbers of a case that failed are not a number. They are read from the parts when they are
+    asked for.
+    """
+
+    def __init__(self, store: Store):
+        self._store = store
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Sweep:
+        """The sweep in a folder, as far as it is made; InputError where there is none."""
+        path = Path(folder)
+        data = read_plan(path)
+        try:
+            plan, form = Plan.of_data(data), data["format"]
+            if form not in FORMS:
+                raise ValueError(f"the format is {form!r}")
+            store = Folder(plan, path, form)
+            store.look()
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{path}: its plan cannot be read ({error!r})") from None
+        return cls(store)
+
+    def __repr__(self) -> str:
+        return f"Sweep({self.said()})"
+
+    def __len__(self) -> int:
+        """How many cases are finished."""
+        return self._store.finished
+
+    @property
+    def plan(self) -> Plan:
+        """What was asked for."""
+        return self._store.plan
+
+    @property
+    def folder(self) -> Path | None:
+        """Where the parts are; None where they are in memory."""
+        return self._store.path if isinstance(self._store, Folder) else None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return self.plan.columns
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the columns that have one, by name."""
+        return {name: unit for name in self.names if (unit := self.plan.unit(name))}
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """A column (cases,) by its name; InputError where nothing is called so."""
+        if name not in self.names:
+            raise InputError(f"the sweep of {self.plan.name} has no column {name!r}; {there_is(name, self.names)}")
+        column = self._store.columns([name])[name]
+        return column.astype(int) if name == "case" else column
+
+    def over_time(self, name: str, most: int | None = None) -> NDArray[np.float64]:
+        """(cases, points): an output of `keep_series` at the communication points `time`, of `most` cases at most."""
+        if name not in self.plan.series:
+            known = there_is(name, self.plan.series)
+            raise InputError(f"the sweep of {self.plan.name} kept no {name!r} over time; {known} (keep_series)")
+        return self._store.over_time(name, len(self) if most is None else most)
+
+    @property
+    def time(self) -> NDArray[np.float64]:
+        """(points,) communication points [s]."""
+        return self.plan.times
+
+    @cached_property
+    def summary(self) -> Summary:
+        """Quantiles, worst cases, sensitivities by rank, and reasons of failures."""
+        return summarised(self._store)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """All columns as a table of pandas over the index `case`; `attrs["units"]` has the units.
+
+        Needs `alfmu[pandas]`.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise InputError("to_pandas() needs pandas; install it with: pip install 'alfmu[pandas]'") from None
+        table = pandas.DataFrame(self._store.columns(self.names))
+        table["case"] = table["case"].astype(int)
+        table = table.set_index("case")
+        table.attrs["units"] = self.units
+        return table
+
+    def save(self, page: bool = True) -> list[Path]:
+        """Write `summary.json` and, where plotly is installed, the page `sweep.html` into the folder of the sweep."""
+        if self.folder is None:
+            raise InputError(f"the sweep of {self.plan.name} is in memory; give alfmu.sweep() a folder to save it in")
+        wrote = [self.folder / SUMMARY]
+        write(wrote[0], (json.dumps(self.summary.as_data(), indent=1) + "\n").encode())
+        if page and find_spec("plotly"):
+            wrote.append(self.page(self.folder / PAGE))
+        return wrote
+
+    def page(self, path: str | Path) -> Path:
+        """Write one page with all pictures that needs no network. Needs `alfmu[sweep]`."""
+        from .page import page
+
+        write(path, page(self._store, self.summary).encode())
+        return Path(path)
+
+    def said(self) -> str:
+        """How much is made, in a line."""
+        s = f"{self.plan.name}: {len(self)} of {self.plan.cases} cases"
+        return f"{s} in {self.folder}" if self.folder else s
+
+    def lines(self) -> list[str]:
+        """The summary for a reader."""
+        s = self.summary
+        said = [f"{s.finished} of {s.cases} cases finished, {s.failed} of them failed"]
+        for what, reasons in (("failed", s.failures), ("with a warning", s.warnings)):
+            said += [f"  {x.count} {what}, the first case {x.cases[0]}: {x.reason}" for x in reasons]
+        moving = [each for each in s.spreads if each.moves]
+        width = max((len(each.name) for each in moving[:LISTED]), default=0)
+        heads = [f"{100 * q:g} %" for q in QUANTILES[::2]]
+        if moving:
+            said.append(f"{'':{width}}  {heads[0]:>11} {heads[1]:>11} {heads[2]:>11}  largest (case), ranks with")
+        for each in moving[:LISTED]:
+            low, _, median, _, high = each.quantiles
+            ranks = sorted(each.sensitivities.items(), key=lambda item: -abs(item[1]))
+            with_ = ", ".join(f"{name} {r:+.2f}" for name, r in ranks[:3] if abs(r) >= NOTED)
+            said.append(
+                f"{each.name:{width}}  {low:11.5g} {median:11.5g} {high:11.5g}  {each.largest:.5g} {each.unit} "
+                f"({each.largest_case}){', ' * bool(with_)}{with_}"
+            )
+        if more := len(moving) - LISTED:
+            said += [f"and {more} more in {SUMMARY}"] if more > 0 else []
+        if still := len(s.spreads) - len(moving):
+            said.append(f"{still} kept numbers are the same in all cases")
+        return said
+
+    def _repr_html_(self) -> str:
+        """For notebooks: the lines of the summary."""
+        return f"<pre>{escape(chr(10).join([self.said(), *self.lines()]))}</pre>"
+
+
+def show(progress: Callable[[Sequence[int]], Any], total: int) -> Callable[[int], None]:
+    """A progress that is told how many more cases are done."""
+    shown = iter(progress(range(total)))
+
+    def done(count: int) -> None:
+        for _ in range(count):
+            next(shown, None)
+
+    return done

@@ -1,0 +1,180 @@
+"""What the numbers of a sweep say: quantiles, worst cases, sensitivities by rank, reasons of failures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .parts import Plan, Store
+
+__all__ = ["QUANTILES", "Failures", "Spread", "Summary", "summarised"]
+
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+"""Probabilities [1] whose quantiles are told."""
+
+AT_ONCE = 24
+"""Columns that are read at once."""
+
+SAME = 1e-12
+"""Spread of a number over its magnitude [1] within which it is the same in all cases: round-off."""
+
+_NUMBERS = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
+
+
+@dataclass(frozen=True)
+class Spread:
+    """One kept number over all cases that did not fail."""
+
+    name: str
+    unit: str
+    count: int
+    """Cases in which it is a number."""
+    mean: float
+    deviation: float
+    least: float
+    least_case: int
+    largest: float
+    largest_case: int
+    quantiles: tuple[float, ...]
+    """At QUANTILES."""
+    sensitivities: Mapping[str, float]
+    """Spearman's rank correlation [1] with each varied number that changes; empty where this number does not."""
+
+    @property
+    def moves(self) -> bool:
+        """Whether it differs between cases by more than round-off."""
+        return self.largest - self.least > SAME * max(abs(self.least), abs(self.largest))
+
+
+@dataclass(frozen=True)
+class Failures:
+    """Cases that failed, or were warned of, for one reason."""
+
+    reason: str
+    """The text of the first of them."""
+    cases: tuple[int, ...]
+    """The first of their numbers, `FEW` at most."""
+    count: int
+
+
+FEW = 5
+"""Cases that are named of a reason."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a sweep says as a whole."""
+
+    cases: int
+    finished: int
+    failed: int
+    ranges: Mapping[str, tuple[float, float]]
+    """Least and largest of each varied number, over the finished cases."""
+    spreads: Sequence[Spread]
+    failures: Sequence[Failures]
+    warnings: Sequence[Failures]
+
+    def as_data(self) -> dict[str, Any]:
+        """The same as JSON can hold it; numbers that are not there are null."""
+
+        def number(x: float) -> float | None:
+            return float(x) if np.isfinite(x) else None
+
+        def reasons(each: Sequence[Failures]) -> list[dict[str, Any]]:
+            return [{"reason": x.reason, "count": x.count, "first_cases": list(x.cases)} for x in each]
+
+        measures = [
+            {
+                "name": s.name,
+                "unit": s.unit,
+                "count": s.count,
+                "mean": number(s.mean),
+                "deviation": number(s.deviation),
+                "min": {"value": number(s.least), "case": s.least_case},
+                "max": {"value": number(s.largest), "case": s.largest_case},
+                "quantiles": {f"{q:g}": number(x) for q, x in zip(QUANTILES, s.quantiles, strict=True)},
+                "rank_correlations": {name: number(x) for name, x in s.sensitivities.items()},
+            }
+            for s in self.spreads
+        ]
+        return {
+            "cases": self.cases,
+            "finished": self.finished,
+            "failed": self.failed,
+            "varied": {name: [number(x) for x in each] for name, each in self.ranges.items()},
+            "measures": measures,
+            "failures": reasons(self.failures),
+            "warnings": reasons(self.warnings),
+        }
+
+
+def summarised(store: Store) -> Summary:
+    """The summary of all finished cases; columns are read a few at a time."""
+    plan = store.plan
+    texts = store.columns(["case", "failure", "warning"])
+    cases, failed = texts["case"].astype(int), texts["failure"] != ""
+    varied = store.columns(plan.varied)
+    ranges = {name: (x.min(), x.max()) if len(x) else (np.nan, np.nan) for name, x in varied.items()}
+    spreads = list(_spreads(store, plan, cases, varied))
+    reasons = [_reasons(cases, texts[name]) for name in ("failure", "warning")]
+    return Summary(plan.cases, len(cases), int(failed.sum()), ranges, spreads, *reasons)
+
+
+def _spreads(
+    store: Store, plan: Plan, cases: NDArray[np.int64], varied: Mapping[str, NDArray[np.float64]]
+) -> Iterator[Spread]:
+    ranks: dict[bytes, dict[str, NDArray[np.float64]]] = {}
+    """Ranks of varied numbers among the cases in which a measure is known; these are mostly the same ones."""
+    for begin in range(0, len(plan.measures), AT_ONCE):
+        for name, column in store.columns(plan.measures[begin : begin + AT_ONCE]).items():
+            known = np.isfinite(column)
+            if (key := np.packbits(known).tobytes()) not in ranks:
+                ranks.clear()
+                ranks[key] = {
+                    each: _ranked(x[known]) for each, x in varied.items() if np.ptp(x[known] if known.any() else [0])
+                }
+            yield _spread(name, plan.unit(name), column[known], cases[known], ranks[key])
+
+
+def _ranked(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ranks about their mean, of length 1."""
+    from scipy.stats import rankdata
+
+    ranks = rankdata(x)
+    ranks -= ranks.mean()
+    return ranks / (np.linalg.norm(ranks) or 1.0)
+
+
+def _spread(
+    name: str, unit: str, x: NDArray[np.float64], cases: NDArray[np.int64], varied: Mapping[str, NDArray[np.float64]]
+) -> Spread:
+    if not len(x):
+        nothing = (np.nan,) * len(QUANTILES)
+        return Spread(name, unit, 0, np.nan, np.nan, np.nan, -1, np.nan, -1, nothing, {})
+    low, high = int(x.argmin()), int(x.argmax())
+    quantiles = tuple(np.quantile(x, QUANTILES).tolist())
+    found = Spread(
+        *(name, unit, len(x), float(x.mean()), float(x.std()), float(x[low]), int(cases[low]), float(x[high])),
+        *(int(cases[high]), quantiles, {}),
+    )
+    if not found.moves:
+        return found
+    ranks = _ranked(x)
+    sensitivities = {each: float(ranks @ other) for each, other in varied.items()}
+    return Spread(
+        *(getattr(found, field) for field in Spread.__dataclass_fields__ if field != "sensitivities"), sensitivities
+    )
+
+
+def _reasons(cases: NDArray[np.int64], texts: NDArray[Any]) -> list[Failures]:
+    """Texts that are the same but for their numbers, the most frequent first."""
+    groups: dict[str, list[int]] = {}
+    for i in np.flatnonzero(texts != ""):
+        groups.setdefault(_NUMBERS.sub("#", texts[i]), []).append(int(i))
+    found = [Failures(str(texts[g[0]]), tuple(int(cases[i]) for i in g[:FEW]), len(g)) for g in groups.values()]
+    return sorted(found, key=lambda each: -each.count)

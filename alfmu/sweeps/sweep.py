@@ -1,0 +1,375 @@
+"""Plan a sweep, make it, and give its results: what `alfmu.sweep` and the command line call."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..equations import Equations, Variable
+from ..equations.interface import BALANCE, CHOICES
+from ..kernel import DEFAULT
+from ..kernel.tables import packed
+from ..model.checks import perhaps_degrees, perhaps_millimetres
+from ..model.errors import InputError
+from ..model.mechanism import Mechanism
+from ..model.words import there_is
+from ..result import Signal
+from ..runtime import Instance
+from ..runtime.prepare import again, with_defaults
+from ..runtime.reuse import derive, ready
+from ..simulation import communication_points, instance, signals_of
+from .crew import Crew, Processes, Stop, cluster, make, stopping
+from .jobs import Code, FmuJob, Job, SceneJob, machine
+from .measures import Measure, matching, measures
+from .parts import FORMS, OWN, Folder, Held, Plan, Store, kept, usual_form
+from .results import Sweep, show
+from .variations import Cases, planned, read_cases, table_of_cases
+
+if TYPE_CHECKING:
+    from ..fmi.recipe import Recipe
+
+__all__ = ["sweep"]
+
+_LOGGER = logging.getLogger("alfmu")
+
+QUICK = 1.0
+"""Time [s] for which this process makes runs before it starts others, which takes some of it."""
+
+_DOUBTS = {"rad": perhaps_degrees, "m": perhaps_millimetres}
+"""What asks whether a value is in another unit, by the unit that it should have."""
+
+RETRACED = ("solver.method", "solver.input_order")
+"""Variables that a scene is traced with."""
+
+COMPILES = 8.0
+"""Time [s] left to run from which on a scene is compiled first, which halves that and takes some seconds, once."""
+
+Vary = Mapping[str, str | Sequence[float]]
+
+
+def sweep(
+    mechanism: str | Path | Mechanism | Equations | Recipe,
+    vary: Vary | None = None,
+    samples: int | None = None,
+    *,
+    folder: str | Path | None = None,
+    keep: Sequence[str] | None = None,
+    keep_series: Sequence[str] = (),
+    sampler: str = "latin",
+    seed: int = 1,
+    cases: str | Path | Mapping[str, Sequence[float]] | None = None,
+    stop_time: float | None = None,
+    communication_step: float | None = None,
+    inputs: Mapping[str, Signal] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    freeze: Sequence[str] | None = None,
+    kernel: str | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    form: str | None = None,
+    progress: Callable[[Iterable[Any]], Iterable[Any]] = iter,
+) -> Sweep:
+    """Run a mechanism or an FMU many times with other parameters, start values or inputs, on all cores or a cluster.
+
+    `mechanism` is what `alfmu.simulate` takes. `vary` says by name what changes: "0:1:11" is a grid from 0 to 1 of 11
+    values ("0.1:10:5:log" by equal factors), "1,2,5" or a sequence of numbers a list, "uniform(0.9,1.1)" a distribution
+    (`alfmu.sweeps.variations.DISTRIBUTIONS`), of which `samples` are drawn together by a `sampler` ("latin", "sobol",
+    "random") with a `seed`. `cases` is a table, or a CSV file, of cases as they are. Every row of the table is run at
+    every point of the grids with every sample. An input that is varied is held over the run.
+
+    `keep` says what is kept of a run: "max(A.force.*)" (final, min, max, mean, peak, rms of outputs at communication
+    points), or "A.force.*" for the first four; without it, these of all outputs but multipliers and monitors.
+    `keep_series` names outputs that are kept at each communication point. `stop_time` [s], `communication_step` [s],
+    `inputs`, `parameters` and `freeze` are those of `simulate`.
+
+    With a `folder`, finished cases are written there in parts, by `form` "parquet" or "csv"; the same call goes on
+    where an earlier one was ended, and repeats nothing. Runs are made by `workers` processes (None: one for each core;
+    1: this process alone), or by the workers of the Dask cluster at the address `scheduler`. A case that fails is a row
+    with its reason.
+
+    Raises InputError where what is asked for cannot be run, and KeyboardInterrupt, with what is finished as `sweep`,
+    where the user ends it.
+    """
+    table = read_cases(cases) if isinstance(cases, str | Path) else table_of_cases(cases or {})
+    planned_cases = planned(vary or {}, samples, sampler, seed, table)
+    how = _How(keep, keep_series, stop_time, communication_step, inputs or {}, parameters or {}, planned_cases)
+    is_fmu = isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu")
+    if is_fmu and not (freeze is kernel is None):
+        raise InputError(f"{mechanism}: frozen parameters and the kernel of an FMU are fixed when it is exported")
+    job, units, others = _fmu(Path(str(mechanism)), how) if is_fmu else _scene(mechanism, how, freeze, kernel)
+    asked = {
+        "vary": {name: text if isinstance(text, str) else f"{len(text)} values" for name, text in (vary or {}).items()},
+        "samples": samples,
+        **({"sampler": sampler, "seed": seed} if samples else {}),
+        "set": dict(job.fixed),
+        "digest of the inputs": hashlib.sha256(repr(job.inputs).encode() + job.table.tobytes()).hexdigest(),
+        "digest of the cases": planned_cases.digest(),
+        "digest of what is run": job.identity,
+    }
+    names = tuple(map(str, job.measures))
+    plan = Plan(job.name, len(planned_cases), job.times, job.varied, names, job.series, units, asked)
+    if not (workers is None or workers >= 1):
+        raise InputError(f"{job.name}: {workers} workers; give 1 or more")
+    with ExitStack() as stack:
+        store: Store = Held(plan)
+        if folder is not None:
+            form = form or usual_form()
+            _check_form(form)
+            store = stack.enter_context(Folder.opened(plan, Path(folder), form))
+        stop = stack.enter_context(stopping())
+        stop.told = partial(
+            _LOGGER.warning, "%s: ending once the runs under way are kept; once more ends at once", job.name
+        )
+        done = show(progress, plan.cases)
+        done(store.finished)
+        _made(job, planned_cases, store, workers, scheduler, stop, done, others)
+        done(plan.cases)
+        if store.missing():
+            ended = KeyboardInterrupt(kept(store))
+            ended.sweep = Sweep(store)  # type: ignore[attr-defined]
+            raise ended
+    return Sweep(store)
+
+
+def _made(
+    job: Job,
+    cases: Cases,
+    store: Store,
+    workers: int | None,
+    scheduler: str | None,
+    stop: Stop,
+    done: Callable[[int], None],
+    others: _Others,
+) -> None:
+    """Make what is missing by whoever is to make it."""
+    count = workers or cores()
+    with ExitStack() as stack:
+        crew: Crew | None = None
+        if scheduler:  # first of all, as its address may be wrong
+            crew = cluster(scheduler)
+        elif count > 1 or isinstance(job, FmuJob):  # an FMU from elsewhere may end the process that runs it
+            crew = Processes(count)
+        if crew:
+            stack.callback(crew.close)
+        if isinstance(job, SceneJob) and store.missing():
+            # A few runs are made before a process is started, or a scene compiled.
+            pace = make(job, cases, store, None, stop, done, others.braking, QUICK)
+            left = store.plan.cases - store.finished
+            if others.compiled is not None and pace * left / (crew.workers() if crew else 1) > COMPILES:
+                job = others.compiled()
+        if store.missing() and not stop():
+            make(job, cases, store, crew, stop, done, others.braking)
+
+
+def cores() -> int:
+    """Processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check_form(form: str) -> None:
+    if form not in FORMS:
+        raise InputError(f"there is no format {form!r} of parts; use {' or '.join(FORMS)}")
+    if form == "parquet" and usual_form() != "parquet":
+        raise InputError("Parquet takes pyarrow; install it with: pip install 'alfmu[sweep]', or use the format csv")
+
+
+@dataclass(frozen=True)
+class _Others:
+    """Other forms of a job: with the scene where redundant constraints brake; compiled, where that is not decided."""
+
+    braking: Callable[[], Job]
+    compiled: Callable[[], Job] | None = None
+
+
+@dataclass(frozen=True)
+class _How:
+    """What is asked of all runs."""
+
+    keep: Sequence[str] | None
+    series: Sequence[str]
+    stop_time: float | None
+    step: float | None
+    inputs: Mapping[str, Signal]
+    parameters: Mapping[str, float | str]
+    cases: Cases
+
+    def check(self, name: str, known: Mapping[str, Variable], fixed: Mapping[str, Any]) -> None:
+        """InputError where something is varied that no run can be given."""
+        for each in self.cases.names:
+            if each in CHOICES or each in RETRACED:
+                raise InputError(
+                    f"{name}: {each} cannot be varied, as a scene is traced with it; make a sweep for each"
+                )
+            if each not in known:
+                raise InputError(f"{name} has no input or parameter {each!r} to vary; {there_is(each, known)}")
+            if each in OWN:
+                raise InputError(f"{name}: {each!r} is the name of a column of every sweep; rename the parameter")
+            if each in self.inputs or each in fixed:
+                raise InputError(f"{name}: {each} is varied and given otherwise as well; leave one out")
+        place = 0
+        for table in self.cases.tables:
+            for column in table.T:
+                v = known[self.cases.names[place]]
+                wrong = {"Integer": column != np.round(column), "Boolean": (column != 0) & (column != 1)}
+                if (found := wrong.get(v.type)) is not None and found.any():
+                    what = "a whole number" if v.type == "Integer" else "0 or 1"
+                    raise InputError(
+                        f"{name}: {v.name} = {column[found][0]:g} is among what it is varied by; it is {what}"
+                    )
+                if v.unit in _DOUBTS:
+                    _DOUBTS[v.unit](f"{name}: {v.name}", float(column[np.abs(column).argmax()]))
+                place += 1
+
+    def over_time(self, name: str, times: Any, known: Iterable[Variable]) -> tuple[tuple[str, ...], Any]:
+        """Inputs that are given over time, and their values (points, inputs) at communication points."""
+        switches = {v.name for v in known if v.type == "Boolean"}
+        signals = signals_of(name, self.inputs)
+        table = np.array([[float(signal(t)) for signal in signals.values()] for t in times], float)
+        table = table.reshape(len(times), len(signals))
+        for i, each in enumerate(signals):
+            if each in switches:  # a table between 0 and 1 switches half-way
+                table[:, i] = table[:, i] >= 0.5
+        if not np.isfinite(table).all():
+            raise InputError(f"{name}: an input is not finite at a communication point")
+        return tuple(signals), table
+
+    def read(self, name: str, outputs: Sequence[str]) -> tuple[list[Measure], list[str], tuple[str, ...]]:
+        """What is kept, what is kept over time, and the outputs that both take."""
+        found, series = measures(name, self.keep, outputs), matching(name, self.series, outputs)
+        return found, series, tuple(dict.fromkeys([*(m.output for m in found), *series]))
+
+
+def _scene(
+    mechanism: Any, how: _How, freeze: Sequence[str] | None, kernel: str | None
+) -> tuple[SceneJob, dict[str, str], _Others]:
+    """The job of a mechanism, units of its variables by name, and other forms of the job."""
+    given, outputs = dict(how.parameters), None
+    if isinstance(mechanism, Equations):
+        e = mechanism
+    else:
+        from ..fmi.recipe import of
+
+        recipe = of(mechanism)
+        if recipe.start != "declared":
+            raise InputError(
+                f"{recipe}: a sweep begins at start values, and a position of rest changes with what is varied; take a "
+                "recipe that starts as declared"
+            )
+        e = derive(recipe.declared())
+        given, outputs = {**recipe.parameters, **given}, recipe.outputs
+        freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
+    if kernel == "oracle":
+        raise InputError(f"{e.name}: a sweep is run by alfmu's runtime, not by the oracle; leave --kernel out")
+    if twice := set(how.cases.names) & set(given):
+        raise InputError(f"{e.name}: {min(twice)} is varied and set as well; leave one out")
+    if frozen := set(how.cases.names) & set(freeze or ()) - {"all"}:
+        raise InputError(f"{e.name}: {min(frozen)} is varied and frozen as well; leave one out")
+    whole = _instance_of(e, given, outputs, freeze)
+    _, _, wanted = how.read(e.name, [v.name for v in whole])
+    balance = [v.name for v in whole if v.name in BALANCE]
+    own = kernel or DEFAULT
+    scene, left = ready(e, given, [*wanted, *balance], freeze, own)
+    unit = instance(scene, own)
+    for name, value in left.items():
+        unit.set(name, value)
+    known = {v.name: v for v in (*unit.parameters, *unit.input_variables)}
+    how.check(e.name, known, {})
+    stop, step = (b if a is None else a for a, b in ((how.stop_time, e.stop_time), (how.step, e.interval)))
+    times = communication_points(e.name, stop, step, len(wanted))
+    kept_, series, wanted = how.read(e.name, [v.name for v in unit.outputs])
+    inputs, table = how.over_time(e.name, times, unit.input_variables)
+    for name, value in zip(inputs, table[0], strict=True):
+        unit.set(name, value)  # which tells of unknown names and bad values
+    fixed = [
+        (v.name, float(unit.get(v.name))) for v in (*unit.parameters, *unit.input_variables) if v.name not in inputs
+    ]
+    chosen: list[tuple[str, float | str]] = [*fixed, *unit.choices.items()]
+    chosen = [(name, value) for name, value in chosen if name not in how.cases.names]
+    file, code = _packed(unit)
+    settings = unit._given
+    job = SceneJob(
+        name=e.name,
+        identity=hashlib.sha256(file).hexdigest(),
+        times=times,
+        fixed=tuple(chosen),
+        inputs=inputs,
+        table=table,
+        varied=how.cases.names,
+        outputs=wanted,
+        measures=tuple(kept_),
+        series=tuple(series),
+        scene=file,
+        code=code,
+        penalty=tuple(np.broadcast_to(settings.penalty, scene.l).tolist()) if np.ndim(settings.penalty) else None,
+        stabilisation=(settings.zeta, settings.omega, -1 if settings.projection is None else int(settings.projection)),
+    )
+
+    def braking() -> SceneJob:
+        other = instance(again(replace(unit.equations, brakes=True)), own)
+        return replace(job, braking=_packed(other))
+
+    def compiled() -> SceneJob:
+        return replace(job, code=_packed(instance(unit.equations, "auto"))[1])
+
+    others = _Others(braking, compiled if kernel is None else None)
+    return job, {v.name: v.unit for v in (*known.values(), *unit.outputs)}, others
+
+
+def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, freeze: Any) -> Sequence[Variable]:
+    """The outputs that a run would have."""
+    from ..equations.interface import variables_of
+    from ..equations.specialisation import specialised
+
+    own = dict(given)
+    return variables_of(specialised(with_defaults(e, own), outputs, freeze)).outputs
+
+
+def _packed(unit: Instance) -> tuple[bytes, Code | None]:
+    """The scene of an instance as a file, and its compiled functions where there are any."""
+    library = unit.equations.library
+    return packed(unit.equations), Code(machine(), Path(library).read_bytes()) if library else None
+
+
+def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], _Others]:
+    """The job of an FMU, and units of its variables by name."""
+    from ..fmi.drive import Fmu
+
+    with Fmu(path) as fmu:
+        archive = path.read_bytes()
+        settable = {v.name: v for v in (*fmu.settable(), *fmu.input_variables)}
+        how.check(fmu.name, settable, how.parameters)
+        for name, value in how.parameters.items():
+            fmu.set(name, value)
+        stop, step = (b if a is None else a for a, b in ((how.stop_time, fmu.stop_time), (how.step, fmu.interval)))
+        outputs = [v.name for v in fmu.outputs]
+        found, series, wanted = how.read(fmu.name, outputs)
+        times = communication_points(fmu.name, stop, step, len(outputs))
+        inputs, table = how.over_time(fmu.name, times, fmu.input_variables)
+        for name in inputs:
+            if name not in {v.name for v in fmu.input_variables}:
+                known = there_is(name, [v.name for v in fmu.input_variables])
+                raise InputError(f"{fmu.name} has no input {name!r}; {known}")
+        job = FmuJob(
+            name=fmu.name,
+            identity=hashlib.sha256(archive).hexdigest(),
+            times=times,
+            fixed=tuple(how.parameters.items()),
+            inputs=inputs,
+            table=table,
+            varied=how.cases.names,
+            outputs=wanted,
+            measures=tuple(found),
+            series=tuple(series),
+            archive=archive,
+        )
+        units = {v.name: v.unit for v in (*settable.values(), *fmu.outputs)}
+    return job, units, _Others(lambda: job)

@@ -1,0 +1,89 @@
+"""A study of coupling as a picture: error over step by master, and the energy that coupling makes over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.errors import InputError
+from ..view.plot import COLORS
+from .case import Case
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["figure"]
+
+_LOOKS = {"held": (COLORS[3], "o"), "extrapolated": (COLORS[1], "s"), "iterated": (COLORS[0], "^")}
+"""Colour and marker of each master."""
+
+
+def figure(
+    name: str, cases: Sequence[Case], orders: Mapping[str, float], stable: Mapping[str, tuple[float, bool]]
+) -> Figure:
+    """The matplotlib figure of the runs of a study of a system: `orders` by master, the largest `stable` steps [s].
+
+    Raises InputError where matplotlib is missing.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError("a plot needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
+    drawn = Figure(figsize=(9.6, 4.2), layout="constrained")
+    title = f"{name.replace('_', ' ')}: what coupling costs"
+    drawn.suptitle(title, x=0.01, ha="left", fontsize=11, fontweight="bold")
+    error, energy = drawn.subplots(1, 2)
+    masters = list(orders)
+    for master in masters:
+        color, marker = _LOOKS[master]
+        used = [case for case in cases if case.master == master and np.isfinite(case.error) and case.error > 0]
+        order = orders[master]
+        label = master if np.isnan(order) else f"{master}, order {order:.2f}"
+        error.loglog([c.step for c in used], [c.error for c in used], marker=marker, color=color, label=label, ms=5)
+        limit, ended = stable.get(master, (0.0, False))
+        if limit and ended:
+            error.axvline(limit, color=color, linewidth=1.0, linestyle=":")
+            label = f"{master} fails\nbeyond {limit:.2g} s"
+            error.annotate(
+                label,
+                (limit, 0.02 + 0.12 * masters.index(master)),
+                xycoords=("data", "axes fraction"),
+                xytext=(-4, 0),
+                textcoords="offset points",
+                fontsize=7,
+                color=color,
+                ha="right",
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+            )
+    error.set_xlabel("communication step [s]", fontsize=9)
+    error.set_ylabel("largest error over the largest value", fontsize=9)
+    shown = _shown(cases, masters)
+    for case in shown:
+        energy.plot(case.time, case.made, color=_LOOKS[case.master][0], label=case.master, linewidth=1.5)
+    if shown:
+        energy.set_title(f"communication step {shown[0].step:g} s", fontsize=9, loc="right")
+        reach = sorted(float(np.abs(case.made).max(initial=0.0)) for case in shown)
+        if reach[-1] > 20 * reach[0] > 0:
+            energy.set_yscale("symlog", linthresh=max(reach[0], reach[-1] * 1e-8) / 5)
+    else:
+        energy.text(0.5, 0.5, "no power bond is known", ha="center", transform=energy.transAxes, fontsize=9)
+    energy.set_xlabel("time [s]", fontsize=9)
+    energy.set_ylabel("energy that coupling has made [J]", fontsize=9)
+    for axes in (error, energy):
+        axes.grid(color="#e3e8ee", linewidth=0.8)
+        axes.set_axisbelow(True)
+        axes.tick_params(labelsize=8)
+        axes.spines[["top", "right"]].set_visible(False)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(frameon=False, fontsize=8, loc="best")
+    return drawn
+
+
+def _shown(cases: Sequence[Case], masters: list[str]) -> list[Case]:
+    """One run of each master, all of the longest step at which all of them are stable."""
+    fit = [case for case in cases if np.isfinite(case.error) and not np.isnan(case.energy)]
+    good = [{case.step: case for case in fit if case.master == master} for master in masters]
+    common = set.intersection(*(set(each) for each in good)) if good else set()
+    return [each[max(common)] for each in good] if common else []

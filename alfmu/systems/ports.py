@@ -1,0 +1,70 @@
+"""What can be connected of a component: its variables with their units, and how one unit becomes another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ..model.errors import InputError
+from ..model.units import UNITS
+
+__all__ = ["Measure", "Port", "conversion", "measure"]
+
+BASES = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
+"""Base units of FMI and SSP, in their order."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A unit: `factor` times a value in it, plus `offset`, is one in base units with these exponents."""
+
+    name: str = field(compare=False)
+    exponents: tuple[tuple[str, int], ...]
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @classmethod
+    def of(cls, name: str, exponents: Mapping[str, int], factor: float = 1.0, offset: float = 0.0) -> Measure:
+        return cls(name, tuple((base, int(exponents[base])) for base in BASES if exponents.get(base)), factor, offset)
+
+
+@dataclass(frozen=True)
+class Port:
+    """A variable of a component."""
+
+    name: str
+    kind: str
+    """parameter, input or output."""
+    type: str
+    """Real, Integer, Boolean, Enumeration or String."""
+    unit: str | None
+    """None where it is not known."""
+    measure: Measure | None = None
+    """None where the unit is not known, or not what it stands for."""
+    description: str = ""
+    follows: frozenset[str] = frozenset()
+    """Of an output, the inputs that it follows without delay."""
+
+
+def measure(name: str | None) -> Measure | None:
+    """A unit by a name that alfmu knows, those for display included."""
+    if name in UNITS:
+        return Measure.of(name, UNITS[name].exponents)
+    for known in UNITS.values():
+        if name in known.display:
+            return Measure.of(name, known.exponents, 1 / known.display[name])
+    return None
+
+
+def conversion(source: Measure, target: Measure) -> tuple[float, float]:
+    """Factor and offset from a value in one unit to one in another; InputError where they measure different things."""
+    if source.exponents != target.exponents:
+        raise InputError(f"{source.name} and {target.name} do not measure the same")
+    factor, offset = source.factor / target.factor, (source.offset - target.offset) / target.factor
+    if not (math.isfinite(factor) and math.isfinite(offset) and factor):
+        raise InputError(f"{source.name} cannot be converted to {target.name}")
+    nearest = round(1 / factor) if abs(factor) < 1 and math.isfinite(1 / factor) else 0
+    if nearest and math.isclose(factor, 1 / nearest, rel_tol=1e-15):
+        factor = 1 / nearest
+    return factor, offset

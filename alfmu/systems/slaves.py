@@ -1,0 +1,235 @@
+"""The components of a system, opened: a mechanism in this process or an FMU, behind the same calls."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..equations import Equations
+from ..fmi.drive import Fmu, kind_of
+from ..fmi.export import packed_scene
+from ..model.errors import AlfmuError, InputError
+from ..model.words import there_is
+from ..parts.blocks import BLOCKS
+from ..runtime import Instance
+from .ports import Measure, Port, measure
+
+if TYPE_CHECKING:
+    from ..fmi.recipe import Recipe
+    from .description import Component
+
+__all__ = ["Local", "Remote", "Slave", "opened", "recipe_of"]
+
+
+class Slave(ABC):
+    """A component that can be stepped, rewound, and read."""
+
+    name: str
+    ports: dict[str, Port]
+    interpolates: bool
+    """Whether its inputs may change linearly within a step."""
+
+    @property
+    def inputs(self) -> list[Port]:
+        return [p for p in self.ports.values() if p.kind == "input"]
+
+    @property
+    def outputs(self) -> list[Port]:
+        """The outputs that `read` gives, in its order."""
+        return [p for p in self.ports.values() if p.kind == "output"]
+
+    @abstractmethod
+    def begin(self, inputs: Mapping[str, float], start_time: float) -> None:
+        """Start anew with these inputs."""
+
+    @abstractmethod
+    def set(self, name: str, value: float) -> None:
+        """Set an input."""
+
+    @abstractmethod
+    def slope(self, name: str, rate: float) -> None:
+        """How an input changes in the next step, per second."""
+
+    @abstractmethod
+    def step(self, communication_step: float, time: float) -> None: ...
+
+    @abstractmethod
+    def read(self) -> NDArray[np.float64]: ...
+
+    @abstractmethod
+    def get(self, name: str) -> float:
+        """The value of an input."""
+
+    @abstractmethod
+    def save(self) -> bytes: ...
+
+    @abstractmethod
+    def restore(self, state: bytes) -> None: ...
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free what it holds."""
+
+
+class Local(Slave):
+    """A mechanism in this process: the runtime and the scene that its FMU would carry."""
+
+    def __init__(self, name: str, equations: Equations):
+        self.name, self._equations = name, equations
+        self._instance = i = Instance(equations)
+        self.interpolates = True
+        real = frozenset(v.name for v in i.input_variables if v.type == "Real")
+        self.ports = {}
+        for kind, variables in (("parameter", i.parameters), ("input", i.input_variables), ("output", i.outputs)):
+            for v in variables:
+                follows = real if kind == "output" and v.instant else frozenset()
+                unit = v.unit if v.type == "Real" else None
+                self.ports[v.name] = Port(v.name, kind, v.type, unit, measure(unit), v.description, follows)
+
+    def begin(self, inputs: Mapping[str, float], start_time: float) -> None:
+        self._instance = Instance(self._equations)
+        self._instance.time = start_time
+        self._instance.initialize_with(inputs)
+
+    def set(self, name: str, value: float) -> None:
+        self._instance.set(name, value)
+
+    def slope(self, name: str, rate: float) -> None:
+        self._instance.slope(name, rate)
+
+    def step(self, communication_step: float, time: float) -> None:
+        self._instance.step(communication_step, time)
+
+    def read(self) -> NDArray[np.float64]:
+        return self._instance.read()
+
+    def get(self, name: str) -> float:
+        return float(self._instance.get(name))
+
+    def save(self) -> bytes:
+        return self._instance.save()
+
+    def restore(self, state: bytes) -> None:
+        self._instance.restore(state)
+
+    def close(self) -> None:
+        """Nothing: an instance frees itself."""
+
+
+class Remote(Slave):
+    """An FMU."""
+
+    def __init__(self, name: str, path: Path, parameters: Mapping[str, float | str], stated: Mapping[str, str]):
+        self.name, self._parameters = name, dict(parameters)
+        self._fmu = fmu = Fmu(path)
+        self.interpolates = fmu.interpolates
+        units: dict[str, Measure] = {}
+        for each in fmu.description.unitDefinitions:
+            if (base := each.baseUnit) is not None and each.name:
+                exponents = {n: getattr(base, n) for n in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
+                units[each.name] = Measure.of(each.name, exponents, base.factor, base.offset)
+        written = {v.name: v for v in fmu.description.modelVariables}
+        self.kinds = {name: kind_of(v.type) for name, v in written.items()}
+        """Types of all variables, those that cannot be connected included."""
+        self.ports = {}
+        found = [("parameter", p) for p in fmu.parameters]
+        found += [("input", v.name) for v in fmu.input_variables] + [("output", v.name) for v in fmu.outputs]
+        for kind, each in found:
+            v = written[each]
+            own = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
+            follows = fmu.followed(each) if kind == "output" else frozenset()
+            unit = units.get(own) or measure(own)
+            self.ports[each] = Port(each, kind, self.kinds[each], own, unit, v.description or "", follows)
+        try:
+            for key, unit_name in stated.items():
+                self._check_unit(key, unit_name)
+            for key, value in self._parameters.items():  # before anything runs, so that a bad one is told at once
+                fmu.set(key, value)
+        except AlfmuError:
+            fmu.close()
+            raise
+
+    def _check_unit(self, name: str, stated: str) -> None:
+        """InputError where a variable is not in the unit that a description elsewhere gives it."""
+        port = self.ports.get(name)
+        if (
+            port is not None
+            and port.unit not in (None, stated)
+            and (port.measure is None or measure(stated) != port.measure)
+        ):
+            raise InputError(f"{name} is in {port.unit} and described in {stated}; describe it in {port.unit}")
+
+    def begin(self, inputs: Mapping[str, float], start_time: float) -> None:
+        if self._fmu.begun:
+            self._fmu.reset()
+        for name, value in {**self._parameters, **inputs}.items():
+            self._fmu.set(name, value)
+        self._fmu.initialize(start_time)
+
+    def set(self, name: str, value: float) -> None:
+        self._fmu.set(name, value)
+
+    def slope(self, name: str, rate: float) -> None:
+        self._fmu.slope(name, rate)
+
+    def step(self, communication_step: float, time: float) -> None:
+        self._fmu.step(communication_step, time)
+
+    def read(self) -> NDArray[np.float64]:
+        return self._fmu.read()
+
+    def get(self, name: str) -> float:
+        return float(self._fmu.read_inputs()[[v.name for v in self._fmu.input_variables].index(name)])
+
+    def save(self) -> bytes:
+        return self._fmu.save()
+
+    def restore(self, state: bytes) -> None:
+        self._fmu.restore(state)
+
+    def close(self) -> None:
+        self._fmu.close()
+
+
+def recipe_of(component: Component) -> Recipe:
+    """The recipe of a component that is a mechanism or a part."""
+    from ..fmi.recipe import Recipe, of
+
+    c = component
+    if c.kind == "part":
+        if c.what not in BLOCKS:
+            raise InputError(f"the component {c.name} is the part {c.what!r}; {there_is(c.what, BLOCKS)}")
+        make = partial(BLOCKS[str(c.what)], **c.options)
+        try:
+            recipe = Recipe(make())
+        except TypeError as error:
+            raise InputError(f"the component {c.name}, a {c.what}: {error}") from None
+        return recipe.changed(parameters=c.parameters, outputs=c.outputs)
+    return of(c.what).changed(options=c.options, parameters=c.parameters, outputs=c.outputs)
+
+
+def opened(component: Component, folder: Path, parameters: Mapping[str, float | str]) -> Slave:
+    """A component, with parameters beside its own; FMUs of an archive are in this folder.
+
+    Raises AlfmuError with the component's name.
+    """
+    given = {**component.parameters, **parameters}
+    try:
+        if component.kind == "fmu":
+            return Remote(component.name, folder / str(component.what), given, component.units)
+        recipe = recipe_of(component).changed(parameters=parameters)
+        scene = (recipe.parameters, recipe.outputs, recipe.freeze, recipe.kernel, recipe.start)
+        return Local(component.name, packed_scene(recipe.declared(), *scene)[1])
+    except AlfmuError as error:
+        raise type(error)(f"the component {component.name}: {error}") from None
+
+
+def outputs_of(slaves: Sequence[Slave]) -> NDArray[np.float64]:
+    """The outputs of all, one after the other."""
+    return np.concatenate([each.read() for each in slaves])

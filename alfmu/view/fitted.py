@@ -1,0 +1,56 @@
+"""The picture of a fit: measured points with the run through them, and what is left, by column."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..model.errors import InputError
+from ..result import Result
+from .plot import COLORS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["figure"]
+
+MOST = 4
+"""Columns that are shown, at most: the first ones."""
+
+
+def figure(data: Result, result: Result, names: Sequence[str]) -> Figure:
+    """Two panels for each of some columns: both over time [s], and the difference below.
+
+    Raises InputError where matplotlib is missing.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise InputError("a plot needs matplotlib; install it with: pip install 'alfmu[plot]'") from None
+    shown = list(names)[:MOST]
+    drawn = Figure(figsize=(7.2, 0.7 + 2.6 * len(shown)), layout="constrained")
+    drawn.suptitle(f"{result.mechanism.replace('_', ' ')}: fit", x=0.01, ha="left", fontsize=11, fontweight="bold")
+    grid = drawn.subplots(2 * len(shown), 1, sharex=True, squeeze=False, height_ratios=[3, 1] * len(shown))[:, 0]
+    for name, over, under, color in zip(shown, grid[::2], grid[1::2], COLORS, strict=False):
+        unit = result.units[name]
+        over.plot(data.time, data[name], ".", color="#9aa3ad", markersize=3.5, label="measured")
+        over.plot(result.time, result[name], color=color, linewidth=1.4, label="fitted run")
+        over.set_ylabel(f"{name}\n[{unit}]", fontsize=9)
+        over.legend(fontsize=8, frameon=False, loc="best")
+        left = data[name] - result[name]
+        under.axhline(0.0, color=color, linewidth=0.8)
+        under.plot(data.time, left, ".", color="#9aa3ad", markersize=3)
+        reach = 1.15 * float(np.nanmax(np.abs(left))) or 1.0
+        under.set_ylim(-reach, reach)
+        under.set_ylabel(f"left\n[{unit}]", fontsize=9)
+        for axes in (over, under):
+            axes.tick_params(labelsize=8)
+            axes.grid(alpha=0.25, linewidth=0.6)
+            axes.spines[["top", "right"]].set_visible(False)
+    grid[-1].set_xlabel("time [s]", fontsize=9)
+    drawn.align_ylabels()
+    if len(names) > len(shown):
+        drawn.supxlabel(f"and {len(names) - len(shown)} more", x=0.01, ha="left", fontsize=7, color="#66727f")
+    return drawn

@@ -1,0 +1,107 @@
+"""Parameters and start values fitted to measurements: from noisy data, in the library and on the command line."""
+
+import logging
+
+import numpy as np
+import pytest
+
+import alfmu
+from alfmu.cli import main
+
+TRUE = {"m2": 0.7, "l": 1.1, "start.angle": 0.35}
+NOISE = {"link1.angle": 0.01, "link2.x": 0.02}
+NAMES = (*NOISE, "A.torque")
+
+
+def measured(seed: int = 1, noise: float = 1.0) -> alfmu.Result:
+    """A five-bar swung by a torque, two of its outputs with noise."""
+    run = alfmu.simulate("five_bar", 2.0, 0.02, parameters=TRUE, inputs={"A.torque": lambda t: 2 * np.sin(3 * t)})
+    chance = np.random.default_rng(seed)
+    values = np.column_stack([run[name] for name in NAMES])
+    for k, size in enumerate(NOISE.values()):
+        values[:, k] += noise * size * chance.standard_normal(len(values))
+    return alfmu.Result("measured", run.time, NAMES, {name: run.units[name] for name in NAMES}, values)
+
+
+@pytest.fixture(scope="module")
+def fits() -> list[alfmu.Fit]:
+    return [
+        alfmu.fit("five_bar", measured(seed), {"m2": 1, "l": 1, "start.angle": 0.2}, deviations=NOISE)
+        for seed in range(20)
+    ]
+
+
+def test_parameters_are_recovered_within_their_deviations(fits):
+    """Over twenty sets of noise, errors have the size that each fit says, and no side on which they fall."""
+    for name, true in TRUE.items():
+        off = np.array([(found[name] - true) / found.errors[name] for found in fits])
+        assert np.abs(off).max() < 4
+        assert 0.6 < np.sqrt(np.mean(off**2)) < 1.5
+        assert abs(off.mean()) < 0.8
+    for found in fits:
+        assert found.runs < 20
+        for name, size in NOISE.items():
+            assert found.noise[name] == pytest.approx(size, rel=0.3)
+            np.testing.assert_allclose(found.residuals[name].std(), found.noise[name], rtol=0.1)
+    assert np.abs(fits[0].correlation).max() == pytest.approx(1.0)
+
+
+def test_without_noise_the_numbers_are_exact_and_missing_values_count_for_nothing():
+    data = measured(noise=0.0)
+    values = data.values.copy()
+    values[10:30, 0] = np.nan
+    torn = alfmu.Result(data.mechanism, data.time, data.names, data.units, values)
+    found = alfmu.fit("five_bar", torn, {"m2": 1.0, "l": 1.0, "start.angle": 0.2})
+    for name, true in TRUE.items():
+        assert found[name] == pytest.approx(true, rel=1e-9)
+    assert np.isnan(found.residuals["link1.angle"]).sum() == 20
+
+
+def test_bounds_hold(tmp_path):
+    found = alfmu.fit("five_bar", measured(), ["m2", "l"], bounds={"m2": (0.9, 2.0)}, parameters={"start.angle": 0.35})
+    assert found["m2"] == pytest.approx(0.9, abs=1e-6)
+    drawn = found.plot()
+    drawn.savefig(tmp_path / "fit.png")
+    assert len(drawn.axes) == 4
+    assert "fitted run" in [each.get_text() for each in drawn.axes[0].get_legend().get_texts()]
+
+
+def test_what_the_data_do_not_tell_is_said(caplog):
+    """Links 1 and 3 turn alike: their masses act by their sum."""
+    with caplog.at_level(logging.WARNING, "alfmu"):
+        found = alfmu.fit(
+            "five_bar", measured(), ["m1", "m3", "l"], parameters={**TRUE, "m2": 0.7}, columns=["link1.angle"]
+        )
+    assert "do not tell m1, m3" in caplog.text
+    assert np.isinf([found.errors["m1"], found.errors["m3"]]).all()
+    assert found.errors["l"] < 0.01
+    assert "not told by the data" in str(found)
+
+
+def test_the_command_line_fits(tmp_path, capsys):
+    measured().to_csv(tmp_path / "data.csv")
+    table, picture = str(tmp_path / "run.csv"), str(tmp_path / "fit.png")
+    words = ["fit", "five_bar", str(tmp_path / "data.csv"), "--vary", "m2,l,start.angle", "--bounds", "m2=0.1:3"]
+    assert main([*words, "--deviation", "link1.angle=0.01", "-o", table, "--plot", picture]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("m2           0.")
+    assert "+/-" in said
+    assert (tmp_path / "fit.png").read_bytes().startswith(b"\x89PNG")
+    assert alfmu.Result.from_csv(table).names == tuple(NOISE)
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (["--vary", "m22"], "no parameter, start value or input 'm22'"),
+        (["--vary", "m2", "--columns", "link9"], "no column 'link9'"),
+        (["--vary", "m2", "--bounds", "m2=2:3"], "m2 begins at 1, outside its bounds"),
+        (["--vary", "m2", "--bounds", "l=2:3"], "bounds are given for 'l', which is not varied"),
+        (["--vary", "A.torque"], "A.torque is an input"),
+        (["--vary", "m2", "--deviation", "link1.angle=0"], "must be a finite number above zero"),
+    ],
+)
+def test_wrong_words_are_refused(tmp_path, capsys, words, why):
+    measured().to_csv(tmp_path / "data.csv")
+    assert main(["fit", "five_bar", str(tmp_path / "data.csv"), *words]) == 1
+    assert why in capsys.readouterr().err

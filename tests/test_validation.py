@@ -1,0 +1,529 @@
+"""Validation: FMUs that are right pass, and each defect of one that is wrong on purpose is found by its check."""
+
+import hashlib
+import html
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import pytest
+
+import alfmu
+from alfmu.cli import main
+from alfmu.fmi.checks.pages import FORMS, save
+from alfmu.fmi.checks.registry import FAILED, NOT_APPLICABLE, PASSED, UNJUDGED
+from alfmu.fmi.checks.validation import Report, examine, known_checks
+from alfmu.fmi.records import FOLDER
+from alfmu.runtime import build
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="the FMUs of these tests are built for Unix")
+
+SOURCE = Path(__file__).with_name("defective_fmu.c")
+
+_VARIABLES = {
+    "2": """
+<ScalarVariable name="m" valueReference="0" causality="parameter" variability="fixed" initial="exact">
+ <Real start="2" min="0.1" max="10" declaredType="Mass"/></ScalarVariable>
+<ScalarVariable name="k" valueReference="1" causality="parameter" variability="fixed" initial="exact">
+ <Real start="3" unit="N/m"/></ScalarVariable>
+<ScalarVariable name="mode" valueReference="2" causality="parameter" variability="fixed" initial="exact">
+ <Enumeration declaredType="Mode" start="1"/></ScalarVariable>
+<ScalarVariable name="u" valueReference="3" causality="input" variability="continuous">
+ <Real start="0" min="-100" max="100"/></ScalarVariable>
+<ScalarVariable name="x" valueReference="4" causality="output" variability="continuous" initial="calculated">
+ <Real/></ScalarVariable>
+<ScalarVariable name="v" valueReference="5" causality="output" variability="continuous" initial="calculated">
+ <Real/></ScalarVariable>
+<ScalarVariable name="a" valueReference="6" causality="output" variability="continuous" initial="calculated">
+ <Real/></ScalarVariable>
+<ScalarVariable name="count" valueReference="7" causality="output" variability="discrete" initial="calculated">
+ <Integer min="0"/></ScalarVariable>""",
+    "3": """
+<Float64 name="m" valueReference="0" causality="parameter" variability="fixed" start="2" min="0.1" max="10" unit="kg"/>
+<Float64 name="k" valueReference="1" causality="parameter" variability="fixed" start="3" unit="N/m"/>
+<Enumeration name="mode" valueReference="2" causality="parameter" variability="fixed" start="1" declaredType="Mode"/>
+<Float64 name="u" valueReference="3" causality="input" start="0" min="-100" max="100"/>
+<Float64 name="x" valueReference="4" causality="output"/>
+<Float64 name="v" valueReference="5" causality="output"/>
+<Float64 name="a" valueReference="6" causality="output"/>
+<Int32 name="count" valueReference="7" causality="output" variability="discrete" min="0"/>
+<Float64 name="time" valueReference="8" causality="independent"/>""",
+}
+
+_KNOWN = {"x": ([], []), "v": ([], []), "a": ([3], [0, 1, 3]), "count": ([], [])}
+"""References of what each output depends on, while it runs and at the start."""
+
+
+def description(version: str) -> str:
+    two = version == "2"
+    head = 'guid="{1}"' if two else 'instantiationToken="{1}"'
+    state, many = ("FMUstate", "") if two else ("FMUState", "s")
+    more = "" if two else ' providesAdjointDerivatives="true"'
+    items = '<Item name="one" value="1"/><Item name="two" value="2"/>'
+    mass = '<SimpleType name="Mass"><Real unit="kg"/></SimpleType>'
+    types = f'<SimpleType name="Mode"><Enumeration>{items}</Enumeration></SimpleType>{mass}' if two else ""
+    types = types or f'<EnumerationType name="Mode">{items}</EnumerationType>'
+    places = {"x": 4, "v": 5, "a": 6, "count": 7}
+
+    def listed(tag: str, which: int) -> str:
+        rows = []
+        for name, place in places.items():
+            on = " ".join(str(each + two) for each in _KNOWN[name][which])
+            at = f'index="{place + 1}"' if two else f'valueReference="{place}"'
+            rows.append(f'<{"Unknown" if two else tag} {at} dependencies="{on}"/>')
+        return "\n".join(rows)
+
+    structure = (
+        f"<Outputs>{listed('', 0)}</Outputs><InitialUnknowns>{listed('', 1)}</InitialUnknowns>"
+        if two
+        else listed("Output", 0) + listed("InitialUnknown", 1)
+    )
+    return f"""<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="{version}.0" modelName="spring" {head} generationTool="by hand">
+<CoSimulation modelIdentifier="spring" canHandleVariableCommunicationStepSize="true" maxOutputDerivativeOrder="1"
+ canGetAndSet{state}="true" canSerialize{state}="true" providesDirectionalDerivative{many}="true"{more}/>
+<UnitDefinitions><Unit name="kg"><BaseUnit kg="1"/></Unit>
+ <Unit name="N/m"><BaseUnit kg="1" s="-2"/></Unit></UnitDefinitions>
+<TypeDefinitions>{types}</TypeDefinitions>
+<LogCategories><Category name="problems"/></LogCategories>
+<DefaultExperiment startTime="0" stopTime="1" stepSize="0.1"/>
+<ModelVariables>{_VARIABLES[version]}</ModelVariables>
+<ModelStructure>{structure}</ModelStructure>
+</fmiModelDescription>"""
+
+
+@pytest.fixture(scope="module")
+def springs(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """`springs("2")`: the FMU of that version, right but for what the environment says; compiled on first use."""
+    compiler = build.compiler()
+    if not compiler:
+        pytest.skip("there is no C compiler")
+    folder, made = tmp_path_factory.mktemp("springs"), {}
+
+    def get(version: str, *flags: str) -> Path:
+        key = "_".join([version, *flags])
+        if key not in made:
+            library = folder / f"spring{key}{fmpy.sharedLibraryExtension}"
+            command = [*compiler, "-shared", "-fPIC", "-fvisibility=hidden", "-w", f"-DFMI={version}", *flags]
+            subprocess.run([*command, str(SOURCE), "-lm", "-o", str(library)], check=True, timeout=60)
+            platform = fmpy.platform if version == "2" else fmpy.platform_tuple
+            path = folder / f"spring{key}.fmu"
+            with zipfile.ZipFile(path, "w") as archive:
+                archive.writestr("modelDescription.xml", description(version))
+                archive.write(library, f"binaries/{platform}/spring{fmpy.sharedLibraryExtension}")
+                archive.writestr("resources/nothing.txt", "")
+            made[key] = path
+        return made[key]
+
+    return get
+
+
+def results(report: Report) -> dict[str, str]:
+    return {f.id: f.result for f in report.findings}
+
+
+both = pytest.mark.parametrize("version", ["2", "3"])
+
+
+# FMUs that are right --------------------------------------------------------------------------------------------------
+
+
+@both
+def test_an_fmu_that_is_right_passes_every_check(springs, version):
+    """All apply but those of the other version and of records, which it has none of."""
+    report = examine(springs(version))
+    assert report.problems == []
+    found = results(report)
+    assert set(found) == set(known_checks())
+    apart = {id for id, result in found.items() if result != PASSED}
+    expected = {"file.records"} | ({"reference.type", "derivatives.adjoint"} if version == "2" else set())
+    assert apart == expected
+    assert all(found[id] == NOT_APPLICABLE for id in apart)
+
+
+def native(name: str, folder: Path, fmi: int) -> Path:
+    return alfmu.export(name, folder / f"{name}{fmi}.fmu", kind="native", fmi=fmi)
+
+
+@pytest.mark.parametrize(("kind", "version"), [("native", "2"), ("native", "3"), ("python", "2")])
+def test_fmus_of_alfmu_pass(exported, tmp_path, kind, version):
+    path = exported("slider_crank") if kind == "python" else native("slider_crank", tmp_path, int(version))
+    report = examine(path)
+    assert report.problems == []
+    counts = report.counts()
+    assert counts[PASSED] >= (29 if kind == "python" else 35)
+    assert {f.id for f in report.findings if f.result == UNJUDGED} <= (
+        {"order.calls", "logging.categories"} if kind == "python" else set()
+    )
+    assert {"record.defaults", "record.moving_inputs"} <= {f.id for f in report.findings if f.result == PASSED}
+
+
+# FMUs that are wrong --------------------------------------------------------------------------------------------------
+
+DEFECTS = [
+    ("version", "api.version", "23", "it says '1.0'"),
+    ("stillborn", "run.default", "2", "cannot be instantiated"),
+    ("no_start", "run.default", "3", "fmi3ExitInitializationMode ended with Error: it will not start"),
+    ("nan", "run.default", "2", "x is not finite"),
+    ("any_reference", "reference.get", "23", "which no variable has, gives"),
+    ("crash_reference", "reference.get", "23", "ended its process in fmi"),
+    ("any_set", "reference.set", "23", "which no variable has, ends with OK"),
+    ("any_type", "reference.type", "3", "of m, a Float64, ends with OK"),
+    ("set_output", "set.output", "23", "whose causality is output, is set with OK"),
+    ("set_fixed", "set.parameter", "23", "m, which is fixed, is set with OK"),
+    ("any_order", "order.calls", "3", "it takes a step before initialisation"),
+    ("category", "logging.categories", "23", "the declared category 'problems' is refused with Error"),
+    ("any_category", "logging.categories", "3", "a category that is not declared is taken"),
+    ("mute", "logging.errors", "23", "ends with Error and logs nothing"),
+    ("shared", "instance.two", "2", "beside a second instance, "),
+    ("leak", "instance.repeated", "3", "memory grows by 6"),
+    ("forget", "instance.end", "2", "outputs change at Terminate"),
+    ("random", "run.repeated", "2", "in a second instance, x is"),
+    ("part_state", "state.restored", "23", "restored once, "),
+    ("no_state", "state.restored", "2", "fmi2GetFMUstate ended with Error: there are no states"),
+    ("bytes", "state.bytes", "23", "read from bytes by the same instance, "),
+    ("half_reset", "run.reset", "2", "after Reset, "),
+    ("zero", "step.zero", "23", "after a step of no length"),
+    ("negative", "step.negative", "23", "a step of -0.1 s ends with OK"),
+    ("elsewhere", "step.time", "2", "outputs are not finite afterwards"),
+    ("steps", "step.sizes", "3", "0.05 is the limit"),
+    ("derivative", "derivatives.directional", "23", "the derivative of a by u is 1, and 0.5 by differences"),
+    ("adjoint", "derivatives.adjoint", "3", "the adjoint derivative by u is"),
+    ("slope", "derivatives.output", "23", "the rate of v is"),
+    ("orders", "derivatives.output", "2", "order 2 is answered, and 1 is the highest declared"),
+    ("no_state", "flags.capabilities", "3", "canGetAndSetFMUState is true, and the call ends with Error"),
+    ("start", "values.start", "23", "m is 2.5 before initialisation ends, and its start value is 2.0"),
+    ("bounds", "values.bounds", "2", "m = -0.9, outside its bounds, is taken, and x is not finite"),
+    ("nonfinite", "values.nonfinite", "3", "u = nan is taken, and x is not finite"),
+    ("item", "values.types", "23", "mode takes 3, which is no item"),
+    ("count", "values.types", "2", "count is -1, outside its bounds"),
+    ("undeclared", "dependencies.outputs", "23", "v follows u at once"),
+    ("start_dependency", "dependencies.start", "3", "x follows k at the start"),
+    ("exit", "run.default", "2", "ended its process in fmi2DoStep(from 0 s, by 0.1 s) (exit code 0)"),
+    ("abort", "run.default", "3", "ended its process in fmi3DoStep(from 0.2 s, by 0.1 s) (SIGABRT)"),
+]
+
+
+@pytest.mark.parametrize(
+    ("defect", "id", "version", "words"),
+    [(defect, id, version, words) for defect, id, versions, words in DEFECTS for version in versions],
+)
+def test_a_defect_is_found_by_its_check(springs, monkeypatch, defect, id, version, words):
+    monkeypatch.setenv("DEFECT", defect)
+    report = examine(springs(version), checks=[id])
+    (finding,) = [f for f in report.findings if f.id == id]
+    assert finding.result == FAILED
+    assert words in finding.detail
+    assert finding.section.startswith(f"FMI {version}.0")
+
+
+def test_every_check_that_runs_an_fmu_is_seen_to_fail():
+    seen = {id for _, id, _, _ in DEFECTS}
+    assert {id for id in known_checks() if not id.startswith("file.")} == seen
+
+
+def test_checks_after_one_that_ended_the_process_go_on(springs, monkeypatch):
+    """All in one process, as where there is no fork: it is started again behind the check that ended it."""
+    monkeypatch.setenv("DEFECT", "crash_reference")
+    for together in (False, True):
+        found = results(examine(springs("3"), together=together))
+        failed = {id for id, result in found.items() if result == FAILED}
+        # All of them ask for a value that there is not.
+        assert failed == {"reference.get", "reference.type", "logging.errors"}
+        assert found["values.types"] == PASSED
+
+
+def test_a_step_that_does_not_end_is_ended(springs, monkeypatch):
+    monkeypatch.setenv("DEFECT", "hang")
+    report = examine(springs("2"), checks=["run.default", "step.zero"], timeout=1.0)
+    default, zero = report.findings
+    assert default.detail == "it did not return within 1 s in fmi2DoStep(from 0 s, by 0.1 s)"
+    assert (zero.result, zero.detail) == (UNJUDGED, "run.default failed")
+
+
+def test_fmi_2_names_no_status_for_calls_in_the_wrong_order(springs, monkeypatch):
+    monkeypatch.setenv("DEFECT", "any_order")
+    (finding,) = [f for f in examine(springs("2"), checks=["order.calls"]).findings if f.id == "order.calls"]
+    assert finding.result == UNJUDGED
+    assert "a step after Terminate" in finding.detail
+
+
+@both
+def test_a_library_that_lacks_a_function_is_told(springs, version):
+    report = examine(springs(version, "-DMISSING"), checks=["run.default"])
+    (finding,) = report.findings
+    assert finding.result == FAILED
+    assert "the library lacks a function of FMI" in finding.detail
+
+
+# Files ----------------------------------------------------------------------------------------------------------------
+
+
+def changed(path: Path, target: Path, change: Callable[[str, bytes], bytes | None]) -> Path:
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(target, "w") as new:
+        for info in old.infolist():
+            if (data := change(info.filename, old.read(info))) is not None:
+                new.writestr(info, data)
+    return target
+
+
+def test_static_checks_run_nothing(springs, tmp_path, monkeypatch):
+    monkeypatch.setenv("DEFECT", "crash_reference")
+    report = examine(springs("2"), static=True)
+    assert set(results(report)) == {"file.description", "file.values", "file.library", "file.records"}
+    monkeypatch.setattr(subprocess, "Popen", None)
+    assert alfmu.validate(springs("2"), static=True) == []
+    broken = changed(springs("2"), tmp_path / "b.fmu", lambda name, data: data.replace(b' unit="N/m"', b' unit="lb"'))
+    (problem,) = alfmu.validate(broken, static=True)
+    assert problem.startswith("file.description: ")
+    assert 'The unit "lb" of variable "k"' in problem
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (b'<Real start="2" min="0.1"', b'<Real start="0.01" min="0.1"', "m starts with 0.01, outside its bounds"),
+        (b'<Real unit="kg"/>', b'<Real unit="slug"/>', "m has the unit slug by its type, and it is not defined"),
+        (b'min="-100" max="100"', b'min="100" max="-100"', "min of u is 100 and max -100"),
+        (b'declaredType="Mode" start="1"', b'declaredType="Mode" start="9"', "mode starts with 9, which is no item"),
+    ],
+)
+def test_values_that_do_not_fit_together_are_told(springs, tmp_path, old, new, words):
+    path = changed(springs("2"), tmp_path / "c.fmu", lambda name, data: data.replace(old, new))
+    assert any(words in each for each in alfmu.validate(path, static=True))
+
+
+def test_a_library_for_another_machine_is_not_run(springs, tmp_path):
+    path = tmp_path / "other.fmu"
+    with zipfile.ZipFile(springs("2")) as old, zipfile.ZipFile(path, "w") as new:
+        for info in old.infolist():
+            new.writestr(info.filename.replace(fmpy.platform, "amiga68k"), old.read(info))
+    report = examine(path)
+    found = {f.id: f for f in report.findings}
+    assert found["file.library"].result == UNJUDGED
+    assert "it has those of amiga68k" in found["file.library"].detail
+    assert found["run.default"].detail == "the FMU cannot run here; see file.library"
+    assert report.problems == []
+
+
+# Records --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return native("slider_crank", tmp_path_factory.mktemp("recorded"), 2)
+
+
+def summed(path: Path, target: Path, changes: dict[str, Callable[[bytes], bytes]]) -> Path:
+    """The FMU with changed records, whose check sums are right."""
+    with zipfile.ZipFile(path) as archive:
+        files = {info.filename: archive.read(info) for info in archive.infolist()}
+    manifest = files[f"{FOLDER}/fmi-ls-manifest.xml"]
+    for name, change in changes.items():
+        before = files[f"{FOLDER}/{name}"]
+        files[f"{FOLDER}/{name}"] = after = change(before)
+        sums = (hashlib.sha3_256(each).hexdigest().encode() for each in (before, after))
+        manifest = manifest.replace(*sums)
+    files[f"{FOLDER}/fmi-ls-manifest.xml"] = manifest
+    with zipfile.ZipFile(target, "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return target
+
+
+def test_inputs_of_the_recorded_run_move_and_matter(recorded, tmp_path):
+    with zipfile.ZipFile(recorded) as archive:
+        archive.extractall(tmp_path / "u")
+    folder = tmp_path / "u" / FOLDER
+    inputs = alfmu.Result.from_csv(folder / "slider_crank_validation_in.csv")
+    still, moved = (
+        alfmu.Result.from_csv(folder / f"slider_crank_{name}_ref.csv") for name in ("smoke_test", "validation")
+    )
+    assert all(inputs[name].std() > 0 for name in inputs.names)
+    assert len(inputs.names) == 2
+    apart = max(abs(moved[name] - still[name]).max() / (1 + abs(still[name]).max()) for name in still.names)
+    assert 0.01 < apart < 0.3
+
+    def frozen(data: bytes) -> bytes:
+        head, *rows = data.decode().splitlines()
+        return "\n".join([head, *(row.split(",")[0] + ",0" * 2 for row in rows)]).encode()
+
+    path = summed(recorded, tmp_path / "frozen.fmu", {"slider_crank_validation_in.csv": frozen})
+    (problem,) = alfmu.validate(path, checks=["record.*"])
+    assert problem.startswith("record.moving_inputs: ")
+    path = summed(
+        recorded, tmp_path / "light.fmu", {"slider_crank_validation.ssv": lambda d: d.replace(b"1.1", b"1.2")}
+    )
+    (problem,) = alfmu.validate(path, checks=["record.*"])
+    assert problem.startswith("record.moving_inputs: ")
+
+
+def test_reference_results_that_differ_are_told_with_their_size(recorded, tmp_path):
+    def one(data: bytes) -> bytes:
+        head, *rows = data.decode().splitlines()
+        at, last = head.split(",").index("crank.angle"), rows[-1].split(",")
+        last[at] = str(float(last[at]) + 1e-4)
+        return "\n".join([head, *rows[:-1], ",".join(last)]).encode()
+
+    path = summed(recorded, tmp_path / "other.fmu", {"slider_crank_smoke_test_ref.csv": one})
+    (problem,) = alfmu.validate(path, checks=["record.*"])
+    assert problem.startswith("record.defaults: crank.angle is ")
+    assert "1e-06 is asked" in problem
+    assert alfmu.validate(path, checks=["record.*"], tolerance=1e-3) == []
+
+
+def test_a_record_that_was_changed_is_told_by_its_check_sum(recorded, tmp_path):
+    path = changed(recorded, tmp_path / "c.fmu", lambda n, d: d + b"\n" if n.endswith("_in.csv") else d)
+    (problem,) = alfmu.validate(path, static=True)
+    assert problem == (
+        "file.records: slider_crank_validation_in.csv was changed since the manifest was written (check sum)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        ("slider_crank_validation.exp", lambda d: b"<Experiments", "slider_crank_validation.exp cannot be read"),
+        ("slider_crank_validation.exp", lambda d: d.replace(b'stopTime="', b'stopTime="-'), "has stopTime -"),
+        (
+            "slider_crank_validation.exp",
+            lambda d: d.replace(b'stopTime="', b'stopTime="1e17" x="'),
+            "communication points",
+        ),
+        ("slider_crank_validation.exp", lambda d: d.replace(b'stepSize="', b'stepSize="x'), "no stepSize that is a"),
+        (
+            "slider_crank_validation.exp",
+            lambda d: d.replace(b'source="slider_crank_validation.ssv"', b'source="../../../../etc/passwd"'),
+            "is no file inside the FMU, and is not read",
+        ),
+        (
+            "slider_crank_validation.exp",
+            lambda d: d.replace(b"TransientSimulation", b"SteadyState"),
+            "is a SteadyState; TransientSimulation alone is run",
+        ),
+        ("slider_crank_validation.ssv", lambda d: d.replace(b"Real", b"Binary"), "holds Binary"),
+        ("slider_crank_validation_ref.csv", lambda d: b'time,"x', "a quotation mark"),
+    ],
+)
+def test_damaged_records_are_a_problem_and_the_others_run(recorded, tmp_path, file, change, words):
+    report = examine(summed(recorded, tmp_path / "bad.fmu", {file: change}), checks=["file.records", "record.*"])
+    (problem,) = report.problems
+    assert words in problem
+    assert str(tmp_path) not in problem
+    assert results(report)["record.defaults"] == PASSED
+
+
+def test_experiments_of_the_form_before_are_read(recorded, tmp_path):
+    """Times were attributes of the experiment itself."""
+
+    def older(data: bytes) -> bytes:
+        text = data.decode()
+        start = text.index("<TransientSimulation ")
+        end = text.index("/>", start)
+        times = text[start + len("<TransientSimulation ") : end]
+        return (text[:start] + text[end + 2 :]).replace("<Experiment ", f"<Experiment {times} ").encode()
+
+    path = summed(recorded, tmp_path / "older.fmu", {"slider_crank_validation.exp": older})
+    report = examine(path, checks=["record.*"])
+    assert results(report)["record.moving_inputs"] == PASSED
+
+
+# An FMU of another tool -----------------------------------------------------------------------------------------------
+
+_TANK = """
+from pythonfmu import Fmi2Causality, Fmi2Slave, Real
+
+
+class Tank(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.inflow, self.level = 0.1, 1.0
+        self.register_variable(Real("inflow", causality=Fmi2Causality.input, start=0.1))
+        self.register_variable(Real("level", causality=Fmi2Causality.output))
+
+    def do_step(self, current_time, step_size):
+        self.level += step_size * self.inflow
+        return True
+"""
+
+
+def test_a_plain_slave_of_pythonfmu_is_judged_though_its_description_is_not_valid(tmp_path):
+    (tmp_path / "tank.py").write_text(_TANK)
+    command = [sys.executable, "-m", "pythonfmu", "build", "-f", "tank.py"]
+    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    found = {f.id: f for f in examine(tmp_path / "Tank.fmu").findings}
+    assert found["file.description"].result == FAILED
+    assert found["run.default"].result == PASSED
+    assert found["state.restored"].result == NOT_APPLICABLE
+    # Its slave does not look at what it is given, and pythonfmu neither.
+    assert found["step.negative"].result == FAILED
+    assert found["values.nonfinite"].detail.startswith("inflow = nan is taken, and level is not finite afterwards")
+
+
+# The command ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_command_says_what_failed_and_ends_with_1(springs, monkeypatch, capsys, tmp_path):
+    path = str(springs("2"))
+    assert main(["validate", path, "--checks", "step.*"]) == 0
+    assert capsys.readouterr().out.endswith("0 problems found (5 checks: 5 passed)\n")
+    monkeypatch.setenv("DEFECT", "negative")
+    out = str(tmp_path / "report.html")
+    assert main(["validate", path, "--checks", "step.*", "--every", "-o", out]) == 1
+    said = capsys.readouterr().out
+    assert "failed" in said
+    assert "step.negative  a step of -0.1 s ends with OK" in said
+    assert f"wrote {out}" in said
+    assert main(["validate", path, "--checks", "step.*", "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert found["counts"] == {PASSED: 4, FAILED: 1, NOT_APPLICABLE: 0, UNJUDGED: 0}
+    one = next(f for f in found["findings"] if f["id"] == "step.negative")
+    assert set(one) == {"id", "title", "section", "demand", "result", "detail"}
+    assert one["section"] == "FMI 2.0.5, 4.2.2 Computation"
+
+
+def test_mistakes_of_the_command_are_told(springs, capsys, tmp_path):
+    path = str(springs("2"))
+    for arguments, words in (
+        ([path, "--checks", "stat.restored"], "there is no check 'stat.restored'"),
+        ([path, "-o", "report.pdf"], "report.pdf has to end in .html, .md, .svg, .json"),
+        ([path, "--tolerance", "-1"], "timeout and tolerance are above zero"),
+        ([str(tmp_path / "none.fmu")], "none.fmu"),
+        ([], "validate takes an .fmu file"),
+    ):
+        assert main(["validate", *arguments]) == 1
+        assert words in capsys.readouterr().err
+    assert main(["validate", "--list"]) == 0
+    said = capsys.readouterr().out
+    assert all(f"{id}: " in said for id in known_checks())
+
+
+def test_reports_hold_every_check_and_no_markup_of_an_fmu(springs, tmp_path, chromium):
+    """Names come from the FMU: they are text in every form."""
+    evil = "<script>document.title = 'run'</script> | x"
+    path = changed(
+        springs("2"),
+        tmp_path / "evil.fmu",
+        lambda name, data: data.replace(b'modelName="spring"', f'modelName="{html.escape(evil)}"'.encode()),
+    )
+    report = examine(path)
+    assert report.name == evil
+    for form, write in FORMS.items():
+        text = write(report)
+        assert all(f.id in text for f in report.findings), form
+        assert form == ".json" or "<script>" not in text
+        save(report, tmp_path / f"report{form}")
+    for form in (".html", ".svg"):
+        chromium.get((tmp_path / f"report{form}").as_uri())
+        assert chromium.title != "run"
+        assert not chromium.get_log("browser")
+    chromium.get((tmp_path / "report.html").as_uri())
+    rows = chromium.find_elements("css selector", "tbody tr")
+    assert len(rows) == len(report.findings)
+    # A narrow window scrolls the table, not the page.
+    assert chromium.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
