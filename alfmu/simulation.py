@@ -380,10 +380,14 @@ def signals_of(mechanism: object, inputs: Mapping[str, Signal] | None) -> dict[s
         elif isinstance(signal, tuple):
             found[name] = _of_table(mechanism, name, signal)
         elif isinstance(signal, float | int | np.number):
-            found[name] = lambda t, value=signal: value
+            found[name] = _constant(float(signal))
         else:
             raise InputError(f"{_no_signal(mechanism, name)} is {shown(signal)}; {_SIGNALS}")
     return found
+
+
+def _constant(value: float) -> Callable[[float], float]:
+    return lambda t: value
 
 
 _SIGNALS = "give a number, a function of time, or a pair (times, values)"
