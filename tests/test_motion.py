@@ -11,6 +11,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
 from numpy.polynomial import chebyshev
 from oracles import ode
 from scenes import made
@@ -630,7 +631,7 @@ def two_motors() -> alfmu.Mechanism:
 @pytest.mark.parametrize(("kind", "version"), [("python", 2), ("native", 2), ("native", 3)])
 def test_through_fmpy_as_in_the_library(tmp_path, kind, version):
     path = alfmu.export(two_motors(), tmp_path / "arm.fmu", kind=kind, fmi=version)
-    assert fmpy.validation.validate_fmu(str(path)) == []
+    assert validate_fmu(str(path)) == []
     laws = {
         "B.angle": lambda t: 0.3 + wave(t),
         "B.angle_rate": WAVE["A.angle_rate"],
