@@ -19,6 +19,7 @@ from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
 from .model.settings import Settings
+from .model.words import shown
 from .result import Result, Signal, read_inputs
 from .runtime import Instance
 from .runtime.prepare import prepared, with_defaults
@@ -33,12 +34,14 @@ __all__ = [
     "Prepared",
     "Result",
     "Unit",
+    "by_name",
     "communication_points",
     "instance",
     "prepare",
     "prepared",
     "read_inputs",
     "run",
+    "signals_of",
     "simulate",
     "table_of",
     "values_of",
@@ -111,7 +114,7 @@ def simulate(
     Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
     that has begun, the exception's `result` has the rows up to then.
     """
-    given: dict[str, float | str] = dict(parameters or {})
+    given: dict[str, float | str] = by_name(mechanism, "parameters", parameters)
     if isinstance(mechanism, str | Path) and str(mechanism).lower().endswith((".ssp", ".toml")):
         if not (outputs is freeze is kernel is start is None):
             raise InputError(
@@ -229,7 +232,7 @@ def run(
     variables = [*unit.outputs, *unit.input_variables]
     times = communication_points(unit.name, stop_time, communication_step, 1 + len(variables))
     names, units = [v.name for v in variables], {v.name: v.unit for v in variables}
-    signals, at = inputs or {}, values_of(unit, inputs or {})
+    signals, at = by_name(unit, "inputs", inputs), values_of(unit, inputs)
     if isinstance(unit, Instance) and getattr(unit, "run", None) and not held_rows:
         values, ended = _in_one_call(unit, times, list(signals), at, names, progress)
     else:
@@ -244,9 +247,9 @@ def run(
     return result
 
 
-def values_of(unit: Unit, inputs: Mapping[str, Signal]) -> Callable[[str, float], float]:
+def values_of(unit: Unit, inputs: Mapping[str, Signal] | None) -> Callable[[str, float], float]:
     """The value of an input at a time [s]."""
-    signals = {name: signal_of(signal) for name, signal in inputs.items()}
+    signals = signals_of(unit.name, inputs)
     switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
 
     def at(name: str, t: float) -> float:
@@ -345,10 +348,9 @@ def _step_by_step(
 
 def communication_points(name: str, stop_time: float, step: float, columns: int = 1) -> NDArray[np.float64]:
     """0, step, 2 step, ... and stop_time itself; InputError where a result of so many columns would be too large."""
-    if not (math.isfinite(step) and step > 0):
-        raise InputError(f"{name}: the step is {step} s; it must be a finite number above zero")
-    if not (math.isfinite(stop_time) and stop_time > 0):
-        raise InputError(f"{name}: the stop time is {stop_time} s; it must be a finite number above zero")
+    for what, given in (("step", step), ("stop time", stop_time)):
+        if not (isinstance(given, float | int | np.number) and math.isfinite(given) and given > 0):
+            raise InputError(f"{name}: the {what} is {given!r} s; it must be a finite number above zero")
     if (points := stop_time / step) * columns > MOST:
         raise InputError(
             f"{name}: {points:.2g} communication points of {step:g} s up to {stop_time:g} s, with {columns} numbers at "
@@ -361,10 +363,51 @@ def communication_points(name: str, stop_time: float, step: float, columns: int 
     return times
 
 
-def signal_of(signal: Signal) -> Callable[[float], float]:
-    if callable(signal):
-        return signal
-    if isinstance(signal, tuple):
-        times, values = signal
-        return lambda t: float(np.interp(t, times, values))
-    return lambda t: signal
+def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Values by the names of what they are for; InputError where they are given in another way."""
+    if given is not None and not isinstance(given, Mapping):
+        name = getattr(mechanism, "name", mechanism)
+        raise InputError(f"{name}: the {what} are {shown(given)}; give a dictionary of values by their names")
+    return dict(given or {})
+
+
+def signals_of(mechanism: object, inputs: Mapping[str, Signal] | None) -> dict[str, Callable[[float], float]]:
+    """Inputs as functions of time [s], by name; InputError where one is no signal."""
+    found: dict[str, Callable[[float], float]] = {}
+    for name, signal in by_name(mechanism, "inputs", inputs).items():
+        if callable(signal):
+            found[name] = signal
+        elif isinstance(signal, tuple):
+            found[name] = _of_table(mechanism, name, signal)
+        elif isinstance(signal, float | int | np.number):
+            found[name] = _constant(float(signal))
+        else:
+            raise InputError(f"{_no_signal(mechanism, name)} is {shown(signal)}; {_SIGNALS}")
+    return found
+
+
+def _constant(value: float) -> Callable[[float], float]:
+    return lambda t: value
+
+
+_SIGNALS = "give a number, a function of time, or a pair (times, values)"
+
+
+def _no_signal(mechanism: object, name: str) -> str:
+    return f"{getattr(mechanism, 'name', mechanism)}: the signal of {name}"
+
+
+def _of_table(mechanism: object, name: str, table: tuple[Any, ...]) -> Callable[[float], float]:
+    """Straight lines through the points of a table, which go on as they began and ended."""
+    try:
+        times, values = (np.array(each, float) for each in table)
+    except (TypeError, ValueError):
+        raise InputError(f"{_no_signal(mechanism, name)} is {shown(table)}; {_SIGNALS}") from None
+    if times.ndim != 1 or times.shape != values.shape or not times.size:
+        raise InputError(
+            f"{_no_signal(mechanism, name)} has times of shape {times.shape} and values of shape {values.shape}; give "
+            "one value for each time"
+        )
+    if not (np.diff(times) >= 0).all():
+        raise InputError(f"{_no_signal(mechanism, name)} has times that do not rise; give them in order")
+    return lambda t: float(np.interp(t, times, values))

@@ -621,6 +621,23 @@ def test_what_cannot_be_judged_is_said():
         (lambda: alfmu.simulate("five_bar", start=alfmu.equilibrium(pendulum())[0]), "other coordinates"),
         (lambda: alfmu.equilibrium(pendulum(), parameters={"A.torque": 9.0}).nearest, "no position of rest was found"),
         (lambda: alfmu.Recipe("five_bar", start="rest"), "it must be declared or equilibrium"),
+        (lambda: alfmu.equilibrium("five_bar", parameters=["m1"]), "five_bar: the parameters are ['m1']; give a dict"),
+        (lambda: alfmu.equilibrium(pendulum(), starts=1.5), "pendulum: starts is 1.5"),
+        (lambda: alfmu.linearize("slider_crank", None), "at is None; it must be start, equilibrium, or times"),
+        (lambda: alfmu.linearize("slider_crank", inputs=["A.torque"]), "the inputs are ['A.torque']; give a dict"),
+        (lambda: alfmu.linearize("slider_crank", inputs={"A.torque": "1"}), "the signal of A.torque is '1'; give a"),
+        (lambda: alfmu.linearize("slider_crank", outputs=5), "the outputs are 5; give names or patterns in a list"),
+        (lambda: alfmu.mobility("slider_crank", stop_time="long"), "the stop time is 'long' s; it must be a finite"),
+        (lambda: alfmu.mobility("slider_crank", parameters=[1]), "the parameters are [1]; give a dictionary"),
+        (lambda: alfmu.simulate("slider_crank", 1.0, "fine"), "the step is 'fine' s; it must be a finite number"),
+        (
+            lambda: alfmu.simulate("slider_crank", 1.0, 0.1, inputs={"A.torque": ([0.0, 1.0], [0.0])}),
+            "the signal of A.torque has times of shape (2,) and values of shape (1,); give one value for each time",
+        ),
+        (
+            lambda: alfmu.simulate("slider_crank", 1.0, 0.1, inputs={"A.torque": ([1.0, 0.0], [0.0, 1.0])}),
+            "the signal of A.torque has times that do not rise; give them in order",
+        ),
     ],
 )
 def test_a_mistake_is_answered_by_what_was_given_and_what_is_possible(call, says):

@@ -87,17 +87,33 @@ def test_a_bumper_between_two_points_is_felt_by_the_bearing():
     assert [y["A.force.x"], y["A.force.y"]] == pytest.approx(list(bearing), rel=1e-11)
 
 
+def test_a_guide_rubs_by_the_blow_of_a_stop():
+    """A stop beside the guide, at half the distance of its edges, makes both carry as much as it pushes."""
+    m = alfmu.Mechanism("hit")
+    block = m.body("block", mass=1.0)
+    place = m.coordinate("x", "m", rate=-2.0, independent=True)
+    guide = m.prismatic("guide", m.ground.at(0, 0), block.at(0, 0), coordinate=place)
+    m.friction(guide, coulomb=0.2, length=0.2)
+    m.gravity(0, -G)
+    beside = m.ground.at(-1.0, 0.1), block.at(0, 0.1)
+    m.end_stop("stop", beside, lower=0.7, stiffness=1e6, restitution=0.6)
+    run = alfmu.simulate(m, 0.2, 0.0005)
+    hit = run["stop.force"] > G
+    assert run["stop.force"].max() > 1000.0
+    assert run["guide.friction_force"][hit] == pytest.approx(-0.2 * run["stop.force"][hit] * run["guide.slip"][hit])
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
         ({}, "end stop floor has no limit"),
-        ({"upper": -1.0, "lower": 0.0}, "upper limit -1 and the lower limit 0"),
+        ({"upper": -1.0, "lower": 0.0}, "upper limit -1 and the lower limit 0; the upper one must be above"),
         ({"lower": 0.0, "dissipation": 0.1, "restitution": 0.5}, "has a dissipation and a restitution"),
-        ({"lower": 0.0, "restitution": 1.5}, "restitution of end stop floor is 1.5 1; it must be from 0 to 1"),
+        ({"lower": 0.0, "restitution": 1.5}, "restitution of end stop floor is 1.5; it must be from 0 to 1"),
         ({"lower": 0.0, "onset": 0.0}, "the onset of end stop floor is 0 m; it must be above zero"),
-        ({"lower": 0.0, "stiffness": -1.0}, "the stiffness of end stop floor is -1 N/m"),
-        ({"lower": 0.0, "of": 3.0}, "depends on no coordinate"),
-        ({"lower": 0.0, "of": "fal"}, "give a number or an expression"),
+        ({"lower": 0.0, "stiffness": -1.0}, "the stiffness of end stop floor is -1 N/m; it must not be negative"),
+        ({"lower": 0.0, "of": 3.0}, "takes a joint, two markers or an expression in coordinates, not 3.0"),
+        ({"lower": 0.0, "of": "fall"}, "takes a joint, two markers or an expression in coordinates, not 'fall'"),
     ],
 )
 def test_a_stop_that_cannot_be_is_refused(given: dict, said: str):

@@ -1,6 +1,7 @@
 """Dry friction that follows from the load: closed forms, a reference from event to event, jams, shares, FMUs."""
 
 import math
+import re
 
 import casadi as ca
 import fmpy
@@ -642,6 +643,27 @@ def test_a_lock_lets_friction_hold_after_it(incline):
     assert i.get("block.position") == pytest.approx(place, abs=1e-15)
 
 
+def test_an_impact_says_that_dry_friction_takes_no_part_in_it(caplog):
+    """A lock stops a bar on a block that slides on a guide that rubs."""
+    m = block()
+    th = m.coordinate("th", "rad", start=-1.0, rate=3.0, independent=True)
+    bar = m.bar("bar", mass=1.0, length=0.7)
+    m.lock(m.revolute("knee", m.bodies[0].at(), bar.start, coordinate=th))
+    i = alfmu.Instance(m)
+    i.set("start.speed", 1.0)
+    i.initialize()
+    i.step(0.05)
+    assert not caplog.records
+    i.set("knee.locked", True)
+    i.step(0.01)
+    assert i.get("monitor.energy_lost") > 0.1
+    (record,) = caplog.records
+    said = (
+        rf"an impact took {i.get('monitor.energy_lost'):.3g} J, and dry friction took no part in it: .* such as guide"
+    )
+    assert re.search(said, record.getMessage())
+
+
 # What is refused ----------------------------------------------------------------------------------------------------
 
 
@@ -663,6 +685,10 @@ def _declared(line: str) -> None:
         ("m.friction(guide, coulomb=0.2, radius=0.1)", "a prismatic joint has no radius"),
         ("m.friction(guide, radius=0.1)", "no coefficient; give coulomb"),
         ("m.friction(guide, coulomb=-0.1)", "coulomb of friction of guide is -0.1; it must not be negative"),
+        ("m.friction(guide, coulomb='rough')", "coulomb of friction of guide is 'rough'; give a number"),
+        ("m.friction(guide, coulomb=m.parameter('mu', 0.1) - 0.3)", "is -0.2; it must not be negative"),
+        ("m.friction(guide, -2.0)", "the viscous coefficient of friction of guide is -2 N.s/m; it must not be"),
+        ("m.friction(guide, coulomb=0.1, static=-0.2)", "static of friction of guide is -0.2; it must not be"),
         ("m.friction(guide, coulomb=0.3, static=0.2)", "static = 0.2 below coulomb = 0.3"),
         ("m.friction(guide, coulomb=0.3, stribeck=0.2)", "give static"),
         ("m.friction(guide, coulomb=0.3, static=0.4, stribeck=0.0)", "is 0 m/s; it must be above zero"),
@@ -673,6 +699,16 @@ def _declared(line: str) -> None:
 def test_a_declaration_that_makes_no_sense_is_refused(line, said):
     with pytest.raises(DeclarationError, match=said):
         _declared(line)
+
+
+def test_a_coefficient_that_is_a_parameter_is_not_negative_later_either():
+    m = alfmu.Mechanism("m")
+    block = m.body("block", mass=1.0)
+    guide = m.prismatic("guide", m.ground.at(), block.at(), coordinate=m.coordinate("x", "m", independent=True))
+    m.friction(guide, coulomb=m.parameter("mu", 0.3))
+    m.gravity(0, -9.81)
+    with pytest.raises(InputError, match=r"m: mu = -0.1 1 is outside"):
+        alfmu.simulate(m, 0.1, 0.1, parameters={"mu": -0.1})
 
 
 def test_methods_without_dry_friction_are_refused_by_name(incline):

@@ -106,7 +106,7 @@ def test_a_place_is_an_expression_in_coordinates():
     [
         ("hing", "arm has no joint or spring hing to measure; did you mean hinge"),
         ("glue", "glue is a weld, which has no single free motion"),
-        (3, "arm has no joint or spring 3"),
+        (3, "takes joints, springs or their names, not 3"),
     ],
 )
 def test_what_cannot_be_measured_is_refused(asked: object, said: str):
@@ -118,6 +118,8 @@ def test_what_belongs_to_no_mechanism_is_refused():
     one, other = arm("coordinates"), arm("coordinates")
     with pytest.raises(alfmu.DeclarationError, match="spring of another mechanism"):
         one.measure(other.springs[0])
+    with pytest.raises(alfmu.DeclarationError, match="slide is a joint of another mechanism; arm has slide, hinge"):
+        one.measure(other.joints[0])
     with pytest.raises(alfmu.DeclarationError, match="belongs to no mechanism"):
         _ = type(one.ground)("alone", 1.0, 1.0, (0.0, 0.0)).angle
 

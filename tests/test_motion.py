@@ -11,6 +11,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from fmpy.validation import validate_fmu
 from numpy.polynomial import chebyshev
 from oracles import ode
 from scenes import made
@@ -394,6 +395,59 @@ def test_start_values_that_contradict_a_motion_are_refused():
         with_defaults(alfmu.derive(crank(lambda t: t * 2)), {"start.th": 0.3})
 
 
+def _hinged(law: Callable[[ca.SX], ca.SX]) -> alfmu.Mechanism:
+    """A bar on a hinge whose angle follows a law."""
+    m = alfmu.Mechanism("hinged")
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    m.motion(m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad")), law(m.time))
+    return m
+
+
+@pytest.mark.parametrize(
+    ("law", "size", "time"),
+    [
+        (lambda t: ca.if_else(t > 0.513, 0.05, 0.0), "0.05", "0.513"),
+        (lambda t: ca.floor(10 * t), "1", "0.1"),
+        (lambda t: ca.fmod(3 * t, 1.0), "1", "0.333333"),
+        (lambda t: t + 2e-6 * ca.sign(t - 1 / 3), "4e-06", "0.333333"),
+    ],
+)
+def test_a_law_that_jumps_is_refused_with_its_size(law, size, time):
+    with pytest.raises(
+        alfmu.DeclarationError, match=f"motion of A jumps by {size} rad at t = {time} s, which no rigid"
+    ):
+        _hinged(law)
+
+
+def test_a_place_that_jumps_is_refused_and_a_rate_that_jumps_is_told():
+    m = alfmu.Mechanism("places")
+    x, y = m.coordinate("x", "m"), m.coordinate("y", "m")
+    m.body("block", mass=1.0, pose=(x, y, 0.0))
+    with pytest.raises(alfmu.DeclarationError, match=r"constraint level jumps by 0.2 m at t = 2 s"):
+        m.constraint("level", y - x**2 - 0.2 * (m.time > 2))
+    step = m.body("step", mass=1.0)
+    with pytest.raises(alfmu.DeclarationError, match=r"coordinate of lift, a prismatic, jumps by 1 m at t = 1 s"):
+        m.prismatic("lift", m.ground.at(0, 0), step.at(), coordinate=ca.floor(m.time))
+    with pytest.warns(
+        alfmu.AlfmuWarning, match=r"motion of A changes its rate by 2 rad/s at t = 0.5 s, which is an imp"
+    ):
+        _hinged(lambda t: ca.fabs(t - 0.5))
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda t: ca.if_else(t < 1, 0, ca.if_else(t < 2, t - 1 - ca.sin(2 * np.pi * (t - 1)) / (2 * np.pi), 1)),
+        lambda t: ca.tanh((t - 0.5) / 1e-6),
+        lambda t: 0.1 * ca.sin(2e3 * t),
+        lambda t: t**1.5,
+        lambda t: ca.fmax(t - 1, 0) ** 2,
+    ],
+)
+def test_laws_in_parts_and_steep_ones_are_none_that_jump(law):
+    _hinged(law)
+
+
 def test_a_scene_without_motion_carries_none_of_it():
     e = alfmu.derive(alfmu.load("four_bar"))
     assert (e.timed, list(e.followed)) == (False, [])
@@ -577,7 +631,7 @@ def two_motors() -> alfmu.Mechanism:
 @pytest.mark.parametrize(("kind", "version"), [("python", 2), ("native", 2), ("native", 3)])
 def test_through_fmpy_as_in_the_library(tmp_path, kind, version):
     path = alfmu.export(two_motors(), tmp_path / "arm.fmu", kind=kind, fmi=version)
-    assert fmpy.validation.validate_fmu(str(path)) == []
+    assert validate_fmu(str(path)) == []
     laws = {
         "B.angle": lambda t: 0.3 + wave(t),
         "B.angle_rate": WAVE["A.angle_rate"],

@@ -10,6 +10,7 @@ from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 from oracles.motors import linear
 from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
 
 import alfmu
 from alfmu import DeclarationError, Mechanism, parts
@@ -125,6 +126,55 @@ def test_a_motor_on_a_body_that_moves_keeps_the_angular_momentum():
     assert i.get("motor.rotor.angular_velocity") == pytest.approx(
         i.get("base.angular_velocity") + ratio * i.v[3], rel=1e-9
     )
+
+
+@pytest.mark.parametrize("kind", ["hinge", "closed hinge", "hinge without a rotor", "screw"])
+def test_a_motor_on_a_joint_in_space(kind):
+    """On a leaning axis, and as a spindle of a lift, by the matrix exponential as in the plane."""
+    ratio, inertia = 12.0, 0.0 if "without" in kind else J
+    m = Mechanism("drive")
+    wheel = m.spatial_body("wheel", mass=1.0, inertia=(WHEEL,) * 3, relative=kind != "closed hinge")
+    placed = {"coordinate": m.coordinate("angle", "rad")} if kind != "closed hinge" else {}
+    pair, whole = {"first": m.spatial_ground.at(), "second": wheel.at(), "axis": (1, 2, 2), **placed}, WHEEL
+    if kind == "screw":
+        joint = m.spatial_screw("A", lead=0.3, **pair)
+        whole += (0.3 / (2 * math.pi)) ** 2
+    else:
+        joint = m.spatial_revolute("A", **pair)
+    parts.dc_motor(
+        m, "motor", joint, voltage=U, gearbox=parts.Gearbox(ratio=ratio, damping=2e-5), **{**DATA, "inertia": inertia}
+    )
+    i = ran(m, 0.3)
+    whole, b = whole + ratio**2 * inertia, ratio**2 * 2e-5
+    matrix = np.array([[-b / whole, ratio * K / whole], [-ratio * K / L, -R / L]])
+    w, current = linear(matrix, np.array([0.0, U / L]), np.zeros(2), 0.3)
+    speed = np.array([i.get(f"wheel.angular_velocity.{axis}") for axis in "xyz"])
+    assert speed == pytest.approx(w * np.array([1, 2, 2]) / 3, rel=1e-7)
+    assert i.get("motor.current") == pytest.approx(current, rel=1e-6)
+    if inertia:
+        spin = [i.get(f"motor.rotor.angular_velocity.{axis}") for axis in "xyz"]
+        assert spin == pytest.approx(ratio * speed, rel=1e-7)
+
+
+def test_a_motor_in_space_keeps_the_angular_momentum():
+    """Base, arm and rotor float without forces, about an axis that leans: gyroscopic moments and all."""
+    sizes = {"base": (2.0, (0.5, 0.3, 0.4)), "arm": (1.0, (0.1, 0.2, 0.15)), "motor.rotor": (0.0, (J / 2, J / 2, J))}
+    m = Mechanism("satellite")
+    base = m.spatial_body("base", mass=2.0, inertia=sizes["base"][1])
+    arm = m.spatial_body("arm", mass=1.0, inertia=sizes["arm"][1], relative=True)
+    angle = m.coordinate("b", "rad", start=0.7, independent=True)
+    joint = m.spatial_revolute("shoulder", base.at(0.3, 0.1, 0), arm.at(-0.4, 0, 0), axis=(0, 1, 2), coordinate=angle)
+    parts.dc_motor(m, "motor", joint, voltage=U, gearbox=parts.Gearbox(ratio=20.0), **DATA)
+    i = ran(m, 0.5)
+    momentum, largest = np.zeros(3), 0.0
+    for name, (mass, inertia) in sizes.items():
+        e = np.array([i.get(f"{name}.e{k}") for k in range(4)])
+        turn = Rotation.from_quat(e, scalar_first=True).as_matrix()
+        place, speed, w = ([i.get(f"{name}.{of}{axis}") for axis in "xyz"] for of in ("", "v", "angular_velocity."))
+        own = turn @ np.diag(inertia) @ turn.T @ np.array(w)
+        momentum, largest = momentum + own + mass * np.cross(place, speed), max(largest, np.abs(own).max())
+    assert largest > 1e-3
+    assert np.abs(momentum).max() < 1e-7 * largest
 
 
 def test_the_joint_that_carries_a_motor_feels_it():
@@ -286,8 +336,14 @@ def test_a_motor_coupled_from_outside_comes_to_the_motor_inside(tmp_path):
 WRONG = {
     "no joint and no speed": ({}, "takes a joint, or the speed of its shaft, and is given neither"),
     "both": ({"joint": "A", "speed": 1.0}, "and is given both"),
-    "a joint by name": ({"joint": "A as text"}, "motor is on 'A'; give it a revolute or prismatic joint"),
-    "a weld": ({"joint": "weld"}, "motor is on feet; give it a revolute or prismatic joint"),
+    "a joint by name": (
+        {"joint": "A as text"},
+        "motor is on 'A'; give it a joint of this mechanism that is a revolute, a prismatic or a screw",
+    ),
+    "a weld": (
+        {"joint": "weld"},
+        "motor is on feet; give it a joint of this mechanism that is a revolute, a prismatic or a screw",
+    ),
     "a rotor without a joint": ({"speed": 1.0, "inertia": 1.0}, "has no joint, so that no rotor"),
     "a gearbox that is none": ({"joint": "A", "gearbox": 5.0}, r"gearbox of motor is 5\.0; give parts\.Gearbox"),
     "an efficiency above 1": (

@@ -118,6 +118,33 @@ def test_the_reference_of_the_slider_crank_is_its_exact_motion():
     assert np.abs(outputs[-1, columns(instance, names)] - [expected[name] for name in names]).max() < 1e-9
 
 
+@pytest.mark.parametrize(
+    ("what", "why"),
+    [
+        ("state", "it follows the motion of coordinates alone, and this mechanism has states"),
+        ("friction", "its equations have no dry friction, which A has"),
+        ("blade", "it closes constraints of positions, and edge holds velocities alone"),
+        ("law", "constraints or places depend on time, which reductions by start values do not have"),
+    ],
+)
+def test_there_is_no_reference_of_what_it_does_not_know(what, why):
+    m = alfmu.Mechanism("odd")
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    joint = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad"))
+    if what == "state":
+        m.derivative(s := m.state("s", "1"), -s)
+    elif what == "friction":
+        m.friction(joint, coulomb=0.2, radius=0.1)
+    elif what == "law":
+        m.motion(joint, 2.0 * m.time)
+    else:
+        place = [m.coordinate(name, unit) for name, unit in (("x", "m"), ("y", "m"), ("a", "rad"))]
+        m.blade("edge", m.body("sleigh", mass=1.0, inertia=0.1, pose=tuple(place)).at(0.1, 0))
+    instance = alfmu.Instance(m)
+    instance.initialize()
+    assert exact.reference(instance, 1.0, SHORT) == why
+
+
 @pytest.mark.parametrize("name", ["five_bar", "slider_crank", "bennett"])
 def test_the_reference_is_tighter_than_what_it_judges(name):
     instance = started(name, start__angle=0.6, start__angular_velocity=2.0)

@@ -207,3 +207,5 @@ def test_rolling_that_cannot_be_is_refused():
         m.spatial_rolling("contact", m.spatial_ground.at(0, 0, 0), ball.at(0, 0, 0), radius=0.1, normal=(0, 0, 0))
     with pytest.raises(alfmu.DeclarationError, match="joins bodies in the plane"):
         m.blade("blade", ball.at(0, 0, 0))
+    with pytest.raises(alfmu.DeclarationError, match="blade blade is on the ground, which does not move"):
+        m.blade("blade", m.ground.at(0, 0))

@@ -303,6 +303,7 @@ def _inertia(m: alfmu.Mechanism) -> None:
             lambda m: _with_inertia(m, [[1, 0], [0, 1], [0, 0]]),
             "a row of the inertia of plate is 2 numbers; give three",
         ),
+        (lambda m: _with_inertia(m, np.array(5.0)), "the inertia of plate is a ndarray; give three"),
         (lambda m: m.torque(_plate(m), 1.0), "the torque on plate, a body in space, is 1.0; give three"),
         (
             lambda m: m.force(m.body("flat", mass=1.0).at(), 0.0, 0.0, 1.0),

@@ -277,7 +277,8 @@ def equilibrium(
     moves something at that instant.
     """
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
-        raise InputError(f"{mechanism}: starts is {starts!r}; it must be a whole number, 0 or above")
+        name = getattr(mechanism, "name", mechanism)
+        raise InputError(f"{name}: starts is {starts!r}; it must be a whole number, 0 or above")
     return equilibria(subject(mechanism, parameters, time), starts)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..files import atomic, write
 from ..model.errors import InputError
 from ..model.units import rate_of
-from ..model.words import counted, there_is
+from ..model.words import counted, shown, there_is
 from ..result import Signal
 from .films import film
 from .laws import moved_by_law
@@ -337,6 +337,10 @@ def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> li
     """Places of the outputs that match; InputError where a pattern matches none."""
     if patterns is None:
         return list(range(len(names)))
+    if not isinstance(patterns, str) and not (
+        isinstance(patterns, Sequence) and all(isinstance(x, str) for x in patterns)
+    ):
+        raise InputError(f"{name}: the outputs are {shown(patterns)}; give names or patterns in a list")
     patterns = [patterns] if isinstance(patterns, str) else list(patterns)
     patterns = [each for each in patterns if not each.startswith("monitor.")]
     for pattern in patterns:

@@ -25,6 +25,7 @@ from ..runtime import Instance
 from ..runtime.prepare import with_defaults
 from ..runtime.probe import Probe, mobility, row_shares, row_units
 from ..runtime.reuse import derive
+from ..simulation import by_name
 
 __all__ = [
     "LEFT_OUT",
@@ -73,13 +74,16 @@ class Source:
         return self.declared
 
 
-def source(mechanism: str | Path | Mechanism | Recipe | Equations, parameters: Mapping[str, float | str]) -> Source:
+def source(
+    mechanism: str | Path | Mechanism | Recipe | Equations, parameters: Mapping[str, float | str] | None
+) -> Source:
     """What a name, a file, a declaration, a recipe or equations stand for, with other defaults.
 
     Raises AlfmuError where a name or a value is at fault.
     """
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
         raise InputError(f"{mechanism}: an FMU does not tell its equations; name the mechanism that it was exported of")
+    parameters = by_name(mechanism, "parameters", parameters)
     if isinstance(mechanism, Equations):
         return Source(with_defaults(mechanism, parameters), changes(mechanism), None, mechanism, parameters)
     recipe = of(mechanism)
@@ -272,6 +276,7 @@ def subject(
             raise InputError(f"{mechanism.name}: an Instance has its values already; set() them before it initialises")
         return situation_of(mechanism)
     if isinstance(time, bool) or not isinstance(time, (int, float, np.number)) or not math.isfinite(time):
-        raise InputError(f"{mechanism}: the time is {time!r}; it must be a finite number in s")
-    found = situation(source(mechanism, parameters or {}), float(time), rubs)
+        name = getattr(mechanism, "name", mechanism)
+        raise InputError(f"{name}: the time is {time!r}; it must be a finite number in s")
+    found = situation(source(mechanism, parameters), float(time), rubs)
     return replace(found, state=replace(found.state, t=float(time)))

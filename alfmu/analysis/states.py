@@ -16,7 +16,7 @@ from ..model.words import in_words, there_is
 from ..result import Signal
 from ..runtime import Instance
 from ..runtime.reuse import ready
-from ..simulation import instance, signal_of
+from ..simulation import instance, signals_of
 from .equilibria import Equilibrium, equilibria
 from .situation import Situation, Source, Subject, situation_of, source, subject
 
@@ -90,11 +90,12 @@ def begun(
     rubs: bool = False,
 ) -> Situation:
     """The situation at a start with inputs as they are at its time [s]; see `subject`."""
-    where = subject(mechanism, parameters, time, rubs and not inputs)
-    if not inputs:
+    signals = signals_of(mechanism, inputs)
+    where = subject(mechanism, parameters, time, rubs and not signals)
+    if not signals:
         return where
     e = where.equations
-    held, given = e.inputs, {name: signal_of(signal)(where.state.t) for name, signal in inputs.items()}
+    held, given = e.inputs, {name: signal(where.state.t) for name, signal in signals.items()}
     moving = {held[x.input + k].name for x in e.followed for k in range(1 + x.derivatives)}
     elsewhere = [name for name in given if name in moving | {x.name for x in e.switches}]
     if isinstance(mechanism, Instance):
@@ -107,10 +108,11 @@ def begun(
 
 def _times(mechanism: Any, at: Any) -> list[float]:
     """Instants [s]; InputError where they are none."""
-    times = [at] if isinstance(at, (str, int, float)) else list(at)
+    name = getattr(mechanism, "name", mechanism)
+    times = list(at) if isinstance(at, Sequence | np.ndarray) and not isinstance(at, str) else [at]
     for t in times or [None]:
         if isinstance(t, (str, bool)) or not isinstance(t, (int, float, np.number)) or not 0 <= t < math.inf:
-            raise InputError(f"{mechanism}: at is {t!r}; it must be {', '.join(PLACES)}, or times of 0 s and above")
+            raise InputError(f"{name}: at is {t!r}; it must be {', '.join(PLACES)}, or times of 0 s and above")
     return [float(t) for t in times]
 
 
@@ -134,7 +136,7 @@ def motion(
     unit = instance(scene, DEFAULT)
     for name, value in left.items():
         unit.set(name, value)
-    signals = {name: signal_of(signal) for name, signal in inputs.items()}
+    signals = signals_of(e.name, inputs)
 
     def apply(t: float) -> None:
         for name, signal in signals.items():

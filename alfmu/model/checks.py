@@ -17,10 +17,25 @@ import numpy as np
 from .errors import AlfmuWarning, DeclarationError
 from .words import shown
 
-__all__ = ["casadi_function", "number", "perhaps_degrees", "perhaps_millimetres", "symbols_in", "users_line"]
+__all__ = [
+    "casadi_function",
+    "jump_in",
+    "number",
+    "perhaps_an_impact",
+    "perhaps_degrees",
+    "perhaps_millimetres",
+    "symbols_in",
+    "users_line",
+]
 
 _LONG = 20.0
 """Length [m] beyond which millimetres may have been meant."""
+
+_GRID, _HALVINGS = 2000, 32
+"""Parts of the time in which a law is looked at, and how often those with something in them are halved: to 1e-12 s."""
+
+_JUMP = 1e-7
+"""Least jump of a law, over 1 + its largest value: round-off of what rates make of a law is below 1e-10."""
 
 _OURS = tuple(f"{Path(module.__file__).parent}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]]))
 """Folders whose code is not the user's."""
@@ -84,6 +99,45 @@ def perhaps_millimetres(what: str, value: float | ca.SX) -> None:
     """Warn of a length [m] that looks like millimetres."""
     if not isinstance(value, ca.SX) and abs(value) > _LONG:
         _hint(f"{what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
+
+
+def perhaps_an_impact(what: str, time: float, size: float, unit: str) -> None:
+    """Warn of a law whose rate [unit] jumps at a time [s]."""
+    _hint(
+        f"{what} changes its rate by {size:g} {unit} at t = {time:.6g} s, which is an impact whose impulse is in no "
+        "output; round the law off there, if no impact was meant"
+    )
+
+
+def jump_in(law: ca.SX, time: ca.SX, stop: float) -> tuple[float, float] | None:
+    """The time [s] and the size of the first jump of a law from 0 to `stop` [s], None where none is found.
+
+    Between points of a grid the law is compared with what its rate makes of it; where they differ, the place is looked
+    for by bisection. Smooth laws agree with their rates there, however steep they are.
+    """
+    evaluate = ca.Function("law", [time], [law, ca.jacobian(law, time)])
+
+    def off(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How far the law is off its rates between the columns of times, and its values."""
+        value, slope = (np.array(each).reshape(t.shape) for each in evaluate(t.reshape(1, -1)))
+        with np.errstate(invalid="ignore", over="ignore"):
+            found = np.abs(np.diff(value) - np.diff(t) * (slope[:, 1:] + slope[:, :-1]) / 2)
+        return np.where(np.isfinite(found), found, 0.0), value
+
+    grid = np.linspace(0.0, stop, _GRID + 1)
+    grid[1:-1] += 0.381966 * grid[1]  # Beside round times, at which a kink would be seen in two halves.
+    found, value = off(grid[None])
+    limit = _JUMP * (1.0 + np.abs(value, where=np.isfinite(value), out=np.zeros_like(value)).max())
+    (places,) = np.nonzero(found[0] > limit)
+    begin, end = grid[places], grid[places + 1]
+    for _ in range(_HALVINGS):
+        if not begin.size:
+            return None
+        middle = (begin + end) / 2
+        halves, _ = off(np.stack([begin, middle, end], axis=1))
+        first, still = halves[:, 0] > halves[:, 1], halves.max(axis=1) > limit
+        begin, end = np.where(first, begin, middle)[still], np.where(first, middle, end)[still]
+    return (float(end[0]), float(off(np.array([[begin[0], end[0]]]))[0][0, 0])) if begin.size else None
 
 
 def _hint(message: str) -> None:

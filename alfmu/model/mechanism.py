@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from .cams import Cam, Profile, cam
-from .checks import number, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
+from .checks import jump_in, number, perhaps_an_impact, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
 from .errors import DeclarationError
 from .motion import DERIVATIVES, JUMPS, ORDERS, Input, Signal
 from .relations import (
@@ -856,12 +856,13 @@ class Mechanism:
                 Mechanism.measured.of(self).append(spring)
                 continue
             names = [*springs, *(j.name for j in self.joints), *(j.name for j in self.spatial_joints)]
-            called = getattr(each, "name", each)
-            if not isinstance(called, str) or called not in names:
-                raise DeclarationError(
-                    f"{self.name} has no joint or spring {called} to measure; {there_is(called, names)}"
-                )
-            joint = self._joint(called)
+            if not isinstance(each, AnyJoint) and each not in names:
+                if not isinstance(each, str):
+                    raise DeclarationError(
+                        f"{self.name}: measure() takes joints, springs or their names, not {shown(each)}"
+                    )
+                raise DeclarationError(f"{self.name} has no joint or spring {each} to measure; {there_is(each, names)}")
+            joint = self._joint(each)
             self._free(joint, "measure()")
             Mechanism.measured.of(self).append(joint)
 
@@ -1354,6 +1355,10 @@ class Mechanism:
         Output `<name>.force` [N] across the blade, from the ground, along its left normal.
         """
         self._own((at,), f"blade {name}", Marker)
+        if at.body is self.ground:
+            raise DeclarationError(
+                f"{self.name}: blade {name} is on the ground, which does not move; give a body's point"
+            )
         return self._relate(blade(self, name, at, axis))
 
     def spatial_rolling(
@@ -1499,6 +1504,10 @@ class Mechanism:
             along = unit
             if unit not in EFFORTS:
                 raise DeclarationError(f"{self.name}: {what} is in {shown(unit)}; give m or rad")
+            if not isinstance(of, ca.SX):
+                raise DeclarationError(
+                    f"{self.name}: {what} takes a joint, two markers or an expression in coordinates, not {shown(of)}"
+                )
             of = self._of_coordinates(what, of, unit)
         limits = {
             which: self._quantity(f"the {which} limit of {what}", x, along, PLACE)
@@ -1511,7 +1520,8 @@ class Mechanism:
             at = {which: self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits.items()}
             if len(at) == 2 and not at["upper"] > at["lower"]:
                 raise DeclarationError(
-                    f"{self.name}: {what} has the upper limit {at['upper']:g} and the lower limit {at['lower']:g}"
+                    f"{self.name}: {what} has the upper limit {at['upper']:g} and the lower limit "
+                    f"{at['lower']:g}; the upper one must be above"
                 )
             turn = of.name if isinstance(of, SpatialJoint | SpatialFreedom) and of.wrapped else ""
             for x in at.values():
@@ -1528,8 +1538,10 @@ class Mechanism:
             value = self._constant(f"the {which} of {what}", value, unit)
             x = self._at_defaults(f"the {which} of {what}", value)
             if not (x > 0 if least is None else least <= x <= most):
-                needed = "above zero" if least is None else f"from {least:g} to {most:g}"
-                raise DeclarationError(f"{self.name}: the {which} of {what} is {x:g} {unit}; it must be {needed}")
+                needed = "be above zero" if least is None else f"be from {least:g} to {most:g}"
+                needed = needed if math.isfinite(most) or least is None else "not be negative"
+                given = f"{x:g} {unit}".removesuffix(" 1")
+                raise DeclarationError(f"{self.name}: the {which} of {what} is {given}; it must {needed}")
             return value
 
         stop = EndStop(
@@ -1575,6 +1587,8 @@ class Mechanism:
         about its axis; a screw takes the `radius` of its thread. What is not given carries without friction.
         """
         along = self._free(joint, "friction()")
+        coulomb = self._coefficient(joint, "coefficient coulomb", coulomb, "1")
+        viscous = self._coefficient(joint, "viscous coefficient", viscous, f"{EFFORTS[along]}.s/{along}")
         dry = not symbolic(coulomb).is_zero() or static is not None
         if not dry and (given := [x for x in (radius, length, stribeck, collar) if x is not None]):
             raise DeclarationError(
@@ -1585,6 +1599,14 @@ class Mechanism:
             self.spring_damper(joint, damping=viscous)
         if dry:
             self._dry_friction(joint, along, coulomb, static, radius, length, stribeck, collar)
+
+    def _coefficient(self, joint: AnyJoint, which: str, value: Any, unit: str) -> Scalar:
+        """A coefficient of friction, which is not negative as far as that is known before the run."""
+        what = f"the {which} of friction of {joint.name}"
+        value = self._quantity(what, value, unit, EFFORT)
+        if all(self._symbols[key_of(symbol)].kind in CONSTANT for symbol in symbols_in(value)):
+            self._not_negative(what, value, unit)
+        return value
 
     def _dry_friction(
         self,
@@ -1616,13 +1638,7 @@ class Mechanism:
                 "give static"
             )
         what = "the {} of friction of {}".format
-        coulomb = self._quantity(what("coefficient coulomb", name), coulomb, "1", EFFORT)
-        static = coulomb if static is None else self._quantity(what("coefficient static", name), static, "1", EFFORT)
-        for each, value in (("coulomb", coulomb), ("static", static)):
-            if not isinstance(value, ca.SX) and value < 0:
-                raise DeclarationError(
-                    f"{self.name}: {what('coefficient ' + each, name)} is {value:g}; it must not be negative"
-                )
+        static = coulomb if static is None else self._coefficient(joint, "coefficient static", static, "1")
         if not isinstance(coulomb, ca.SX) and not isinstance(static, ca.SX) and static < coulomb:
             raise DeclarationError(
                 f"{self.name}: the friction of {name} has static = {static:g} below coulomb = {coulomb:g}; a joint "
@@ -1752,9 +1768,9 @@ class Mechanism:
         joints with coordinates do not contain it.
         """
         self._claim(name, unit, "a constraint")
-        Mechanism.closures.of(self).append(
-            Constraint(name, self._of_coordinates(f"constraint {name}", expression, unit), unit)
-        )
+        value = self._of_coordinates(f"constraint {name}", expression, unit)
+        self._no_jumps(f"constraint {name}", value, unit)
+        Mechanism.closures.of(self).append(Constraint(name, value, unit))
 
     def compliances(self) -> None:
         """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.
@@ -1804,6 +1820,7 @@ class Mechanism:
         if any(isinstance(c, Motion) and c.name == name for c in self.closures):
             raise DeclarationError(f"{self.name}: {name} has a motion already; give it one")
         law = symbolic(self._quantity(f"the motion of {name}", law, unit, LAW))
+        self._no_jumps(f"the motion of {name}", law, unit)
         self.moves = True
         value = None
         coordinate = None if placed is None else self._by_symbol.get(key_of(placed))
@@ -1888,8 +1905,16 @@ class Mechanism:
         for joint in joints:
             if of is joint or (isinstance(of, SpatialFreedom) and of == joint) or of == joint.name:
                 return joint
-        called = of.name if isinstance(of, AnyJoint) else of
-        raise DeclarationError(f"{self.name} has no joint {called}; {there_is(called, [j.name for j in joints])}")
+        names = [joint.name for joint in joints]
+        if isinstance(of, AnyJoint):
+            raise DeclarationError(
+                f"{self.name}: {of.name} is a joint of another mechanism; {self.name} has {', '.join(names) or 'none'}"
+            )
+        if not isinstance(of, str):
+            raise DeclarationError(
+                f"{self.name}: {shown(of)} is no joint; give one, or its name: {', '.join(names) or 'there is none'}"
+            )
+        raise DeclarationError(f"{self.name} has no joint {of}; {there_is(of, names)}")
 
     # ------------------------------------------------------------------------------------------------------------
 
@@ -1955,6 +1980,7 @@ class Mechanism:
             what = f"the coordinate of {joint.name}, a {joint.kind},"
             along = "m" if joint.kind == "prismatic" else "rad"
             joint.coordinate = self._quantity(what, joint.coordinate, along, PLACE)
+            self._no_jumps(what, joint.coordinate, along)
             # The joint places whichever body has no place yet, the second one if it can.
             target = second if not second.is_placed else first
             if target.is_placed:
@@ -2133,6 +2159,28 @@ class Mechanism:
                 value = ca.substitute(value, symbol, self._signal(given).at(self.time))
         return value
 
+    def _no_jumps(self, what: str, value: Scalar, unit: str) -> None:
+        """What moves bodies in time does so without a jump, at the defaults of parameters and up to the stop time.
+
+        Raises DeclarationError with the size of a jump; a jump of the rate is an impact, of which it warns. What
+        follows an input is looked at by the run.
+        """
+        symbols = symbols_in(value)
+        kinds = {key_of(symbol): self._symbols[key_of(symbol)].kind for symbol in symbols}
+        if "time" not in kinds.values() or "inputs" in kinds.values():
+            return
+        known = {key_of(x.symbol): x.default for x in self.parameters}
+        others = [symbol for symbol in symbols if kinds[key_of(symbol)] != "time"]
+        at = ca.substitute(symbolic(value), stack(others), stack([known.get(key_of(x), 0.5) for x in others]))
+        what, stop = f"{self.name}: {what}", self.experiment.stop_time
+        if found := jump_in(at, self.time, stop):
+            raise DeclarationError(
+                f"{what} jumps by {found[1]:.6g} {unit} at t = {found[0]:.6g} s, which no rigid mechanism follows; "
+                "give a law without jumps"
+            )
+        if found := jump_in(ca.jacobian(at, self.time), self.time, stop):
+            perhaps_an_impact(what, *found, rate_of(unit))
+
     def _signal(self, given: Input) -> Signal:
         """The signal of an input, declared where the input moves something for the first time."""
         for signal in self.signals:
@@ -2196,12 +2244,17 @@ class Mechanism:
     def _mass(self, name: str, mass: Any, what: str = "mass", unit: str = "kg") -> Scalar:
         what = f"the {what} of {name}"
         mass = self._quantity(what, mass, unit, CONSTANT)
-        if (value := self._at_defaults(what, mass)) < 0:
-            raise DeclarationError(f"{self.name}: {what} is {value:g} {unit}; it must not be negative")
-        for i, parameter in enumerate(self.parameters):
-            if parameter.symbol is mass and parameter.minimum is None:
-                Mechanism.parameters.of(self)[i] = replace(parameter, minimum=0.0)
+        self._not_negative(what, mass, unit)
         return mass
+
+    def _not_negative(self, what: str, value: Scalar, unit: str) -> None:
+        """A number or an expression in parameters is zero or above at their defaults; a parameter stays so later."""
+        if (found := self._at_defaults(what, value)) < 0:
+            given = f"{found:g} {unit}".removesuffix(" 1")
+            raise DeclarationError(f"{self.name}: {what} is {given}; it must not be negative")
+        for i, parameter in enumerate(self.parameters):
+            if parameter.symbol is value and parameter.minimum is None:
+                Mechanism.parameters.of(self)[i] = replace(parameter, minimum=0.0)
 
     def _inertia(self, name: str, inertia: Any) -> Scalar:
         return self._mass(name, inertia, "inertia", "kg.m2")
@@ -2209,7 +2262,7 @@ class Mechanism:
     def _spatial_inertia(self, name: str, inertia: Any) -> tuple[Vector, Vector]:
         """Moments of inertia and entries xy, xz, yz of their matrix, of three principal moments or of a matrix."""
         what = f"the inertia of {name}"
-        given = inertia.tolist() if isinstance(inertia, np.ndarray) else inertia
+        given = inertia.tolist() if isinstance(inertia, np.ndarray) and inertia.ndim else inertia
         if isinstance(given, ca.SX) and given.shape == (3, 3):
             given = [ca.horzsplit(row) for row in ca.vertsplit(given)]
         rowwise = _several(given) and any(
@@ -2270,7 +2323,9 @@ def _several(values: Any) -> bool:
     """Whether something is a row of things, as a vector is."""
     if isinstance(values, ca.SX):
         return values.is_column()
-    return isinstance(values, Sequence | np.ndarray) and not isinstance(values, str | bytes)
+    if isinstance(values, np.ndarray):
+        return values.ndim > 0
+    return isinstance(values, Sequence) and not isinstance(values, str | bytes)
 
 
 def _and(words: Collection[str]) -> str:

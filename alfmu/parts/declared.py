@@ -8,6 +8,7 @@ import casadi as ca
 
 from ..equations.derivation import Kinematics
 from ..model.mechanism import Joint, Mechanism, Scalar, stack
+from ..model.spatial import SpatialJoint
 from ..model.units import UNITS, unit
 
 __all__ = ["label", "mounted", "named", "of", "quotient", "rate_of_joint"]
@@ -56,25 +57,38 @@ def quotient(one: str, other: str) -> str:
 
 
 def mounted(
-    m: Mechanism, part: str, body: str, joint: Joint, ratio: Scalar, torque: Scalar, inertia: Scalar, damping: Scalar
+    m: Mechanism,
+    part: str,
+    body: str,
+    joint: Joint | SpatialJoint,
+    ratio: Scalar,
+    torque: Scalar,
+    inertia: Scalar,
+    damping: Scalar,
 ) -> None:
     """A torque on a joint, by a body in a bearing on the first body where that has inertia; it turns `ratio` times as
-    fast as the joint."""
+    fast as the joint. In space that body is a thin disc about the axis of the joint."""
     if not isinstance(inertia, ca.SX) and inertia == 0:
         m.drive(joint, ratio * torque)
         if isinstance(damping, ca.SX):
             m.spring_damper(joint, damping=ratio**2 * damping)
         return
     J = named(m, part, "inertia", inertia, "kg.m2", f"inertia of the {body}", minimum=0.0)
-    turning = m.body(label(part, body), mass=0.0, inertia=J)
     turned = ratio * Kinematics(m).free(joint)
-    bearing = m.revolute(label(part, "bearing"), joint.first, turning.at(), coordinate=turned)
+    bearing: Joint | SpatialJoint
+    if isinstance(joint, SpatialJoint):
+        disc = m.spatial_body(label(part, body), mass=0.0, inertia=(J / 2, J / 2, J), relative=True)
+        axes: dict[str, Any] = {"axis": joint.axes[0], "second_axis": (0.0, 0.0, 1.0)}
+        bearing = m.spatial_revolute(label(part, "bearing"), joint.first, disc.at(), coordinate=turned, **axes)
+    else:
+        turning = m.body(label(part, body), mass=0.0, inertia=J)
+        bearing = m.revolute(label(part, "bearing"), joint.first, turning.at(), coordinate=turned)
     m.drive(bearing, torque)
     if isinstance(damping, ca.SX):
         m.friction(bearing, damping)
 
 
-def rate_of_joint(m: Mechanism, joint: Joint) -> ca.SX:
+def rate_of_joint(m: Mechanism, joint: Joint | SpatialJoint) -> ca.SX:
     """Rate of the free displacement of a joint."""
     q, v = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qv")
     return ca.jtimes(Kinematics(m).free(joint), q, v)

@@ -15,10 +15,14 @@ import casadi as ca
 
 from ..model.errors import DeclarationError
 from ..model.mechanism import Joint, Mechanism, Scalar, symbolic
-from ..model.words import shown
+from ..model.spatial import SpatialJoint
+from ..model.words import in_words, shown
 from .declared import label, mounted, named, of, rate_of_joint
 
 __all__ = ["Gearbox", "Motor", "dc_motor"]
+
+_DRIVEN = ("revolute", "prismatic", "screw")
+"""Kinds of joints that a motor drives."""
 
 TURNING = 0.1
 """speed of a rotor [rad/s]: up to about this the loss of a gearbox builds up; well below the speeds of motors, and so
@@ -55,7 +59,7 @@ class Motor:
 def dc_motor(
     m: Mechanism,
     name: str,
-    joint: Joint | None = None,
+    joint: Joint | SpatialJoint | None = None,
     *,
     voltage: Scalar,
     resistance: Scalar,
@@ -69,14 +73,17 @@ def dc_motor(
 ) -> Motor:
     """A DC motor that turns the second body of a revolute joint from the first, or moves that of a prismatic one.
 
+    Joints in space are driven as those in the plane are, and a screw, too, by its angle.
+
     `voltage` [V] is any expression: an input, the output of a controller. `resistance` [Ohm], `inductance` [H],
     `constant` [N.m/A, V.s/rad] and `inertia` [kg.m2] of the rotor are numbers, which become the parameters
     `<name>.resistance` and so on, or expressions in parameters. An inductance of 0 gives a current without delay.
     `current` [A] is that at the start, `nominal` [A] what a large one is (as in `Mechanism.state`).
 
     A rotor with inertia is a body of its own, `<name>.rotor`, in a bearing on the first body: it counts with the square
-    of the gearbox's ratio, and the joints that carry the motor feel it. Without a joint `speed` [rad/s] is that of the
-    shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which then has the inertia.
+    of the gearbox's ratio, and the joints that carry the motor feel it. In space it turns about the axis of the joint,
+    as a thin disc, whose inertia across the axis is half of that about it. Without a joint `speed` [rad/s] is that of
+    the shaft, usually an input: a motor by itself, to be coupled with a mechanism elsewhere, which has the inertia.
 
     Outputs are `<name>.current`, `<name>.torque` and `<name>.voltage`. An empty name is that of a mechanism that is
     nothing but the motor: nothing stands in front of its names, and the voltage is no output. Raises DeclarationError
@@ -110,7 +117,12 @@ def dc_motor(
 
 
 def _check(
-    m: Mechanism, name: str, joint: Joint | None, speed: Scalar | None, inertia: Scalar, gearbox: Gearbox
+    m: Mechanism,
+    name: str,
+    joint: Joint | SpatialJoint | None,
+    speed: Scalar | None,
+    inertia: Scalar,
+    gearbox: Gearbox,
 ) -> None:
     if not isinstance(gearbox, Gearbox):
         raise DeclarationError(f"{m.name}: the gearbox of {name} is {shown(gearbox)}; give parts.Gearbox(ratio=...)")
@@ -125,14 +137,20 @@ def _check(
                 f"{m.name}: the motor {name} has no joint, so that no rotor and no gearbox belong to it; give them to "
                 "the mechanism that it drives"
             )
-    elif not isinstance(joint, Joint) or joint.kind not in ("revolute", "prismatic") or joint not in m.joints:
+    elif not isinstance(joint, Joint | SpatialJoint) or joint.kind not in _DRIVEN or joint not in _joints(m):
         raise DeclarationError(
             f"{m.name}: the motor {name} is on {joint.name if hasattr(joint, 'name') else shown(joint)}; give it a "
-            "revolute or prismatic joint in the plane, of this mechanism"
+            f"joint of this mechanism that is {in_words([f'a {kind}' for kind in _DRIVEN])}, in the plane or in space"
         )
 
 
-def _geared(m: Mechanism, name: str, gearbox: Gearbox, joint: Joint | None) -> tuple[Scalar, Scalar, Scalar]:
+def _joints(m: Mechanism) -> tuple[Joint | SpatialJoint, ...]:
+    return *m.joints, *m.spatial_joints
+
+
+def _geared(
+    m: Mechanism, name: str, gearbox: Gearbox, joint: Joint | SpatialJoint | None
+) -> tuple[Scalar, Scalar, Scalar]:
     """Ratio, efficiency and damping, as parameters where they differ from those of no gearbox."""
     none, ratio, efficiency, damping = Gearbox(), gearbox.ratio, gearbox.efficiency, gearbox.damping
     if isinstance(ratio, ca.SX) or ratio != none.ratio:

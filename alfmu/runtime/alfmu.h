@@ -247,7 +247,14 @@ typedef struct Instance {
 } Instance;
 
 /* What an instance warns of once in a run. */
-enum { WARNED_OF_BALANCE = 1, WARNED_OF_ROUND_OFF = 2, WARNED_OF_UNCONVERGED = 4, WARNED_OF_FRICTION = 8, EVERY_WARNING = 15 };
+enum {
+    WARNED_OF_BALANCE = 1,
+    WARNED_OF_ROUND_OFF = 2,
+    WARNED_OF_UNCONVERGED = 4,
+    WARNED_OF_FRICTION = 8,
+    WARNED_OF_IMPACT = 16,
+    EVERY_WARNING = 31
+};
 
 Instance *instance_new(const Scene *scene);
 void instance_free(Instance *i);

@@ -753,6 +753,19 @@ static double margin(Instance *i)
     return found;
 }
 
+/* Warns that dry friction took no part in an impact, where it took as much kinetic energy [J] as a balance tells. */
+static void tell_of_impact(Instance *i, const double *v, double lost)
+{
+    const Scene *s = i->scene;
+    double kinetic;
+    energy(i, v, &kinetic);
+    if (lost > UNBALANCED * (kinetic + lost))
+        warn(i, WARNED_OF_IMPACT,
+            "%s, t = %.6g s: an impact took %.3g J, and dry friction took no part in it: impulses of joints that rub, such "
+            "as %s, have no friction",
+            s->name, *instance_time(i), lost, s->rows[s->friction[0].row].name);
+}
+
 /* Other constraints from now on; what comes into force must be closed, and makes the velocity consistent. */
 static Outcome change(Instance *i, const double *on)
 {
@@ -804,6 +817,8 @@ static Outcome change(Instance *i, const double *on)
                 i->impulses[k] = w[s->impulse + s->impulse_rows[k]];
                 tape_copy(i, i->impulses + k, w + s->impulse + s->impulse_rows[k], 1);
             }
+        if (s->frictions)
+            tell_of_impact(i, v, w[s->lost]);
     }
     if (outcome == DONE)
         outcome = knowledge(i, q, v);

@@ -93,7 +93,7 @@ def decided(equations: Equations) -> Equations:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
     if chosen in UNRUBBED and equations.frictions:
         limit = f"solver.method {chosen} has no dry friction, which {equations.frictions[0].name} has"
-        raise InputError(f"{equations.name}: {limit}; use auto, rk4, explicit or stiff")
+        raise InputError(f"{equations.name}: {limit}; use auto, rk4, order8, explicit or stiff")
     e = with_tangents(equations) if chosen in RULES else equations
     return replace(e, chosen=chosen, reason=reason)
 

@@ -334,9 +334,14 @@ def reference(instance: Instance, stop: float, effort: Effort = Effort()) -> Ref
     Of the two reductions that counts which reaches further, or where both arrive the placement; the other one, and
     a run of larger tolerance, tell its error.
     """
-    if instance.equations.states:
+    e = instance.equations
+    if e.states:
         return "it follows the motion of coordinates alone, and this mechanism has states"
-    if instance.equations.timed:
+    if e.frictions:
+        return f"its equations have no dry friction, which {e.frictions[0].name} has"
+    if e.slips:
+        return f"it closes constraints of positions, and {e.rows[e.slips[0]].name} holds velocities alone"
+    if e.timed:
         return "constraints or places depend on time, which reductions by start values do not have"
     model = _Model(instance)
     placed = _followed(model, _Placement, stop, effort.fine, effort)

@@ -26,7 +26,7 @@ from ..result import Signal
 from ..runtime import Instance
 from ..runtime.prepare import again, with_defaults
 from ..runtime.reuse import derive, ready
-from ..simulation import communication_points, instance, signal_of
+from ..simulation import communication_points, instance, signals_of
 from .crew import Crew, Processes, Stop, cluster, make, stopping
 from .jobs import Code, FmuJob, Job, SceneJob, machine
 from .measures import Measure, matching, measures
@@ -232,7 +232,7 @@ class _How:
     def over_time(self, name: str, times: Any, known: Iterable[Variable]) -> tuple[tuple[str, ...], Any]:
         """Inputs that are given over time, and their values (points, inputs) at communication points."""
         switches = {v.name for v in known if v.type == "Boolean"}
-        signals = {each: signal_of(signal) for each, signal in self.inputs.items()}
+        signals = signals_of(name, self.inputs)
         table = np.array([[float(signal(t)) for signal in signals.values()] for t in times], float)
         table = table.reshape(len(times), len(signals))
         for i, each in enumerate(signals):
