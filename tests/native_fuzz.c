@@ -622,8 +622,9 @@ static void values(Fuzz *f, Unit *u, int legal)
     int wholes[MOST_VALUES];
     Truth truths[MOST_VALUES];
     const unsigned count = below(f, MOST_VALUES + 1);
-    const int bad_arrays = one_in(f, 30) && count, from = FUZZ_FMI == 3 ? BORN | INITIALIZING : INITIALIZING,
-              readable = legal && (u->phase & (from | RUN)); /* FMI 3 gives start values at once. */
+    const int bad_arrays = one_in(f, 30) && count;
+    /* FMI 3 gives start values as soon as there is an instance. */
+    const int begun = INITIALIZING | RUN | (FUZZ_FMI == 3 ? BORN : 0), readable = legal && (u->phase & begun);
     const size_t other_count = SAME_COUNTS || !one_in(f, 30) ? count : count + 1;
     const unsigned from = one_in(f, 3) ? 0 : one_in(f, 2) ? first_input : first_output;
     const unsigned most = from == first_input ? inputs : from == first_output ? outputs : total + 2;
