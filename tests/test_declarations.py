@@ -156,7 +156,7 @@ UNITS = [
         'm.spring_damper(A, stiffness=m.parameter("s", 1.0, "N/m"))',
         "stiffness .* in N.m/rad, and the parameter s in N/m",
     ),
-    ('m.friction(A, m.parameter("s", 1.0, "N.s/m"))', "damping of the spring at A is in N.m.s/rad"),
+    ('m.friction(A, m.parameter("s", 1.0, "N.s/m"))', "viscous coefficient of friction of A is in N.m.s/rad"),
     ("m.spring_damper(A, rest=l)", "the rest of the spring at A is in rad, and the parameter l in m"),
     ('m.bar("b", mass=l, length=l)', "the mass of b is in kg, and the parameter l in m"),
     ('m.gravity(0, -m.parameter("g", 9.81, "m/s"))', "gravity is in m/s2, and the parameter g in m/s"),

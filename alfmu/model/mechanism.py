@@ -11,6 +11,7 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, overload
 
@@ -1052,7 +1053,7 @@ class Mechanism:
 
         Output `<name>.force` [N] is positive when the rod pushes.
         """
-        length = self._length(f"the length of {name}", length, PLACE)
+        length = self._moving(f"the length of {name}", self._length(f"the length of {name}", length, PLACE), "m")
         if isinstance(first, SpatialMarker) and isinstance(second, SpatialMarker):
             return self._join_in_space(SpatialJoint(name, "distance", first, second, length=length))
         return self._join(Joint(name, "distance", first, second, length=length))  # type: ignore[arg-type]
@@ -1970,7 +1971,9 @@ class Mechanism:
         self._claim(joint.name, "1", "a joint")
         self._own((joint.first, joint.second), f"joint {joint.name}", Marker)
         for each, its in (("axis", "rad"), ("offset", "m"), ("angle", "rad"), ("length", "m")):
-            setattr(joint, each, self._quantity(f"the {each} of {joint.name}", getattr(joint, each), its, PLACE))
+            setattr(joint, each, self._moving(f"the {each} of {joint.name}", getattr(joint, each), its))
+        for x in (joint.first.x, joint.first.y, joint.second.x, joint.second.y):
+            self._no_jumps(f"a point of joint {joint.name}", x, "m")
         first, second = joint.first.body, joint.second.body
         if first is second:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
@@ -1979,8 +1982,7 @@ class Mechanism:
         if joint.coordinate is not None:
             what = f"the coordinate of {joint.name}, a {joint.kind},"
             along = "m" if joint.kind == "prismatic" else "rad"
-            joint.coordinate = self._quantity(what, joint.coordinate, along, PLACE)
-            self._no_jumps(what, joint.coordinate, along)
+            joint.coordinate = self._moving(what, joint.coordinate, along)
             # The joint places whichever body has no place yet, the second one if it can.
             target = second if not second.is_placed else first
             if target.is_placed:
@@ -1998,6 +2000,8 @@ class Mechanism:
         self._claim(joint.name, "1", "a joint")
         self._own((joint.first, joint.second), f"joint {joint.name}", SpatialMarker)
         first, second = joint.first.body, joint.second.body
+        for x in (*joint.first.point, *joint.second.point):
+            self._no_jumps(f"a point of joint {joint.name}", x, "m")
         if first is second:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
         if second is self.spatial_ground:
@@ -2032,12 +2036,12 @@ class Mechanism:
         if given is None:
             return None
         if len(units) == 1:
-            return (self._quantity(f"the coordinate of {name}, a {kind},", given, units[0], PLACE),)
+            return (self._moving(f"the coordinate of {name}, a {kind},", given, units[0]),)
         what = f"the coordinates of {name}, a {kind} joint,"
         if not _several(given) or len(_entries(given)) != len(units):
             count = f"{len(_entries(given))} numbers" if _several(given) else shown(given)
             raise DeclarationError(f"{self.name}: {what} are {count}; give {len(units)} [{', '.join(units)}]")
-        return tuple(self._quantity(what, x, u, PLACE) for x, u in zip(_entries(given), units, strict=True))
+        return tuple(self._moving(what, x, u) for x, u in zip(_entries(given), units, strict=True))
 
     def _axes(self, name: str, axis: Any, second: Any) -> tuple[Vector, Vector]:
         """Axes on both bodies: numbers, or expressions in parameters."""
@@ -2157,6 +2161,12 @@ class Mechanism:
             self.moves |= self._symbols[key_of(symbol)].kind in ("time", "inputs")
             if isinstance(given, Input):
                 value = ca.substitute(value, symbol, self._signal(given).at(self.time))
+        return value
+
+    def _moving(self, what: str, value: Any, unit: str) -> Scalar:
+        """A quantity that places bodies, and does not jump in time."""
+        value = self._quantity(what, value, unit, PLACE)
+        self._no_jumps(what, value, unit)
         return value
 
     def _no_jumps(self, what: str, value: Scalar, unit: str) -> None:
@@ -2301,7 +2311,10 @@ class Mechanism:
         return length
 
     def _pose(self, name: str, pose: Any) -> tuple[Scalar, Scalar, Scalar] | None:
-        return None if pose is None else self._vector(f"the pose of {name}", pose, ("m", "m", "rad"), PLACE)
+        if pose is None:
+            return None
+        what, units = f"the pose of {name}", ("m", "m", "rad")
+        return tuple(map(partial(self._moving, what), self._vector(what, pose, units, PLACE), units))
 
     def _ends(self, name: str, between: Any) -> tuple[Point | Marker, Point | Marker]:
         if not isinstance(between, tuple | list) or len(between) != 2:
