@@ -36,7 +36,8 @@ def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *
 
     def known(prefix: str, **_: Any) -> list[str]:
         from ..fmi.recipe import GROUP as RECIPES
-        from ..model.registry import GROUP, LINKAGES, registered
+        from ..model.registry import GROUP, registered
+        from ..model.sources import LINKAGES
 
         return registered(GROUP, RECIPES) + _files(prefix, (".py", *LINKAGES, *suffixes))
 

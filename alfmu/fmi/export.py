@@ -27,7 +27,7 @@ from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
-from ..model.registry import is_file
+from ..model.sources import is_file
 from ..runtime import Instance
 from ..runtime.build import HERE
 from ..runtime.compiled import compiled_scene, verified

@@ -186,7 +186,7 @@ class Recipe(Brief):
 
     def in_file(self, path: Path) -> Recipe:
         """The recipe that a file declares: called after it, paths relative to it."""
-        from ..model.registry import is_file
+        from ..model.sources import is_file
 
         where = self.mechanism
         if isinstance(where, (str, Path)) and is_file(where):

@@ -552,7 +552,7 @@ class Scene:
 
     def unsettled(self, left: SX, q: SX, v: SX) -> SX:
         """Whether q and v with these residues (squared) do not."""
-        return 1 - self._closed(left, q, v)
+        return 1 - self._within(left[0], q) * self._within(left[1], v)
 
     def error_size(
         self, z: SX, q: SX, v: SX, error: SX, least: SX | None = None, x: SX | None = None, change: SX | None = None
@@ -627,7 +627,7 @@ class Scene:
             trouble += near if plan.quick and not plan.margins else near * self.settings.continues
             near *= self.settings.continues
         if e.l:
-            trouble += 1 - self._closed(known["left"], q, v)
+            trouble += 1 - self._closed(known["left"], q, v, plan.quick)
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
         x = known.get("x", SX(0, 1))
@@ -699,12 +699,13 @@ class Scene:
         """Of coordinates, those in rad."""
         return q[[i for i, c in enumerate(self.e.coordinates) if c.unit == "rad"]]
 
-    def _closed(self, left: SX, q: SX, v: SX) -> SX:
+    def _closed(self, left: SX, q: SX, v: SX, quick: bool) -> SX:
         """Whether both residues (squared) are within the tolerance, or within round-off.
 
-        The digits that turned angles have lost move what C belongs to, so that no v makes its dependent rows vanish.
+        The digits that turned angles have lost move what C belongs to, so that no v makes its dependent rows vanish. A
+        quick step has too few corrections to find that out.
         """
-        turned = ca.fmax(1, ca.sumsqr(self._angles(q)))
+        turned = 1.0 if quick else ca.fmax(1, ca.sumsqr(self._angles(q)))
         return self._within(left[0], q) * self._within(left[1], v, turned)
 
     def _within(self, residue: SX, x: SX, larger: SX | float = 1.0) -> SX:

@@ -17,18 +17,16 @@ from typing import Any
 from .checks import casadi_function
 from .errors import AlfmuError, AlfmuWarning, DeclarationError, InputError
 from .mechanism import Mechanism
+from .sources import LINKAGES, is_file
 from .words import in_words, nearest, there_is
 
-__all__ = ["GROUP", "LINKAGES", "choices", "executed", "is_file", "load", "mechanisms", "options", "registered"]
+__all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options", "registered"]
 
 GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
 
 _OWN = "alfmu.catalogue."
 """Where alfmu's own mechanisms are, in a folder `mechanisms`."""
-
-LINKAGES = (".xml", ".urdf", ".sdf")
-"""Endings of files of other programs that declare a mechanism (`alfmu.formats`)."""
 
 Factory = Callable[..., Mechanism]
 
@@ -80,11 +78,6 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
     if readme.is_file() and not is_file(mechanism):
         declared.documentation = readme.read_text(encoding="utf-8")
     return declared
-
-
-def is_file(mechanism: object) -> bool:
-    """Whether something names a file that declares a mechanism, and no registered one."""
-    return isinstance(mechanism, str | Path) and str(mechanism).endswith((".py", *LINKAGES))
 
 
 def options(mechanism: str | Path) -> dict[str, tuple[Any, ...]]:

@@ -40,7 +40,7 @@ from typing import Any, Self
 from ..fmi.recipe import Recipe
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
-from ..model.registry import LINKAGES
+from ..model.sources import is_file
 from ..model.words import counted, in_words, shown, text, there_is
 from .masters import MASTERS
 
@@ -268,7 +268,7 @@ def _table(path: Path, name: str, value: Any) -> dict[str, Any]:
 
 def _source(path: Path, what: Any) -> Any:
     """A mechanism by name, or a file beside this one."""
-    return path.parent / what if isinstance(what, str) and what.endswith((".py", *LINKAGES)) else what
+    return path.parent / what if isinstance(what, str) and is_file(what) else what
 
 
 def _read_component(path: Path, name: str, table: dict[str, Any]) -> Component:

@@ -1,0 +1,15 @@
+"""Files that declare a mechanism, by their names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["LINKAGES", "is_file"]
+
+LINKAGES = (".xml", ".urdf", ".sdf")
+"""Endings of files of other programs that declare a mechanism (`alfmu.formats`)."""
+
+
+def is_file(mechanism: object) -> bool:
+    """Whether something names a file that declares a mechanism, and no registered one."""
+    return isinstance(mechanism, str | Path) and str(mechanism).endswith((".py", *LINKAGES))
