@@ -18,6 +18,7 @@ from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
 from ..result import Result, Signal
+from ..runtime import Instance
 from ..runtime.sweeps import Sweeps
 from ..simulation import Progress, communication_points, prepare, table_of, values_of
 from .functions import Expression, Final, Function
@@ -77,6 +78,15 @@ class Gradient:
 
 class Runs:
     """Runs of one mechanism with the same communication points and inputs, that differ in numbers."""
+
+    unit: Instance
+    facts: Mapping[str, Any]
+    declared: Mechanism | None
+    by: tuple[str, ...]
+    names: list[str]
+    inputs: list[str]
+    times: NDArray[np.float64]
+    table: NDArray[np.float64]
 
     def __init__(
         self,

@@ -11,7 +11,6 @@ import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, overload
 
@@ -2313,8 +2312,9 @@ class Mechanism:
     def _pose(self, name: str, pose: Any) -> tuple[Scalar, Scalar, Scalar] | None:
         if pose is None:
             return None
-        what, units = f"the pose of {name}", ("m", "m", "rad")
-        return tuple(map(partial(self._moving, what), self._vector(what, pose, units, PLACE), units))
+        what = f"the pose of {name}"
+        x, y, angle = self._vector(what, pose, ("m", "m", "rad"), PLACE)
+        return self._moving(what, x, "m"), self._moving(what, y, "m"), self._moving(what, angle, "rad")
 
     def _ends(self, name: str, between: Any) -> tuple[Point | Marker, Point | Marker]:
         if not isinstance(between, tuple | list) or len(between) != 2:
