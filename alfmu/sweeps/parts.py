@@ -10,6 +10,7 @@ import csv
 import io
 import json
 import re
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -100,26 +101,26 @@ class Plan:
         }
 
 
-class Store:
+class Store(ABC):
     """Where parts are kept, and how they are read again."""
 
     plan: Plan
 
+    @abstractmethod
     def done(self) -> list[tuple[int, int]]:
         """Ranges of cases that are finished, first and stop, in their order."""
-        raise NotImplementedError
 
+    @abstractmethod
     def add(self, part: Part) -> None:
         """Keep a part."""
-        raise NotImplementedError
 
+    @abstractmethod
     def columns(self, names: Sequence[str]) -> dict[str, Column]:
         """Columns of all finished cases, in the order of their numbers."""
-        raise NotImplementedError
 
+    @abstractmethod
     def over_time(self, name: str, most: int) -> NDArray[np.float64]:
         """(cases, points): one output over time, of at most so many finished cases, evenly spread."""
-        raise NotImplementedError
 
     def missing(self) -> list[tuple[int, int]]:
         """Ranges of cases that are not finished."""

@@ -64,6 +64,7 @@ def main(folder: Path) -> int:
     checks = all_checks([record["name"] for record in task["records"]])
     given = Task(task["records"], task["tolerance"])
     fork = hasattr(os, "fork") and not task["together"]
+    # Whether it is valid is a check of its own, made before; what it says wrongly is no reason to check nothing else.
     description = read_model_description(task["fmu"], validate=False)
     for id in task["checks"]:
         if result_file(folder, id).exists():
