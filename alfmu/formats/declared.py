@@ -38,6 +38,10 @@ _CORRECTIONS = 12
 _GOOD = 0.1
 """Share of a motion that a driven joint needs, by the largest of all, to be taken as independent before others."""
 
+_HALF = 0.5 + 1e-6
+"""Share of a motion beyond which the first coordinate is taken; off one half, which ratios of gears give, so that
+round-off does not choose."""
+
 _OPEN = 1e-6
 """Gap of a loop at the start [m, rad] that is told: positions in files are rounded to some six digits."""
 
@@ -108,7 +112,9 @@ def independent(mechanism: Mechanism, values: Mapping[str, float], driven: Seque
     start = vector([values[c.name] for c in mechanism.coordinates])
     gaps, _, motions = at(start)
     # Where a mechanism begins in a singular position, a place beside it tells how many coordinates are independent.
-    beside = start + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
+    # It lies along a vector of fixed numbers brought to the motions: which vectors span these is round-off.
+    along = motions @ (motions.T @ np.linspace(1.0, 2.0, len(start)))
+    beside = start + _BESIDE * along / max(float(np.linalg.norm(along)), _BESIDE)
     for _ in range(_CORRECTIONS):
         left, matrix, fewer = at(beside)
         beside = beside - np.linalg.lstsq(matrix, left, rcond=_RANK)[0]
@@ -119,7 +125,7 @@ def independent(mechanism: Mechanism, values: Mapping[str, float], driven: Seque
     for _ in range(motions.shape[1]):
         size = np.linalg.norm(motions, axis=1)
         first = [i for i, name in enumerate(names) if name in driven and size[i] > _GOOD * size.max()]
-        among = first or [i for i in range(len(names)) if size[i] > 0.5 * size.max()]
+        among = first or [i for i in range(len(names)) if size[i] > _HALF * size.max()]
         i = first[0] if first else among[0]
         chosen.add(names[i])
         along = motions[i] / size[i]
