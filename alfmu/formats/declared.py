@@ -112,9 +112,7 @@ def independent(mechanism: Mechanism, values: Mapping[str, float], driven: Seque
     start = vector([values[c.name] for c in mechanism.coordinates])
     gaps, _, motions = at(start)
     # Where a mechanism begins in a singular position, a place beside it tells how many coordinates are independent.
-    # It lies along a vector of fixed numbers brought to the motions: which vectors span these is round-off.
-    along = motions @ (motions.T @ np.linspace(1.0, 2.0, len(start)))
-    beside = start + _BESIDE * along / max(float(np.linalg.norm(along)), _BESIDE)
+    beside = start + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
     for _ in range(_CORRECTIONS):
         left, matrix, fewer = at(beside)
         beside = beside - np.linalg.lstsq(matrix, left, rcond=_RANK)[0]
