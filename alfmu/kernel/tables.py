@@ -55,7 +55,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 11
+VERSION = 12
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"

@@ -30,8 +30,8 @@ def _built(scene: str, name: str) -> Path:
     """The library of another platform, kept in the user's cache under a hash of its sources and one of its own."""
     from platformdirs import user_cache_path
 
-    texts = [path.read_text(encoding="ascii") for path in build.sources()]
-    identity = hashlib.sha256("\0".join([name, *build.FLAGS, *texts]).encode()).hexdigest()[:32]
+    texts = [path.read_text(encoding="ascii") for path in (Path(build.__file__), *build.sources())]
+    identity = hashlib.sha256("\0".join([name, *texts]).encode()).hexdigest()[:32]
     path = user_cache_path("alfmu", appauthor=False) / f"runtime_{identity}{Path(file_name(name)).suffix}"
     proof = path.with_suffix(".sha256")
     if path.is_file() and proof.is_file() and proof.read_text() == hashlib.sha256(path.read_bytes()).hexdigest():
