@@ -87,10 +87,10 @@ def table(comparisons: Rows) -> str:
         each = [r for r in told if r["mechanism"] == name]
         # Of two comparisons with one code, the last one is with alfmu in its language.
         own, first = {r["other"].split(",")[0]: r for r in each}, each[0]
-        if not first["its value"]:
-            continue
-        cells = [_ratio(own.get(code)) for code in codes]
-        lines.append([name, first["alfmu"].removeprefix("alfmu, residual, "), 1e3 * float(first["its value"]), *cells])
+        reached = bool(first["its value"])
+        cells = [_ratio(own.get(code)) for code in codes] if reached else [None] * len(codes)
+        way = first["alfmu"].removeprefix("alfmu, residual, ") if reached else "not reached"
+        lines.append([name, way, 1e3 * float(first["its value"]) if reached else None, *cells])
     return markdown(["mechanism", "alfmu's fastest", "its run time [ms]", *codes], lines, 2)
 
 
