@@ -388,7 +388,17 @@ def test_a_record_that_was_changed_is_told_by_its_check_sum(recorded, tmp_path):
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
-        ("slider_crank_validation.exp", lambda d: b"<Experiments", "slider_crank_validation.exp cannot be read"),
+        ("slider_crank_validation.exp", lambda d: b"<Experiments", "slider_crank_validation.exp is no XML that can be"),
+        (
+            "slider_crank_validation.exp",
+            lambda d: b'<?xml version="1.0" encoding="of the moon"?><Experiments/>',
+            "slider_crank_validation.exp is no XML that can be read",
+        ),
+        (
+            "slider_crank_validation.ssv",
+            lambda d: d.replace(b"<ssv", b"<!DOCTYPE a [<!ENTITY b 'c'>]><ssv", 1),
+            "slider_crank_validation.ssv is not read: it declares a document type",
+        ),
         ("slider_crank_validation.exp", lambda d: d.replace(b'stopTime="', b'stopTime="-'), "has stopTime -"),
         (
             "slider_crank_validation.exp",

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from xml.etree import ElementTree as ET
 
 from ..model.errors import InputError
+from .markup import tree
 
 __all__ = ["SSV", "parameter_set", "read_parameter_set"]
 
@@ -36,10 +37,7 @@ def parameter_set(name: str, values: Mapping[str, float | int | bool | str]) -> 
 def read_parameter_set(data: bytes, name: str) -> dict[str, float | int | bool | str]:
     """The values by name in a parameter set of SSP 1.0 or 2.0; InputError, with the `name` of the file, where it is
     none, or has a value of another form."""
-    try:
-        root = ET.fromstring(data)
-    except ET.ParseError as error:
-        raise InputError(f"{name} is no XML ({error})") from None
+    root = tree(data, name)
     if _plain(root) != "ParameterSet":
         raise InputError(f"{name} is a {_plain(root)}, and no ParameterSet")
     found: dict[str, float | int | bool | str] = {}

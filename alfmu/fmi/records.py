@@ -29,6 +29,7 @@ from ..model.errors import AlfmuError, InputError, StepError
 from ..result import Result
 from ..runtime import Instance
 from ..simulation import communication_points, run
+from .markup import tree
 from .parameters import SSV, parameter_set, read_parameter_set
 
 __all__ = ["AGREES", "EXPERIMENTS", "FOLDER", "MANIFEST", "Record", "listed", "record_files", "records_in"]
@@ -310,10 +311,7 @@ def listed(folder: Path) -> list[Related]:
     path = folder / FOLDER / MANIFEST
     if not path.is_file():
         return []
-    try:
-        root = ET.fromstring(path.read_bytes())
-    except ET.ParseError as error:
-        raise InputError(f"{MANIFEST} is no XML ({error})") from None
+    root = tree(path.read_bytes(), MANIFEST)
     return [
         Related(
             each.get("source", ""),
@@ -339,10 +337,9 @@ def records_in(folder: Path) -> Iterator[Record | InputError]:
     for source in experiments:
         try:
             path = _inside(folder, folder / FOLDER, source)
-            root = ET.fromstring(path.read_bytes())
-        except (InputError, OSError, ET.ParseError) as error:
-            why = getattr(error, "strerror", None) or error
-            yield error if isinstance(error, InputError) else InputError(f"{source} cannot be read ({why})")
+            root = tree(path.read_bytes(), source)
+        except (InputError, OSError) as error:
+            yield error if isinstance(error, InputError) else InputError(f"{source} cannot be read ({error.strerror})")
             continue
         if root.tag != "Experiments":
             yield InputError(f"{source} is a {root.tag}, and no Experiments")

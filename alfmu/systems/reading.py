@@ -11,6 +11,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from ..fmi.drive import checked_archive
+from ..fmi.markup import tree
 from ..model.errors import InputError
 from ..model.words import in_words, there_is
 from .description import Component, Connection, Description
@@ -21,13 +22,6 @@ __all__ = ["read", "unpacked"]
 
 _LARGEST = 16_000_000
 """Bytes of a description or a parameter set, at most."""
-
-
-class _Plain(ET.TreeBuilder):
-    """A tree of what declares no document type, and so no entities."""
-
-    def doctype(self, name: str, public: str | None, system: str | None) -> None:
-        raise InputError("it declares a document type")
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -67,14 +61,7 @@ def _parsed(path: Path, opened: zipfile.ZipFile, names: set[str], name: str, ele
         raise InputError(f"{path} has no {name}")
     if opened.getinfo(name).file_size > _LARGEST:
         raise InputError(f"{path}: {name} has more than {_LARGEST:.0e} bytes")
-    parser = ET.XMLParser(target=_Plain())
-    try:
-        parser.feed(opened.read(name))
-        root = parser.close()
-    except (ET.ParseError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: {name} is no XML that can be read ({error})") from None
-    except InputError as error:
-        raise InputError(f"{path}: {name} is not read: {error}") from None
+    root = tree(opened.read(name), f"{path}: {name}")
     if root.tag != tag(element):
         raise InputError(f"{path}: {name} is no {element.partition(':')[2]} of SSP")
     if (version := root.get("version", "")).partition("-")[0] not in VERSIONS:

@@ -1,0 +1,28 @@
+"""XML files of FMUs and systems from elsewhere, as trees."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree as ET
+
+from ..model.errors import InputError
+
+__all__ = ["tree"]
+
+
+class _Plain(ET.TreeBuilder):
+    """A tree of what declares no document type, and so no entities."""
+
+    def doctype(self, name: str, public: str | None, system: str | None) -> None:
+        raise InputError("it declares a document type")
+
+
+def tree(data: bytes, name: str) -> ET.Element:
+    """The root of a file; InputError, with the `name` of the file, where it is no XML or declares a document type."""
+    parser = ET.XMLParser(target=_Plain())
+    try:
+        parser.feed(data)
+        return parser.close()
+    except (ET.ParseError, ValueError, LookupError) as error:
+        raise InputError(f"{name} is no XML that can be read ({error})") from None
+    except InputError as error:
+        raise InputError(f"{name} is not read: {error}") from None
