@@ -9,7 +9,7 @@ import alfmu
 from alfmu.equations import Mobility
 from alfmu.kernel.trace import traced
 from alfmu.model.settings import Settings
-from alfmu.simulation import prepared
+from alfmu.simulation import prepared, with_defaults
 from alfmu.studies.cost import cost
 
 SCENES = [
@@ -127,10 +127,11 @@ def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps, 
 
 @pytest.mark.parametrize("kernel", ["vm", "compiled"])
 @pytest.mark.parametrize("start", [{}, {"start.angle": -1.5, "start.angular_velocity": 2.0}])
-def test_what_is_read_at_a_communication_point_serves_the_next_step(start, kernel):
+@pytest.mark.parametrize(("way", "h", "stages"), [("rk4", 0.02, 4), ("auto", 0.005, 6)])
+def test_what_is_read_at_a_communication_point_serves_the_next_step(way, h, stages, start, kernel):
     """A step begins with the evaluation that was read where nothing has changed since, and with the same numbers where
     it is made anew: after a state was restored, or an input set; where inputs differ, with other ones."""
-    e = prepared(derived("five_bar"), kernel)
+    e = prepared(with_defaults(derived("five_bar"), {"solver.method": way}), kernel)
     plain, restored, again, other = (alfmu.Instance(e) for _ in range(4))
     name = plain.input_variables[0].name
     for instance in (plain, restored, again, other):
@@ -143,14 +144,14 @@ def test_what_is_read_at_a_communication_point_serves_the_next_step(start, kerne
         again.set(name, again.get(name))
         other.set(name, 1e-9 * (k + 1))
         for instance in (plain, restored, again, other):
-            instance.step(e.step_size)
+            instance.step(h)
         assert restored.memory["z"].tobytes() == plain.memory["z"].tobytes() == again.memory["z"].tobytes(), k
         assert restored.read().tobytes() == plain.read().tobytes() == again.read().tobytes(), k
     assert not np.array_equal(other.q, plain.q)
     assert np.allclose(other.q, plain.q, rtol=0, atol=1e-6)
     shared = restored.counters.evaluations - plain.counters.evaluations
     if start:
-        assert plain.counters.evaluations == 4 * 60 + 1
+        assert plain.counters.evaluations == stages * plain.counters.steps + 1
         assert shared == 60
     assert shared > 40
 

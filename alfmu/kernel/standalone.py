@@ -3,9 +3,9 @@
 The tiers of `alfmu.kernel.trace` stay as they are. After them comes a patient one, whose loops stop on convergence:
 `move` and `move_on_branch` lead to the end of a step, `close` brings it back to the constraints, `instant_patient` and
 `limit_patient` read. `impact` makes the velocity consistent, `sensitivity` and `limit_sensitivity` derive what is read
-by the inputs. `instant_quick` reads by as few iterations as a quick step makes, and `onward` is one that goes on with
-what was read. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an `instant` of their own, and `keep`
-ends a step without projections.
+by the inputs. `instant_quick` reads by as few iterations as a quick step makes; `onward` is one that goes on with what
+was read, `short_onward` a short step that does. Other formulations (`alfmu.kernel.alternatives`) have a `move` and an
+`instant` of their own, and `keep` ends a step without projections.
 """
 
 from __future__ import annotations
@@ -54,8 +54,9 @@ def standalone(equations: Equations) -> Equations:
     if tracer.reads_quickly():
         kernel["instant_quick"] = tracer.instant_quick()
         # The work of what moves by itself is not handed on.
-        if "method" not in kernel and not (e.timed or tracer.timed()):
-            kernel["onward"] = tracer.onward(kernel["quick"])
+        for name, step in {"onward": "quick", "short_onward": "short"}.items():
+            if not (e.timed or tracer.timed()) and step == ("short" if "method" in kernel else "quick"):
+                kernel[name] = tracer.onward(kernel[step])
     if "reach" in kernel:
         kernel["reach"] = Program((Choice("within", zero=kernel["reach"].steps),))
     if e.l:
@@ -115,7 +116,8 @@ _APART = ("instant", "limit", "reach")
 """Programs at a communication point."""
 
 READ = ("read_a", "read_power", "read_watch")
-"""What `instant_quick` hands to `onward`: the evaluation that a quick step at this instant would begin with."""
+"""What `instant_quick` hands to `onward` and `short_onward`: the evaluation that a quick or short step at this instant
+would begin with."""
 
 
 class _Patient(Alternatives):
@@ -172,15 +174,15 @@ class _Patient(Alternatives):
         calls("seen_quickly", known, "seen", lambda *x: calls.scene.seen(plan, *x, limit=ROUND_OFF))
         return Program(calls.steps, plan)
 
-    def onward(self, quick: Program) -> Program:
-        """A quick step from an instant that has been read: its first evaluation is taken from there."""
-        first = next(k for k, step in enumerate(quick.steps) if "rate1" in step.results)
+    def onward(self, step: Program) -> Program:
+        """The same step from an instant that has been read: its first evaluation is taken from there."""
+        first = next(k for k, x in enumerate(step.steps) if "rate1" in x.results)
         given = dict(zip(("a1", "power1", "watch1"), READ, strict=True))
         rest = rewritten(
-            quick.steps[first:], lambda x: (replace(x, arguments=tuple(given.get(y, y) for y in x.arguments)),)
+            step.steps[first:], lambda x: (replace(x, arguments=tuple(given.get(y, y) for y in x.arguments)),)
         )
-        begin = [step for step in quick.steps[:first] if "v1" in step.results]
-        return replace(quick, steps=(*begin, *rest))
+        begin = [x for x in step.steps[:first] if {"v1", "step"} & set(x.results)]
+        return replace(step, steps=(*begin, *rest))
 
     def close(self, plan: Plan) -> Program:
         """S5: q and v after `move`, brought back to the constraints, and the state that they make."""

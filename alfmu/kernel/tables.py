@@ -92,7 +92,7 @@ FUNCTIONS = {
 PROGRAMS = {
     **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
     **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful", "short_step": "short"},
-    **_same("short_beside onward instant_quick"),
+    **_same("short_beside onward short_onward instant_quick"),
     **_same("instant_patient limit_patient keep gripping"),
     **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
 }
@@ -176,7 +176,7 @@ REALS: dict[str, Number] = {
 NODE_COST = 6
 """Evaluations that a node of an implicit step costs, with its tangents and passes of Newton's method."""
 
-HOT = ("quick", "onward", "instant", "instant_quick", "method", "short")
+HOT = ("quick", "onward", "instant", "instant_quick", "method", "short", "short_onward")
 """Programs whose calls are joined: they run in every step."""
 
 

@@ -1386,7 +1386,8 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
     Outcome outcome = DONE;
     memcpy(begin, z, size);
     memcpy(before, pace, count * sizeof *pace);
-    i->onward = 0;
+    if (!method(i) || i->flags.brakes) /* Steps go on with other numbers than those that were read with. */
+        i->onward = 0;
     at_time(i, start);
     if (s->reach >= 0)
         run(i, s->reach);

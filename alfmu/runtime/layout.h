@@ -304,6 +304,7 @@
     X(short_step) \
     X(short_beside) \
     X(onward) \
+    X(short_onward) \
     X(instant_quick) \
     X(instant_patient) \
     X(limit_patient) \
@@ -348,6 +349,7 @@
     X(short_step) \
     X(short_beside) \
     X(onward) \
+    X(short_onward) \
     X(instant_quick) \
     X(instant_patient) \
     X(limit_patient) \

@@ -26,6 +26,13 @@ static int read_here(const Instance *i)
         && !memcmp(i->read_at + 2 * s->n, i->m + s->u, (size_t)s->inputs * sizeof *i->m);
 }
 
+/* Whether a quick step from where that evaluation was made would be found out to begin near a singular position. */
+static int read_near(const Instance *i)
+{
+    const Scene *s = i->scene;
+    return i->m[s->k + SETTINGS_CONTINUES] != 0.0 && i->workspace[s->read_watch + WATCH_NEAR] != 0.0;
+}
+
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
 long advance(Instance *i, long steps, double dt)
 {
@@ -36,10 +43,8 @@ long advance(Instance *i, long steps, double dt)
     m[s->dt] = dt;
     for (done = 0; done < steps && !ended(i); done++) {
         int tier = m[s->control + CONTROL_TIER] != 0.0;
-        const int onward = done == 0 && tier == 0 && read_here(i);
-        /* So near a singular position a quick step would only be found out. */
-        if (onward && s->branch_step >= 0 && m[s->k + SETTINGS_CONTINUES] != 0.0
-            && i->workspace[s->read_watch + WATCH_NEAR] != 0.0)
+        const int onward = done == 0 && tier == 0 && s->onward >= 0 && read_here(i);
+        if (onward && s->branch_step >= 0 && read_near(i))
             tier = 2;
         for (;;) {
             const Mark begin = tape_mark(i);
@@ -115,13 +120,19 @@ static int try_short(Instance *i)
     const Scene *s = i->scene;
     double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
     double kept[PACE];
-    run(i, s->short_step);
+    const int onward = s->short_onward >= 0 && read_here(i);
+    int near = onward && s->short_beside >= 0 && read_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
-    if (after[s->trouble] == 0.0)
-        return 1;
-    if (after[s->near] == 0.0)
-        pace[PACE_DT] *= SHORTENED;
-    if (after[s->near] == 0.0 || s->short_beside < 0)
+    if (!near) {
+        run(i, onward ? s->short_onward : s->short_step);
+        i->shared += onward;
+        if (after[s->trouble] == 0.0)
+            return 1;
+        near = after[s->near] != 0.0;
+        if (!near)
+            pace[PACE_DT] *= SHORTENED;
+    }
+    if (!near || s->short_beside < 0)
         return 0;
     memcpy(kept, pace, sizeof kept);
     run(i, s->short_beside);
@@ -273,12 +284,12 @@ static int read_at_once(Instance *i)
 {
     const Scene *s = i->scene;
     const double *control = i->m + s->control;
-    if (s->instant_quick < 0 || control[CONTROL_TIER] != 0.0 || control[CONTROL_METHOD] != 0.0)
+    if (s->instant_quick < 0 || control[CONTROL_TIER] != 0.0 || (control[CONTROL_METHOD] != 0.0 && s->short_onward < 0))
         return 0;
     run(i, s->instant_quick);
     memcpy(i->read_at, i->m + s->z, 2 * (size_t)s->n * sizeof *i->m);
     memcpy(i->read_at + 2 * s->n, i->m + s->u, (size_t)s->inputs * sizeof *i->m);
-    i->onward = s->onward >= 0;
+    i->onward = s->onward >= 0 || s->short_onward >= 0;
     return verdict(i, SEEN_TROUBLE) == 0.0 && verdict(i, SEEN_NEAR) == 0.0;
 }
 
