@@ -393,11 +393,14 @@ import alfmu.sweeps.crew as crew
 from alfmu.cli import main
 from pathlib import Path
 taken = crew._Work._next
-crew._Work._next = lambda work, most: taken(work, 8 if work.store.finished < 16 else 400)
-resource.setrlimit(resource.RLIMIT_FSIZE, (8000, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+def following(work, most):
+    if work.store.finished >= 16:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1, resource.getrlimit(resource.RLIMIT_FSIZE)[1]))
+    return taken(work, 8)
+crew._Work._next = following
 sys.exit(main(sys.argv[1:]))
 """
-"""A disk that has room for two small parts, and not for a large one: a limit of the process stands for it."""
+"""A disk that has room for two parts of eight cases: a limit of the process stands for it."""
 
 
 @pytest.mark.parametrize("form", ["parquet", "csv"])
