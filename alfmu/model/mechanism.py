@@ -18,9 +18,20 @@ import casadi as ca
 import numpy as np
 
 from .cams import Cam, Profile, cam
-from .checks import jump_in, number, perhaps_an_impact, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
+from .checks import (
+    JUMPS,
+    jump_in,
+    may_break,
+    number,
+    perhaps_an_impact,
+    perhaps_degrees,
+    perhaps_millimetres,
+    symbols_in,
+    users_line,
+)
 from .errors import DeclarationError
-from .motion import DERIVATIVES, JUMPS, ORDERS, Input, Signal
+from .motion import DERIVATIVES, ORDERS, Input, Law, Signal
+from .motion import JUMPS as LEAPS
 from .relations import (
     INVOLUTE,
     Belt,
@@ -525,6 +536,8 @@ class Mechanism:
     """What is closed by constraints, in the order of its rows."""
     signals: ClassVar[_Parts[Signal]] = _Parts()
     """Inputs that move something."""
+    laws: ClassVar[_Parts[Law]] = _Parts()
+    """What moves something in time and may jump, or not be finite."""
     releases: ClassVar[_Parts[AnyJoint | Constraint | Relation]] = _Parts()
     """What a Boolean input can open."""
     springs: ClassVar[_Parts[Spring]] = _Parts()
@@ -732,7 +745,7 @@ class Mechanism:
         for what, given, known in (("derivatives", derivatives, (0, 1, 2)), ("order", order, ORDERS)):
             if type(given) is not int or given not in known:
                 raise DeclarationError(f"{self.name}: the {what} of {name} is {shown(given)}; give 0, 1 or 2")
-        limit = JUMPS.get(unit, JUMPS["m"]) if jump is None else self._plain(f"the jump of {name}", jump)
+        limit = LEAPS.get(unit, LEAPS["m"]) if jump is None else self._plain(f"the jump of {name}", jump)
         if not limit > 0:
             raise DeclarationError(f"{self.name}: the jump of {name} is {limit:g} {unit}; it must be above zero")
         if derivatives:
@@ -940,7 +953,7 @@ class Mechanism:
 
     def point(self, x: Scalar, y: Scalar) -> Point:
         """A point in ground axes [m], usually a pair of coordinates."""
-        return Point(*self._vector("a point", (x, y), ("m",) * 2, PLACE))
+        return Point(*(self._moving("a point", each, "m") for each in (x, y)))
 
     def gravity(self, x: Scalar, y: Scalar, z: Scalar = 0.0) -> None:
         """The acceleration of gravity [m/s2] in ground axes."""
@@ -1820,7 +1833,7 @@ class Mechanism:
         if any(isinstance(c, Motion) and c.name == name for c in self.closures):
             raise DeclarationError(f"{self.name}: {name} has a motion already; give it one")
         law = symbolic(self._quantity(f"the motion of {name}", law, unit, LAW))
-        self._no_jumps(f"the motion of {name}", law, unit)
+        self._no_jumps(f"the motion of {name}", law, unit, name if switch else "")
         self.moves = True
         value = None
         coordinate = None if placed is None else self._by_symbol.get(key_of(placed))
@@ -1971,8 +1984,6 @@ class Mechanism:
         self._own((joint.first, joint.second), f"joint {joint.name}", Marker)
         for each, its in (("axis", "rad"), ("offset", "m"), ("angle", "rad"), ("length", "m")):
             setattr(joint, each, self._moving(f"the {each} of {joint.name}", getattr(joint, each), its))
-        for x in (joint.first.x, joint.first.y, joint.second.x, joint.second.y):
-            self._no_jumps(f"a point of joint {joint.name}", x, "m")
         first, second = joint.first.body, joint.second.body
         if first is second:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
@@ -1999,8 +2010,6 @@ class Mechanism:
         self._claim(joint.name, "1", "a joint")
         self._own((joint.first, joint.second), f"joint {joint.name}", SpatialMarker)
         first, second = joint.first.body, joint.second.body
-        for x in (*joint.first.point, *joint.second.point):
-            self._no_jumps(f"a point of joint {joint.name}", x, "m")
         if first is second:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
         if second is self.spatial_ground:
@@ -2080,7 +2089,7 @@ class Mechanism:
     def _own(
         self, markers: Iterable[AnyMarker], user: str, kind: type[Marker] | type[SpatialMarker] | None = None
     ) -> None:
-        """Points of bodies of this mechanism, all in the plane or all in space where the kind says so."""
+        """Points of bodies of this mechanism; of joints and the like, as the kind says, all in the plane or in space."""
         for marker in markers:
             if isinstance(marker, Body | SpatialBody):
                 body = marker.name
@@ -2097,6 +2106,8 @@ class Mechanism:
             place = self._vector(what, place, ("m",) * len(place), PLACE)
             for axis, x in zip("xyz", place, strict=False):
                 object.__setattr__(marker, axis, x)  # An input that moves the point is a signal from here on.
+                if kind:
+                    self._no_jumps(f"a point of {user}", x, "m")
             for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
                 perhaps_millimetres(f"{self.name}: {what}", x)
 
@@ -2168,27 +2179,32 @@ class Mechanism:
         self._no_jumps(what, value, unit)
         return value
 
-    def _no_jumps(self, what: str, value: Scalar, unit: str) -> None:
-        """What moves bodies in time does so without a jump, at the defaults of parameters and up to the stop time.
+    def _no_jumps(self, what: str, value: Scalar, unit: str, motion: str = "") -> None:
+        """What moves bodies in time does so without a jump: at the defaults of parameters and up to the stop time it is
+        looked at here, all else by the run.
 
-        Raises DeclarationError with the size of a jump; a jump of the rate is an impact, of which it warns. What
-        follows an input is looked at by the run.
+        Raises DeclarationError with the size of a jump; a jump of the rate is an impact, of which it warns.
         """
         symbols = symbols_in(value)
         kinds = {key_of(symbol): self._symbols[key_of(symbol)].kind for symbol in symbols}
-        if "time" not in kinds.values() or "inputs" in kinds.values():
+        law = Law(what, symbolic(value), unit, motion)
+        if "time" not in kinds.values() or not may_break(law.value, self.time):
             return
+        if any(each.what == what and key_of(each.value) == key_of(law.value) for each in self.laws):
+            return
+        if "inputs" not in kinds.values():
+            self._no_jump_at_defaults(law, [symbol for symbol in symbols if kinds[key_of(symbol)] != "time"])
+        Mechanism.laws.of(self).append(law)
+
+    def _no_jump_at_defaults(self, law: Law, others: Sequence[ca.SX]) -> None:
+        """The same at the defaults of parameters; `others` are its symbols beside time."""
         known = {key_of(x.symbol): x.default for x in self.parameters}
-        others = [symbol for symbol in symbols if kinds[key_of(symbol)] != "time"]
-        at = ca.substitute(symbolic(value), stack(others), stack([known.get(key_of(x), 0.5) for x in others]))
-        what, stop = f"{self.name}: {what}", self.experiment.stop_time
+        at = ca.substitute(law.value, stack(others), stack([known.get(key_of(x), 0.5) for x in others]))
+        stop = self.experiment.stop_time
         if found := jump_in(at, self.time, stop):
-            raise DeclarationError(
-                f"{what} jumps by {found[1]:.6g} {unit} at t = {found[0]:.6g} s, which no rigid mechanism follows; "
-                "give a law without jumps"
-            )
+            raise DeclarationError(JUMPS % (self.name, law.what, found[1], law.unit, found[0]))
         if found := jump_in(ca.jacobian(at, self.time), self.time, stop):
-            perhaps_an_impact(what, *found, rate_of(unit))
+            perhaps_an_impact(self.name, law.what, *found, rate_of(law.unit))
 
     def _signal(self, given: Input) -> Signal:
         """The signal of an input, declared where the input moves something for the first time."""
