@@ -2089,7 +2089,7 @@ class Mechanism:
     def _own(
         self, markers: Iterable[AnyMarker], user: str, kind: type[Marker] | type[SpatialMarker] | None = None
     ) -> None:
-        """Points of bodies of this mechanism; of joints and the like, as the kind says, all in the plane or in space."""
+        """Points of bodies of this mechanism; of joints and the like, as the kind says, all in the plane or space."""
         for marker in markers:
             if isinstance(marker, Body | SpatialBody):
                 body = marker.name
