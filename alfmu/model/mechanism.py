@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, 
 import casadi as ca
 import numpy as np
 
+from .calls import declares, explained
 from .cams import Cam, Profile, cam
 from .checks import (
     JUMPS,
@@ -241,6 +242,7 @@ class Body(Brief):
             raise DeclarationError(f"{self.name} belongs to no mechanism; make bodies by body() and bar()")
         return Kinematics(self._mechanism)
 
+    @explained
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0) -> Marker:
         """The point (x, y) [m] of the body's frame."""
         x, y = (number(f"{axis} of {self.name}.at()", value) for axis, value in (("x", x), ("y", y)))
@@ -424,6 +426,7 @@ class DrawnBar(Brief):
     joints: tuple[str, ...]
 
 
+@declares
 @dataclass(frozen=True)
 class Experiment:
     """What a run of the mechanism looks like when nobody says otherwise.
@@ -449,7 +452,8 @@ class Experiment:
             object.__setattr__(self, "communication_step", interval)
         for name in ("stop_time", "step_size", "communication_step"):
             value = getattr(self, name)
-            if value is not None and not number(f"{name} of an experiment", value) > 0:
+            optional = value is None and name == "communication_step"
+            if not optional and not number(f"{name} of an experiment", value) > 0:
                 raise DeclarationError(f"{name} of an experiment is {value} s; it must be above zero")
 
 
@@ -482,6 +486,7 @@ class _Parts(Generic[_Part]):
         return mechanism._parts.setdefault(self._name, [])
 
 
+@declares
 @dataclass(eq=False, repr=False)
 class Mechanism:
     """A mechanism: bodies and joints in the plane or in space, with a general level for everything else.
@@ -1426,7 +1431,7 @@ class Mechanism:
         if isinstance(at, SpatialMarker):
             force = self._vector(what, (x, y, z), ("N",) * 3, EFFORT)
             Mechanism.spatial_loads.of(self).append(SpatialLoad(at, force, (0.0,) * 3))
-        elif isinstance(z, ca.SX) or z:
+        elif isinstance(z, ca.SX) or z != 0:
             raise DeclarationError(f"{self.name}: {what}, a body in the plane, has a part along z; leave z out")
         else:
             Mechanism.loads.of(self).append(Load(at, self._vector(what, (x, y), ("N",) * 2, EFFORT), 0.0))
@@ -1577,9 +1582,9 @@ class Mechanism:
     def friction(
         self,
         joint: AnyJoint,
-        viscous: Scalar = 0.0,
+        viscous: Scalar | None = None,
         *,
-        coulomb: Scalar = 0.0,
+        coulomb: Scalar | None = None,
         static: Scalar | None = None,
         radius: Scalar | None = None,
         length: Scalar | None = None,
@@ -1600,8 +1605,14 @@ class Mechanism:
         about its axis; a screw takes the `radius` of its thread. What is not given carries without friction.
         """
         along = self._free(joint, "friction()")
-        coulomb = self._coefficient(joint, "coefficient coulomb", coulomb, "1")
-        viscous = self._coefficient(joint, "viscous coefficient", viscous, f"{EFFORTS[along]}.s/{along}")
+        numbers = (viscous, coulomb, static, radius, length, stribeck, collar)
+        if all(x is None for x in numbers):
+            raise DeclarationError(
+                f"{self.name}: the friction of {joint.name} has no coefficient; give viscous or coulomb"
+            )
+        coulomb = self._coefficient(joint, "coefficient coulomb", 0.0 if coulomb is None else coulomb, "1")
+        unit = f"{EFFORTS[along]}.s/{along}"
+        viscous = self._coefficient(joint, "viscous coefficient", 0.0 if viscous is None else viscous, unit)
         dry = not symbolic(coulomb).is_zero() or static is not None
         if not dry and (given := [x for x in (radius, length, stribeck, collar) if x is not None]):
             raise DeclarationError(

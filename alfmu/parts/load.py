@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from ..model.calls import explained
 from ..model.errors import DeclarationError
 from ..model.mechanism import Joint, Mechanism, Scalar, symbolic
 from ..model.words import shown
@@ -30,6 +31,7 @@ class Load:
     """On the joint, without that of the inertia [N.m]."""
 
 
+@explained
 def load(
     m: Mechanism,
     name: str,

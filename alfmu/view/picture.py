@@ -25,7 +25,7 @@ from ..equations import Equations
 from ..files import atomic, write
 from ..model.errors import AlfmuError, AssemblyError, InputError
 from ..model.mechanism import Mechanism, Start
-from ..model.words import there_is
+from ..model.words import shown, there_is
 from ..result import Result
 from ..runtime import Instance
 from ..runtime.probe import Probe
@@ -200,6 +200,8 @@ def drawing(
     1 rad further, and the picture says so. Dots have the trail of the mechanism's own experiment, as far as 500 steps
     and as it can be run. Raises AlfmuError where the mechanism cannot start, or has nothing called so.
     """
+    if not (isinstance(size, tuple | list) and len(size) == 2 and all(type(x) is int and x > 0 for x in size)):
+        raise InputError(f"{mechanism.name}: the size of a picture is {shown(size)}; give two, as (640, 480) pixels")
     shapes = geometry(mechanism, parameters)
     if at:
         return _drawing_at(mechanism, shapes, at, parameters or {}, size)
