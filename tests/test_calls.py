@@ -12,6 +12,7 @@ import pytest
 
 import alfmu
 from alfmu import Experiment, Mechanism, parts
+from alfmu.analysis.linearization import figure
 from alfmu.parts import blocks
 
 
@@ -222,3 +223,44 @@ def test_the_damping_of_a_motor_without_a_shaft_is_refused():
 def test_the_size_of_a_picture_is_two_numbers_of_pixels(size):
     with pytest.raises(alfmu.InputError, match=r"the size of a picture is .*; give two, as \(640, 480\) pixels"):
         alfmu.load("slider_crank").draw(size=size)
+
+
+ANALYSES: list[tuple[Callable[[Any], Any], str]] = [
+    (lambda x: x.lin.save(5), r"slider_crank: save\(\): path is 5; give a text or a Path"),
+    (lambda x: x.lin.save(), r"slider_crank: save\(\) lacks path; it takes path"),
+    (lambda x: x.lin.save("a.txt"), r"a.txt cannot hold a linearisation; its name must end in .json or .mat"),
+    (lambda x: x.lin.plot(5), r"path is 5; give a text or a Path, or leave it out"),
+    (lambda x: x.lin.film(5), r"slider_crank: film\(\): path is 5; give a text or a Path"),
+    (lambda x: x.lin.film("a.gif", 7), "slider_crank: there is no mode 7; it has 2 modes"),
+    (lambda x: x.lin.film("a.gif", modes=1), r"film\(\) of a.gif takes no modes; did you mean mode\?"),
+    (lambda x: x.lin.film("a.gif", amplitude="x"), r"film\(\) of a.gif: amplitude is 'x'; give a number"),
+    (lambda x: x.rest.save(5), r"slider_crank: save\(\): path is 5; give a text or a Path"),
+    (lambda x: x.rest.save("a.mat"), r"a.mat cannot hold positions of rest; its name must end in .json"),
+    (lambda x: x.rest[0].draw(size=3), r"the size of a picture is 3; give two"),
+    (lambda x: x.freedoms.save(None), r"slider_crank: save\(\): path is None; give a text or a Path"),
+    (lambda x: figure([]), r"figure\(\) is given no linearisation; give one or more"),
+    (lambda x: figure([3]), r"figure\(\): found is \[3\]; give several, each a Linearization"),
+    *(
+        (
+            partial(lambda x, at: alfmu.linearize("slider_crank", at), at=at),
+            r"slider_crank: at is .*; it must be start, e",
+        )
+        for at in (None, "middle", -1.0, math.nan, [], [0.1, "x"], object())
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def analysed() -> SimpleNamespace:
+    """What analyses of the slider-crank come to."""
+    lin, rest = alfmu.linearize("slider_crank"), alfmu.equilibrium("slider_crank")
+    return SimpleNamespace(lin=lin, rest=rest, freedoms=alfmu.mobility("slider_crank", stop_time=0))
+
+
+@pytest.mark.parametrize("asked", range(len(ANALYSES)))
+def test_nonsense_asked_of_an_analysis_is_answered_in_words(analysed, asked, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    call, says = ANALYSES[asked]
+    with pytest.raises(alfmu.InputError, match=says):
+        call(analysed)
+    assert not list(tmp_path.iterdir())

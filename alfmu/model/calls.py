@@ -17,10 +17,10 @@ from typing import Any, ParamSpec, TypeVar
 import casadi as ca
 import numpy as np
 
-from .errors import AlfmuError, DeclarationError
+from .errors import AlfmuError, DeclarationError, InputError
 from .words import in_words, nearest, shown
 
-__all__ = ["declares", "explained"]
+__all__ = ["asked", "declares", "explained"]
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
@@ -53,8 +53,8 @@ _FORMS: dict[Any, str] = {Callable: "a function", Mapping: "numbers by their nam
 _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 
-def explained(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The same function; errors of Python's own that its arguments lead to are DeclarationErrors, which say of what
+def explained(function: Callable[_P, _R], kind: type[AlfmuError] = DeclarationError) -> Callable[_P, _R]:
+    """The same function; errors of Python's own that its arguments lead to are AlfmuErrors of a kind, which say of what
     call they are, what was given, and what it takes."""
 
     takes = _Takes(function)
@@ -69,10 +69,15 @@ def explained(function: Callable[_P, _R]) -> Callable[_P, _R]:
         except AlfmuError:
             raise
         except _RAW as error:
-            raise DeclarationError(takes.said(given, named, error)) from error
+            raise kind(takes.said(given, named, error)) from error
         return found
 
     return call
+
+
+def asked(function: Callable[_P, _R]) -> Callable[_P, _R]:
+    """The same of a function that declares nothing: InputErrors."""
+    return explained(function, InputError)
 
 
 def declares(of: _C) -> _C:
@@ -119,7 +124,11 @@ class _Takes:
 
     def said(self, given: Sequence[Any], named: Mapping[str, Any], error: Exception) -> str:
         """What is wrong with a call that ended in an error of Python's own."""
-        call, known, count = _called(self.function, given, named), self.known(given, named), len(given) - self.own
+        call, known, count = (
+            _called(self.function, given, named, self.own),
+            self.known(given, named),
+            len(given) - self.own,
+        )
         if unknown := [name for name in named if name not in self.parameters]:
             meant = nearest(unknown[0], self.parameters)
             return f"{call} takes no {unknown[0]}; " + (f"did you mean {in_words(meant)}?" if meant else self.all())
@@ -146,15 +155,15 @@ class _Takes:
         return f"it takes {_and(self.needed) or 'nothing'}" + f", and may take {_and(beside)}" * bool(beside)
 
 
-def _called(function: Callable[..., Any], given: Sequence[Any], named: Mapping[str, Any]) -> str:
+def _called(function: Callable[..., Any], given: Sequence[Any], named: Mapping[str, Any], own: int) -> str:
     """A call with its mechanism, and with the name of what it declares or is about."""
-    owner = given[0] if given else None
-    about = [*given[1:2], *(named[x] for x in ("name", "of", "joint", "body") if x in named)]
+    owner = given[0] if given and own else None
+    about = [*given[own : own + 1], *(named[x] for x in ("name", "of", "joint", "body") if x in named)]
     names = [x if isinstance(x, str) else getattr(x, "name", None) for x in about]
     of = next((f" of {x}" for x in names if isinstance(x, str) and x), "")
     if function.__name__ == "__init__":
         return f"{type(owner).__name__}()"
-    name = getattr(owner, "name", None)
+    name = getattr(owner, "name", getattr(owner, "mechanism", None))
     return (f"{name}: " if isinstance(name, str) else "") + f"{function.__name__}(){of}"
 
 

@@ -143,6 +143,12 @@ class Drawing:
     caption: str = ""
     size: Size = SIZE
 
+    def __post_init__(self) -> None:
+        size = self.size
+        if not (isinstance(size, tuple | list) and len(size) == 2 and all(type(x) is int and x > 0 for x in size)):
+            name = self.shapes.name
+            raise InputError(f"{name}: the size of a picture is {shown(size)}; give two, as (640, 480) pixels")
+
     def __repr__(self) -> str:
         return f"<Drawing of {self.shapes.name}, {self.size[0]} x {self.size[1]} pixels>"
 
@@ -200,8 +206,6 @@ def drawing(
     1 rad further, and the picture says so. Dots have the trail of the mechanism's own experiment, as far as 500 steps
     and as it can be run. Raises AlfmuError where the mechanism cannot start, or has nothing called so.
     """
-    if not (isinstance(size, tuple | list) and len(size) == 2 and all(type(x) is int and x > 0 for x in size)):
-        raise InputError(f"{mechanism.name}: the size of a picture is {shown(size)}; give two, as (640, 480) pixels")
     shapes = geometry(mechanism, parameters)
     if at:
         return _drawing_at(mechanism, shapes, at, parameters or {}, size)
