@@ -93,7 +93,7 @@ def test_a_load_is_refused_where_it_loads_nothing():
     )
     with pytest.raises(AlfmuError, match="loads nothing"):
         parts.load(m, "load", axle)
-    with pytest.raises(AlfmuError, match="give it a revolute joint"):
+    with pytest.raises(AlfmuError, match="give it a joint of this mechanism that is a revolute or a screw"):
         parts.load(m, "load", "axle", inertia=1.0)
 
 

@@ -45,10 +45,10 @@ def load(
 ) -> Load:
     """A load on a joint that turns, a hinge or a screw, which brakes it and gives it inertia.
 
-    `inertia` [kg.m2] is that of a flywheel, a body `<name>.wheel` of its own, in space a thin disc about the axis. `damping` [N.m.s/rad] is viscous,
-    `opposing` [N.m] a torque against the motion, which builds up within `alfmu.parts.motor.TURNING` of standstill and
-    so holds nothing at rest, `fan` [kg.m2] a torque over the square of the speed. Numbers other than zero become the
-    parameters `<name>.inertia` and so on; expressions stay what they are.
+    `inertia` [kg.m2] is that of a flywheel, a body `<name>.wheel` of its own, in space a thin disc about the axis.
+    `damping` [N.m.s/rad] is viscous, `opposing` [N.m] a torque against the motion, which builds up within
+    `alfmu.parts.motor.TURNING` of standstill and so holds nothing at rest, `fan` [kg.m2] a torque over the square of
+    the speed. Numbers other than zero become the parameters `<name>.inertia` and so on; expressions stay what they are.
 
     The output `<name>.torque` is the torque on the joint without that of the inertia; an empty name leaves out what
     stands in front. Raises DeclarationError where the joint is none that turns, or nothing is given.
