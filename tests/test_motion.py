@@ -838,6 +838,26 @@ def test_a_motion_is_switched_on_where_the_joint_is_and_off_again(kernel):
     assert abs(balance).max() < 1e-7
 
 
+@pytest.mark.parametrize("switch", [False, True])
+def test_a_lock_against_a_motion_is_refused_and_the_motion_goes_on(switch, caplog):
+    m = crank(lambda t: 2 * t, switch=switch)
+    m.lock("A")
+    instance = made(by_rk4(m), "vm")
+    instance.initialize()
+    if switch:
+        instance.set("A.driven", True)
+    instance.step(0.1)
+    instance.set("A.locked", True)
+    with pytest.raises(
+        alfmu.InputError, match=r"t = 0.1 s: what is switched on asks for another motion .* A locked is missed"
+    ):
+        instance.step(0.1)
+    instance.step(0.1)
+    assert instance.get("bar.angle") == pytest.approx(0.4, abs=1e-12)
+    assert instance.get("A.locked") == 0.0
+    assert not caplog.records  # There is no dry friction whose load could be shared.
+
+
 def test_a_motion_of_rate_zero_is_a_lock():
     runs = []
     for name in ("locked", "driven"):

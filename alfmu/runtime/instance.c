@@ -24,6 +24,10 @@
    the default tolerance. */
 #define RESTING 1e-8
 
+/* What an impact leaves of Phi-dot, in units of its row, where no velocities serve all constraints in force: a thousand times
+   what a step may leave. */
+#define CONTRADICTION 1e-3
+
 /* Share of a direction of inputs by which outputs are changed for a difference, where they do not change evenly. */
 #define SMALL_CHANGE 1e-4
 
@@ -820,6 +824,12 @@ static Outcome change(Instance *i, const double *on)
             }
         if (s->frictions)
             tell_of_impact(i, v, w[s->lost]);
+        gap = widest(i, q, v, 1, &row);
+        if (!(gap <= CONTRADICTION))
+            outcome = say(i, REFUSED,
+                "%s, t = %.6g s: what is switched on asks for another motion than what is in force: no velocities serve both, "
+                "as %s is missed by %.3g per second; switch one of them off",
+                s->name, *instance_time(i), row_label(i, row, label, sizeof label), gap);
     }
     if (outcome == DONE)
         outcome = knowledge(i, q, v);
