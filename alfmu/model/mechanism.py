@@ -1604,8 +1604,10 @@ class Mechanism:
         `collar` of that radius [m] for the force along its axis; a guide may have a key at a `radius` for the moment
         about its axis; a screw takes the `radius` of its thread. What is not given carries without friction.
         """
-        along = self._free(joint, "friction()")
         numbers = (viscous, coulomb, static, radius, length, stribeck, collar)
+        if any(x is not None for x in numbers[1:]):
+            self._slides_one_way(joint)
+        along = self._free(joint, "friction()")
         if all(x is None for x in numbers):
             raise DeclarationError(
                 f"{self.name}: the friction of {joint.name} has no coefficient; give viscous or coulomb"
@@ -1632,6 +1634,17 @@ class Mechanism:
             self._not_negative(what, value, unit)
         return value
 
+    def _slides_one_way(self, joint: AnyJoint) -> None:
+        """DeclarationError where no sign tells the direction in which a joint slides, as dry friction takes it."""
+        whole = joint.joint if isinstance(joint, SpatialFreedom) else joint
+        if isinstance(whole, SpatialJoint) and len(whole.freedoms) != 1 and whole.kind not in ("weld", "distance"):
+            moves = in_words(list(whole.freedoms)) if whole.freedoms else "turns"
+            raise DeclarationError(
+                f"{self.name}: dry friction of {whole.name}: a {whole.kind} joint slides in any direction of several "
+                f"({moves.replace(' or ', ' and ')}), and friction against their sum is not known here; make it of "
+                "joints with one free motion each, which rub apart, or give viscous friction alone"
+            )
+
     def _dry_friction(
         self,
         joint: AnyJoint,
@@ -1644,12 +1657,6 @@ class Mechanism:
         collar: Scalar | None,
     ) -> None:
         name = joint.name
-        if isinstance(joint, SpatialFreedom):
-            raise DeclarationError(
-                f"{self.name}: dry friction of {name}: a {joint.joint.kind} joint slides in any direction of several, "
-                "for which there is viscous friction alone; make it of joints with one free motion each, or leave "
-                "coulomb, static, radius, length, stribeck and collar out"
-            )
         takes, text = _DRY_FRICTION[joint.kind, isinstance(joint, SpatialJoint)]
         given = {"radius": radius, "length": length, "collar": collar}
         if any(x is not None and each not in takes for each, x in given.items()) or (
