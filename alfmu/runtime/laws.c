@@ -56,31 +56,30 @@ static int counts(const Instance *i, int law)
     return row < 0 || i->penalty[row] > 0.0;
 }
 
-/* The law whose change between two times, or that of its rate, differs most from what rates make of it, over the limit; -1
-   where none does by more than that. */
-static int apart(Instance *i, double a, double b, int order, double *size)
+/* The law whose change between two times differs most from what rates make of it, over the limit, of orders from the first to
+   the last: of laws, of their rates; -1 where none does by more than that. */
+static int apart(Instance *i, double a, double b, int first, int last, double *size)
 {
     const Scene *s = i->scene;
-    const size_t used = i->used, count = (size_t)s->leap_count;
-    double *change = take(i, ORDERS * count), *now = take(i, ORDERS * count), *limit = take(i, count), worst = 1.0;
+    const size_t used = i->used, count = (size_t)s->leap_count, begin = (size_t)first * count, end = (size_t)(last + 1) * count;
+    double *change = take(i, ORDERS * count), *now = take(i, ORDERS * count), *limit = take(i, ORDERS * count), worst = 1.0;
     int found = -1;
     laws_at(i, b, change);
     laws_at(i, a, now);
-    for (size_t k = 0; k < count; k++) {
-        const double begin = now[order * count + k], end = change[order * count + k];
-        limit[k] = JUMP * (1.0 + fmax(fabs(begin), fabs(end)));
-        change[k] = end - begin;
+    for (size_t k = begin; k < end; k++) {
+        limit[k] = JUMP * (1.0 + fmax(fabs(now[k]), fabs(change[k])));
+        change[k] -= now[k];
     }
     for (int each = 0; each < POINTS; each++) {
         laws_at(i, a + points[each] * (b - a), now);
-        for (size_t k = 0; k < count; k++)
-            change[k] -= weights[each] * (b - a) * now[(order + 1) * count + k];
+        for (size_t k = begin; k < end; k++)
+            change[k] -= weights[each] * (b - a) * now[k + count];
     }
-    for (size_t k = 0; k < count; k++) {
+    for (size_t k = begin; k < end; k++) {
         const double over = isfinite(change[k]) ? fabs(change[k]) / limit[k] : INFINITY;
-        if (over > worst && counts(i, (int)k)) {
+        if (over > worst && counts(i, (int)(k % count))) {
             worst = over;
-            found = (int)k;
+            found = (int)(k % count);
             *size = fabs(change[k]);
         }
     }
@@ -96,13 +95,13 @@ static int first_break(Instance *i, double begin, double end, int order, Break *
     int top = 0;
     for (long left = MOST_STEPS; top >= 0; left--) {
         const double b = ends[top], instant = INSTANT * fmax(1.0, fmax(fabs(a), fabs(b)));
-        found->law = apart(i, a, b, order, &found->size);
+        found->law = apart(i, a, b, order, order, &found->size);
         if (found->law < 0) {
             a = b;
             top--;
         } else if (b - a <= instant || top + 1 == DEPTH) {
             if (isfinite(found->size)) {
-                const int law = apart(i, a - ABOUT * instant, b + ABOUT * instant, order, &found->size);
+                const int law = apart(i, a - ABOUT * instant, b + ABOUT * instant, order, order, &found->size);
                 found->law = law < 0 ? found->law : law;
             }
             found->time = b;
@@ -129,7 +128,7 @@ Outcome laws_checked(Instance *i, double end)
     const Leap *law;
     Break found;
     int breaks;
-    if (!s->leap_count)
+    if (!s->leap_count || apart(i, begin, end, LAW, RATE, &found.size) < 0)
         return DONE;
     breaks = first_break(i, begin, end, LAW, &found);
     law = s->leaps + (breaks ? found.law : 0);
