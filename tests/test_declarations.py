@@ -172,6 +172,27 @@ UNITS = [
 ]
 
 KINDS = [
+    # What a call lacks, or does not know.
+    (
+        'm.bar("b")',
+        r"odd: bar\(\) of b lacks mass and length; it takes name, mass and length, and may take pose and betw",
+    ),
+    ("m.motion(A)", r"motion\(\) of A lacks law; it takes of and law, and may take switch"),
+    ("m.friction(A)", "the friction of A has no coefficient; give viscous or coulomb"),
+    ('m.bar("b", mass=1.0, lenght=1.0)', r"bar\(\) of b takes no lenght; did you mean length\?"),
+    ('m.bar("b", 1.0, 1.0)', r"bar\(\) of b lacks mass and length"),
+    ("m.gravity(0, 0, 0, 0)", r"gravity\(\) takes x, y and z in this order, and is given 4 values"),
+    ("m.motion(A, 0.5, switch='no')", r"motion\(\) of A: switch is 'no'; give True or False"),
+    ("m.draw(at=3)", r"draw\(\): at is 3; give numbers by their names"),
+    ("m.force(rod.end, z=None)", r"the force on rod, a body in the plane, has a part along z; leave z out"),
+    ('m.start("s", rate_name=math.nan)', r"start\(\) of s: rate_name is nan; give a text, or leave it out"),
+    ("rod.at(1, 2, 3)", r"rod: at\(\) takes x and y in this order, and is given 3 values"),
+    (
+        "Mechanism()",
+        r"Mechanism\(\) lacks name; it takes name, and may take description, sketch, experiment and author",
+    ),
+    ("Experiment(stop_time=None)", r"stop_time of an experiment is None; give a number"),
+    ("Experiment(stop=3.0)", r"Experiment\(\) takes no stop; did you mean stop_time\?"),
     ('m.revolute("B", rod, m.ground.at())', r"joint B takes a point of rod, not the body; use rod.at\(...\)"),
     ("m.force(rod, 1.0)", r"force\(\) takes a point of rod, not the body"),
     ('m.revolute("B", (0, 0), rod.end)', r"joint B joins bodies in the plane; .*, not \(0, 0\)"),
@@ -231,7 +252,6 @@ PYTHON = [
     ('m.bar("b", mass=1.0, length=max(l, 0.5))', "ca.fmax"),
     ("for _ in range(l):\n    pass", r"a symbol is no whole number.* def odd\(n: int = 3\)"),
     ('m.revolut("B", 1, 2)', "no attribute 'revolut'; did you mean revolute"),
-    ('m.bar("b")', "missing 2 required keyword-only arguments: 'mass' and 'length'"),
     ("np.isfinite(th)", "functions of NumPy .* are not for symbols; use those of CasADi"),
 ]
 

@@ -11,6 +11,7 @@ import casadi as ca
 import fmpy
 import numpy as np
 import pytest
+from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from numpy.polynomial import chebyshev
 from oracles import ode
@@ -456,9 +457,237 @@ def test_laws_in_parts_and_steep_ones_are_none_that_jump(law):
     _hinged(law)
 
 
+# Laws that break while they run -------------------------------------------------------------------------------------
+
+
+def stepping(switch: bool = False) -> alfmu.Mechanism:
+    """A bar whose angle has a ramp over `width` and a step at `late`; by default neither within the experiment."""
+    m = alfmu.Mechanism("stepping", experiment=alfmu.Experiment(stop_time=1.0))
+    late, width = m.parameter("late", 100.0, "s"), m.parameter("width", 50.0, "s")
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    th = m.coordinate("th", "rad", independent=switch)
+    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th)
+    x = ca.fmin(ca.fmax((m.time - 2.0) / width, 0), 1)
+    m.motion(A, 0.5 * m.time + ca.if_else(m.time > late, 0.25, 0.0) + x**3 * (10 - 15 * x + 6 * x**2), switch=switch)
+    m.gravity(0, -G)
+    return m
+
+
+JUMP_AT = (
+    r"stepping: the motion of A jumps by {} rad at t = {} s, which no rigid mechanism follows; give a law without jumps"
+)
+
+
+@cache
+def stepping_by(method: str) -> alfmu.Equations:
+    return with_defaults(alfmu.derive(stepping()), {"solver.method": method})
+
+
+@pytest.mark.parametrize("method", ["auto", "rk4", "explicit", "order8", "stiff", "trapezoidal", "generalized_alpha"])
+def test_a_law_that_jumps_with_other_parameters_is_refused_by_the_step(method):
+    """The step before it is made, the one over it is not, whichever integrator would have made it."""
+    with pytest.raises(alfmu.StepError, match=JUMP_AT.format("0.25", "0.513")) as caught:
+        alfmu.simulate(stepping_by(method), 1.0, 0.02, parameters={"late": 0.513})
+    assert caught.value.result.time[-1] == pytest.approx(0.5, abs=1e-12)
+    assert caught.value.result["bar.angle"] == pytest.approx(0.5 * caught.value.result.time, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("given", "size", "time"),
+    [
+        ({"late": 1.7}, "0.25", "1.7"),  # Behind the stop time of the experiment.
+        ({"late": 1.6}, "0.25", "1.6"),  # At a communication point.
+        ({"width": 1e-14}, "1", "2"),
+    ],
+)
+def test_a_jump_is_seen_in_runs_of_any_length(given, size, time):
+    with pytest.raises(alfmu.StepError, match=JUMP_AT.format(size, time)):
+        alfmu.simulate(stepping_by("rk4"), 3.0, 0.1, parameters=given)
+    found = alfmu.simulate(stepping_by("rk4"), 3.0, 0.1, parameters={"width": 0.5})
+    assert found["bar.angle"][-1] == pytest.approx(2.5, abs=1e-12)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_a_step_over_a_jump_changes_nothing(kernel):
+    instance = made(stepping_by("rk4"), kernel)
+    instance.set("late", 0.05)
+    instance.initialize()
+    instance.step(0.04)
+    before, read = instance.save(), instance.read()
+    with pytest.raises(alfmu.StepError, match=JUMP_AT.format("0.25", "0.05")):
+        instance.step(1.0)
+    assert instance.save() == before
+    assert np.array_equal(instance.read(), read)
+    instance.step(0.005)
+    assert instance.get("bar.angle") == pytest.approx(0.0225, abs=1e-13)
+
+
+def test_a_jump_counts_while_its_motion_is_in_force():
+    equations, given = by_rk4(stepping(switch=True)), {"late": 0.3, "start.th": -math.pi / 2}
+    off = alfmu.simulate(equations, 0.5, 0.02, parameters=given)
+    assert off["bar.angle"] == pytest.approx(-math.pi / 2, abs=1e-12)
+    after = alfmu.simulate(equations, 0.5, 0.02, parameters=given, inputs={"A.driven": lambda t: t > 0.35})
+    assert after["bar.angle"][-1] == pytest.approx(-math.pi / 2 + 0.5 * 0.14, abs=1e-12)
+    with pytest.raises(alfmu.StepError, match=JUMP_AT.format("0.25", "0.3")):
+        alfmu.simulate(equations, 0.5, 0.02, parameters=given, inputs={"A.driven": lambda t: t > 0.29})
+    instance = made(equations, "vm")  # Where the step is refused the motion is not in force.
+    for name, value in {**given, "late": 0.01}.items():
+        instance.set(name, value)
+    instance.initialize()
+    instance.set("A.driven", True)
+    before = instance.q.copy(), instance.v.copy()
+    with pytest.raises(alfmu.StepError, match=r"jumps by 0.25 rad"):
+        instance.step(0.02)
+    assert np.array_equal(instance.q, before[0])
+    assert np.array_equal(instance.v, before[1])
+    instance.step(0.02)
+    assert instance.get("A.torque") == 0.0
+
+
+def test_a_law_of_a_signal_that_jumps_is_refused():
+    """What a law makes of a signal is known in the run alone: here a step where the signal passes 0.05 rad."""
+    m = alfmu.Mechanism("ratchet")
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad"))
+    place = m.input("place", "rad", derivatives=1)
+    m.motion(A, ca.if_else(place > 0.05, 0.3, 0.0) + place)
+    given = {"place": lambda t: 0.2 * t, "place_rate": 0.2}
+    with pytest.raises(alfmu.StepError, match=r"ratchet: the motion of A jumps by 0.3 rad at t = 0.25 s") as caught:
+        alfmu.simulate(by_rk4(m), 1.0, 0.1, inputs=given)
+    assert caught.value.result.time[-1] == pytest.approx(0.2)
+
+
+def test_other_things_that_jump_in_the_run_are_named():
+    def carried(place: Callable) -> None:
+        m = alfmu.Mechanism("carried")
+        leap = ca.if_else(m.time > m.parameter("late", 100.0, "s"), 0.1, 0.0)
+        place(m, m.bar("bar", mass=1.0, length=1.0), leap)
+        m.gravity(0, -G)
+        alfmu.simulate(by_rk4(m), 0.5, 0.02, parameters={"late": 0.3})
+
+    def on_a_point(m: alfmu.Mechanism, bar: alfmu.Body, leap: ca.SX) -> None:
+        m.revolute("A", m.ground.at(leap, 0), bar.start, coordinate=m.coordinate("th", "rad", independent=True))
+
+    def held(m: alfmu.Mechanism, bar: alfmu.Body, leap: ca.SX) -> None:
+        th = m.coordinate("th", "rad")
+        m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th)
+        m.constraint("held", th + 1.5 - leap, "rad")
+
+    def guided(m: alfmu.Mechanism, bar: alfmu.Body, leap: ca.SX) -> None:
+        s = m.coordinate("s", "m", independent=True)
+        m.prismatic("G", m.ground.at(0, 0), bar.start, axis=leap, coordinate=s)
+
+    for place, what in ((on_a_point, "a point of joint A"), (held, "constraint held"), (guided, "the axis of G")):
+        with pytest.raises(alfmu.StepError, match=f"carried: {what} jumps by 0.1 (m|rad) at t = 0.3 s"):
+            carried(place)
+
+
+def test_a_guide_a_wheel_and_a_point_that_jump_are_refused_when_they_are_declared():
+    m = alfmu.Mechanism("places")
+    body, wheel = m.body("body", mass=1.0), m.body("wheel", mass=1.0)
+    leap = ca.floor(m.time)
+    for line in (
+        lambda: m.prismatic("G", m.ground.at(0, 0), body.at(), axis=leap, coordinate=m.coordinate("s", "m")),
+        lambda: m.point_on_line("L", m.ground.at(0, 0), body.at(), axis=leap),
+        lambda: m.rolling("R", m.ground.at(leap, 0), wheel.at(), radius=0.1),
+        lambda: m.point(leap, 0.0),
+    ):
+        with pytest.raises(alfmu.DeclarationError, match=r"jumps by 1 (m|rad) at t = 1 s"):
+            line()
+    assert m.laws == ()
+
+
+def test_a_rate_that_jumps_with_other_parameters_is_told_once(caplog):
+    m = alfmu.Mechanism("corner", experiment=alfmu.Experiment(stop_time=1.0))
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    late = m.parameter("late", 100.0, "s")
+    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad"))
+    m.motion(A, ca.fabs(m.time - late) + ca.fabs(m.time - late - 0.2))
+    with caplog.at_level("WARNING", "alfmu"):
+        alfmu.simulate(by_rk4(m), 0.3, 0.02)
+        assert not caplog.records
+        found = alfmu.simulate(by_rk4(m), 0.7, 0.02, parameters={"late": 0.31, "solver.step_size": 0.001})
+    (said, *others) = caplog.messages
+    assert said.startswith("corner: the motion of A changes its rate by 2 rad/s at t = 0.31 s, which is an impact")
+    assert not any("changes its rate" in each for each in others)
+    assert found["bar.angle"][-1] == pytest.approx(0.39 + 0.19, abs=1e-12)
+
+
+LAWS = [
+    (lambda t, p: ca.sqrt(p - t), 0.5),
+    (lambda t, p: ca.asin(t / p), 0.5),
+    (lambda t, p: t ** (2 + p), -0.5),
+    (lambda t, p: ca.fmin(ca.fmax((t - 0.7) / (p - 5), 0), 1), 5.0),
+]
+
+
+@pytest.mark.parametrize("law", range(len(LAWS)))
+@pytest.mark.parametrize("part", ["motion of A", "point of joint A"])
+def test_a_law_that_is_not_finite_is_named(part, law):
+    """At the start, or in the step where it ends; with other parameters it is a law as any other."""
+    given, broken = LAWS[law]
+    m = alfmu.Mechanism("broken", experiment=alfmu.Experiment(stop_time=0.6))
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    th = m.coordinate("th", "rad", start=0.1, independent=part[0] == "p")
+    value = given(m.time, m.parameter("p", 10.0))
+    A = m.revolute("A", m.ground.at(value if part[0] == "p" else 0, 0), bar.start, coordinate=th)
+    if part[0] == "m":
+        m.motion(A, value)
+    equations = by_rk4(m)
+    assert alfmu.simulate(equations, 0.6, 0.02).time[-1] == pytest.approx(0.6)
+    with pytest.raises(alfmu.AlfmuError, match=rf"broken: at t = 0.* s (the|a) {part}, its rate or its acceleration"):
+        alfmu.simulate(equations, 0.6, 0.02, parameters={"p": broken})
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        lambda t: ca.if_else(t < 1, 0, ca.if_else(t < 2, t - 1 - ca.sin(2 * np.pi * (t - 1)) / (2 * np.pi), 1)),
+        lambda t: ca.fmax(ca.tanh((t - 0.5) / 1e-3), -2),
+        lambda t: ca.fabs(0.1 * ca.sin(2e3 * t) + 0.2),
+        lambda t: t**2.5,
+        lambda t: ca.fmax(t - 1, 0) ** 2,
+        lambda t: ca.sqrt(1 + t**2) + 1 / (1 + t),
+    ],
+)
+def test_laws_in_parts_and_steep_ones_run_in_long_steps(law, caplog):
+    instance = made(by_rk4(_hinged(law)), "vm")
+    instance.set("solver.step_size", 0.5)
+    instance.initialize()
+    for _ in range(4):
+        instance.step(0.5)
+        assert instance.get("bar.angle") == pytest.approx(float(ca.DM(law(ca.SX(instance.time)))), abs=1e-9)
+    assert not any("changes its rate" in each for each in caplog.messages)
+
+
+def test_coordinates_go_on_in_a_law_that_knows_no_whole_turns():
+    """The difference of an angle and its law within a turn: it stays at zero, however far both go in a step."""
+    m = alfmu.Mechanism("turning")
+    th = m.coordinate("th", "rad")
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=th)
+    m.constraint("turns", ca.remainder(th - m.parameter("w", 0.0, "rad/s") * m.time, 2 * math.pi), "rad")
+    found = alfmu.simulate(by_rk4(m), 4.0, 2.0, parameters={"w": 5.0})
+    assert found["bar.angle"] == pytest.approx(5 * found.time, abs=1e-10)
+
+
+def test_a_law_that_turns_too_often_to_be_looked_at_says_so():
+    m = alfmu.Mechanism("buzz", experiment=alfmu.Experiment(stop_time=1.0))
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    A = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad"))
+    m.motion(A, ca.fmax(1e-3 * ca.sin(m.parameter("w", 1.0, "rad/s") * m.time), -1))
+    instance = made(by_rk4(m), "vm")
+    instance.set("w", 1e9)
+    instance.initialize()
+    with pytest.raises(alfmu.StepError, match=r"buzz, t = .* s: the motion of A changes too often .* up to 0.02 s"):
+        instance.step(0.02)
+
+
 def test_a_scene_without_motion_carries_none_of_it():
     e = alfmu.derive(alfmu.load("four_bar"))
-    assert (e.timed, list(e.followed)) == (False, [])
+    assert (e.timed, list(e.followed), list(e.leaps)) == (False, [], [])
+    assert "laws" not in by_rk4(_hinged(ca.sin)).functions
+    assert "laws" in by_rk4(stepping()).functions
     assert "Phi_dot" not in e.functions
     assert e.dependent == e.n
 
@@ -609,6 +838,26 @@ def test_a_motion_is_switched_on_where_the_joint_is_and_off_again(kernel):
     assert abs(balance).max() < 1e-7
 
 
+@pytest.mark.parametrize("switch", [False, True])
+def test_a_lock_against_a_motion_is_refused_and_the_motion_goes_on(switch, caplog):
+    m = crank(lambda t: 2 * t, switch=switch)
+    m.lock("A")
+    instance = made(by_rk4(m), "vm")
+    instance.initialize()
+    if switch:
+        instance.set("A.driven", True)
+    instance.step(0.1)
+    instance.set("A.locked", True)
+    with pytest.raises(
+        alfmu.InputError, match=r"t = 0.1 s: what is switched on asks for another motion .* A locked is missed"
+    ):
+        instance.step(0.1)
+    instance.step(0.1)
+    assert instance.get("bar.angle") == pytest.approx(0.4, abs=1e-12)
+    assert instance.get("A.locked") == 0.0
+    assert not caplog.records  # There is no dry friction whose load could be shared.
+
+
 def test_a_motion_of_rate_zero_is_a_lock():
     runs = []
     for name in ("locked", "driven"):
@@ -634,6 +883,23 @@ def two_motors() -> alfmu.Mechanism:
     m.motion("A", swing(m.time))
     m.motion("B", m.input("B.angle", "rad", start=0.3, derivatives=2), switch=True)
     return m
+
+
+@pytest.mark.parametrize(("kind", "version"), [("python", 2), ("native", 2), ("native", 3)])
+def test_a_jump_fails_the_step_of_an_fmu_with_its_size(tmp_path, kind, version):
+    chosen = {"solver.method": "rk4"}
+    path = alfmu.export(stepping(), tmp_path / "stepping.fmu", kind=kind, fmi=version, parameters=chosen)
+    with Fmu(path) as fmu, pytest.raises(alfmu.AlfmuError, match=JUMP_AT.format("0.25", "0.313")) as caught:
+        run(fmu, 0.4, 0.02, {}, parameters={"late": 0.313})
+    assert caught.value.result.time[-1] == pytest.approx(0.3)
+    given = {"stop_time": 0.4, "output_interval": 0.02, "start_values": {"late": 0.313}}
+    if kind == "python":  # A step that pythonfmu discards ends the run of fmpy, without more.
+        assert fmpy.simulate_fmu(str(path), **given)["time"][-1] == pytest.approx(0.3)
+    else:
+        with pytest.raises(FMICallException, match="DoStep"):
+            fmpy.simulate_fmu(str(path), **given)
+    result = fmpy.simulate_fmu(str(path), stop_time=0.4, output_interval=0.02, output=["bar.angle"])
+    assert result["bar.angle"] == pytest.approx(0.5 * result["time"], abs=1e-12)
 
 
 @pytest.mark.parametrize(("kind", "version"), [("python", 2), ("native", 2), ("native", 3)])

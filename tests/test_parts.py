@@ -1,9 +1,10 @@
 """Parts: a DC motor with gearbox, a PI controller, in a mechanism and as an FMU of its own."""
 
 import math
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 from fmpy import extract, read_model_description
@@ -189,6 +190,55 @@ def test_the_joint_that_carries_a_motor_feels_it():
     total = WHEEL * i.get("wheel.angular_acceleration") + J * i.get("motor.rotor.angular_acceleration")
     assert abs(total) > 0.1
     assert i.get("feet.moment") == pytest.approx(total, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["hinge", "closed hinge", "screw"])
+@pytest.mark.parametrize("flywheel", [0.0, 0.04])
+def test_a_load_on_a_joint_in_space(kind, flywheel):
+    """Viscous friction and a fan brake what turns, by the closed form of w' J = -b w - c w^2."""
+    b, c, w0 = 0.05, 0.02, 5.0
+    m = Mechanism("brake")
+    wheel = m.spatial_body("wheel", mass=2.0, inertia=(WHEEL,) * 3, relative=kind != "closed hinge")
+    pair = {"first": m.spatial_ground.at(), "second": wheel.at(), "axis": (1, 2, 2)}
+    if kind != "closed hinge":
+        pair["coordinate"] = m.coordinate("angle", "rad", rate=w0, independent=True)
+    make = partial(m.spatial_screw, lead=0.3) if kind == "screw" else m.spatial_revolute
+    joint = make("A", **pair)
+    whole = WHEEL + flywheel + (2.0 * (0.3 / (2 * math.pi)) ** 2 if kind == "screw" else 0.0)
+    if kind == "closed hinge":
+        m.tie(m.start("turned", 0.0, "rad", rate=w0), joint.free)
+    parts.load(m, "brake", joint, inertia=flywheel, damping=b, fan=c)
+    found = alfmu.simulate(m, 1.0, 0.05, parameters={"solver.relative_tolerance": 1e-9})
+    fading = np.exp(-b * found.time / whole)
+    w = b * w0 * fading / (b + c * w0 * (1 - fading))
+    assert found["wheel.angular_velocity.x"] == pytest.approx(w / 3, rel=1e-7)
+    assert found["brake.torque"] == pytest.approx(-b * w - c * w**2, rel=1e-7)
+
+
+def test_a_load_on_what_slides_says_what_to_do_instead():
+    m = Mechanism("slide")
+    cart = m.body("cart", mass=1.0)
+    guide = m.prismatic("guide", m.ground.at(), cart.at(), coordinate=m.coordinate("s", "m"))
+    says = (
+        r"the load of brake is on guide; give it a joint .* a revolute or a screw.*; load what slides by its mass, fric"
+    )
+    with pytest.raises(DeclarationError, match=says):
+        parts.load(m, "brake", guide, damping=1.0)
+
+
+def test_a_motor_feels_the_speed_of_what_a_law_turns():
+    """On a base that turns by a law the rotor comes to the no-load speed against the base, not against the ground."""
+    m = Mechanism("turntable")
+    base = m.body("base", mass=1.0, pose=(0, 0, 3 * m.time + ca.sin(m.time)))
+    wheel, th = m.body("wheel", mass=0.0, inertia=WHEEL), m.coordinate("th", "rad", independent=True)
+    shaft = m.revolute("shaft", base.at(), wheel.at(), coordinate=th - 3 * m.time - ca.sin(m.time))
+    motor = parts.dc_motor(m, "motor", shaft, voltage=U, resistance=0.5, inductance=0.0, constant=K)
+    m.output("speed", motor.speed, "rad/s")
+    found = alfmu.simulate(m, 2.0, 0.05, parameters={"solver.relative_tolerance": 1e-9})
+    relative = found["wheel.angular_velocity"] - 3 - np.cos(found.time)
+    assert found["speed"] == pytest.approx(relative, abs=1e-9)
+    assert found["motor.torque"] == pytest.approx(K * (U - K * relative) / 0.5, abs=1e-7)
+    assert found["wheel.angular_acceleration"] * WHEEL == pytest.approx(found["motor.torque"], abs=1e-7)
 
 
 def test_a_spindle_moves_a_slide():

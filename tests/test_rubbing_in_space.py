@@ -280,8 +280,10 @@ def test_friction_of_two_hinges_of_a_door_is_not_unique(door, caplog):
         ("m.friction(screw, coulomb=0.2)", "screw: a screw takes the radius"),
         (
             "m.friction(sleeve.freedom('angle'), coulomb=0.2, radius=0.1)",
-            "sleeve.angle: a cylindrical joint slides",
+            "sleeve: a cylindrical joint slides in any direction of several .angle and position., .* which rub apart",
         ),
+        ("m.friction(sleeve, coulomb=0.2, radius=0.1)", "sleeve: a cylindrical joint slides in any direction of sev"),
+        ("m.friction(ball, coulomb=0.2, radius=0.1)", "ball: a spherical joint slides in any direction of several"),
     ],
 )
 def test_friction_that_a_joint_in_space_cannot_have_is_refused(line, said):
@@ -292,5 +294,6 @@ def test_friction_that_a_joint_in_space_cannot_have_is_refused(line, said):
     slide = m.spatial_prismatic("slide", ground, on[1], axis=axis)
     screw = m.spatial_screw("screw", ground, on[2], axis=axis, lead=0.01)
     sleeve = m.cylindrical("sleeve", ground, on[3], axis=axis)
+    ball = m.spherical("ball", on[0], on[1])
     with pytest.raises(DeclarationError, match=said):
-        eval(line, {"m": m, "hinge": hinge, "slide": slide, "screw": screw, "sleeve": sleeve})
+        eval(line, {"m": m, "hinge": hinge, "slide": slide, "screw": screw, "sleeve": sleeve, "ball": ball})

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files import write
+from ..model.calls import asked
 from ..model.errors import InputError
 from ..model.words import counted
 from .branches import polished, ways
@@ -205,6 +206,7 @@ class Equilibria(Sequence[Equilibrium]):
         inputs = dict(self.found[0].inputs) if self.found else {}
         return {**known, "inputs": inputs, "equilibria": [each.as_data() for each in self.found]}
 
+    @asked
     def save(self, path: str | Path) -> None:
         """Write all of it as `.json`. Raises InputError where the suffix is another one, else WriteError."""
         path = Path(path)

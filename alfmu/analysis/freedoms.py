@@ -16,6 +16,7 @@ import numpy as np
 
 from ..equations import Equations, Row
 from ..files import write
+from ..model.calls import asked
 from ..model.errors import AlfmuError, InputError
 from ..model.words import counted
 from ..result import Signal
@@ -153,6 +154,7 @@ class Freedoms:
             "singular": [position(each) for each in self.singular],
         }
 
+    @asked
     def save(self, path: str | Path) -> None:
         """Write all of it as `.json`. Raises InputError where the suffix is another one, else WriteError."""
         path = Path(path)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files import atomic, write
+from ..model.calls import asked
 from ..model.errors import InputError
 from ..model.units import rate_of
 from ..model.words import counted, shown, there_is
@@ -174,6 +175,7 @@ class Linearization:
         more |= {"frictions": dict(self.frictions)} if self.frictions else {}
         return {**known, **names, **more, **matrices, "modes": modes}
 
+    @asked
     def save(self, path: str | Path) -> None:
         """Write all of it as `.json`, or matrices and names as `.mat`, which MATLAB and GNU Octave read."""
         save([self], path)
@@ -199,10 +201,12 @@ class Linearization:
         sizes = ", ".join(f"{x} {'x'.join(map(str, getattr(self, x).shape))}" for x in "ABCD")
         return [*lines, f"matrices: {sizes}", *self.notes]
 
+    @asked
     def plot(self, path: str | Path | None = None) -> Figure:
         """A figure of matplotlib: the eigenvalues in the plane; written where a path says so. Needs `alfmu[plot]`."""
         return figure([self], path)
 
+    @asked
     def film(
         self,
         path: str | Path,
@@ -393,10 +397,13 @@ def check_file(path: Path) -> None:
         raise InputError(f"{path} cannot hold a linearisation; its name must end in .json or .mat")
 
 
+@asked
 def figure(found: Sequence[Linearization], path: str | Path | None = None) -> Figure:
     """The eigenvalues of linearisations in the plane, written where a path says so."""
     from ..view import eigenvalues, plot
 
+    if not found:
+        raise InputError("figure() is given no linearisation; give one or more")
     if path is not None:
         plot.check_name(Path(path))
     drawn = eigenvalues.figure([x.eigenvalues for x in found], [x.time for x in found], found[0].mechanism)

@@ -58,7 +58,7 @@ from .evaluation import ARGUMENTS, evaluable, shared
 from .friction import rubbing
 from .interface import variables_of
 from .measures import measures
-from .types import Equations, Followed, Row, Switch, Variable
+from .types import Equations, Followed, Leap, Row, Switch, Variable
 
 __all__ = ["derive"]
 
@@ -455,6 +455,8 @@ def derive(mechanism: Mechanism) -> Equations:
         moving["Phi_dot"] = ca.jtimes(Phi, q, v) + slips
         moving["motion_power"] = _motion_power(M, d, T, V, moving["Phi_dot"], f_applied, (q, v, a), lam)
         M, d, f, C = _with_time(M, d, f, C, ca.diag(W))
+    if m.laws:
+        moving["laws"] = _laws(m, q, v)
 
     # Everything a user can read.
     values: list[Scalar] = []
@@ -584,6 +586,7 @@ def derive(mechanism: Mechanism) -> Equations:
         held=[*(lock.name for lock in locks), *(f"{x.name}.slip" for x in frictions), *(name for name, _ in kept)],
         timed=m.moves,
         followed=_followed(m),
+        leaps=_leaps(m, closures),
         wrapped=wrapped,
         works=m.moves or bool(frictions) or not f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
@@ -666,6 +669,19 @@ def _followed(m: Mechanism) -> list[Followed]:
                 "derivatives out, or use it in a motion, a place or a constraint"
             )
     return [Followed(places[x.name], x.derivatives, x.order, x.jump) for x in (signal.input for signal in m.signals)]
+
+
+def _laws(m: Mechanism, q: ca.SX, v: ca.SX) -> ca.SX:
+    """Laws that may jump or not be finite, their rates, and the rates of these where coordinates move evenly."""
+    laws = stack([law.value for law in m.laws])
+    rates = ca.jtimes(laws, q, v)
+    return ca.vertcat(laws, rates, ca.jtimes(rates, q, v))
+
+
+def _leaps(m: Mechanism, closures: Sequence[Closing]) -> list[Leap]:
+    """What a run is told of them; one that can be switched counts while its constraint is in force."""
+    rows = {c.name: i for i, (c, direction) in enumerate(closures) if direction == "motion"}
+    return [Leap(law.what, law.unit, rows[law.motion] if law.motion else -1) for law in m.laws]
 
 
 def _check_held_or_heavy(m: Mechanism, kinematics: Kinematics, M: ca.SX, C: ca.SX) -> None:

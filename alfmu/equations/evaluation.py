@@ -47,9 +47,10 @@ ARGUMENTS = {
         "ties_matrix": "q p s",
         "Phi_dot": "q v p",
         "motion_power": "q v a lam u p t",
+        "laws": "q v p",
     }.items()
 }
-"""What each function of the equations depends on; the last two are there where time is a coordinate."""
+"""What each function of the equations depends on; the last three are there where time is a coordinate."""
 
 EVALUATED = {
     "dynamics": 2,
@@ -60,6 +61,7 @@ EVALUATED = {
     "closure": 2,
     "guesses": 0,
     "displacements": 0,
+    "laws": 0,
     "state_rates": 0,
     "sliding": 0,
     "tangents": 4,
@@ -111,6 +113,8 @@ def evaluable(equations: Equations) -> Equations:
         functions["displacements"] = e.displacements
     if e.frictions:
         functions["sliding"] = e.sliding
+    if e.leaps:
+        functions["laws"] = e.laws
     for name, (arguments, values) in results.items():
         dense = [ca.densify(y) if e.n <= DENSE or i >= EVALUATED[name] else y for i, y in enumerate(values)]
         functions[name] = shared(name, arguments, dense)

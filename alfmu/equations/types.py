@@ -14,7 +14,7 @@ from ..model.words import Brief
 if TYPE_CHECKING:
     import casadi as ca
 
-__all__ = ["Equations", "Followed", "Mobility", "Row", "Signature", "Switch", "Variable"]
+__all__ = ["Equations", "Followed", "Leap", "Mobility", "Row", "Signature", "Switch", "Variable"]
 
 Signature = dict[str, Any]
 """Of a function: `inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns,
@@ -66,6 +66,16 @@ class Followed:
     """Of the polynomial by which the highest derivative given goes on."""
     jump: float
     """Largest difference [in its unit] of a value and of what the motion has reached."""
+
+
+@dataclass(frozen=True)
+class Leap:
+    """A law of time that may jump, or not be finite: what it is, in words, its unit, and the constraint with which
+    alone it counts, -1 where it always does."""
+
+    what: str
+    unit: str
+    row: int
 
 
 @dataclass(frozen=True)
@@ -149,6 +159,7 @@ class Equations:
     ========================================  ==================================================================
     Phi_dot(q, v, p)                          C v + Phi_t (l,), linear in v
     motion_power(q, v, a, lam, u, p, t)       power of what moves by itself, W
+    laws(q, v, p)                             laws of time that may break, their rates, and the rates of these
     ========================================  ==================================================================
 
     Those that are evaluated with numbers are combined by `alfmu.equations.evaluation`, and traced into a kernel by
@@ -219,6 +230,8 @@ class Equations:
     """Whether time is the last coordinate."""
     followed: Sequence[Followed] = ()
     """Inputs that move something."""
+    leaps: Sequence[Leap] = ()
+    """Laws of time that may jump, or not be finite."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""

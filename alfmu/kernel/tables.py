@@ -28,8 +28,10 @@ from ..equations.interface import (
 )
 from ..method import formulations, friction, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
+from ..model.checks import BROKEN, IMPACT, JUMP, JUMPS
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
+from ..model.units import rate_of
 from . import memory, thresholds
 from .alternatives import OWN
 from .alternatives import formulations as carried
@@ -55,7 +57,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 12
+VERSION = 13
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -84,7 +86,7 @@ HANDED = {
 
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding"),
+    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws"),
     **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions that the runtime calls, by their names in C."""
@@ -235,6 +237,10 @@ def layout_header() -> str:
         "SHARED": SHARED,
         "JAM_PIVOT": friction.JAM_PIVOT,
         "JAM_SETTLED": friction.JAM_SETTLED,
+        "JUMP": JUMP,
+        "JUMPS": f'"{JUMPS}"',
+        "BROKEN": f'"{BROKEN}"',
+        "IMPACT": f'"{IMPACT}"',
     }
     for vector, names in (*memory.NAMED.items(), ("WATCH", Watch._fields)):
         found |= {vector: len(names), **{f"{vector}_{name.upper()}": i for i, name in enumerate(names)}}
@@ -468,6 +474,7 @@ class _Table:
             w.integers(words)
         if e.timed:
             self._followed(w)
+            self._leaps(w)
 
     def _followed(self, w: Writer) -> None:
         """Inputs that move something."""
@@ -476,6 +483,14 @@ class _Table:
             for number in (each.input, each.derivatives, each.order):
                 w.integer(number)
             w.real(each.jump)
+
+    def _leaps(self, w: Writer) -> None:
+        """Laws of time that may jump, or not be finite."""
+        w.integer(len(self.e.leaps))
+        for each in self.e.leaps:
+            for text in (each.what, each.unit, rate_of(each.unit)):
+                w.text(text)
+            w.integer(each.row)
 
     @staticmethod
     def _texts(w: Writer, values: Iterable[str]) -> None:

@@ -18,8 +18,13 @@ from .errors import AlfmuWarning, DeclarationError
 from .words import shown
 
 __all__ = [
+    "BROKEN",
+    "IMPACT",
+    "JUMP",
+    "JUMPS",
     "casadi_function",
     "jump_in",
+    "may_break",
     "number",
     "perhaps_an_impact",
     "perhaps_degrees",
@@ -34,8 +39,32 @@ _LONG = 20.0
 _GRID, _HALVINGS = 2000, 32
 """Parts of the time in which a law is looked at, and how often those with something in them are halved: to 1e-12 s."""
 
-_JUMP = 1e-7
+JUMP = 1e-7
 """Least jump of a law, over 1 + its largest value: round-off of what rates make of a law is below 1e-10."""
+
+JUMPS = "%s: %s jumps by %.6g %s at t = %.6g s, which no rigid mechanism follows; give a law without jumps"
+"""What is said of a law that jumps, when it is declared and while it runs: mechanism, what, size, unit, time."""
+
+IMPACT = (
+    "%s: %s changes its rate by %.6g %s at t = %.6g s, which is an impact whose impulse is in no output; round the law "
+    "off there, if no impact was meant"
+)
+"""The same of one whose rate does."""
+
+BROKEN = (
+    "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law that is finite there with both, or "
+    "other parameters"
+)
+"""The same of one that ends, or has a pole: mechanism, time, what."""
+
+_BREAKS = {
+    *(ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_AND, ca.OP_OR, ca.OP_NOT, ca.OP_SIGN, ca.OP_COPYSIGN),
+    *(ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FABS),
+    *(ca.OP_ATAN2, ca.OP_TAN, ca.OP_DIV, ca.OP_INV, ca.OP_SQRT, ca.OP_POW, ca.OP_CONSTPOW, ca.OP_LOG, ca.OP_LOG1P),
+    *(ca.OP_ASIN, ca.OP_ACOS, ca.OP_ACOSH, ca.OP_ATANH),
+}
+"""Operations at which a law, or its rate, may jump, or not be finite: choices, whole numbers, kinks, angles within a
+turn, poles, functions that end."""
 
 _OURS = tuple(f"{Path(module.__file__).parent}{os.sep}" for module in (ca, sys.modules[__package__.partition(".")[0]]))
 """Folders whose code is not the user's."""
@@ -101,12 +130,24 @@ def perhaps_millimetres(what: str, value: float | ca.SX) -> None:
         _hint(f"{what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
 
 
-def perhaps_an_impact(what: str, time: float, size: float, unit: str) -> None:
+def perhaps_an_impact(name: str, what: str, time: float, size: float, unit: str) -> None:
     """Warn of a law whose rate [unit] jumps at a time [s]."""
-    _hint(
-        f"{what} changes its rate by {size:g} {unit} at t = {time:.6g} s, which is an impact whose impulse is in no "
-        "output; round the law off there, if no impact was meant"
-    )
+    _hint(IMPACT % (name, what, size, unit, time))
+
+
+def may_break(law: ca.SX, time: ca.SX) -> bool:
+    """Whether a law may jump in time, or not be finite: whether it has an operation for that on what time changes."""
+    steps = ca.Function("law", [time], [law], {"allow_free": True})
+    depends: dict[int, bool] = {}
+    for i in range(steps.n_instructions()):
+        code = steps.instruction_id(i)
+        if code == ca.OP_OUTPUT:
+            continue
+        by = [] if code in (ca.OP_INPUT, ca.OP_PARAMETER) else [depends[x] for x in steps.instruction_input(i)]
+        if code in _BREAKS and (by[-1] if code == ca.OP_DIV else any(by)):
+            return True
+        depends[steps.instruction_output(i)[0]] = code == ca.OP_INPUT or any(by)
+    return False
 
 
 def jump_in(law: ca.SX, time: ca.SX, stop: float) -> tuple[float, float] | None:
@@ -127,7 +168,7 @@ def jump_in(law: ca.SX, time: ca.SX, stop: float) -> tuple[float, float] | None:
     grid = np.linspace(0.0, stop, _GRID + 1)
     grid[1:-1] += 0.381966 * grid[1]  # Beside round times, at which a kink would be seen in two halves.
     found, value = off(grid[None])
-    limit = _JUMP * (1.0 + np.abs(value, where=np.isfinite(value), out=np.zeros_like(value)).max())
+    limit = JUMP * (1.0 + np.abs(value, where=np.isfinite(value), out=np.zeros_like(value)).max())
     (places,) = np.nonzero(found[0] > limit)
     begin, end = grid[places], grid[places + 1]
     for _ in range(_HALVINGS):

@@ -17,10 +17,22 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, 
 import casadi as ca
 import numpy as np
 
+from .calls import declares, explained
 from .cams import Cam, Profile, cam
-from .checks import jump_in, number, perhaps_an_impact, perhaps_degrees, perhaps_millimetres, symbols_in, users_line
+from .checks import (
+    JUMPS,
+    jump_in,
+    may_break,
+    number,
+    perhaps_an_impact,
+    perhaps_degrees,
+    perhaps_millimetres,
+    symbols_in,
+    users_line,
+)
 from .errors import DeclarationError
-from .motion import DERIVATIVES, JUMPS, ORDERS, Input, Signal
+from .motion import DERIVATIVES, ORDERS, Input, Law, Signal
+from .motion import JUMPS as LEAPS
 from .relations import (
     INVOLUTE,
     Belt,
@@ -230,6 +242,7 @@ class Body(Brief):
             raise DeclarationError(f"{self.name} belongs to no mechanism; make bodies by body() and bar()")
         return Kinematics(self._mechanism)
 
+    @explained
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0) -> Marker:
         """The point (x, y) [m] of the body's frame."""
         x, y = (number(f"{axis} of {self.name}.at()", value) for axis, value in (("x", x), ("y", y)))
@@ -413,6 +426,7 @@ class DrawnBar(Brief):
     joints: tuple[str, ...]
 
 
+@declares
 @dataclass(frozen=True)
 class Experiment:
     """What a run of the mechanism looks like when nobody says otherwise.
@@ -438,7 +452,8 @@ class Experiment:
             object.__setattr__(self, "communication_step", interval)
         for name in ("stop_time", "step_size", "communication_step"):
             value = getattr(self, name)
-            if value is not None and not number(f"{name} of an experiment", value) > 0:
+            optional = value is None and name == "communication_step"
+            if not optional and not number(f"{name} of an experiment", value) > 0:
                 raise DeclarationError(f"{name} of an experiment is {value} s; it must be above zero")
 
 
@@ -471,6 +486,7 @@ class _Parts(Generic[_Part]):
         return mechanism._parts.setdefault(self._name, [])
 
 
+@declares
 @dataclass(eq=False, repr=False)
 class Mechanism:
     """A mechanism: bodies and joints in the plane or in space, with a general level for everything else.
@@ -525,6 +541,8 @@ class Mechanism:
     """What is closed by constraints, in the order of its rows."""
     signals: ClassVar[_Parts[Signal]] = _Parts()
     """Inputs that move something."""
+    laws: ClassVar[_Parts[Law]] = _Parts()
+    """What moves something in time and may jump, or not be finite."""
     releases: ClassVar[_Parts[AnyJoint | Constraint | Relation]] = _Parts()
     """What a Boolean input can open."""
     springs: ClassVar[_Parts[Spring]] = _Parts()
@@ -732,7 +750,7 @@ class Mechanism:
         for what, given, known in (("derivatives", derivatives, (0, 1, 2)), ("order", order, ORDERS)):
             if type(given) is not int or given not in known:
                 raise DeclarationError(f"{self.name}: the {what} of {name} is {shown(given)}; give 0, 1 or 2")
-        limit = JUMPS.get(unit, JUMPS["m"]) if jump is None else self._plain(f"the jump of {name}", jump)
+        limit = LEAPS.get(unit, LEAPS["m"]) if jump is None else self._plain(f"the jump of {name}", jump)
         if not limit > 0:
             raise DeclarationError(f"{self.name}: the jump of {name} is {limit:g} {unit}; it must be above zero")
         if derivatives:
@@ -940,7 +958,7 @@ class Mechanism:
 
     def point(self, x: Scalar, y: Scalar) -> Point:
         """A point in ground axes [m], usually a pair of coordinates."""
-        return Point(*self._vector("a point", (x, y), ("m",) * 2, PLACE))
+        return Point(*(self._moving("a point", each, "m") for each in (x, y)))
 
     def gravity(self, x: Scalar, y: Scalar, z: Scalar = 0.0) -> None:
         """The acceleration of gravity [m/s2] in ground axes."""
@@ -1413,7 +1431,7 @@ class Mechanism:
         if isinstance(at, SpatialMarker):
             force = self._vector(what, (x, y, z), ("N",) * 3, EFFORT)
             Mechanism.spatial_loads.of(self).append(SpatialLoad(at, force, (0.0,) * 3))
-        elif isinstance(z, ca.SX) or z:
+        elif isinstance(z, ca.SX) or z != 0:
             raise DeclarationError(f"{self.name}: {what}, a body in the plane, has a part along z; leave z out")
         else:
             Mechanism.loads.of(self).append(Load(at, self._vector(what, (x, y), ("N",) * 2, EFFORT), 0.0))
@@ -1564,9 +1582,9 @@ class Mechanism:
     def friction(
         self,
         joint: AnyJoint,
-        viscous: Scalar = 0.0,
+        viscous: Scalar | None = None,
         *,
-        coulomb: Scalar = 0.0,
+        coulomb: Scalar | None = None,
         static: Scalar | None = None,
         radius: Scalar | None = None,
         length: Scalar | None = None,
@@ -1586,9 +1604,17 @@ class Mechanism:
         `collar` of that radius [m] for the force along its axis; a guide may have a key at a `radius` for the moment
         about its axis; a screw takes the `radius` of its thread. What is not given carries without friction.
         """
+        numbers = (viscous, coulomb, static, radius, length, stribeck, collar)
+        if any(x is not None for x in numbers[1:]):
+            self._slides_one_way(joint)
         along = self._free(joint, "friction()")
-        coulomb = self._coefficient(joint, "coefficient coulomb", coulomb, "1")
-        viscous = self._coefficient(joint, "viscous coefficient", viscous, f"{EFFORTS[along]}.s/{along}")
+        if all(x is None for x in numbers):
+            raise DeclarationError(
+                f"{self.name}: the friction of {joint.name} has no coefficient; give viscous or coulomb"
+            )
+        coulomb = self._coefficient(joint, "coefficient coulomb", 0.0 if coulomb is None else coulomb, "1")
+        unit = f"{EFFORTS[along]}.s/{along}"
+        viscous = self._coefficient(joint, "viscous coefficient", 0.0 if viscous is None else viscous, unit)
         dry = not symbolic(coulomb).is_zero() or static is not None
         if not dry and (given := [x for x in (radius, length, stribeck, collar) if x is not None]):
             raise DeclarationError(
@@ -1608,6 +1634,17 @@ class Mechanism:
             self._not_negative(what, value, unit)
         return value
 
+    def _slides_one_way(self, joint: AnyJoint) -> None:
+        """DeclarationError where no sign tells the direction in which a joint slides, as dry friction takes it."""
+        whole = joint.joint if isinstance(joint, SpatialFreedom) else joint
+        if isinstance(whole, SpatialJoint) and len(whole.freedoms) != 1 and whole.kind not in ("weld", "distance"):
+            moves = in_words(list(whole.freedoms)) if whole.freedoms else "turns"
+            raise DeclarationError(
+                f"{self.name}: dry friction of {whole.name}: a {whole.kind} joint slides in any direction of several "
+                f"({moves.replace(' or ', ' and ')}), and friction against their sum is not known here; make it of "
+                "joints with one free motion each, which rub apart, or give viscous friction alone"
+            )
+
     def _dry_friction(
         self,
         joint: AnyJoint,
@@ -1620,12 +1657,6 @@ class Mechanism:
         collar: Scalar | None,
     ) -> None:
         name = joint.name
-        if isinstance(joint, SpatialFreedom):
-            raise DeclarationError(
-                f"{self.name}: dry friction of {name}: a {joint.joint.kind} joint slides in any direction of several, "
-                "for which there is viscous friction alone; make it of joints with one free motion each, or leave "
-                "coulomb, static, radius, length, stribeck and collar out"
-            )
         takes, text = _DRY_FRICTION[joint.kind, isinstance(joint, SpatialJoint)]
         given = {"radius": radius, "length": length, "collar": collar}
         if any(x is not None and each not in takes for each, x in given.items()) or (
@@ -1820,7 +1851,7 @@ class Mechanism:
         if any(isinstance(c, Motion) and c.name == name for c in self.closures):
             raise DeclarationError(f"{self.name}: {name} has a motion already; give it one")
         law = symbolic(self._quantity(f"the motion of {name}", law, unit, LAW))
-        self._no_jumps(f"the motion of {name}", law, unit)
+        self._no_jumps(f"the motion of {name}", law, unit, name if switch else "")
         self.moves = True
         value = None
         coordinate = None if placed is None else self._by_symbol.get(key_of(placed))
@@ -1971,8 +2002,6 @@ class Mechanism:
         self._own((joint.first, joint.second), f"joint {joint.name}", Marker)
         for each, its in (("axis", "rad"), ("offset", "m"), ("angle", "rad"), ("length", "m")):
             setattr(joint, each, self._moving(f"the {each} of {joint.name}", getattr(joint, each), its))
-        for x in (joint.first.x, joint.first.y, joint.second.x, joint.second.y):
-            self._no_jumps(f"a point of joint {joint.name}", x, "m")
         first, second = joint.first.body, joint.second.body
         if first is second:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
@@ -1999,8 +2028,6 @@ class Mechanism:
         self._claim(joint.name, "1", "a joint")
         self._own((joint.first, joint.second), f"joint {joint.name}", SpatialMarker)
         first, second = joint.first.body, joint.second.body
-        for x in (*joint.first.point, *joint.second.point):
-            self._no_jumps(f"a point of joint {joint.name}", x, "m")
         if first is second:
             raise DeclarationError(f"{self.name}: joint {joint.name} connects {first.name} to itself")
         if second is self.spatial_ground:
@@ -2080,7 +2107,7 @@ class Mechanism:
     def _own(
         self, markers: Iterable[AnyMarker], user: str, kind: type[Marker] | type[SpatialMarker] | None = None
     ) -> None:
-        """Points of bodies of this mechanism, all in the plane or all in space where the kind says so."""
+        """Points of bodies of this mechanism; of joints and the like, as the kind says, all in the plane or space."""
         for marker in markers:
             if isinstance(marker, Body | SpatialBody):
                 body = marker.name
@@ -2097,6 +2124,8 @@ class Mechanism:
             place = self._vector(what, place, ("m",) * len(place), PLACE)
             for axis, x in zip("xyz", place, strict=False):
                 object.__setattr__(marker, axis, x)  # An input that moves the point is a signal from here on.
+                if kind:
+                    self._no_jumps(f"a point of {user}", x, "m")
             for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
                 perhaps_millimetres(f"{self.name}: {what}", x)
 
@@ -2168,27 +2197,32 @@ class Mechanism:
         self._no_jumps(what, value, unit)
         return value
 
-    def _no_jumps(self, what: str, value: Scalar, unit: str) -> None:
-        """What moves bodies in time does so without a jump, at the defaults of parameters and up to the stop time.
+    def _no_jumps(self, what: str, value: Scalar, unit: str, motion: str = "") -> None:
+        """What moves bodies in time does so without a jump: at the defaults of parameters and up to the stop time it is
+        looked at here, all else by the run.
 
-        Raises DeclarationError with the size of a jump; a jump of the rate is an impact, of which it warns. What
-        follows an input is looked at by the run.
+        Raises DeclarationError with the size of a jump; a jump of the rate is an impact, of which it warns.
         """
         symbols = symbols_in(value)
         kinds = {key_of(symbol): self._symbols[key_of(symbol)].kind for symbol in symbols}
-        if "time" not in kinds.values() or "inputs" in kinds.values():
+        law = Law(what, symbolic(value), unit, motion)
+        if "time" not in kinds.values() or not may_break(law.value, self.time):
             return
+        if any(each.what == what and key_of(each.value) == key_of(law.value) for each in self.laws):
+            return
+        if "inputs" not in kinds.values():
+            self._no_jump_at_defaults(law, [symbol for symbol in symbols if kinds[key_of(symbol)] != "time"])
+        Mechanism.laws.of(self).append(law)
+
+    def _no_jump_at_defaults(self, law: Law, others: Sequence[ca.SX]) -> None:
+        """The same at the defaults of parameters; `others` are its symbols beside time."""
         known = {key_of(x.symbol): x.default for x in self.parameters}
-        others = [symbol for symbol in symbols if kinds[key_of(symbol)] != "time"]
-        at = ca.substitute(symbolic(value), stack(others), stack([known.get(key_of(x), 0.5) for x in others]))
-        what, stop = f"{self.name}: {what}", self.experiment.stop_time
+        at = ca.substitute(law.value, stack(others), stack([known.get(key_of(x), 0.5) for x in others]))
+        stop = self.experiment.stop_time
         if found := jump_in(at, self.time, stop):
-            raise DeclarationError(
-                f"{what} jumps by {found[1]:.6g} {unit} at t = {found[0]:.6g} s, which no rigid mechanism follows; "
-                "give a law without jumps"
-            )
+            raise DeclarationError(JUMPS % (self.name, law.what, found[1], law.unit, found[0]))
         if found := jump_in(ca.jacobian(at, self.time), self.time, stop):
-            perhaps_an_impact(what, *found, rate_of(unit))
+            perhaps_an_impact(self.name, law.what, *found, rate_of(law.unit))
 
     def _signal(self, given: Input) -> Signal:
         """The signal of an input, declared where the input moves something for the first time."""

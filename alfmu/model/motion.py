@@ -1,4 +1,4 @@
-"""Inputs, and signals: inputs that move something.
+"""Inputs, signals (inputs that move something), and laws of time.
 
 Inside a communication step a signal is a polynomial of time from where the motion is, so that its rate and its
 acceleration are known and its position never jumps (`alfmu/runtime/signals.c` has the rule).
@@ -12,7 +12,7 @@ import casadi as ca
 
 from .words import Brief
 
-__all__ = ["COEFFICIENTS", "DERIVATIVES", "JUMPS", "ORDERS", "Input", "Signal"]
+__all__ = ["COEFFICIENTS", "DERIVATIVES", "JUMPS", "ORDERS", "Input", "Law", "Signal"]
 
 DERIVATIVES = ("rate", "acceleration")
 """What companions of an input are called, behind its name: `A.angle_rate`, `A.angle_acceleration`."""
@@ -72,3 +72,16 @@ class Signal(Brief):
     def numbers(self) -> tuple[ca.SX, ...]:
         """Everything that says what it is, in the order in which the runtime keeps it."""
         return (self.since, *self.coefficients)
+
+
+@dataclass(frozen=True, repr=False)
+class Law(Brief):
+    """What moves something in time, and may jump or not be finite: a run looks at it over each communication step."""
+
+    what: str
+    """What it is, in words."""
+    value: ca.SX
+    """In coordinates, parameters, signals and time."""
+    unit: str
+    motion: str = ""
+    """Name of the motion in force with which alone it counts; empty where it always does."""

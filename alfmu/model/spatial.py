@@ -22,6 +22,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from .calls import explained
 from .checks import number
 from .errors import DeclarationError
 from .words import Brief, in_words, shown
@@ -192,6 +193,7 @@ class SpatialBody(Brief):
         """Name of the constraint that keeps the Euler parameters at unit length."""
         return f"{self.name}.attitude"
 
+    @explained
     def at(self, x: Scalar = 0.0, y: Scalar = 0.0, z: Scalar = 0.0) -> SpatialMarker:
         """The point (x, y, z) [m] of the body's frame."""
         named = zip("xyz", (x, y, z), strict=True)
@@ -283,6 +285,7 @@ class SpatialJoint(Brief):
         """Direction of its free motion in the frame of the second body, None where it has several or none."""
         return self.axes[1] if len(self.freedoms) == 1 else None
 
+    @explained
     def freedom(self, which: str) -> SpatialFreedom:
         """One of the free motions of a joint that has several, for `drive`, `spring_damper`, `friction` and `lock`.
 

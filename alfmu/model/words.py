@@ -21,6 +21,8 @@ _SHOWN = 5
 _WIDEST = 60
 """Characters of a value that a message shows."""
 
+_VOWELS = "aeiouAEIOU"
+
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -42,7 +44,8 @@ def shown(value: Any) -> str:
     if hasattr(value, "is_symbolic"):  # of CasADi
         return f"the symbol {value}" if value.is_symbolic() else f"an expression ({type(value).__name__})"
     text = repr(value) if isinstance(value, str | bytes | int | float | complex | tuple | list | None) else ""
-    return text if 0 < len(text) <= _WIDEST else f"a {type(value).__name__}"
+    kind = type(value).__name__
+    return text if 0 < len(text) <= _WIDEST else f"{'an' if kind[0] in _VOWELS else 'a'} {kind}"
 
 
 class Brief:

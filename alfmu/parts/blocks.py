@@ -15,7 +15,10 @@ from collections.abc import Callable
 from types import MappingProxyType
 from typing import Any
 
+from ..model.calls import explained
+from ..model.errors import DeclarationError
 from ..model.mechanism import Mechanism
+from ..model.words import shown
 from .control import pi_controller
 from .declared import named
 from .load import load as loaded
@@ -24,6 +27,7 @@ from .motor import dc_motor
 __all__ = ["BLOCKS", "controller", "gearbox", "load", "motor"]
 
 
+@explained
 def motor(
     resistance: float = 0.4,
     inductance: float = 0.5e-3,
@@ -46,6 +50,11 @@ def motor(
         "nominal": nominal,
     }
     if not inertia:
+        if damping:
+            raise DeclarationError(
+                f"the damping of a motor without inertia is {shown(damping)}; its shaft is that of what it drives: "
+                "give it an inertia, or damp what it drives"
+            )
         speed = m.input("speed", "rad/s", description="of its shaft")
         dc_motor(m, "", voltage=voltage, speed=speed, **numbers)
         return m
@@ -63,6 +72,7 @@ def motor(
     return m
 
 
+@explained
 def gearbox(ratio: float = 10.0, stiffness: float = 1000.0, damping: float = 1.0) -> Mechanism:
     """A gearbox with elastic shafts: `motor_speed` and `load_speed` in, `motor_torque` and `load_torque` out.
 
@@ -84,6 +94,7 @@ def gearbox(ratio: float = 10.0, stiffness: float = 1000.0, damping: float = 1.0
     return m
 
 
+@explained
 def controller(gain: float = 1.0, time: float = 0.1, limit: float = 24.0) -> Mechanism:
     """A PI controller of a speed: `wanted` and `measured` in [rad/s], `output` [V] out, within `limit` [V] of zero.
 
@@ -96,6 +107,7 @@ def controller(gain: float = 1.0, time: float = 0.1, limit: float = 24.0) -> Mec
     return m
 
 
+@explained
 def load(inertia: float = 0.01, damping: float = 0.0, opposing: float = 0.0, fan: float = 0.0) -> Mechanism:
     """A load on a shaft of its own: `torque` in, `angle` and `speed` out; the numbers are those of `parts.load`."""
     m = Mechanism("load", "Load on a shaft")

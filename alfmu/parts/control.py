@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from ..model.calls import explained
 from ..model.errors import DeclarationError
 from ..model.mechanism import Mechanism, Scalar, symbolic
 from .declared import label, named, of, quotient
@@ -18,6 +19,7 @@ from .declared import label, named, of, quotient
 __all__ = ["pi_controller"]
 
 
+@explained
 def pi_controller(
     m: Mechanism,
     name: str,

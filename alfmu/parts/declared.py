@@ -89,6 +89,6 @@ def mounted(
 
 
 def rate_of_joint(m: Mechanism, joint: Joint | SpatialJoint) -> ca.SX:
-    """Rate of the free displacement of a joint."""
-    q, v = (stack([getattr(c, letter) for c in m.coordinates]) for letter in "qv")
-    return ca.jtimes(Kinematics(m).free(joint), q, v)
+    """Rate of the free displacement of a joint, whatever moves it: coordinates, or a law of time beside them."""
+    moving, rates = stack([m.time, *(c.q for c in m.coordinates)]), stack([1.0, *(c.v for c in m.coordinates)])
+    return ca.jtimes(Kinematics(m).free(joint), moving, rates)

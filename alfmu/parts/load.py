@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from ..model.calls import explained
 from ..model.errors import DeclarationError
 from ..model.mechanism import Joint, Mechanism, Scalar, symbolic
+from ..model.spatial import SpatialJoint
 from ..model.words import shown
 from .declared import label, mounted, named, of, rate_of_joint
 from .motor import TURNING
@@ -30,30 +32,33 @@ class Load:
     """On the joint, without that of the inertia [N.m]."""
 
 
+@explained
 def load(
     m: Mechanism,
     name: str,
-    joint: Joint,
+    joint: Joint | SpatialJoint,
     *,
     inertia: Scalar = 0.0,
     damping: Scalar = 0.0,
     opposing: Scalar = 0.0,
     fan: Scalar = 0.0,
 ) -> Load:
-    """A load on a revolute joint, which drives it, brakes it and gives it inertia.
+    """A load on a joint that turns, a hinge or a screw, which brakes it and gives it inertia.
 
-    `inertia` [kg.m2] is that of a flywheel, a body `<name>.wheel` of its own. `damping` [N.m.s/rad] is viscous,
-    `opposing` [N.m] a torque against the motion, which builds up within `alfmu.parts.motor.TURNING` of standstill and
-    so holds nothing at rest, `fan` [kg.m2] a torque over the square of the speed. Numbers other than zero become the
-    parameters `<name>.inertia` and so on; expressions stay what they are.
+    `inertia` [kg.m2] is that of a flywheel, a body `<name>.wheel` of its own, in space a thin disc about the axis.
+    `damping` [N.m.s/rad] is viscous, `opposing` [N.m] a torque against the motion, which builds up within
+    `alfmu.parts.motor.TURNING` of standstill and so holds nothing at rest, `fan` [kg.m2] a torque over the square of
+    the speed. Numbers other than zero become the parameters `<name>.inertia` and so on; expressions stay what they are.
 
     The output `<name>.torque` is the torque on the joint without that of the inertia; an empty name leaves out what
     stands in front. Raises DeclarationError where the joint is none that turns, or nothing is given.
     """
-    if not isinstance(joint, Joint) or joint.kind != "revolute" or joint not in m.joints:
+    turns = isinstance(joint, Joint | SpatialJoint) and joint.kind in ("revolute", "screw")
+    if not turns or joint not in (*m.joints, *m.spatial_joints):
+        instead = "; load what slides by its mass, friction() and drive()" * (getattr(joint, "kind", "") == "prismatic")
         raise DeclarationError(
             f"{m.name}: the load{of(name)} is on {joint.name if hasattr(joint, 'name') else shown(joint)}; give it a "
-            "revolute joint in the plane, of this mechanism"
+            f"joint of this mechanism that is a revolute or a screw, in the plane or in space{instead}"
         )
     given = {"inertia": inertia, "damping": damping, "opposing": opposing, "fan": fan}
     if not any(isinstance(x, ca.SX) or x != 0 for x in given.values()):

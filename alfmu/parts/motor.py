@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from ..model.calls import explained
 from ..model.errors import DeclarationError
 from ..model.mechanism import Joint, Mechanism, Scalar, symbolic
 from ..model.spatial import SpatialJoint
@@ -56,6 +57,7 @@ class Motor:
     """Of the rotor against its housing [rad/s]."""
 
 
+@explained
 def dc_motor(
     m: Mechanism,
     name: str,

@@ -89,6 +89,14 @@ typedef struct {
 /* What is heard of it: how many points, of which derivative, their times and values. */
 #define HEARD_POINTS 3
 #define HEARD (2 + 2 * HEARD_POINTS)
+
+/* A law of time that may jump, or not be finite: what it is, the units of it and of its rate, the constraint with which alone it counts, -1
+   where it always does. */
+typedef struct {
+    const char *what, *unit, *rate_unit;
+    int row;
+} Leap;
+
 /* A joint with dry friction: the row that holds while it sticks, and where the displacement at which it does and the direction
    in which it slides stand among what is kept; whether its load is not unique. */
 typedef struct {
@@ -146,6 +154,8 @@ typedef struct {
     int timed;               /* whether time is the last coordinate */
     int followed_count;
     const Followed *followed;
+    int leap_count;
+    const Leap *leaps;
     Pattern mass, constraint, gaps, tie_rows;
     Envelope closing; /* J J' of the start, J being C or the gaps, and below them the start values that are kept */
     Envelope holding; /* M + C' C */
@@ -186,7 +196,8 @@ typedef enum {
     OPEN,    /* a step after which constraints cannot be closed */
     FAILED,
     UNHELD, /* a massless body that nothing holds */
-    BRAKES  /* redundant constraints that the scene is not traced for */
+    BRAKES, /* redundant constraints that the scene is not traced for */
+    ENDED   /* no step leads on from here: a law of time breaks */
 } Outcome;
 
 /* Constraints of which degrees of freedom are told (`COUNTED_ROWS` in probe.py). */
@@ -253,7 +264,8 @@ enum {
     WARNED_OF_UNCONVERGED = 4,
     WARNED_OF_FRICTION = 8,
     WARNED_OF_IMPACT = 16,
-    EVERY_WARNING = 31
+    WARNED_OF_CORNER = 32,
+    EVERY_WARNING = 63
 };
 
 Instance *instance_new(const Scene *scene);
@@ -356,6 +368,10 @@ void run(Instance *i, int program);
 
 void signals_begin(Instance *i, double time);
 Outcome signals_aim(Instance *i, double start, double h);
+
+Outcome laws_checked(Instance *i, double end);
+Outcome laws_begun(Instance *i, Outcome outcome);
+size_t laws_room(const Scene *s);
 
 long advance(Instance *i, long steps, double dt);
 int cover(Instance *i, double end, long tries);

@@ -449,9 +449,9 @@ static Status watched(Component *c, double point, double step, int *early)
         if (outcome != DONE && *early)
             return FINE; /* The next step says what is wrong. */
         if (outcome != DONE) {
-            refused(c, DISCARDED);
+            const Status status = refused(c, outcome == ENDED ? WRONG : DISCARDED);
             state_restore(i, c->before->bytes, c->before->size);
-            return DISCARDED;
+            return status;
         }
         *early = may_return && k < count;
         if (k == count)
@@ -468,13 +468,16 @@ static Status watched(Component *c, double point, double step, int *early)
 /* `early` says whether the host takes an early return, and then whether there was one. */
 Status component_step(Component *c, double point, double step, int *early, const char *call)
 {
+    Outcome outcome;
     if (!component_in(c, STEPPING, call))
         return WRONG;
     if (early && c->look)
         return watched(c, point, step, early);
     if (early)
         *early = 0;
-    return stepped(c, point, step) == DONE ? FINE : refused(c, DISCARDED);
+    outcome = stepped(c, point, step);
+    /* A host makes other steps where one is discarded, and none would lead on. */
+    return outcome == DONE ? FINE : refused(c, outcome == ENDED ? WRONG : DISCARDED);
 }
 
 /* State ------------------------------------------------------------------------------------------------------------ */

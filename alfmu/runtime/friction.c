@@ -387,6 +387,8 @@ Outcome friction_begin(Instance *i)
     char names[300] = "";
     const int unsettled = redundant(i) && !(s->compliances && i->compliances[0] > 0.0);
     int switched = 0;
+    if (!s->frictions)
+        return DONE;
     for (int k = 0; k < s->frictions; k++)
         if (unsettled && s->friction[k].shared)
             list(i, k, names, sizeof names);
@@ -403,7 +405,7 @@ Outcome friction_begin(Instance *i)
             "%s: redundant constraints share the load of %s, so that its friction is not unique, and the motion is not "
             "either: loads of least norm are taken; give compliances of constraints (--compliances) to settle it",
             s->name, names);
-    return s->gripping < 0 ? DONE : friction_event(i, NULL);
+    return s->gripping < 0 ? DONE : friction_event(i, NULL); /* A start alone has no programs. */
 }
 
 /* Events -------------------------------------------------------------------------------------------------------------- */

@@ -24,6 +24,10 @@
    the default tolerance. */
 #define RESTING 1e-8
 
+/* What an impact leaves of Phi-dot, in units of its row, where no velocities serve all constraints in force: a thousand times
+   what a step may leave. */
+#define CONTRADICTION 1e-3
+
 /* Share of a direction of inputs by which outputs are changed for a difference, where they do not change evenly. */
 #define SMALL_CHANGE 1e-4
 
@@ -130,6 +134,7 @@ Instance *instance_new(const Scene *s)
     i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
         + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
         + 4 * (size_t)(driven_by(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
+    i->room += laws_room(s);
     if (s->frictions) /* What steps up to events remember. */
         i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
@@ -819,6 +824,12 @@ static Outcome change(Instance *i, const double *on)
             }
         if (s->frictions)
             tell_of_impact(i, v, w[s->lost]);
+        gap = widest(i, q, v, 1, &row);
+        if (!(gap <= CONTRADICTION))
+            outcome = say(i, REFUSED,
+                "%s, t = %.6g s: what is switched on asks for another motion than what is in force: no velocities serve both, "
+                "as %s is missed by %.3g per second; switch one of them off",
+                s->name, *instance_time(i), row_label(i, row, label, sizeof label), gap);
     }
     if (outcome == DONE)
         outcome = knowledge(i, q, v);
@@ -1125,8 +1136,9 @@ Outcome instance_initialize(Instance *i)
     i->flags.initialized = i->flags.known = i->flags.pending = 0;
     hand_over(i);
     outcome = started(i);
-    i->flags.initialized = outcome == DONE;
     i->used = 0;
+    outcome = laws_begun(i, outcome);
+    i->flags.initialized = outcome == DONE;
     return outcome;
 }
 
@@ -1514,12 +1526,16 @@ Outcome instance_ready(Instance *i, double start, double h)
         parameters(i);
         i->flags.known = 0;
     }
-    if (outcome != DONE || !i->flags.pending)
+    if (outcome == DONE && !i->flags.pending)
+        return laws_checked(i, start + h);
+    if (outcome != DONE)
         return outcome;
     i->used = 0;
     instance_remember(i);
     hand_over(i);
     outcome = take_effect(i);
+    if (outcome == DONE)
+        outcome = laws_checked(i, start + h);
     if (outcome != DONE) {
         instance_go_back(i);
         memcpy(i->wanted, i->on, (size_t)i->scene->switches * sizeof *i->on);
@@ -1529,19 +1545,31 @@ Outcome instance_ready(Instance *i, double start, double h)
     return outcome;
 }
 
+/* Signals as they were before a step that is not made. */
+static void signals_back(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (!s->followed_count)
+        return;
+    memcpy(i->kept, i->kept_before, (size_t)s->held * sizeof *i->kept);
+    memcpy(i->heard, i->kept_before + s->held, (size_t)s->followed_count * HEARD * sizeof *i->heard);
+    parameters(i);
+}
+
 Outcome instance_step(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
-    const int changed = i->flags.pending || s->frictions, pending = i->flags.pending, signals = s->followed_count;
-    const size_t kept = (size_t)s->held * sizeof(double), heard = (size_t)signals * HEARD * sizeof(double);
+    const int changed = i->flags.pending || s->frictions, pending = i->flags.pending;
     Outcome outcome;
-    if (signals) {
-        memcpy(i->kept_before, i->kept, kept);
-        memcpy(i->kept_before + s->held, i->heard, heard);
+    if (s->followed_count) {
+        memcpy(i->kept_before, i->kept, (size_t)s->held * sizeof *i->kept);
+        memcpy(i->kept_before + s->held, i->heard, (size_t)s->followed_count * HEARD * sizeof *i->heard);
     }
     outcome = instance_ready(i, start, h);
-    if (outcome != DONE)
+    if (outcome != DONE) {
+        signals_back(i);
         return outcome;
+    }
     if (changed && !pending) /* What sticks may change in a step. */
         instance_remember(i);
     i->used = 0;
@@ -1556,11 +1584,8 @@ Outcome instance_step(Instance *i, double start, double h)
         instance_go_back(i);
     else if (outcome != DONE)
         step_back(i);
-    if (outcome != DONE && signals) {
-        memcpy(i->kept, i->kept_before, kept);
-        memcpy(i->heard, i->kept_before + s->held, heard);
-        parameters(i);
-    }
+    if (outcome != DONE)
+        signals_back(i);
     i->used = 0;
     return outcome;
 }

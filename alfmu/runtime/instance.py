@@ -28,7 +28,7 @@ from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED, Settings
 from ..model.words import there_is
-from .library import BRAKES, DONE, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
+from .library import BRAKES, DONE, ENDED, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
 from .probe import mobility, shared
 from .reuse import derive, ready
@@ -415,7 +415,8 @@ class Instance:
         self._warn()
         error = raised[0] if raised else None
         if outcome not in (DONE, INTERRUPTED):
-            kinds = {REFUSED: InputError, OPEN: OpenError, FAILED: StepError if self.initialized else AssemblyError}
+            kinds = {REFUSED: InputError, OPEN: OpenError, ENDED: StepError}
+            kinds[FAILED] = StepError if self.initialized else AssemblyError
             error = kinds.get(outcome, AssemblyError)(self._unit.text)
         return values[:made], error
 

@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 12
+#define SCENE_VERSION 13
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -38,6 +38,10 @@
 #define SHARED 3.0
 #define JAM_PIVOT 0.001
 #define JAM_SETTLED 1e-06
+#define JUMP 1e-07
+#define JUMPS "%s: %s jumps by %.6g %s at t = %.6g s, which no rigid mechanism follows; give a law without jumps"
+#define BROKEN "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law that is finite there with both, or other parameters"
+#define IMPACT "%s: %s changes its rate by %.6g %s at t = %.6g s, which is an impact whose impulse is in no output; round the law off there, if no impact was meant"
 #define SETTINGS 12
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1
@@ -283,6 +287,7 @@
     X(pivots) \
     X(irregular) \
     X(sliding) \
+    X(laws) \
     X(place) \
     X(bring) \
     X(settle) \

@@ -13,13 +13,13 @@ from functools import cache, partial
 from pathlib import Path
 
 __all__ = [
-    *("BRAKES", "DONE", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD"),
+    *("BRAKES", "DONE", "ENDED", "FAILED", "INTERRUPTED", "OPEN", "REFUSED", "UNHELD"),
     *("Run", "Scene", "Unit", "library"),
 ]
 
-DONE, REFUSED, OPEN, FAILED, UNHELD, BRAKES = range(6)
+DONE, REFUSED, OPEN, FAILED, UNHELD, BRAKES, ENDED = range(7)
 """What a call comes to: done; refused, nothing has changed; constraints cannot be closed; failed; a massless body that
-nothing holds; redundant constraints that a scene must be traced for."""
+nothing holds; redundant constraints that a scene must be traced for; no step leads on, as a law of time breaks."""
 
 INTERRUPTED = -1
 """What a run comes to that its callback ended."""

@@ -753,6 +753,26 @@ static void functions(Reader *r)
     shaped(r, "settle", s->settle, l > 0, 4, 3, n, n, P, K, n, 1, 2);
 }
 
+/* Laws of time that may jump, or not be finite. */
+static void leaps(Reader *r)
+{
+    Scene *s = r->scene;
+    Leap *made;
+    const size_t count = s->timed ? length(r) : 0;
+    made = enough(r, count, 16) ? room(r, count + 1, sizeof *made) : NULL;
+    for (size_t k = 0; k < count && !r->bad; k++) {
+        made[k].what = text(r);
+        made[k].unit = text(r);
+        made[k].rate_unit = text(r);
+        made[k].row = integer(r);
+        if (!r->bad && !between(made[k].row, -1, s->l))
+            spoil(r, "a law counts with constraint %d", made[k].row);
+    }
+    s->leaps = made;
+    s->leap_count = (int)count;
+    shaped(r, "laws", s->laws, count > 0, 3, 1, s->n, s->n, s->own + s->held, 3 * (int)count);
+}
+
 /* Programs --------------------------------------------------------------------------------------------------------- */
 
 static int within(const Reader *r, int64_t place, int64_t length)
@@ -1022,6 +1042,8 @@ static void body(Reader *r)
     programs(r);
     if (!r->bad)
         followed(r);
+    if (!r->bad)
+        leaps(r);
     if (!r->bad && r->at != r->end)
         spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
 }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..equations.interface import Counters
 from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
 from .instance import Instance
-from .library import FAILED, INTERRUPTED, OPEN, REFUSED, Run
+from .library import ENDED, FAILED, INTERRUPTED, OPEN, REFUSED, Run
 
 __all__ = ["Sweeps"]
 
@@ -139,5 +139,6 @@ class Sweeps:
         if outcome == _NO_MEMORY:
             raise self._no_memory()
         if outcome:
-            kinds = {REFUSED: InputError, OPEN: OpenError, FAILED: StepError if unit.initialized else AssemblyError}
+            kinds = {REFUSED: InputError, OPEN: OpenError, ENDED: StepError}
+            kinds[FAILED] = StepError if unit.initialized else AssemblyError
             raise kinds.get(outcome, AssemblyError)(unit._unit.text)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..equations import Equations
 from ..fmi.drive import Fmu, kind_of
 from ..fmi.export import packed_scene
-from ..model.errors import AlfmuError, InputError
+from ..model.errors import AlfmuError, DeclarationError, InputError
 from ..model.words import there_is
 from ..parts.blocks import BLOCKS
 from ..runtime import Instance
@@ -208,7 +208,7 @@ def recipe_of(component: Component) -> Recipe:
         make = partial(BLOCKS[str(c.what)], **c.options)
         try:
             recipe = Recipe(make())
-        except TypeError as error:
+        except DeclarationError as error:  # options are what the description says
             raise InputError(f"the component {c.name}, a {c.what}: {error}") from None
         return recipe.changed(parameters=c.parameters, outputs=c.outputs)
     return of(c.what).changed(options=c.options, parameters=c.parameters, outputs=c.outputs)

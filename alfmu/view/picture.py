@@ -25,7 +25,7 @@ from ..equations import Equations
 from ..files import atomic, write
 from ..model.errors import AlfmuError, AssemblyError, InputError
 from ..model.mechanism import Mechanism, Start
-from ..model.words import there_is
+from ..model.words import shown, there_is
 from ..result import Result
 from ..runtime import Instance
 from ..runtime.probe import Probe
@@ -142,6 +142,12 @@ class Drawing:
     trails: Mapping[str, Sequence[Any]] = field(repr=False)
     caption: str = ""
     size: Size = SIZE
+
+    def __post_init__(self) -> None:
+        size = self.size
+        if not (isinstance(size, tuple | list) and len(size) == 2 and all(type(x) is int and x > 0 for x in size)):
+            name = self.shapes.name
+            raise InputError(f"{name}: the size of a picture is {shown(size)}; give two, as (640, 480) pixels")
 
     def __repr__(self) -> str:
         return f"<Drawing of {self.shapes.name}, {self.size[0]} x {self.size[1]} pixels>"
