@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..files import atomic, write
+from ..equations.specialisation import plain
 from ..model.errors import InputError
 from ..model.units import rate_of
 from ..model.words import counted, shown, there_is
@@ -341,8 +342,7 @@ def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> li
         isinstance(patterns, Sequence) and all(isinstance(x, str) for x in patterns)
     ):
         raise InputError(f"{name}: the outputs are {shown(patterns)}; give names or patterns in a list")
-    patterns = [patterns] if isinstance(patterns, str) else list(patterns)
-    patterns = [each for each in patterns if not each.startswith("monitor.")]
+    patterns = [each for each in plain(patterns) if not each.startswith("monitor.")]
     for pattern in patterns:
         if not any(each == pattern or fnmatchcase(each, pattern) for each in names):
             raise InputError(f"{name} has no output {pattern!r} to linearise; {there_is(pattern, names)}")
