@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files import atomic, write
 from ..equations.specialisation import plain
+from ..files import atomic, write
 from ..model.errors import InputError
 from ..model.units import rate_of
 from ..model.words import counted, shown, there_is

@@ -81,7 +81,7 @@ def plain(outputs: Iterable[str]) -> list[str]:
 
 
 def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
-    """Entries of the interface Jacobian that match a pattern, such as `link*.angle/A.torque`; none for other patterns."""
+    """Entries of the interface Jacobian that a pattern such as `link*.angle/A.torque` asks for; others ask for none."""
     output, by, wanted = pattern.partition("/")
     if not by:
         return set()

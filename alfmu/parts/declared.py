@@ -9,7 +9,6 @@ import casadi as ca
 from ..equations.derivation import Kinematics
 from ..model.mechanism import Joint, Mechanism, Scalar, stack
 from ..model.spatial import SpatialJoint
-from ..model.units import unit
 
 __all__ = ["label", "mounted", "named", "of", "rate_of_joint"]
 
