@@ -69,8 +69,8 @@ Outcome jacobian_end(Instance *i)
     for (int k = 0; k < s->entries; k++)
         if (!isfinite(derivative(i, k)))
             return say(i, FAILED,
-                "%s, t = %.6g s: %s is not finite, as at the root of zero or where a length vanishes; take another "
-                "communication step, or leave this output out",
+                "%s, t = %.6g s: %s cannot be computed for this step, as at the root of zero or where a rank is not sure; take "
+                "another communication step or input, or leave this output out",
                 s->name, *instance_time(i), s->variables[outputs_from(s) + s->outputs + k].name);
     for (int k = 0; k < s->entries; k++)
         i->jacobian[k] = derivative(i, k);
