@@ -1,5 +1,5 @@
-"""The interface Jacobian: derivatives of outputs at the end of a communication step by inputs that are held over it, in the
-library and in FMUs of both kinds, against differences of steps that are taken back; and what carries none of it."""
+"""The interface Jacobian, derivatives of outputs at the end of a communication step by inputs that are held over it, in
+the library and in FMUs of both kinds, against differences of steps that are taken back; and what carries none of it."""
 
 import logging
 import re
@@ -14,7 +14,7 @@ import fmpy.fmi3
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from scenes import derived, double_pendulum
+from scenes import derived
 
 import alfmu
 from alfmu.analysis.linearization import linearize
@@ -357,11 +357,15 @@ def test_a_step_without_derivative_is_refused_and_leaves_the_state():
     rank.set("solver.method", "rk4")
     rank.set("solver.formulation", "dae")
     rank.initialize()
-    with pytest.raises(alfmu.StepError, match="link1.angle/A.torque cannot be computed for this step"):
+
+    def through_the_singular_position() -> None:
         for k in range(20):
             for j, name in enumerate(("A.torque", "D.torque")):
                 rank.set(name, 0.3 * np.sin(0.3 * (k + 1) + j))
             rank.step(0.05)
+
+    with pytest.raises(alfmu.StepError, match=r"link1.angle/A.torque cannot be computed for this step"):
+        through_the_singular_position()
 
 
 def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
@@ -380,7 +384,7 @@ def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
     assert main(["export", "five_bar", "-o", str(tmp_path / "x.fmu"), "--outputs", "link1.angle/x"]) == 1
     assert "no input 'x'" in capsys.readouterr().err
     assert not (tmp_path / "x.fmu").exists()
-    with pytest.raises(alfmu.InputError, match="the oracle has no derivatives over a step, as link1.angle/A.torque"):
+    with pytest.raises(alfmu.InputError, match=r"the oracle has no derivatives over a step, as link1.angle/A.torque"):
         alfmu.simulate("five_bar", 0.1, 0.02, outputs=["link1.angle/A.torque"], kernel="oracle")
     m = alfmu.Mechanism("rubbing")
     th = m.coordinate("th", "rad", independent=True)
@@ -439,7 +443,8 @@ def test_recipes_commands_and_runs_have_it(tmp_path, monkeypatch, capsys):
 def test_units_of_quotients(one, other, name):
     assert quotient(one, other) == name
     exponents = {
-        base: UNITS[one].exponents.get(base, 0) - UNITS[other].exponents.get(base, 0) for base in "kg m s A rad".split()
+        base: UNITS[one].exponents.get(base, 0) - UNITS[other].exponents.get(base, 0)
+        for base in ("kg", "m", "s", "A", "rad")
     }
     assert composed(name).exponents == {base: x for base, x in exponents.items() if x}
     with pytest.raises(alfmu.DeclarationError):

@@ -32,17 +32,6 @@
 
 /* Memory ----------------------------------------------------------------------------------------------------------- */
 
-int variable_count(const Scene *s)
-{
-    return outputs_from(s) + s->outputs + s->entries;
-}
-
-/* Reference of the first output. */
-int outputs_from(const Scene *s)
-{
-    return s->parameters + s->choices + s->inputs + s->switches;
-}
-
 double *field(const Instance *i, int offset)
 {
     return i->m + offset;

@@ -944,6 +944,17 @@ static void programs(Reader *r)
 
 /* Memory ----------------------------------------------------------------------------------------------------------- */
 
+int variable_count(const Scene *s)
+{
+    return outputs_from(s) + s->outputs + s->entries;
+}
+
+/* Reference of the first output. */
+int outputs_from(const Scene *s)
+{
+    return s->parameters + s->choices + s->inputs + s->switches;
+}
+
 int settings_length(const Scene *s)
 {
     return SETTINGS + 2 * s->l + s->n + s->compliances + (s->brakes ? s->l * s->l : 0);
