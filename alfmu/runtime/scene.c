@@ -341,12 +341,10 @@ static void followed(Reader *r)
 static void jacobian(Reader *r)
 {
     Scene *s = r->scene;
-    const int first = variable_count(s), count = r->at != r->end ? integer(r) : 0;
+    const int first = variable_count(s), count = integer(r);
     Variable *variables;
     Jacobian_entry *made;
     int *directions;
-    if (r->bad || !count)
-        return;
     if (!between(count, 1, 1 << 22) || !enough(r, (size_t)count, 48)) {
         spoil(r, "its interface Jacobian has %d entries", count);
         return;
@@ -357,11 +355,12 @@ static void jacobian(Reader *r)
     if (r->bad)
         return;
     memcpy(variables, s->variables, (size_t)first * sizeof *variables);
-    for (int k = 0; k < count && !r->bad; k++) {
+    for (int k = 0; k < count; k++) {
         variable(r, OUTPUT, first + k, variables + first + k);
         made[k].output = integer(r);
         made[k].input = integer(r);
-        if (r->bad || !between(made[k].output, 0, s->readings) || !between(made[k].input, 0, s->inputs)) {
+        if (r->bad || variables[first + k].type != REAL || !between(made[k].output, 0, s->readings)
+            || !between(made[k].input, 0, s->inputs)) {
             spoil(r, "entry %d of its interface Jacobian is of no output or input", k);
             return;
         }
@@ -1072,7 +1071,7 @@ static void body(Reader *r)
     programs(r);
     if (!r->bad)
         followed(r);
-    if (!r->bad)
+    if (!r->bad && r->at != r->end)
         jacobian(r);
     if (!r->bad && r->at != r->end)
         spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
