@@ -373,7 +373,7 @@ void run(Instance *i, int program);
 void signals_begin(Instance *i, double time);
 Outcome signals_aim(Instance *i, double start, double h);
 
-void accept(Instance *i);
+void arrive(Instance *i);
 long advance(Instance *i, long steps, double dt);
 int cover(Instance *i, double end, long tries);
 int ended(Instance *i);

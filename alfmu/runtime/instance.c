@@ -1281,7 +1281,7 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     if (outcome != DONE)
         return outcome;
     after[s->trouble] = 0.0;
-    accept(i);
+    arrive(i);
     return DONE;
 }
 

@@ -102,7 +102,8 @@ class Instance:
         self._variables = {v.name: v for _, v in found.causalities}
         self._scene = loaded(e)
         self._unit = Unit(self._scene)
-        if e.jacobian and e.programs.setdefault("told of jumps", self) is self:
+        if e.jacobian and "told of jumps" not in e.programs:
+            e.programs["told of jumps"] = True
             tell_of_jumps(e)
         self._references = self._scene.references
         for v in (*found.parameters, *found.choices):

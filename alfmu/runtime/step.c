@@ -34,7 +34,7 @@ static int read_near(const Instance *i)
 }
 
 /* What a step has led to is the state from now on. */
-void accept(Instance *i)
+void arrive(Instance *i)
 {
     const Scene *s = i->scene;
     memcpy(i->m + s->z, i->m + s->after, state_length(s) * sizeof *i->m);
@@ -69,7 +69,7 @@ long advance(Instance *i, long steps, double dt)
             if (tiers[tier] < 0)
                 return done;
         }
-        accept(i);
+        arrive(i);
         m[s->tally + tier] += 1.0;
         i->shared += onward && tier == 0;
         if (tier == 2)
@@ -245,7 +245,7 @@ int cover(Instance *i, double end, long tries)
             /* Steps that are refused regain nothing: short ones and those of the method would take turns for ever. */
             if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
                 pace[PACE_OTHER_DT] *= REGAINED;
-            accept(i);
+            arrive(i);
         }
         tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;
     }
