@@ -23,7 +23,7 @@ Outcome jacobian_begin(Instance *i)
     if (!g)
         return say(i, FAILED, "%s: there is no memory for derivatives", s->name);
     if (!i->within) {
-        /* Steps hand on nothing but the numbers of an instance. */
+        i->onward = 0; /* What outputs were read by is on no tape: steps hand on nothing but the numbers of an instance. */
         for (int block = 0; block < g->blocks; block++)
             memset(g->tangents + (size_t)block * g->places, 0, i->count * sizeof *g->tangents);
         for (int k = 0; k < s->entries; k++) {
