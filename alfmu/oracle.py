@@ -70,6 +70,9 @@ class Instance(runtime.Instance):
         if self.equations.frictions:
             joint = self.equations.frictions[0].name
             raise InputError(f"{self.name}: the oracle has no dry friction, which {joint} has; use kernel vm")
+        if self.equations.jacobian:
+            first = "/".join(self.equations.jacobian[0])
+            raise InputError(f"{self.name}: the oracle has no derivatives over a step, as {first}; use kernel vm")
         super().initialize()
         self.counters, self._step_error = Counters(), 0.0
         self._unfinished, self._told = 0.0, False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from . import oracle
 from .equations import Equations, Variable
-from .equations.specialisation import starting_at
+from .equations.specialisation import plain, starting_at
 from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
@@ -102,7 +102,9 @@ def simulate(
     linear; it is held over each communication step at its value at the beginning. Defaults are the mechanism's own.
     `start` is "declared" (the start values, the default), "equilibrium" (at rest in the position that
     `alfmu.equilibrium(...).nearest` tells for the inputs at 0 s) or an `Equilibrium`.
-    Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; parameters
+    Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; names such
+    as `link1.angle/A.torque` ask for the interface Jacobian too, the derivative of an output at the end of each
+    communication step by an input that is held over it (`["*", "link*.angle/*"]` has all outputs and these). Parameters
     in `freeze` are folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`; `progress` wraps the
     communication points, to show how far a run is (`tqdm.tqdm` does). Runs of one mechanism share what is traced, as
     long as they differ in numbers alone.
@@ -162,8 +164,10 @@ def prepare(
     freeze: Sequence[str] | None = None,
     kernel: str | None = None,
     kept: Sequence[str] = (),
+    jacobian: bool = True,
 ) -> Prepared:
-    """An instance that is not yet initialised, for arguments of `simulate`; parameters in `kept` are never folded."""
+    """An instance that is not yet initialised, for arguments of `simulate`; parameters in `kept` are never folded, and
+    without `jacobian` no derivatives over a step are among the outputs."""
     given, declared = dict(parameters), None
     facts: dict[str, Any] = {}
     if isinstance(mechanism, Equations):
@@ -180,6 +184,9 @@ def prepare(
         start = start or recipe.start
         facts |= {"mechanism": str(recipe), "options": declared.options}
     kernel = kernel or DEFAULT
+    if not jacobian:
+        outputs = None if outputs is None else plain(outputs)
+        equations = replace(equations, jacobian=()) if equations.jacobian else equations
     if freeze is not None:
         freeze = [name for name in freeze if name not in kept]
     scene, left = ready(equations, given, outputs, freeze, kernel)

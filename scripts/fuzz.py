@@ -54,6 +54,7 @@ class Case:
 
     mechanism: Callable[[], alfmu.Mechanism]
     parameters: dict[str, float | str] = field(default_factory=dict)
+    outputs: list[str] | None = None
     share: int = 1
     """Of all calls; long ones have less."""
 
@@ -80,6 +81,7 @@ CASES = {
     "auto": Case(lambda: alfmu.load("four_bar")),
     "explicit": Case(lambda: alfmu.load("four_bar"), {"solver.method": "explicit"}),
     "states": Case(motor),
+    "jacobian": Case(locked, RK4, ["*", "link1.angle/*", "B.force.x/D.torque"], share=2),
     "order8": Case(lambda: alfmu.load("particle_on_circle"), {"solver.method": "order8"}, share=2),
     "stiff": Case(lambda: alfmu.load("flexible_four_bar"), {"solver.method": "stiff"}),
     "trapezoidal": Case(lambda: alfmu.load("particle_on_circle"), {"solver.method": "trapezoidal"}, share=2),
@@ -90,7 +92,8 @@ def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
     """The command that runs the fuzzer on a scene, but for seed, calls and threads: program and what it is told."""
     case = CASES[name]
     path = folder / f"{name}_{fmi}.fmu"
-    alfmu.export(case.mechanism(), path, kind="native", fmi=fmi, parameters=case.parameters, reference=False)
+    how = {"parameters": case.parameters, "outputs": case.outputs}
+    alfmu.export(case.mechanism(), path, kind="native", fmi=fmi, reference=False, **how)
     place, program = path.with_suffix(""), path.with_suffix(f".{watched}")
     with zipfile.ZipFile(path) as archive:
         archive.extractall(place)

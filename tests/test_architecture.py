@@ -26,7 +26,7 @@ ROOMS: dict[str, set[str]] = {
     "simulation": {"equations", "kernel", "model", "oracle", "result", "runtime"},
     "view": {"equations", "files", "kernel", "model", "result", "runtime", "simulation"},
     "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
-    "gradients": {"equations", "fmi", "kernel", "model", "oracle", "result", "runtime", "simulation", "view"},
+    "gradients": {"equations", "fmi", "model", "oracle", "result", "runtime", "simulation", "view"},
     "analysis": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "view"},
     "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
     "systems": {"equations", "files", "fmi", "model", "parts", "result", "runtime", "simulation", "view"},

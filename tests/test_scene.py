@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scenes import derived
 
 import alfmu
-from alfmu.equations import Equations
+from alfmu.equations import Equations, Variable
 from alfmu.equations.evaluation import with_functions
 from alfmu.kernel import passes, stream, tables
 from alfmu.kernel.form import Call, Lanes, Program, Steps
 from alfmu.kernel.memory import Layout
 from alfmu.kernel.passes import Code, in_line, written
-from alfmu.kernel.scene import operations_header
+from alfmu.kernel.scene import Writer, operations_header
 from alfmu.kernel.stream import Instructions
 from alfmu.runtime import compiled as build
 from alfmu.simulation import prepared
@@ -543,6 +543,13 @@ def test_damage_of_any_byte_is_refused_or_harmless(small, packed, short, tmp_pat
     g = ca.Function("g", [u, p_of], [ca.vertcat(ca.sin(u[0]) / p_of[0], ca.fmin(u[1], p_of[1] * p_of[2]))])
     lanes = Lanes(tuple(Call("g", ("u", "p"), (f"y{k}",)) for k in range(3)))
     scene = quick_step(small, packed, (lanes,), ca.Function("f", [x, p], made), g)
+    jacobian = Writer()
+    jacobian.integer(2)
+    for entry in ("x/force.x", "y/force.x"):
+        tables._Table._variable(jacobian, Variable(entry, "m/N"))
+        jacobian.integer(0)
+        jacobian.integer(0)
+    whole, scene = len(scene), tables.identified(scene + b"".join(jacobian.parts), "")
     assert len(scene) < 60000
     (tmp_path / "scene.bin").write_bytes(scene)
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=undefined"]
@@ -550,7 +557,7 @@ def test_damage_of_any_byte_is_refused_or_harmless(small, packed, short, tmp_pat
     if "sanitize" in done.stderr or "cannot find" in done.stderr:
         done = compiled(tmp_path / "host", "-O1")
     assert done.returncode == 0, done.stderr
-    command = [str(tmp_path / "host"), str(tmp_path / "scene.bin")]
+    command = [str(tmp_path / "host"), str(tmp_path / "scene.bin"), str(whole)]
     said = subprocess.run(command, capture_output=True, text=True, check=False)
     assert said.returncode == 0, said.stdout + said.stderr
     refused, taken = (int(word) for word in said.stdout.split() if word.isdecimal())

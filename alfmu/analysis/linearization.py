@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from ..equations.specialisation import plain
 from ..files import atomic, write
 from ..model.calls import asked
 from ..model.errors import InputError
@@ -345,8 +346,7 @@ def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> li
         isinstance(patterns, Sequence) and all(isinstance(x, str) for x in patterns)
     ):
         raise InputError(f"{name}: the outputs are {shown(patterns)}; give names or patterns in a list")
-    patterns = [patterns] if isinstance(patterns, str) else list(patterns)
-    patterns = [each for each in patterns if not each.startswith("monitor.")]
+    patterns = [each for each in plain(patterns) if not each.startswith("monitor.")]
     for pattern in patterns:
         if not any(each == pattern or fnmatchcase(each, pattern) for each in names):
             raise InputError(f"{name} has no output {pattern!r} to linearise; {there_is(pattern, names)}")

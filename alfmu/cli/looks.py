@@ -150,7 +150,7 @@ def _draw(chosen: argparse.Namespace) -> None:
 
 
 def _live(chosen: argparse.Namespace) -> None:
-    from ..equations.specialisation import specialised
+    from ..equations.specialisation import plain, specialised
     from ..view.live import live, needed, written_by_alfmu
 
     recipe = chosen_recipe(chosen, chosen.mechanism).changed(communication_step=chosen.step)
@@ -160,7 +160,7 @@ def _live(chosen: argparse.Namespace) -> None:
         raise InputError(f"{path} cannot hold a page; its name must end in .html")
     if path.exists() and not chosen.output and not written_by_alfmu(path):
         raise InputError(f"{path} is there and was not written by alfmu live; name another file with -o, or remove it")
-    outputs = None if recipe.outputs is None else [*recipe.outputs, *needed(mechanism)]
+    outputs = None if recipe.outputs is None else [*plain(recipe.outputs), *needed(mechanism)]
     equations = specialised(equations_of(recipe, mechanism), outputs, recipe.freeze)
     said = once_written(path)
     source = shlex.join([Path(chosen.mechanism).name, *_scene_options(chosen)])

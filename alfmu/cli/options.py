@@ -78,7 +78,8 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         "--outputs",
         metavar="PATTERNS",
         type=name_list,
-        help='compute these outputs alone, such as "link*.angle,*.force.*" (default: all)',
+        help='compute these outputs alone, such as "link*.angle,*.force.*" (default: all); "*,link1.angle/A.torque" '
+        "has the derivative of link1.angle at the end of each communication step by A.torque, held over it, beside all",
     )
     sub.add_argument(
         "--freeze",

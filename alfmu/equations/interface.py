@@ -11,6 +11,7 @@ import numpy as np
 
 from ..model.errors import InputError
 from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
+from ..model.units import quotient
 from .types import Equations, Variable
 
 __all__ = [
@@ -158,6 +159,8 @@ class Interface:
     switches: list[Variable]
     """Boolean inputs."""
     outputs: list[Variable]
+    jacobian: list[Variable]
+    """Outputs behind those: entries of the interface Jacobian."""
 
     def causal(self, causality: str) -> list[Variable]:
         """The variables of a causality."""
@@ -167,7 +170,8 @@ class Interface:
     def causalities(self) -> list[tuple[str, Variable]]:
         """All variables, each with its causality in FMI."""
         named = {"parameter": [*self.parameters, *self.choices], "input": [*self.inputs, *self.switches]}
-        return [(causality, v) for causality, each in {**named, "output": self.outputs}.items() for v in each]
+        named["output"] = [*self.outputs, *self.jacobian]
+        return [(causality, v) for causality, each in named.items() for v in each]
 
 
 def default_settings(equations: Equations) -> Settings:
@@ -191,7 +195,23 @@ def variables_of(equations: Equations, settings: Settings | None = None) -> Inte
         [*e.inputs],
         [Variable(s.name, "1", float(s.start), description=s.description, type="Boolean") for s in e.switches],
         [*e.outputs, *(v for v in MONITORS if v.name not in e.monitors), *events(e)],
+        _jacobian(e),
     )
+
+
+def _jacobian(e: Equations) -> list[Variable]:
+    """The entries of the interface Jacobian."""
+    units = {v.name: v.unit for v in (*e.outputs, *e.inputs)}
+    return [
+        Variable(
+            f"{output}/{by}",
+            quotient(units[output], units[by]),
+            description=f"derivative of {output} at the end of the last communication step by {by}, held over it; 0 "
+            "before the first step",
+            of_step=True,
+        )
+        for output, by in e.jacobian
+    ]
 
 
 def state_starts(equations: Equations) -> list[Variable]:

@@ -18,7 +18,7 @@ from .evaluation import ARGUMENTS, evaluable, shared, symbols, with_functions
 from .interface import BALANCE, MONITORS, events
 from .types import Equations
 
-__all__ = ["specialised", "starting_at"]
+__all__ = ["plain", "specialised", "starting_at"]
 
 
 ALL = "all"
@@ -33,9 +33,11 @@ def specialised(
 ) -> Equations:
     """The same equations with what is not needed left out: outputs but those that match, parameters to freeze.
 
-    `outputs` are names or patterns such as `link*.angle`; nothing is computed for the others. `freeze` are parameters
-    of the mechanism that become constants at their defaults, `["all"]` for every one. None leaves everything in.
-    Raises InputError where a pattern matches no output, or a name is no parameter.
+    `outputs` are names or patterns such as `link*.angle`; nothing is computed for the others. One such as
+    `link*.angle/A.torque` asks for entries of the interface Jacobian, which no other pattern matches, and for the
+    outputs that they are of. `freeze` are parameters of the mechanism that become constants at their defaults,
+    `["all"]` for every one. None leaves everything in but the interface Jacobian. Raises InputError where a pattern
+    matches no output, or a name is no parameter.
     """
     e = equations if freeze is None else _frozen(equations, freeze)
     return e if outputs is None else _keeping(e, outputs)
@@ -73,9 +75,30 @@ def starting_at(
     return with_functions(replace(e, **changed), functions)
 
 
+def plain(outputs: Iterable[str]) -> list[str]:
+    """Patterns of outputs, with the outputs in place of entries of the interface Jacobian."""
+    return [pattern.partition("/")[0] for pattern in ([outputs] if isinstance(outputs, str) else outputs)]
+
+
+def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
+    """Entries of the interface Jacobian that a pattern such as `link*.angle/A.torque` asks for; others ask for none."""
+    output, by, wanted = pattern.partition("/")
+    if not by:
+        return set()
+    outputs, inputs = ([v.name for v in known if v.type == "Real"] for known in (e.outputs, e.inputs))
+    for name, known, what in ((output, outputs, "output"), (wanted, inputs, "input")):
+        if not any(_matches(each, [name]) for each in known):
+            raise InputError(
+                f"{e.name} has no {what} {name!r} for the derivative {pattern!r} over a step; {there_is(name, known)}"
+            )
+    return {(y, u) for y in outputs for u in inputs if _matches(y, [output]) and _matches(u, [wanted])}
+
+
 def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     """The same equations with those outputs and monitors alone that match a pattern."""
-    e, patterns = equations, [patterns] if isinstance(patterns, str) else list(patterns)
+    e = equations
+    asked = [patterns] if isinstance(patterns, str) else list(patterns)
+    entries, patterns = set().union(*(_entries(e, each) for each in asked)), plain(asked)
     names = [o.name for o in e.outputs]
     monitors = [m.name for m in (*MONITORS, *events(e)) if m.name not in e.monitors]
     for pattern in patterns:
@@ -94,6 +117,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
             outputs=[e.outputs[i] for i in kept],
             wrapped={name: start for name, start in e.wrapped.items() if _matches(name, patterns)},
             monitors=[*e.monitors, *monitors],
+            jacobian=[(y, u.name) for y in names for u in e.inputs if (y, u.name) in entries],
             functions={**_equations(e), "readings": readings},
             **_UNTRACED,
         )

@@ -38,6 +38,8 @@ class Variable(Brief):
     """Whether an output follows the inputs without delay (accelerations and reactions do)."""
     nominal: float | None = None
     """What a large value is, where one is declared."""
+    of_step: bool = False
+    """Whether an output belongs to the communication step that was made last, and changes with steps alone."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -118,7 +120,7 @@ class Mobility:
 
 _TUPLES = (
     *("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs", "rows"),
-    *("compliances", "switches", "frictions", "states"),
+    *("compliances", "switches", "frictions", "states", "jacobian"),
 )
 """Fields of equations that users read."""
 
@@ -232,6 +234,8 @@ class Equations:
     """Inputs that move something."""
     leaps: Sequence[Leap] = ()
     """Laws of time that may jump, or not be finite."""
+    jacobian: Sequence[tuple[str, str]] = ()
+    """Entries of the interface Jacobian: names of an output and of the input that it is differentiated by."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""

@@ -13,7 +13,7 @@ import markdown
 from ..equations import Equations, Variable
 from ..equations.interface import default_settings
 from ..equations.interface import variables_of as interface
-from ..model.units import unit
+from ..model.units import composed
 
 __all__ = [
     "build_description",
@@ -64,7 +64,7 @@ def model_description(
         version=version,
         license=LICENSE,
         generationTool=generator,
-        variableNamingConvention="structured",
+        variableNamingConvention=_convention(e),
         **credits,
     )
     simulation = ET.SubElement(
@@ -121,7 +121,7 @@ def model_description3(
         version=version,
         license=LICENSE,
         generationTool=generator,
-        variableNamingConvention="structured",
+        variableNamingConvention=_convention(e),
         **credits,
     )
     ET.SubElement(
@@ -181,6 +181,11 @@ def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> l
     return [(causality, numbered(v) if v.name in choices else v) for causality, v in variables]
 
 
+def _convention(e: Equations) -> str:
+    """How variables are called: names of the interface Jacobian have a slash, which structured ones cannot have."""
+    return "flat" if e.jacobian else "structured"
+
+
 def _items(element: ET.Element, items: Mapping[str, str]) -> None:
     for k, (name, text) in enumerate(items.items(), 1):
         ET.SubElement(element, "Item", name=name, value=str(k), description=text)
@@ -212,15 +217,16 @@ def _experiment(root: ET.Element, e: Equations) -> None:
 def _units(root: ET.Element, names: Sequence[str]) -> None:
     definitions = ET.SubElement(root, "UnitDefinitions")
     for name in names:
-        element = ET.SubElement(definitions, "Unit", name=name)
-        ET.SubElement(element, "BaseUnit", {k: str(n) for k, n in unit(name).exponents.items()})
-        for display, factor in unit(name).display.items():
+        element, known = ET.SubElement(definitions, "Unit", name=name), composed(name)
+        ET.SubElement(element, "BaseUnit", {k: str(n) for k, n in known.exponents.items()})
+        for display, factor in known.display.items():
             ET.SubElement(element, "DisplayUnit", name=display, factor=_number(factor))
 
 
 def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str], dict[str, str]]:
     """What is said of a variable, and of the values it can have."""
-    variability = "fixed" if causality == "parameter" else "continuous" if v.type == "Real" else "discrete"
+    continuous = v.type == "Real" and not v.of_step
+    variability = "fixed" if causality == "parameter" else "continuous" if continuous else "discrete"
     head = {"name": v.name, "valueReference": str(reference), "causality": causality, "variability": variability}
     if v.description:
         head["description"] = v.description
@@ -273,7 +279,10 @@ def _at_the_start(variables: Sequence[tuple[str, Variable]], output: Variable) -
     """Places of the variables that an output may depend on when a run begins.
 
     Those are parameters, Boolean inputs, which take effect at once at the start, and what the output follows later too.
+    What belongs to a communication step is zero then.
     """
+    if output.of_step:
+        return []
     later = {f"solver.{name}" for name in _LATER}
     if output.name == "monitor.iterations":  # which says what the start took, and methods count differently
         later -= {"solver.method"}

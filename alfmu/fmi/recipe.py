@@ -113,7 +113,8 @@ class Recipe(Brief):
     """Where it starts by default: at the start values ("declared"), or at rest where loads and springs balance
     ("equilibrium"); the start values of that position become the defaults."""
     outputs: Sequence[str] | None = None
-    """The outputs that are computed, as names or patterns such as `link*.angle`; None for all."""
+    """The outputs that are computed, as names or patterns such as `link*.angle`; None for all. Those such as
+    `link1.angle/A.torque` are of the interface Jacobian, which no other pattern matches."""
     freeze: Sequence[str] | None = None
     """Parameters of the mechanism that become constants, `["all"]` for every one."""
     stop_time: float | None = None

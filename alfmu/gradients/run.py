@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,12 +12,11 @@ from numpy.typing import NDArray
 
 from .. import oracle
 from ..equations import Equations
-from ..kernel.kinks import jumps
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
 from ..result import Result, Signal
-from ..runtime import Instance
+from ..runtime.instance import Instance, tell_of_jumps
 from ..runtime.sweeps import Sweeps
 from ..simulation import Progress, communication_points, prepare, table_of, values_of
 from .functions import Expression, Final, Function
@@ -27,8 +25,6 @@ if TYPE_CHECKING:
     from ..fmi.recipe import Recipe
 
 __all__ = ["Derivatives", "Gradient", "derivatives", "gradient"]
-
-_LOGGER = logging.getLogger("alfmu")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +99,7 @@ class Runs:
             raise InputError(f"{mechanism}: runs of an FMU have no derivatives; give the mechanism that it was made of")
         if isinstance(by, str):
             raise InputError(f"by is {by!r}; give a list of names")
-        found = prepare(mechanism, parameters or {}, inputs, outputs=outputs, kept=by)
+        found = prepare(mechanism, parameters or {}, inputs, outputs=outputs, kept=by, jacobian=False)
         if isinstance(found.unit, oracle.Instance):
             raise InputError(f"{found.unit.name}: the kernel oracle has no derivatives; use another one")
         self.unit, self.facts, self.declared = found.unit, found.facts, found.declared
@@ -125,12 +121,7 @@ class Runs:
         # Begun once, as a run begins: warns of the start, and traces again where redundant constraints would brake.
         self.unit.time = float(self.times[0])
         self.unit.initialize_with(dict(zip(self.inputs, self.table[0], strict=True)))
-        if told := jumps(self.unit.equations.functions["dynamics"]):
-            _LOGGER.warning(
-                "%s: its forces have %s, as contacts do; derivatives are right where forces change without a jump, and "
-                "leave out what a jump adds",
-                *(self.unit.name, " and ".join(told)),
-            )
+        tell_of_jumps(self.unit.equations)
 
     def _check(self, inputs: set[str]) -> None:
         e = self.unit.equations

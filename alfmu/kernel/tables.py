@@ -431,7 +431,7 @@ class _Table:
     def write(self, w: Writer) -> None:
         """Everything behind the numbers."""
         e, known, variables = self.e, self.known, self.variables
-        for _, v in variables.causalities:
+        for _, v in variables.causalities[: -len(variables.jacobian) or None]:
             self._variable(w, v)
         for v in variables.choices:
             w.integer(list(known[v.name]).index(str(v.start)))
@@ -475,6 +475,8 @@ class _Table:
         if e.timed:
             self._followed(w)
             self._leaps(w)
+        if variables.jacobian:
+            self._jacobian(w)
 
     def _followed(self, w: Writer) -> None:
         """Inputs that move something."""
@@ -491,6 +493,15 @@ class _Table:
             for text in (each.what, each.unit, rate_of(each.unit)):
                 w.text(text)
             w.integer(each.row)
+
+    def _jacobian(self, w: Writer) -> None:
+        """The interface Jacobian, with which the file of a scene ends that has one."""
+        outputs, inputs = ([v.name for v in known] for known in (self.e.outputs, self.e.inputs))
+        w.integer(len(self.e.jacobian))
+        for v, (output, by) in zip(self.variables.jacobian, self.e.jacobian, strict=True):
+            self._variable(w, v)
+            w.integer(outputs.index(output))
+            w.integer(inputs.index(by))
 
     @staticmethod
     def _texts(w: Writer, values: Iterable[str]) -> None:

@@ -1,11 +1,12 @@
 """SI units as data: the exponents that FMI unit definitions carry, and the units people read them in."""
 
+import re
 from dataclasses import dataclass, field
 
 from .errors import DeclarationError
 from .words import in_words, nearest, shown
 
-__all__ = ["UNITS", "Unit", "alike", "is_rate", "rate_of", "unit"]
+__all__ = ["UNITS", "Unit", "alike", "composed", "is_rate", "quotient", "rate_of", "unit"]
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,10 @@ UNITS: dict[str, Unit] = {
     )
 }
 
+_FACTOR = r"[A-Za-z]+\d*"
+_PRODUCT = rf"{_FACTOR}(\.{_FACTOR})*"
+"""The name of a product of units."""
+
 _RATES = {"m": "m/s", "rad": "rad/s", "m/s": "m/s2", "rad/s": "rad/s2", "1": "1/s", "1/s": "1/s2"}
 
 
@@ -106,6 +111,43 @@ def rate_of(name: str) -> str:
         return _RATES[unit(name).name]
     except KeyError:
         raise DeclarationError(f"a coordinate is in m, rad or 1, not in {name!r}") from None
+
+
+def quotient(one: str, other: str) -> str:
+    """Name of the unit of a quantity in the first unit over one in the second: rad over N.m is rad/(N.m)."""
+    if other == "1":
+        return one
+    powers = _powers(one)
+    for base, power in _powers(other).items():
+        powers[base] = powers.get(base, 0) - power
+    above, below = (
+        ".".join(f"{base}{abs(power)}".removesuffix("1") for base, power in powers.items() if power * sign > 0)
+        for sign in (1, -1)
+    )
+    name = f"{above or 1}/({below})" if "." in below else f"{above or 1}/{below}" if below else above or "1"
+    exponents = composed(name).exponents
+    return next((known.name for known in UNITS.values() if known.exponents == exponents), name)
+
+
+def composed(name: str) -> Unit:
+    """The unit called `name`, or a quotient of units, as `quotient` calls it; DeclarationError where it is neither."""
+    if name in UNITS or not re.fullmatch(rf"({_PRODUCT}|1)(/{_FACTOR}|/\({_PRODUCT}\))?", name):
+        return unit(name)
+    exponents: dict[str, int] = {}
+    for part, power in _powers(name).items():
+        for base, exponent in unit(part).exponents.items():
+            exponents[base] = exponents.get(base, 0) + power * exponent
+    return Unit(name, {base: exponent for base, exponent in exponents.items() if exponent})
+
+
+def _powers(name: str) -> dict[str, int]:
+    """The units that a name is made of, each with its power."""
+    above, _, below = name.partition("/")
+    found: dict[str, int] = {}
+    for part, sign in ((above, 1), (below, -1)):
+        for base, power in re.findall(r"([A-Za-z]+)(\d*)", part):
+            found[base] = found.get(base, 0) + sign * int(power or 1)
+    return found
 
 
 def _plain(name: str) -> str:

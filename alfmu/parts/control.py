@@ -14,7 +14,8 @@ import casadi as ca
 from ..model.calls import explained
 from ..model.errors import DeclarationError
 from ..model.mechanism import Mechanism, Scalar, symbolic
-from .declared import label, named, of, quotient
+from ..model.units import UNITS, quotient
+from .declared import label, named, of
 
 __all__ = ["pi_controller"]
 
@@ -50,7 +51,8 @@ def pi_controller(
             "measured, and of the output"
         )
     of_error, of_output = units
-    K = named(m, name, "gain", gain, quotient(of_output, of_error), "gain")
+    of_gain = quotient(of_output, of_error)
+    K = named(m, name, "gain", gain, of_gain if of_gain in UNITS else "1", "gain")
     T = named(m, name, "time", time, "s", "time of the integral part", minimum=1e-9)
     error = wanted - measured
     z = m.state(

@@ -9,9 +9,8 @@ import casadi as ca
 from ..equations.derivation import Kinematics
 from ..model.mechanism import Joint, Mechanism, Scalar, stack
 from ..model.spatial import SpatialJoint
-from ..model.units import UNITS, unit
 
-__all__ = ["label", "mounted", "named", "of", "quotient", "rate_of_joint"]
+__all__ = ["label", "mounted", "named", "of", "rate_of_joint"]
 
 
 def label(part: str, name: str) -> str:
@@ -45,15 +44,6 @@ def named(
         maximum=maximum,
         description=f"{description.rstrip(',') if not part else description}{of(part)}",
     )
-
-
-def quotient(one: str, other: str) -> str:
-    """Name of the unit of a quantity in the first unit over one in the second; 1 where alfmu has no name for it."""
-    exponents = dict(unit(one).exponents)
-    for base, power in unit(other).exponents.items():
-        exponents[base] = exponents.get(base, 0) - power
-    exponents = {base: power for base, power in exponents.items() if power}
-    return next((name for name, known in UNITS.items() if known.exponents == exponents), "1")
 
 
 def mounted(

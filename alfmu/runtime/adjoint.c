@@ -214,6 +214,8 @@ static void of_least_norm(Gradient *g, const Entry *e)
         least_norm(side, side, back, x, few, lam, i->dense);
         least_norm(side, side, back, ax, few, w, i->dense); /* A+' of the adjoint */
         least_norm(side, side, a, w, few, ww, i->dense);    /* A+ A+' of it */
+        if (!rank_is_sure(side, few, i->dense))
+            w[0] = NAN;
         for (int c = 0; c < side; c++) {                    /* (1 - A+ A) of it */
             z[c] = ax[c];
             for (int r = 0; r < side; r++)

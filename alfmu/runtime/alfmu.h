@@ -109,6 +109,12 @@ typedef struct {
     const int *offsets, *indices;
 } Pattern;
 
+/* An entry of the interface Jacobian: an output at the end of a communication step by an input that is held over it, which
+   is one of so many directions. */
+typedef struct {
+    int output, input, direction;
+} Jacobian_entry;
+
 /* A function: runs of operations over places among the constants, the arguments, and what came before; behind them the
    places of its results. Places have 16 bits (narrow) or 32 (wide). */
 typedef struct {
@@ -156,6 +162,8 @@ typedef struct {
     const Followed *followed;
     int leap_count;
     const Leap *leaps;
+    int entries, directions; /* of the interface Jacobian: its entries are variables behind all others */
+    const Jacobian_entry *jacobian;
     Pattern mass, constraint, gaps, tie_rows;
     Envelope closing; /* J J' of the start, J being C or the gaps, and below them the start values that are kept */
     Envelope holding; /* M + C' C */
@@ -231,6 +239,7 @@ typedef struct Instance {
     double *values, *wanted, *on, *kept, *heard, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty;
+    double *jacobian;      /* of the last communication step */
     double *given;         /* penalties of each constraint, where `flags.given` says so */
     double *counts;        /* COUNTED */
     double *stabilisation; /* zeta and omega [1/s] of (6), (5) and Baumgarte's form of (9) */
@@ -255,6 +264,7 @@ typedef struct Instance {
     char warning[1024];
     struct Tape *tape; /* what is done is written on it, where there is one (tape.h) */
     struct Gradient *gradient; /* of what is read at an instant, once a host has asked for it (partial.c) */
+    struct Gradient *of_step;  /* of communication steps, where the scene has an interface Jacobian (jacobian.c) */
 } Instance;
 
 /* What an instance warns of once in a run. */
@@ -276,6 +286,7 @@ void instance_remember(Instance *i);
 void instance_go_back(Instance *i);
 void warn(Instance *i, int of, const char *format, ...);
 int variable_count(const Scene *scene);
+int outputs_from(const Scene *scene);
 
 Outcome instance_set(Instance *i, int reference, double value);
 double instance_get(const Instance *i, int reference);
@@ -335,6 +346,11 @@ Outcome covered(Instance *i, double end, double dt, int once);
 Outcome watched_step(Instance *i, double start, double dt);
 int method(const Instance *i);
 
+/* The interface Jacobian (jacobian.c). */
+Outcome jacobian_begin(Instance *i);
+void jacobian_along(Instance *i);
+Outcome jacobian_end(Instance *i);
+
 /* Dry friction (friction.c). */
 void friction_reset(Instance *i);
 Outcome friction_begin(Instance *i);
@@ -373,6 +389,7 @@ Outcome laws_checked(Instance *i, double end);
 Outcome laws_begun(Instance *i, Outcome outcome);
 size_t laws_room(const Scene *s);
 
+void arrive(Instance *i);
 long advance(Instance *i, long steps, double dt);
 int cover(Instance *i, double end, long tries);
 int ended(Instance *i);

@@ -369,11 +369,15 @@ Status component_slopes(Component *c, const unsigned *references, size_t count, 
 Status component_output_derivatives(Component *c, const unsigned *references, size_t count, const int *orders,
     double *values, size_t value_count, const char *call)
 {
+    const Scene *s;
     if (!component_in(c, RUN, call) || !addressed_kind(c, references, count, values, value_count, OUTPUT, call))
         return WRONG;
+    s = c->instance->scene;
     for (size_t k = 0; k < count; k++)
         if (!orders || orders[k] < 1 || orders[k] > 2)
             return component_refuse(c, ERROR_, call, "outputs have derivatives of orders 1 and 2");
+        else if ((int)references[k] >= outputs_from(s) + s->outputs)
+            return component_refuse(c, ERROR_, call, "derivatives over a step are discrete, and have no rate");
     if (count && instance_output_derivatives(c->instance, references, orders, count, values) != DONE)
         return refused(c, DISCARDED);
     return FINE;

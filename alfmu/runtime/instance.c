@@ -36,11 +36,6 @@
 
 /* Memory ----------------------------------------------------------------------------------------------------------- */
 
-int variable_count(const Scene *s)
-{
-    return s->parameters + s->choices + s->inputs + s->switches + s->outputs;
-}
-
 double *field(const Instance *i, int offset)
 {
     return i->m + offset;
@@ -107,6 +102,7 @@ static size_t divided(Instance *i, double *numbers)
         {&i->regular, 1},
         {&i->rank, 1},
         {&i->largest_penalty, 1},
+        {&i->jacobian, s->entries},
         {&i->given, s->l},
         {&i->counts, COUNTED},
         {&i->stabilisation, 2},
@@ -167,6 +163,7 @@ void instance_free(Instance *i)
 {
     if (i) {
         gradient_free(i->gradient);
+        gradient_free(i->of_step);
         free(i->numbers);
         free(i);
     }
@@ -366,7 +363,9 @@ static double unsigned_nan(double value)
 static inline const double *place_of_value(const Instance *i, int reference)
 {
     const Scene *s = i->scene;
-    const int output = reference - (variable_count(s) - s->outputs), event = output - (s->outputs - s->event_count);
+    const int output = reference - outputs_from(s), event = output - (s->outputs - s->event_count);
+    if (output >= s->outputs)
+        return i->jacobian + (output - s->outputs);
     if (event >= 0)
         return s->event_places[event] < s->impulses ? i->impulses + s->event_places[event] : i->lost;
     if (output >= 0)
@@ -1049,6 +1048,7 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     tape_copy(i, states(i), first, (size_t)states_of(s));
     z[s->time] = time;
     memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
+    memset(i->jacobian, 0, (size_t)s->entries * sizeof *i->jacobian);
     *i->lost = 0.0;
     memset(field(i, s->pace), 0, PACE * sizeof(double));
     field(i, s->pace)[0] = FIRST_STEP;
@@ -1122,6 +1122,8 @@ Outcome instance_initialize(Instance *i)
 {
     const Scene *s = i->scene;
     Outcome outcome;
+    if (s->entries && differentiable(i) != DONE)
+        return REFUSED;
     if (method(i) && !all_serve(i))
         return say(i, REFUSED,
             "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
@@ -1291,8 +1293,7 @@ static Outcome follow(Instance *i, double start, double dt, int *near)
     if (outcome != DONE)
         return outcome;
     after[s->trouble] = 0.0;
-    memcpy(m + s->z, after, state_length(s) * sizeof *m);
-    tape_copy(i, m + s->z, after, state_length(s));
+    arrive(i);
     return DONE;
 }
 
@@ -1494,8 +1495,9 @@ static Outcome whole_step(Instance *i, double start, double h)
     const Scene *s = i->scene;
     Outcome outcome = DONE;
     long made = -1;
-    /* Methods beside RK4 may need any number of steps, which the slower way counts. */
-    if (!i->flags.whole || method(i) || s->frictions || !communicate(i, start, h, &made))
+    /* Methods beside RK4 may need any number of steps, which the slower way counts; it takes no step back along which
+       derivatives were led, either. */
+    if (!i->flags.whole || method(i) || s->frictions || s->entries || !communicate(i, start, h, &made))
         outcome = slow_step(i, start, h, made);
     if (outcome != DONE)
         return outcome;
@@ -1510,7 +1512,7 @@ static Outcome whole_step(Instance *i, double start, double h)
         instance_balance(i);
         tell_step_error(i);
     }
-    return outcome;
+    return outcome == DONE && s->entries ? jacobian_end(i) : outcome;
 }
 
 /* DONE where a communication step can begin: what the Boolean inputs ask for is in force. Nothing has changed otherwise, but
@@ -1556,7 +1558,7 @@ static void signals_back(Instance *i)
     parameters(i);
 }
 
-Outcome instance_step(Instance *i, double start, double h)
+static Outcome stepped(Instance *i, double start, double h)
 {
     const Scene *s = i->scene;
     const int changed = i->flags.pending || s->frictions, pending = i->flags.pending;
@@ -1590,6 +1592,18 @@ Outcome instance_step(Instance *i, double start, double h)
     return outcome;
 }
 
+Outcome instance_step(Instance *i, double start, double h)
+{
+    Outcome outcome;
+    if (!i->scene->entries || i->tape) /* A run with derivatives has a tape of its own. */
+        return stepped(i, start, h);
+    outcome = jacobian_begin(i);
+    if (outcome == DONE)
+        outcome = stepped(i, start, h);
+    i->tape = NULL;
+    return outcome;
+}
+
 /* Outputs ---------------------------------------------------------------------------------------------------------- */
 
 /* The first output that is not finite, with its value; NULL where all are. */
@@ -1597,7 +1611,7 @@ static const char *not_finite(const Instance *i, double *value)
 {
     const Scene *s = i->scene;
     const double *seen = i->m + s->seen;
-    const int first = variable_count(s) - s->outputs;
+    const int first = outputs_from(s);
     for (int k = 0; k < s->outputs; k++)
         if (!isfinite(*value = instance_get(i, first + k)))
             return s->variables[first + k].name;
@@ -1727,7 +1741,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
     size_t known_count, const double *directions, double *changes)
 {
     const Scene *s = i->scene;
-    const int first = s->parameters + s->choices, outputs = first + s->inputs + s->switches;
+    const int first = s->parameters + s->choices, outputs = outputs_from(s);
     double *w = i->workspace;
     i->used = 0;
     hand_over(i);
@@ -1904,6 +1918,7 @@ static Outcome sound(Instance *i)
         {"a signal", i->heard, s->followed_count * HEARD},
         {"an impulse", i->impulses, s->impulses},
         {"energy lost", i->lost, 1},
+        {"a derivative of the last step", i->jacobian, s->entries},
         {"a step size", control, 1},
         {"a past input", field(i, s->past), s->past_size},
     };

@@ -21,6 +21,7 @@ from ..equations import Equations, Mobility, Variable
 from ..equations.evaluation import DENSE
 from ..equations.interface import CHOICES, Choice, Counters, checked, default_settings, setting, variables_of
 from ..kernel import DEFAULT
+from ..kernel.kinks import jumps
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AlfmuWarning, AssemblyError, InputError, OpenError, StepError
@@ -47,6 +48,16 @@ _COUNTED = (
 """What the library counts beside the tally of the kernel, in its order."""
 
 
+def tell_of_jumps(equations: Equations) -> None:
+    """Warn of forces that may jump, of which derivatives do not know."""
+    if told := jumps(equations.functions["dynamics"]):
+        _LOGGER.warning(
+            "%s: its forces have %s, as contacts do; derivatives are right where forces change without a jump, and "
+            "leave out what a jump adds",
+            *(equations.name, " and ".join(told)),
+        )
+
+
 class Instance:
     """A mechanism with its own parameters, inputs and state.
 
@@ -59,14 +70,19 @@ class Instance:
         i.get("link1.angle")
 
     `mechanism` is a `Mechanism`, a name, a file, or equations. `settings` are for studies of the method: all of its
-    numbers at once, those that no variable has included (`alfmu.model.settings`). A call that raises leaves the
-    instance as it was before.
+    numbers at once, those that no variable has included (`alfmu.model.settings`). `outputs` are those of
+    `alfmu.simulate`. A call that raises leaves the instance as it was before.
     """
 
-    def __init__(self, mechanism: str | Path | Mechanism | Equations, settings: Settings | None = None):
-        e = mechanism
-        if not isinstance(e, Equations):
-            e, _ = ready(derive(load(e)), {}, None, None, DEFAULT)
+    def __init__(
+        self,
+        mechanism: str | Path | Mechanism | Equations,
+        settings: Settings | None = None,
+        outputs: Sequence[str] | None = None,
+    ):
+        e = mechanism if isinstance(mechanism, Equations) else derive(load(mechanism))
+        if e is not mechanism or outputs is not None:
+            e, _ = ready(e, {}, outputs, None, DEFAULT)
         self._given = (settings or default_settings(e)).checked(e.name, e.l)
         self._take(e)
 
@@ -81,11 +97,14 @@ class Instance:
         self.name: str = e.name
         found = variables_of(e, given)
         self.parameters: tuple[Variable, ...] = tuple(found.parameters)
-        self.outputs: tuple[Variable, ...] = tuple(found.outputs)
+        self.outputs: tuple[Variable, ...] = tuple(found.causal("output"))
         self.input_variables: tuple[Variable, ...] = (*found.inputs, *found.switches)
         self._variables = {v.name: v for _, v in found.causalities}
         self._scene = loaded(e)
         self._unit = Unit(self._scene)
+        if e.jacobian and "told of jumps" not in e.programs:
+            e.programs["told of jumps"] = True
+            tell_of_jumps(e)
         self._references = self._scene.references
         for v in (*found.parameters, *found.choices):
             self._unit.set(self._references[v.name], v.start)

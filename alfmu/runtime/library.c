@@ -213,17 +213,16 @@ API const Method *alfmu_python_step(const Python *functions)
 /* Outputs at this instant; where they cannot be computed, those that can. */
 API int alfmu_read(Instance *i, double *values)
 {
-    const Scene *s = i->scene;
-    const int first = s->parameters + s->choices + s->inputs + s->switches;
+    const int first = outputs_from(i->scene), end = variable_count(i->scene);
     const Outcome outcome = instance_read(i);
-    for (int k = 0; k < s->outputs; k++)
-        values[k] = instance_get(i, first + k);
+    for (int k = first; k < end; k++)
+        values[k - first] = instance_get(i, k);
     return (int)outcome;
 }
 
 API int alfmu_get_many(Instance *i, const int *references, int count, double *values)
 {
-    const int first = variable_count(i->scene) - i->scene->outputs;
+    const int first = outputs_from(i->scene);
     Outcome outcome = DONE;
     int reads = 0;
     for (int k = 0; k < count; k++)

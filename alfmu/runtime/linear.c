@@ -5,6 +5,7 @@
 #include <string.h>
 
 #define SWEEPS 60
+#define SURE 1e-8 /* of the largest singular value */
 
 static double product(const double *x, const double *y, int count)
 {
@@ -95,6 +96,15 @@ void least_norm(int rows, int columns, const double *a, const double *r, double 
         for (int j = 0; j < columns; j++)
             x[j] += part * right[j];
     }
+}
+
+int rank_is_sure(int side, double least, const double *work)
+{
+    const double *s = work + 2 * side * side;
+    for (int i = 0; i < side; i++)
+        if (s[i] > least * s[0] && s[i] <= SURE * s[0])
+            return 0;
+    return 1;
 }
 
 double largest(const double *x, int count)

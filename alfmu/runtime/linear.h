@@ -18,6 +18,9 @@ void singular_values(int rows, int columns, double *a, double *v, double *s);
    alone. `work` holds least_norm_work(rows, columns) numbers. */
 void least_norm(int rows, int columns, const double *a, const double *r, double least, double *x, double *work);
 size_t least_norm_work(int rows, int columns);
+/* Whether a small change of the matrix, square, leaves the rank that the last call found: below the root of round-off no digit of
+   a derivative is left. */
+int rank_is_sure(int side, double least, const double *work);
 
 /* Where the lower half of a sparse symmetric matrix stands, and its factors: rows in an order that keeps the entries of
    each near its diagonal, each row from its first entry on. */

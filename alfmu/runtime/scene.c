@@ -216,26 +216,28 @@ static void numbers(Reader *r)
         spoil(r, "its method contradicts itself");
 }
 
+static void variable(Reader *r, int kind, int k, Variable *made)
+{
+    const int type = (made->name = text(r), made->unit = text(r), integer(r));
+    made->type = (Type)type;
+    made->kind = (Kind)kind;
+    made->instant = integer(r) != 0;
+    made->start = real(r);
+    made->minimum = real(r);
+    made->maximum = real(r);
+    if (!between(type, REAL, STRING + 1) || (type == STRING) != (kind == CHOICE) || (type == BOOLEAN) != (kind == SWITCH))
+        spoil(r, "variable %d has the type %d", k, type);
+}
+
 static void variables(Reader *r)
 {
     Scene *s = r->scene;
-    const int kinds[] = {s->parameters, s->choices, s->inputs, s->switches, s->outputs};
-    const int count = s->parameters + s->choices + s->inputs + s->switches + s->outputs;
+    const int kinds[] = {s->parameters, s->choices, s->inputs, s->switches, s->outputs}, count = variable_count(s);
     Variable *made = enough(r, (size_t)count, 40) ? room(r, (size_t)count + 1, sizeof *made) : NULL;
     int k = 0;
     for (int kind = 0; kind < 5; kind++)
-        for (int each = 0; each < kinds[kind] && !r->bad; each++, k++) {
-            const int type = (made[k].name = text(r), made[k].unit = text(r), integer(r));
-            made[k].type = (Type)type;
-            made[k].kind = (Kind)kind;
-            made[k].instant = integer(r) != 0;
-            made[k].start = real(r);
-            made[k].minimum = real(r);
-            made[k].maximum = real(r);
-            if (!between(type, REAL, STRING + 1) || (type == STRING) != (kind == CHOICE)
-                || (type == BOOLEAN) != (kind == SWITCH))
-                spoil(r, "variable %d has the type %d", k, type);
-        }
+        for (int each = 0; each < kinds[kind] && !r->bad; each++, k++)
+            variable(r, kind, k, made + k);
     s->variables = made;
 }
 
@@ -333,6 +335,42 @@ static void followed(Reader *r)
             spoil(r, "input %d moves something by its derivative %d", made[k].input, made[k].derivatives);
     }
     s->followed = made;
+}
+
+/* The interface Jacobian, with which a file ends that has one: of each entry the variable, the output and the input. */
+static void jacobian(Reader *r)
+{
+    Scene *s = r->scene;
+    const int first = variable_count(s), count = integer(r);
+    Variable *variables;
+    Jacobian_entry *made;
+    int *directions;
+    if (!between(count, 1, 1 << 22) || !enough(r, (size_t)count, 48)) {
+        spoil(r, "its interface Jacobian has %d entries", count);
+        return;
+    }
+    variables = room(r, (size_t)(first + count), sizeof *variables);
+    made = room(r, (size_t)count, sizeof *made);
+    directions = room(r, (size_t)s->inputs + 1, sizeof *directions); /* of each input, from 1 on */
+    if (r->bad)
+        return;
+    memcpy(variables, s->variables, (size_t)first * sizeof *variables);
+    for (int k = 0; k < count; k++) {
+        variable(r, OUTPUT, first + k, variables + first + k);
+        made[k].output = integer(r);
+        made[k].input = integer(r);
+        if (r->bad || variables[first + k].type != REAL || !between(made[k].output, 0, s->readings)
+            || !between(made[k].input, 0, s->inputs)) {
+            spoil(r, "entry %d of its interface Jacobian is of no output or input", k);
+            return;
+        }
+        if (!directions[made[k].input])
+            directions[made[k].input] = ++s->directions;
+        made[k].direction = directions[made[k].input] - 1;
+    }
+    s->variables = variables;
+    s->jacobian = made;
+    s->entries = count;
 }
 
 /* Every entry of a matrix, as a result of a function. */
@@ -925,6 +963,17 @@ static void programs(Reader *r)
 
 /* Memory ----------------------------------------------------------------------------------------------------------- */
 
+int variable_count(const Scene *s)
+{
+    return outputs_from(s) + s->outputs + s->entries;
+}
+
+/* Reference of the first output. */
+int outputs_from(const Scene *s)
+{
+    return s->parameters + s->choices + s->inputs + s->switches;
+}
+
 int settings_length(const Scene *s)
 {
     return SETTINGS + 2 * s->l + s->n + s->compliances + (s->brakes ? s->l * s->l : 0);
@@ -1044,6 +1093,8 @@ static void body(Reader *r)
         followed(r);
     if (!r->bad)
         leaps(r);
+    if (!r->bad && r->at != r->end)
+        jacobian(r);
     if (!r->bad && r->at != r->end)
         spoil(r, "%zu bytes follow it", (size_t)(r->end - r->at));
 }

@@ -33,6 +33,16 @@ static int read_near(const Instance *i)
     return i->m[s->k + SETTINGS_CONTINUES] != 0.0 && i->workspace[s->read_watch + WATCH_NEAR] != 0.0;
 }
 
+/* What a step has led to is the state from now on. */
+void arrive(Instance *i)
+{
+    const Scene *s = i->scene;
+    memcpy(i->m + s->z, i->m + s->after, state_length(s) * sizeof *i->m);
+    tape_copy(i, i->m + s->z, i->m + s->after, state_length(s));
+    if (s->entries)
+        jacobian_along(i);
+}
+
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
 long advance(Instance *i, long steps, double dt)
 {
@@ -59,8 +69,7 @@ long advance(Instance *i, long steps, double dt)
             if (tiers[tier] < 0)
                 return done;
         }
-        memcpy(m + s->z, after, state_length(s) * sizeof *m);
-        tape_copy(i, m + s->z, after, state_length(s));
+        arrive(i);
         m[s->tally + tier] += 1.0;
         i->shared += onward && tier == 0;
         if (tier == 2)
@@ -236,8 +245,7 @@ int cover(Instance *i, double end, long tries)
             /* Steps that are refused regain nothing: short ones and those of the method would take turns for ever. */
             if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
                 pace[PACE_OTHER_DT] *= REGAINED;
-            memcpy(m + s->z, after, state_length(s) * sizeof *m);
-            tape_copy(i, m + s->z, after, state_length(s));
+            arrive(i);
         }
         tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;
     }

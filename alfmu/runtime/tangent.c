@@ -204,11 +204,13 @@ static void of_least_norm(Gradient *g, const Entry *e, Lanes *t)
     double *back = take(i, n * n), *left = take(i, n), *lam = take(i, n), *rhs = take(i, n), *row = take(i, n);
     double *u = take(i, n), *w = take(i, n);
     Lanes *to = words[3] < 0 ? NULL : t + words[3];
+    int sure;
     transposed(side, a, back);
     product_of(side, a, x, left);
     for (int k = 0; k < side; k++)
         left[k] = b[k] - left[k];
     least(i, side, back, x, lam); /* A+' x */
+    sure = rank_is_sure(side, DBL_EPSILON * side, i->dense);
     for (int lane = 0; to && lane < LANES; lane++) {
         for (int r = 0; r < side; r++) {
             rhs[r] = words[2] < 0 ? 0.0 : t[words[2] + r].lane[lane];
@@ -227,7 +229,7 @@ static void of_least_norm(Gradient *g, const Entry *e, Lanes *t)
             rhs[r] += w[r] - u[r];
         least(i, side, a, rhs, w);
         for (int r = 0; r < side; r++)
-            to[r].lane[lane] = w[r] + row[r];
+            to[r].lane[lane] = sure || w[r] + row[r] == 0.0 ? w[r] + row[r] : NAN;
     }
     i->used = used;
 }

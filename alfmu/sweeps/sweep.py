@@ -330,7 +330,7 @@ def _instance_of(e: Equations, given: Mapping[str, float | str], outputs: Any, f
     from ..equations.specialisation import specialised
 
     own = dict(given)
-    return variables_of(specialised(with_defaults(e, own), outputs, freeze)).outputs
+    return variables_of(specialised(with_defaults(e, own), outputs, freeze)).causal("output")
 
 
 def _packed(unit: Instance) -> tuple[bytes, Code | None]:

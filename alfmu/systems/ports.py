@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 
-from ..model.errors import InputError
-from ..model.units import UNITS
+from ..model.errors import DeclarationError, InputError
+from ..model.units import UNITS, composed
 
 __all__ = ["Measure", "Port", "conversion", "measure"]
 
@@ -49,11 +50,11 @@ class Port:
 
 def measure(name: str | None) -> Measure | None:
     """A unit by a name that alfmu knows, those for display included."""
-    if name in UNITS:
-        return Measure.of(name, UNITS[name].exponents)
     for known in UNITS.values():
         if name in known.display:
             return Measure.of(name, known.exponents, 1 / known.display[name])
+    with suppress(DeclarationError):
+        return Measure.of(str(name), composed(str(name)).exponents)
     return None
 
 

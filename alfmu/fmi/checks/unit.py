@@ -197,7 +197,8 @@ class Session:
 
     @property
     def real_outputs(self) -> list[Variable]:
-        return [v for v in self.outputs if v.type in ("Real", "Float64")]
+        """Outputs that change continuously."""
+        return [v for v in self.outputs if v.type in ("Real", "Float64") and v.variability == "continuous"]
 
     @property
     def numbers(self) -> list[Variable]:
