@@ -711,6 +711,18 @@ def test_a_coefficient_that_is_a_parameter_is_not_negative_later_either():
         alfmu.simulate(m, 0.1, 0.1, parameters={"mu": -0.1})
 
 
+@pytest.mark.parametrize("kind", ["coulomb", "viscous"])
+def test_a_coefficient_that_an_input_makes_negative_counts_as_none(kind):
+    """On an incline of 0.3 rad a block slides as if there were no friction, and gains no energy by it."""
+    m = alfmu.Mechanism("m")
+    block = m.body("block", mass=1.0)
+    guide = m.prismatic("guide", m.ground.at(), block.at(), coordinate=m.coordinate("x", "m", independent=True))
+    m.friction(guide, **{kind: m.input("mu", {"coulomb": "1", "viscous": "N.s/m"}[kind], start=-0.2)})
+    m.gravity(9.81 * np.sin(0.3), -9.81 * np.cos(0.3))
+    run = alfmu.simulate(m, 1.0, 0.1)
+    assert run["block.position"][-1] == pytest.approx(9.81 * np.sin(0.3) / 2, rel=1e-9)
+
+
 def test_methods_without_dry_friction_are_refused_by_name(incline):
     with pytest.raises(InputError, match=r"trapezoidal has no dry friction, which guide has; use auto, rk4"):
         alfmu.simulate(incline, 0.1, 0.01, parameters={"solver.method": "trapezoidal"})

@@ -1596,7 +1596,8 @@ class Mechanism:
         `viscous` [N.m.s/rad or N.s/m] resists in proportion to the rate. `coulomb` is the coefficient of dry friction
         while the joint slides, `static` that at which it begins to slide (the same where it is not given). With
         `stribeck` [rad/s or m/s] the coefficient goes from the static one at rest to the Coulomb one at such rates. A
-        joint that sticks is held as by a lock.
+        joint that sticks is held as by a lock. A coefficient that depends on inputs, time or the motion counts as none
+        where it is below zero.
 
         A revolute joint is a journal of `radius` [m]: its torque is coefficient times radius times the force across its
         axis. A prismatic one bears at two edges that are `length` [m] apart, which carry its force and its moment;
@@ -1627,12 +1628,13 @@ class Mechanism:
             self._dry_friction(joint, along, coulomb, static, radius, length, stribeck, collar)
 
     def _coefficient(self, joint: AnyJoint, which: str, value: Any, unit: str) -> Scalar:
-        """A coefficient of friction, which is not negative as far as that is known before the run."""
+        """A coefficient of friction, which is not negative: refused as far as it is known before the run, none then."""
         what = f"the {which} of friction of {joint.name}"
         value = self._quantity(what, value, unit, EFFORT)
         if all(self._symbols[key_of(symbol)].kind in CONSTANT for symbol in symbols_in(value)):
             self._not_negative(what, value, unit)
-        return value
+            return value
+        return ca.fmax(value, 0)
 
     def _slides_one_way(self, joint: AnyJoint) -> None:
         """DeclarationError where no sign tells the direction in which a joint slides, as dry friction takes it."""
