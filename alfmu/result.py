@@ -27,7 +27,7 @@ from .files import atomic, scratch, write
 from .model.content import content
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
-from .model.words import counted, there_is
+from .model.words import counted, some_like
 
 if TYPE_CHECKING:
     import pandas
@@ -115,7 +115,7 @@ class Result:
             if not fit:
                 what = "nothing like" if set(pattern) & set("*?") else "no"
                 raise InputError(
-                    f"the result of {self.mechanism} has {what} {pattern!r}; {there_is(pattern, self.names)}"
+                    f"the result of {self.mechanism} has {what} {pattern!r}; {some_like(pattern, self.names)}"
                 )
             found |= dict.fromkeys(fit)
         return list(found)

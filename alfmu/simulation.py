@@ -257,12 +257,14 @@ def run(
 def values_of(unit: Unit, inputs: Mapping[str, Signal] | None) -> Callable[[str, float], float]:
     """The value of an input at a time [s]."""
     signals = signals_of(unit.name, inputs)
-    switches = {v.name for v in unit.input_variables if v.type == "Boolean"}
+    kinds = {v.name: v.type for v in unit.input_variables}
 
     def at(name: str, t: float) -> float:
         value = signals[name](t)
-        # A table between 0 and 1 switches half-way.
-        return value >= 0.5 if name in switches and 0 <= value <= 1 else value
+        # A table switches half-way between 0 and 1, or two whole numbers.
+        if kinds.get(name) == "Boolean" and 0 <= value <= 1:
+            return value >= 0.5
+        return math.floor(value + 0.5) if kinds.get(name) == "Integer" else value
 
     return at
 

@@ -41,6 +41,7 @@ from alfmu import oracle
 from alfmu.equations.arrays import ArrayFunctions
 from alfmu.equations.specialisation import specialised
 from alfmu.fmi.drive import Fmu
+from alfmu.gradients.run import Runs
 from alfmu.kernel.form import called
 from alfmu.kernel.joined import joined
 from alfmu.kernel.memory import TIERS as KINDS
@@ -458,6 +459,52 @@ def slave_of(folder: Path, guid: str, points: Sequence[float]) -> Call:
     return Call(clocked(lambda: [slave.doStep(t, DT) for t in points], begin), len(points), once=True)
 
 
+# Gradients --------------------------------------------------------------------------------------------------------
+
+DIFFERENTIATED = ("five_bar", "four_bar", "n_four_bar")
+"""Mechanisms whose runs are."""
+
+LONGEST = 5.0
+"""Run that is differentiated [s]."""
+
+DIRECTIONS = 20
+"""By which a run is differentiated forward at once."""
+
+
+def gradient_study(effort: Effort, kernels: Sequence[str]) -> list[Row]:
+    """Rows of gradient.csv: what the gradient of a run by everything that it has takes over the run alone."""
+    rows: list[Row] = []
+    stop = min(LONGEST, effort.horizon)
+    for name, method in tqdm([*product(DIFFERENTIATED, ("rk4", "auto"))], "gradient", unit="run"):
+        runs = Runs(name, [], stop, 0.01, None, {"solver.method": method})
+        laps = in_turns(differentiating(runs), effort.rounds, 0.0)
+        row = {"mechanism": name, "method": method, "numbers": len(runs.unit.parameters), "stop time [s]": stop}
+        rows.append(row | times(laps, "run"))
+    return rows
+
+
+def differentiating(runs: Runs) -> dict[str, Call]:
+    """A run from its start, one with the derivatives of its end by all its numbers, and one forward by some."""
+    unit, last = runs.unit, [runs.columns(None)[0]]
+
+    def gradient() -> None:
+        sweeps = runs.sweeps(last, 0, None)
+        sweeps.record()
+        weights = np.zeros_like(sweeps.values)
+        weights[-1] = 1.0
+        sweeps.adjoints(weights)
+
+    def forward() -> None:
+        runs.sweeps(last, DIRECTIONS, None).tangents(np.ones((len(unit.parameters), DIRECTIONS)))
+
+    def run() -> None:
+        unit._unit.run_on(False)
+        unit.run(runs.times, [], runs.table, last)
+
+    calls = {"run": run, "gradient": gradient, f"forward by {DIRECTIONS}": forward}
+    return {name: Call(clocked(call), once=True) for name, call in calls.items()}
+
+
 # Growth with the mechanism ----------------------------------------------------------------------------------------
 
 STRETCH = 16
@@ -601,6 +648,10 @@ TARGETS = (
         }.items()
     ),
     *(
+        Target("gradient", {"mechanism": name, "method": method}, "gradient / run", 6)
+        for name, method in product(DIFFERENTIATED, ("rk4", "auto"))
+    ),
+    *(
         Target("scale", {"coordinates": coordinates, "N": FULL.loops[-1]}, column, limit)
         for coordinates in FULL.coordinates
         for column, limit in SCALE_LIMITS.items()
@@ -678,6 +729,17 @@ CHAPTERS = {
             )
         },
     ),
+    "gradient": Chapter(
+        "## Gradients",
+        f"""Processor time of a run from its start, of the same with the derivatives of its end by all parameters and
+        start values, swept back, and forward by {DIRECTIONS} directions; by the interpreter, in turns.""",
+        {
+            "A run with derivatives": (
+                *("mechanism", "method", "numbers", "run [us]", "gradient / run"),
+                f"forward by {DIRECTIONS} / run",
+            )
+        },
+    ),
     "scale": Chapter(
         "## Growth with the mechanism",
         f"""The N-four-bar, built in processes of its own; {STRETCH} steps in a call of `Instance.step`. Times to derive
@@ -723,6 +785,7 @@ STUDIES = {
     "spread": spread_study,
     "dostep": dostep_study,
     "native": native_study,
+    "gradient": gradient_study,
     "scale": scale_study,
 }
 

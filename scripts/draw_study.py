@@ -9,12 +9,18 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import sys
 import traceback
 from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from multiprocessing import get_context
 
 import numpy as np
 from _report import Heard
+from tqdm import tqdm
 
 import alfmu
 from alfmu.equations import Equations
@@ -85,18 +91,49 @@ def balance(unit: alfmu.Instance, equations: Equations, stop: float) -> float:
     return off / scale
 
 
-def counted(name: str, draws: int, method: str, stop: float, seed: int, show: bool = False) -> Counter:
-    """How many draws of a mechanism came to what."""
+@cache
+def judged(name: str, method: str) -> Equations:
+    """The mechanism, once in a process."""
+    logging.getLogger("alfmu").addHandler(logging.NullHandler())
+    logging.getLogger("alfmu").propagate = False
     equations = alfmu.derive(alfmu.load(name))
-    equations = prepared(with_defaults(equations, {"solver.method": method} if method else {}), "auto")
-    random, found = np.random.default_rng(seed), Counter()
-    for i in range(draws):
-        values, inputs = drawn(equations, random)
-        kind, text = outcome(equations, values, inputs, min(stop, equations.stop_time))
-        found[kind] += 1
-        if kind in ("silent", "traceback") or show:
-            print(f"{name}, draw {i}: {kind}: {text}\n    {values | inputs}", file=sys.stderr)
+    return prepared(with_defaults(equations, {"solver.method": method} if method else {}), "auto")
+
+
+def one(name: str, method: str, stop: float, values: dict[str, float], inputs: dict[str, float]) -> tuple[str, str]:
+    """The outcome of a draw, in whichever process."""
+    equations = judged(name, method)
+    return outcome(equations, values, inputs, min(stop, equations.stop_time))
+
+
+def counted(
+    name: str, draws: int, method: str, stop: float, seed: int, show: bool = False, jobs: int = 1
+) -> Counter[str]:
+    """How many draws of a mechanism came to what; the same whatever the number of processes."""
+    equations, random, found = judged(name, method), np.random.default_rng(seed), Counter()
+    all_drawn = [drawn(equations, random) for _ in range(draws)]
+    with tqdm(outcomes(name, method, stop, all_drawn, jobs), name, draws, leave=False, disable=None) as progress:
+        for i, (kind, text) in enumerate(progress):
+            found[kind] += 1
+            progress.set_postfix(found, refresh=False)
+            if kind in ("silent", "traceback") or show:
+                said = f"{name}, draw {i}: {kind}: {text}\n    {all_drawn[i][0] | all_drawn[i][1]}"
+                progress.write(said, file=sys.stderr)
+                sys.stderr.flush()
     return found
+
+
+def outcomes(
+    name: str, method: str, stop: float, all_drawn: list[tuple[dict[str, float], dict[str, float]]], jobs: int
+) -> Iterator[tuple[str, str]]:
+    """What each draw came to, in their order, as soon as it is known."""
+    if jobs == 1:
+        yield from (one(name, method, stop, *each) for each in all_drawn)
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        waiting = [pool.submit(one, name, method, stop, *each) for each in all_drawn]
+        for each in waiting:
+            yield each.result()
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -108,13 +145,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--stop-time", type=float, default=4.0, help="at most [s] (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, help="of the draws (default: %(default)s)")
     parser.add_argument("--show", action="store_true", help="every draw, not only those that are bad")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes (default: %(default)s)")
     chosen = parser.parse_args(arguments)
-    logging.getLogger("alfmu").addHandler(logging.NullHandler())
-    logging.getLogger("alfmu").propagate = False
     print(f"{'mechanism':20}", *(f"{kind:>9}" for kind in KINDS))
     bad = 0
     for name in chosen.only:
-        found = counted(name, chosen.draws, chosen.method, chosen.stop_time, chosen.seed, chosen.show)
+        how = (chosen.method, chosen.stop_time, chosen.seed, chosen.show, chosen.jobs)
+        found = counted(name, chosen.draws, *how)
         print(f"{name:20}", *(f"{found[kind]:9d}" for kind in KINDS), flush=True)
         bad += found["silent"] + found["traceback"]
     return int(bad > 0)

@@ -14,6 +14,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import fmpy
@@ -97,10 +98,10 @@ def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
     place, program = path.with_suffix(""), path.with_suffix(f".{watched}")
     with zipfile.ZipFile(path) as archive:
         archive.extractall(place)
-    command = [*build.compiler(), "-std=gnu99", "-g", "-O0", "-Wall", "-Wextra", "-Werror", *CHECKS[watched]]
-    command += [f"-DFUZZ_FMI={fmi}", f"-DMOST_STEPS={MOST_STEPS}", f"-I{HEADERS}", f"-I{place / 'sources'}"]
-    sources = [str(each) for each in sorted((place / "sources").glob("*.c"))]
-    subprocess.run([*command, str(SOURCE), *sources, "-lm", "-pthread", "-o", str(program)], check=True)
+    sources = {each.name: each.read_bytes() for each in (place / "sources").iterdir()}
+    objects = Path(watching(frozenset(sources.items()), watched).name).glob("*.o")
+    host = [f"-DFUZZ_FMI={fmi}", f"-I{HEADERS}", f"-I{place / 'sources'}", str(SOURCE), *map(str, sorted(objects))]
+    subprocess.run([*compiling(watched), *host, "-lm", "-pthread", "-o", str(program)], check=True)
     described = fmpy.read_model_description(str(path))
     variables = [v for v in described.modelVariables if v.causality != "independent"]
     real = {
@@ -108,6 +109,23 @@ def built(name: str, fmi: int, folder: Path, watched: str) -> list[str]:
     }
     ranges = [str(x) for k in KINDS for x in first_run(real[k])]
     return [str(program), described.guid, str(len(variables)), *ranges]
+
+
+def compiling(watched: str) -> list[str]:
+    """The command of the compiler with its sanitizers."""
+    flags = ["-std=gnu99", "-g", "-O0", "-Wall", "-Wextra", "-Werror", f"-DMOST_STEPS={MOST_STEPS}"]
+    return [*build.compiler(), *flags, *CHECKS[watched]]
+
+
+@cache
+def watching(sources: frozenset[tuple[str, bytes]], watched: str) -> tempfile.TemporaryDirectory[str]:
+    """A folder with what the sources of an FMU are compiled to: those of most FMUs are the same."""
+    made = tempfile.TemporaryDirectory(prefix="alfmu_")
+    for name, text in sources:
+        Path(made.name, name).write_bytes(text)
+    files = sorted(name for name, _ in sources if name.endswith(".c"))
+    subprocess.run([*compiling(watched), f"-I{HEADERS}", "-c", *files], cwd=made.name, check=True)
+    return made
 
 
 KINDS = ("input", "output")

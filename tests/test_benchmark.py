@@ -68,7 +68,7 @@ def agree(shown: str, exact: str) -> bool:
 
 def test_everything_that_was_promised_is_there(folder):
     names = {path.name for path in folder.iterdir()}
-    studies = ("environment", "targets", "step", "spread", "dostep", "native", "scale")
+    studies = ("environment", "targets", "step", "spread", "dostep", "native", "gradient", "scale")
     assert names == {"benchmark.md", "scale.png", *(f"{name}.csv" for name in studies)}
     assert (folder / "scale.png").stat().st_size > 10_000
     assert [row["scene"] for row in rows(folder, "step")] == ["particle_on_circle", "five_bar", "five_bar, frozen"]
@@ -84,7 +84,8 @@ def test_everything_that_was_promised_is_there(folder):
 
 def test_every_table_of_the_report_shows_rows_of_its_csv_file(folder):
     tables = shown_tables(folder)
-    assert {name for name, _, _ in tables} == {"environment", "targets", "step", "spread", "dostep", "native", "scale"}
+    studies = {"step", "spread", "dostep", "native", "gradient", "scale"}
+    assert {name for name, _, _ in tables} == {"environment", "targets"} | studies
     for name, columns, lines in tables:
         kept = rows(folder, name)
         assert len(lines) == len(kept), name
@@ -95,7 +96,7 @@ def test_every_table_of_the_report_shows_rows_of_its_csv_file(folder):
     assert empty == []  # with a compiler, every column is measured somewhere
 
 
-def test_ratios_follow_from_the_times_beside_them(folder):
+def test_ratios_follow_from_the_times_beside_them(benchmark, folder):
     checked = 0
     for name in ("step", "scale"):
         for row in rows(folder, name):
@@ -111,6 +112,10 @@ def test_ratios_follow_from_the_times_beside_them(folder):
                 assert float(row[column]) == pytest.approx(expected, rel=1e-12), (name, column)
                 checked += 1
     assert checked == 3 * (15 + 4 + 2) + 2 * 3
+    for row in rows(folder, "gradient"):
+        for column in ("gradient", f"forward by {benchmark.DIRECTIONS}"):
+            expected = float(row[f"{column} [us]"]) / float(row["run [us]"])
+            assert float(row[f"{column} / run"]) == pytest.approx(expected, rel=1e-12)
     through = rows(folder, "dostep")
     empty = {row["step [s]"]: row for row in through if row["slave"] == "empty"}
     assert len(empty) == 2
@@ -136,7 +141,8 @@ def test_numbers_are_those_of_what_they_claim_to_measure(benchmark, folder):
         parts = [float(x) for column, x in row.items() if column.startswith("operations: ")]
         assert sum(parts[:-3]) == parts[-3]  # the step; a careful one and the outputs come after it
         assert sum(float(x) for column, x in row.items() if column.startswith("time: ")) == pytest.approx(100)
-        assert float(row["oracle step [us]"]) > float(row["vm step [us]"]) > float(row["compiled step [us]"])
+        # A hundred times as long, which no load of the machine turns round; interpreted and compiled are closer.
+        assert float(row["oracle step [us]"]) > max(float(row[f"{kernel} step [us]"]) for kernel in benchmark.KERNELS)
     for row in (row for row in rows(folder, "dostep") if row["slave"] != "empty"):
         steps = [int(row[tier]) for tier in benchmark.TIERS]
         assert sum(steps) == int(row["steps in a run"]) == round(20.0 / float(row["step [s]"]))
@@ -152,6 +158,9 @@ def test_numbers_are_those_of_what_they_claim_to_measure(benchmark, folder):
             assert 0 < median <= slowest < 1e6
             assert 0 <= float(row[f"slowest step{what} begins at [s]"]) < 0.2
         assert row["note"] == ""
+    for row in rows(folder, "gradient"):
+        assert int(row["numbers"]) > 5
+        assert float(row["gradient / run"]) > 1.0  # it makes the run
     one, ten = rows(folder, "scale")
     assert float(ten["operations"]) > 5 * float(one["operations"])
     assert [row["builds"] for row in (one, ten)] == ["1", "1"]
@@ -170,6 +179,7 @@ def test_every_target_has_a_verdict_that_follows_from_its_number(benchmark, fold
         "<= 2.5",
         "<= 1000",
         "<= 300",
+        *["<= 6"] * 6,
         *["<= 1.5", "<= 2", "<= 30", "<= 2000"] * 2,
     ]
     for row, target in zip(judged, benchmark.TARGETS, strict=True):
@@ -185,7 +195,7 @@ def test_every_target_has_a_verdict_that_follows_from_its_number(benchmark, fold
             sign, limit = row["target"].split()
             good = value >= float(limit) if sign == ">=" else value <= float(limit)
             assert row["verdict"] == ("met" if good else "not met")
-    assert sum(row["verdict"] != "not measured" for row in judged) == 8 + 8 + 8 + 4
+    assert sum(row["verdict"] != "not measured" for row in judged) == 8 + 8 + 8 + 4 + 6
 
 
 @pytest.mark.parametrize(

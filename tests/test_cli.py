@@ -1,5 +1,6 @@
 """The command line as its users call it: every command, every help text, and no traceback for a user's mistake."""
 
+import argparse
 import contextlib
 import csv
 import json
@@ -16,7 +17,8 @@ import numpy as np
 import pytest
 
 import alfmu
-from alfmu.cli import main
+from alfmu.cli import _parser, main
+from alfmu.cli.options import name_list
 from alfmu.runtime.library import library
 
 PENDULUM = """
@@ -330,6 +332,24 @@ def test_info_in_short_says_what_was_left_out_of_its_lists(capsys):
     assert "crank{1..41}, coupler{1..40} (9 each)" in out
 
 
+def test_info_counts_the_outputs_that_it_leaves_out(capsys):
+    assert main(["info", "four_bar"]) == 0
+    named = "link1, link2, link3 (9 each); A, B, C, D (force.x, force.y)"
+    assert f"outputs (47): {named} and {47 - 3 * 9 - 4 * 2} more" in capsys.readouterr().out
+
+
+def test_info_in_full_has_no_empty_place_for_a_sketch_or_options(tmp_path, capsys):
+    file = tmp_path / "held.py"
+    file.write_text(
+        "from alfmu import Mechanism\n\n\ndef held() -> Mechanism:\n    m = Mechanism('held')\n"
+        "    x = m.coordinate('x', 'm', independent=True)\n    m.kinetic_energy(m.rate(x) ** 2)\n    return m\n"
+    )
+    assert main(["info", str(file), "--all"]) == 0
+    assert "\n\n\n" not in capsys.readouterr().out
+    assert main(["info", "four_bar", "--all"]) == 0
+    assert "\n\n\n" not in capsys.readouterr().out
+
+
 def test_info_as_json_has_all_of_it(capsys):
     assert main(["info", "five_bar", "--json", "--set", "m2=2.5"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -352,6 +372,7 @@ def test_info_as_json_has_all_of_it(capsys):
         (["fly"], "there is no command 'fly'; use one of list, info, "),
         (["simulate", "five_bar", "--stop-tme", "3"], "--stop-tme is not understood; did you mean --stop-time?"),
         (["info", "five_bar", "extra"], "extra is not understood"),
+        (["simulate", "five_bar", "--set", "m2=2", "m3=2"], "each value takes a --set of its own: --set m3=2"),
         (["info", "five_bar", "--all", "--json"], "not allowed with"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
@@ -385,3 +406,17 @@ def test_a_shell_completes_commands_options_names_and_files(tmp_path, capsys):
     assert main(["completion", "bash"]) == 0
     assert "complete " in (script := capsys.readouterr().out)
     assert "alfmu" in script
+
+
+def test_options_of_several_names_may_be_given_many_times(here, capsys):
+    """None is lost, as the first of two would be where the second takes its place."""
+    for name, sub in _parser()[1].items():
+        for each in sub._actions:
+            if each.option_strings and (each.nargs == "+" or each.type is name_list):
+                assert isinstance(each, argparse._ExtendAction), (name, each.option_strings)
+    words = ["sweep", "four_bar", "--vary", "m2=1", "--stop-time", "0.02", "--workers", "1", "--no-page", "-o", "few"]
+    assert main([*words, "--keep", "final(link1.angle)", "--keep", "final(link3.angle)", "final(link2.x)"]) == 0
+    kept = ("final(link1.angle)", "final(link3.angle)", "final(link2.x)")
+    assert alfmu.Sweep.load("few").plan.measures == kept
+    assert main(["simulate", "four_bar", "--stop-time", "0.02", "--lock", "B", "--lock", "C", "-o", "run.csv"]) == 0
+    assert {"B.locked", "C.locked"} <= set(alfmu.Result.from_csv("run.csv").names)

@@ -121,6 +121,10 @@ def test_a_study_says_what_it_lacks(tmp_path):
         couple(system.changed(monolithic=Monolithic(path.with_name("one.py"), {"arm.link1.angle": "link1.angel"})))
     with pytest.raises(InputError, match=r"drive has no output .arm\.angle."):
         couple(system.changed(monolithic=Monolithic(path.with_name("one.py"), {"arm.angle": "link1.angle"})))
+    with pytest.raises(
+        InputError, match=r"arm\.link1\.angle is in rad and motor\.current in A; compare what has one unit"
+    ):
+        couple(system.changed(monolithic=Monolithic(path.with_name("one.py"), {"arm.link1.angle": "motor.current"})))
     with pytest.raises(InputError, match="whole number of communication steps"):
         couple(system.changed(communication_step=0.03))
     with pytest.raises(InputError, match="whole number from 0 to 12"):

@@ -415,6 +415,7 @@ def test_the_nearest_names_are_offered_a_handful():
     [
         (["simulate", "four_bar", "--set", "A.torqe=1"], "did you mean A.torque"),
         (["simulate", "four_bar", "--outputs", "link1.angel"], "did you mean link1.angle"),
+        (["simulate", "four_bar", "--outputs", "link1"], "did you mean link1.*?"),
         (["simulate", "four_bar", "--option", "coordinate=joint"], "did you mean coordinates"),
     ],
 )

@@ -249,6 +249,13 @@ def test_the_gallery_lists_an_example_by_its_film(site):
         assert ground == of_film != (255, 255, 255)  # a figure stands on white
 
 
+def test_texts_are_shown_as_they_are_written(site):
+    """What reStructuredText takes for markup that does not end is shown in red, and is no warning of Sphinx."""
+    marked = [path.name for path in site.rglob("*.html") if 'class="problematic"' in path.read_text(encoding="utf-8")]
+    assert marked == []
+    assert "“link*.angle,*.force.*”" in (site / "reference" / "cli.html").read_text(encoding="utf-8")
+
+
 def test_pages_load_in_a_browser(site, chromium):
     """Pictures are there, nothing is fetched, nothing complains, and a phone shows no page wider than itself."""
     examples = [page for page in ("index", f"plot_{ONE}") if (site / "mechanisms/gallery" / f"{page}.html").exists()]

@@ -31,8 +31,14 @@ def test_the_script_prints_its_counts(study, capsys):
     assert sum(map(int, row.split()[1:])) == 3
 
 
+def test_processes_count_the_same(study):
+    alone, together = (study.counted("four_bar", 6, "rk4", 1.0, 1, jobs=jobs) for jobs in (1, 2))
+    assert alone == together
+    assert sum(alone.values()) == 6
+
+
 def test_a_silent_run_is_seen(study, monkeypatch, capsys):
     """With nothing heard, what was warned about counts as silent."""
     monkeypatch.setattr(study.Heard, "emit", lambda self, record: None)
-    assert study.main(["--draws", "20", "--only", "particle_on_circle", "--method", "rk4"]) == 1
+    assert study.main(["--draws", "20", "--only", "particle_on_circle", "--method", "rk4", "--jobs", "1"]) == 1
     assert "silent" in capsys.readouterr().err

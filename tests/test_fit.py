@@ -57,9 +57,24 @@ def test_without_noise_the_numbers_are_exact_and_missing_values_count_for_nothin
     assert np.isnan(found.residuals["link1.angle"]).sum() == 20
 
 
+def test_a_table_of_all_columns_is_fitted_whatever_rests():
+    """Link 2 of the four-bar never turns: its angle, which is round-off, and monitors weigh nothing."""
+    run = alfmu.simulate("four_bar", 1.0, 0.05, inputs={"A.torque": 4.0})
+    found = alfmu.fit("four_bar", run, {"m2": 1.5})
+    assert found["m2"] == pytest.approx(1.0, abs=1e-10)
+    assert "link2.angle" in found.noise
+    assert not any(name.startswith("monitor.") for name in found.noise)
+
+
 def test_bounds_hold(tmp_path):
+    """One number at its bound has no deviation, and the other that which it has where the first is given."""
     found = alfmu.fit("five_bar", measured(), ["m2", "l"], bounds={"m2": (0.9, 2.0)}, parameters={"start.angle": 0.35})
-    assert found["m2"] == pytest.approx(0.9, abs=1e-6)
+    assert found["m2"] == pytest.approx(0.9, abs=1e-12)
+    assert np.isnan(found.errors["m2"])
+    assert str(found).startswith("m2  0.9 kg  at its bound\n")
+    alone = alfmu.fit("five_bar", measured(), ["l"], parameters={"start.angle": 0.35, "m2": 0.9})
+    assert found["l"] == pytest.approx(alone["l"], rel=1e-9)
+    assert found.errors["l"] == pytest.approx(alone.errors["l"], rel=0.01)
     drawn = found.plot()
     drawn.savefig(tmp_path / "fit.png")
     assert len(drawn.axes) == 4
@@ -76,6 +91,45 @@ def test_what_the_data_do_not_tell_is_said(caplog):
     assert np.isinf([found.errors["m1"], found.errors["m3"]]).all()
     assert found.errors["l"] < 0.01
     assert "not told by the data" in str(found)
+
+
+def test_as_many_measurements_as_numbers_tell_no_deviation():
+    data = measured(noise=0.0)
+    one = alfmu.Result("one", data.time[[0, 90]], ("link1.angle",), {}, data.values[[0, 90], :1])
+    one.values[0] = np.nan
+    how = {"inputs": {"A.torque": lambda t: 2 * np.sin(3 * t)}, "parameters": {"start.angle": 0.35, "l": 1.1}}
+    found = alfmu.fit("five_bar", one, {"m2": 0.8}, **how)
+    assert np.isnan(found.errors["m2"])
+    assert "by as many measurements as numbers" in str(found)
+    assert str(found).endswith(" rad")
+    with pytest.raises(alfmu.InputError, match="1 measurement cannot tell 2 numbers"):
+        alfmu.fit("five_bar", one, ["m2", "g"], **how)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"vary": "m2"}, "give a list of names"),
+        ({"vary": ["m2", "m2"]}, "m2 is named twice"),
+        ({"columns": "link1.angle"}, "give a list of names"),
+        ({"bounds": {"m2": 3.0}}, "the bounds of m2 are 3.0; give two numbers"),
+        ({"bounds": {"m2": (-2.0, -1.0)}}, "it must be from 0 to inf"),
+        ({"bounds": [(0, 1)]}, "give a dictionary"),
+        ({"deviations": {"link1.angle": "x"}}, "it must be a finite number above zero"),
+        ({"data": np.zeros((3, 3))}, "give a Result"),
+        ({"inputs": [1.0]}, "give a dictionary"),
+    ],
+)
+def test_senseless_arguments_are_answered(given, why):
+    with pytest.raises(alfmu.InputError, match=why):
+        alfmu.fit("five_bar", **{"data": measured(), "vary": ["m2"], **given})
+
+
+def test_data_in_other_units_are_refused():
+    data = measured()
+    degrees = alfmu.Result("degrees", data.time, data.names, {"link1.angle": "deg"}, data.values)
+    with pytest.raises(alfmu.InputError, match=r"link1\.angle in deg, five_bar has it in rad"):
+        alfmu.fit("five_bar", degrees, ["m2"])
 
 
 def test_the_command_line_fits(tmp_path, capsys):

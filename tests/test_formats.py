@@ -54,6 +54,18 @@ def test_sdf_and_mjcf_of_one_mechanism_move_alike():
     np.testing.assert_allclose(runs[0]["main.angle"], runs[1]["main.angle"], atol=1e-10)
 
 
+def test_a_frame_attached_to_a_link_stands_where_its_pose_says(tmp_path: Path):
+    path = tmp_path / "frame.sdf"
+    frame = '<frame name="f"{}><pose relative_to="__model__">1 2 3 0.1 0.2 0.3</pose></frame>'
+    joint = '<joint name="j" type="revolute"><pose relative_to="f"/><parent>world</parent><child>l</child>'
+    texts = []
+    for attached in ("", ' attached_to="l"'):
+        path.write_text(SDF.format(frame.format(attached) + joint + "<axis><xyz>0 1 0</xyz></axis></joint>"))
+        texts.append(alfmu.imported(path).source())
+    assert texts[0] == texts[1]
+    assert "spatial_ground.at(1, 2, 3)" in texts[1]
+
+
 def four_bar_energy(crank: float, rate: float) -> tuple[float, float]:
     """Kinetic and potential energy of four_bar.urdf, its loop closed by hand (law of cosines)."""
     A = 0.2 * np.exp(1j * crank)
@@ -278,6 +290,28 @@ def test_each_attribute_changes_what_it_changes_in_mujoco(tmp_path: Path):
         assert opens < 1e-12
         assert np.abs(reference).max() > 1
         np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max(), err_msg=f"{name} {attribute}")
+
+
+INHERITED = """<mujoco><compiler inertiafromgeom="{}"/><option><flag contact="disable"/></option><default>
+<geom type="box" size="0.1 0.2 0.3" quat="1 1 0 0"/><joint damping="0.1" axis="1 2 0"/>
+<general biastype="affine" biasprm="0 -4 -2"/>
+<default class="c"><geom euler="0 20 30"/><general biasprm="0.5 -3"/></default></default><worldbody>
+<body><joint name="a"/><geom size="0.05"/><inertial pos="0.1 0 0" mass="2" diaginertia="1 2 2.5"/>
+<body pos="0.3 0 0"><joint name="b" ref="10"/><geom class="c" size="0.05 0.1" pos="0 0.2 0"/>
+<body pos="0.3 0 0"><joint name="c" axis="0 0 1"/><inertial pos="0.1 0.2 0" mass="1" diaginertia="1 1 1"/></body></body>
+</body></worldbody><equality><joint joint1="b" joint2="c" polycoef="0.2"/></equality>
+<actuator><general joint="a" class="c" biasprm="0.7"/><general joint="c" ctrlrange="0 0"/></actuator></mujoco>"""
+"""Defaults of several levels; arrays that are shorter than what they inherit."""
+
+
+@pytest.mark.skipif(not MUJOCO, reason="MuJoCo is not installed (extra bench)")
+@pytest.mark.parametrize("inertia", ["auto", "true"])
+def test_defaults_are_inherited_as_in_mujoco(inertia: str, tmp_path: Path):
+    path = tmp_path / "inherited.xml"
+    path.write_text(INHERITED.format(inertia))
+    found, reference, opens = by_mujoco(path, *moving(path, 0))
+    assert opens < 1e-12
+    np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max())
 
 
 def test_a_recipe_of_a_file_becomes_a_native_fmu(tmp_path: Path):

@@ -21,6 +21,7 @@ import alfmu
 from alfmu.gradients import Columns, Final, Integral, Maximum, TimeOfMaximum, derivatives, gradient
 from alfmu.gradients.run import Runs
 from alfmu.runtime import Instance
+from alfmu.runtime.sweeps import Sweeps
 
 NUMBERS = {"l": 1.0, "m1": 1.0, "m2": 0.7, "m3": 1.0, "m4": 1.0, "g": 9.81}
 """Parameters of the five-bar, in the order of its declaration."""
@@ -368,26 +369,16 @@ def test_inputs_that_move_something_have_derivatives(order: int):
         assert abs(back[name]) > 0.1
 
 
-def test_a_gradient_by_twenty_numbers_takes_no_more_than_six_runs():
-    """In processor time, the best of some; the sweep back does not know how many numbers there are."""
-    from time import process_time
-
-    runs = Runs("n_four_bar", ["l"], 5.0, 0.01, None, {"solver.method": "rk4"})
-    plain, swept_back = [], []
-    for _ in range(6):
-        begin = process_time()
-        runs.unit._unit.run_on(False)
-        runs.unit.run(runs.times, [], runs.table, ["crank1.angle"])
-        plain.append(process_time() - begin)
-        sweeps = runs.sweeps(["crank1.angle"], 0, None)
-        begin = process_time()
-        sweeps.record()
-        weights = np.zeros_like(sweeps.values)
-        weights[-1] = 1.0
-        of_parameters, _ = sweeps.adjoints(weights)
-        swept_back.append(process_time() - begin)
-    assert len(of_parameters) > 5
-    assert min(swept_back) <= 6 * min(plain)
+@pytest.mark.parametrize("by", [["l"], ["l", "m", "g", "start.angle"]])
+def test_a_gradient_is_one_run_and_one_sweep_back_whatever_the_number_of_numbers(by, monkeypatch):
+    """What that takes stands in the benchmark."""
+    calls = []
+    for name in ("record", "adjoints", "tangents"):
+        each = getattr(Sweeps, name)
+        monkeypatch.setattr(Sweeps, name, lambda *given, name=name, each=each: calls.append(name) or each(*given))
+    found = gradient("n_four_bar", Final("crank1.angle"), by, 0.5, 0.01)
+    assert calls == ["record", "adjoints"]
+    assert all(found[name] != 0.0 for name in by)
 
 
 def test_what_has_no_derivatives_is_refused_by_name():
@@ -397,8 +388,14 @@ def test_what_has_no_derivatives_is_refused_by_name():
         gradient("five_bar", "link1.angle", ["solver.tolerance"], 0.1)
     with pytest.raises(alfmu.InputError, match="no output or input 'link9'"):
         gradient("five_bar", "link9", ["m2"], 0.1)
-    with pytest.raises(alfmu.InputError, match="takes no column"):
-        Integral(lambda o: 3.0)
+    for expression in (lambda o: 3.0, lambda o: math.sin(o["link1.angle"]), lambda o: o["link1.angle"] / 0):
+        with pytest.raises(alfmu.InputError, match="takes no column"):
+            Integral(expression)
+    for expression in (lambda o: None, lambda o: [o["link1.angle"]], lambda o: abs(min(o["link1.angle"], 1)), 3):
+        with pytest.raises(alfmu.InputError, match="cannot be differentiated"):
+            Final(expression)
+    with pytest.raises(alfmu.InputError, match="inputs are 3; give a dictionary"):
+        derivatives("five_bar", ["m2"], 0.1, inputs=3)
     m = alfmu.Mechanism("rubs")
     th = m.coordinate("th", "rad", start=0.3, independent=True)
     rod = m.bar("rod", mass=1.0, length=1.0)

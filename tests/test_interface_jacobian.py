@@ -514,6 +514,38 @@ def test_every_output_has_its_derivatives_by_every_parameter_start_value_and_inp
     unit.freeInstance()
 
 
+@pytest.mark.parametrize(("kind", "version"), [("native", 2), ("native", 3), ("python", 2)])
+def test_inputs_that_move_something_move_the_start(tmp_path, kind, version):
+    """A host may read, set and read again while the run begins: outputs, their derivatives and the run follow."""
+    m = alfmu.Mechanism("carriage")
+    x = m.input("x", "m")
+    th = m.coordinate("th", "rad", start=-1.2, independent=True)
+    rod = m.bar("rod", mass=1.0, length=m.parameter("l", 0.5, "m", minimum=1e-3))
+    m.revolute("A", m.ground.at(x, 0), rod.start, coordinate=th)
+    m.gravity(0, -9.81)
+    unit, description = slave_of(alfmu.export(m, tmp_path / "x.fmu", kind=kind, fmi=version, reference=False), version)
+    get, put = (unit.getReal, unit.setReal) if version == 2 else (unit.getFloat64, unit.setFloat64)
+    reference = {v.name: v.valueReference for v in description.modelVariables}
+    at, l, place = reference["x"], reference["l"], [reference["rod.x"]]
+    (before,) = get(place)
+    put([at], [0.05])
+    assert get(place)[0] == pytest.approx(before + 0.05, abs=1e-12)
+    (unknown,) = (each for each in description.initialUnknowns if each.variable.name == "rod.x")
+    assert "x" in [each.name for each in unknown.dependencies]
+    if kind == "native":
+        by_length, by_place = (unit.getDirectionalDerivative(place, [each], [1.0])[0] for each in (l, at))
+        assert by_place == pytest.approx(1.0, abs=1e-12)
+        together = unit.getDirectionalDerivative(place, [l, at], [1.0, 1.0])
+        assert together[0] == pytest.approx(by_length + by_place, abs=1e-12)
+    if version == 3:
+        assert unit.getAdjointDerivative(place, [at], [1.0], 1)[0] == pytest.approx(1.0, abs=1e-12)
+    unit.exitInitializationMode()
+    unit.doStep(0.0, 0.001)
+    assert get(place)[0] == pytest.approx(before + 0.05, abs=1e-4)
+    unit.terminate()
+    unit.freeInstance()
+
+
 def test_an_fmu_of_kind_python_claims_no_directional_derivatives(built):
     """pythonfmu's library answers the call with an error, and asks no Python code."""
     unit, description = slave_of(built("five_bar", "python", 2), 2)

@@ -31,7 +31,7 @@ def test_measures_are_those_of_places_and_rates():
     assert y["slide.spring.elongation"] == pytest.approx(q[0] - 0.2)
     assert y["slide.spring.force"] == pytest.approx(30.0 * (q[0] - 0.2) + 2.0 * v[0])
     assert y["hinge.spring.torque"] == pytest.approx(4.0 * (q[1] - 0.1) + 0.3 * v[1])
-    assert y["hinge.spring4.torque"] == pytest.approx(0.2 * v[1])
+    assert not any(name.startswith("hinge.spring4") for name in y)  # Viscous friction is no spring.
 
     def tip(h: float) -> float:
         """Distance of the spring's points, by the pose of the tip, h [s] later."""

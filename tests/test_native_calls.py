@@ -109,7 +109,7 @@ def test_choices_are_enumerations_of_what_the_fmu_has(made, fmi):
                 unit.step(0.02, 0.02 * k)
             rows.append(unit.read())
         assert np.array_equal(rows[0], rows[1])
-        with pytest.raises(alfmu.InputError, match="must be a Enumeration value"):
+        with pytest.raises(alfmu.InputError, match="must be a value of type Enumeration"):
             by_name.set("solver.branch", "sideways")
     # fmpy's own run sets items by their numbers.
     given = {"stop_time": 0.1, "output_interval": 0.02, "logger": lambda *said: None}

@@ -571,6 +571,15 @@ def test_drift_of_a_mechanism_without_constraints_is_not_logarithmic():
     assert axes.get_yscale() == "linear"
 
 
+def test_errors_far_below_rounding_make_no_empty_panel():
+    """As those of a lock that opens and closes: a scale down to rounding would show none of them."""
+    time, error = np.linspace(0, 1, 11), "monitor.velocity_error"
+    tiny = Result("tiny", time, ["bar.angle", error], {"bar.angle": "rad"}, np.column_stack([time, 1e-35 * time]))
+    assert [axes.get_ylabel() for axes in figure(tiny).axes] == ["angle [rad]"]
+    (axes,) = figure(tiny, [error]).axes
+    assert axes.get_yscale() == "linear"
+
+
 def test_what_turns_round_does_not_hide_what_swings():
     time = np.linspace(0.0, 10.0, 101)
     names = ["crank.angle", "wheel.angle", "arm.angle", "rod.angle", "rod.x"]

@@ -151,11 +151,22 @@ def test_a_penalty_runs_as_the_default_does_or_is_refused_by_name(name, options)
         assert angle == pytest.approx(usual_angle, abs=1e-6), ratio
 
 
-@pytest.mark.parametrize("method", ["explicit", "stiff"])
-@pytest.mark.parametrize("ratio", [1.0, 100.0])
+@pytest.mark.parametrize(("method", "ratio"), [("explicit", 1.0), ("explicit", 100.0), ("stiff", 1.0), ("stiff", 1e4)])
 def test_a_penalty_that_a_method_cannot_take_is_named(method, ratio):
     with pytest.raises(alfmu.StepError, match=r"solver\.penalty"):
         alfmu.simulate(derived("four_bar"), 0.5, 0.02, parameters={"solver.method": method, "solver.penalty": ratio})
+
+
+@pytest.mark.parametrize("ratio", [10.0, 100.0, 1000.0])
+@pytest.mark.parametrize("name", ["four_bar", "five_bar"])
+def test_implicit_steps_iterate_as_long_as_a_small_penalty_asks(name, ratio):
+    """They were refused, as few iterations do not suit such penalties."""
+    found, exact = (
+        alfmu.simulate(derived(name), 0.5, 0.02, parameters={"solver.method": "stiff", **own})
+        for own in ({"solver.penalty": ratio}, {"solver.relative_tolerance": 1e-9})
+    )
+    for each in (x for x in found.names if x.endswith(("angle", "velocity", "force.x", "force.y"))):
+        assert found[each] == pytest.approx(exact[each], rel=1e-6, abs=1e-6)
 
 
 def test_an_evaluation_that_did_not_converge_is_told(caplog):

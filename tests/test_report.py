@@ -319,6 +319,21 @@ def test_maps_that_there_was_no_time_for_are_not_drawn():
     assert 'class="map"' not in html
 
 
+def test_a_map_that_there_was_no_time_for_is_named_beside_those_that_are_drawn():
+    study = Study("particle_on_circle", QUICK)
+    study.files["reference"] = [{"note": "there was no time for one"}]
+    where = {"across": "step", "down": "factor", "row": "1", "column": "0.1", "cut short": 0}
+    classes = {"formulations": "exact", "springs": stability.NOT_RUN}
+    study.maps.springs = ["k"]
+    study.maps.rows = [{**where, "map": title, "class": each} for title, each in classes.items()]
+    page = Page("late")
+    _chapter_of_page(page, study)
+    html = "".join(page._parts)
+    assert html.count('class="map"') == 1
+    assert "There was no time for 1 more: springs." in html
+    assert [one.title for one in stability.maps_of(study.maps)] == ["formulations"]
+
+
 def test_buttons_choose_which_ways_are_shown(written, chromium):
     chromium.get(written.with_name("report.html").as_uri())
     chromium.execute_async_script(PARTS)
@@ -388,6 +403,25 @@ def test_an_order_is_told_only_where_errors_show_one():
     )
     assert order("step [s]", steps, [1e-4, 1e-9, 1e-9])[1] == "the errors are not on a straight line"
     assert order("tolerance", steps, [h**4 for h in steps])[1] == "a tolerance chooses the steps"
+
+
+def test_runs_that_ended_early_are_no_points_of_errors_over_steps():
+    """Up to where they came they may be exact, and a run that failed in its first step has no error at all."""
+    study = Study("particle_on_circle", SMALL)
+    study.floors = {POSITION: 1e-13}
+    study.files["reference"] = [{"note": "it is not asked for here"}]
+    study.maps.rows = [{"class": stability.NOT_RUN}]
+    where = {"code": "alfmu", "formulation": "residual", "way": "vm", "language": "compiled code", "steps": 1}
+    ends = {0.1: (0.0, None), 0.05: (1e-3, 1e-3)}
+    study.files["errors"] = [
+        {**where, "method": "order8", "control": "step [s]", "value": h, POSITION: error, TIME: seconds}
+        for h, (error, seconds) in ends.items()
+    ]
+    drawn = []
+    page = Page("early")
+    page.plot = lambda figure, about: drawn.append(figure)
+    _chapter_of_page(page, study)
+    assert [trace["x"] for trace in drawn[-1]["data"]] == [[0.05]]
 
 
 def test_what_did_not_run_is_summed_up_by_reasons():
@@ -525,7 +559,7 @@ def test_a_code_that_is_not_there_is_listed(monkeypatch):
 # The paper ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("study", ["figure-7", "iterations", "accuracy", "four-bar"])
+@pytest.mark.parametrize("study", ["table-1", "figure-7", "iterations", "accuracy", "four-bar"])
 def test_the_chapters_of_the_paper(study, tmp_path):
     """At their smallest: every table has rows, and what the paper claims stands beside what is measured."""
     effort = replace(paper.QUICK, stop=0.2, counted=0.1, driven=0.4, phases=2)
@@ -536,6 +570,10 @@ def test_the_chapters_of_the_paper(study, tmp_path):
     assert all((tmp_path / name).stat().st_size > 10_000 for name in chapter.pictures)
     (tmp_path / "chapter.md").write_text("\n\n".join(chapter.markdown("##")))
     assert not any(c.isdigit() for c in prose(tmp_path / "chapter.md"))
+    if study == "table-1":
+        for row in rows(tmp_path, "table_1"):
+            for name in ("ax [m/s2]", "multiplier [N]", "ay [m/s2]"):
+                assert float(row[f"{name}, computed"]) == pytest.approx(float(row[f"{name}, closed form"]), rel=1e-6)
     if study == "figure-7":
         for row in rows(tmp_path, "figure_7"):
             assert float(row["angle error [rad]"]) < 1e-5

@@ -147,6 +147,16 @@ def test_fixed_steps_that_are_too_long_are_warned_about(caplog):
     assert re.match(r"slider_crank, t = \S+ s: the balance of energies is off by .*solver\.method explicit", said[0])
 
 
+@pytest.mark.parametrize("given", [{"solver.formulation": "classic"}, {"solver.branch": "paper"}])
+def test_energy_that_the_procedure_of_the_paper_loses_is_no_matter_of_the_step_alone(given, caplog):
+    given |= {"solver.method": "rk4", "start.angle": 0.0}
+    alfmu.simulate("four_bar", 5.0, 0.02, inputs={"A.torque": 4.0}, parameters=given)
+    said = [each.getMessage() for each in caplog.records if "the balance of energies" in each.getMessage()]
+    assert re.search(
+        r"the balance .* near singular positions solver\.formulation residual with solver\.branch continue", said[0]
+    )
+
+
 def test_a_good_run_warns_of_nothing_and_a_restored_one_says_it_again(caplog):
     alfmu.simulate("four_bar", 2.0)
     assert not caplog.records

@@ -131,6 +131,12 @@ def test_cases_are_the_product_and_made_when_asked_for():
         ({"vary": {"l": "1,2"}, "workers": 0}, "give 1 or more"),
         ({"vary": {"l": "0:1:100000", "m1": "0:1:100000"}}, "more than the 5e"),
         ({"vary": {"l": "1,2"}, "kernel": "oracle"}, "not by the oracle"),
+        ({"vary": ["l=1,2"]}, r"variations are \['l=1,2'\]; give a dictionary"),
+        ({"vary": {"l": "1,2"}, "inputs": 3}, "inputs are 3; give a dictionary"),
+        ({"vary": {"l": "uniform(1,2)"}, "samples": 2.5}, "samples is 2.5; give a whole number"),
+        ({"vary": {"l": "uniform(1,2)"}, "samples": 2, "seed": None}, "seed is None; give a whole number"),
+        ({"vary": {"l": "1,2"}, "workers": "2"}, "workers is '2'; give a whole number"),
+        ({"vary": {"l": "1,2"}, "keep": ["median(link1.angle)"]}, "median.*cannot be kept; did you mean mean"),
     ],
 )
 def test_what_cannot_be_run_is_refused_before_anything_is(given, why):
@@ -562,6 +568,9 @@ def test_sweeps_of_fmus_are_those_of_the_mechanism(kind, tmp_path, capsys):
         assert np.array_equal(found[name], own[name], equal_nan=True)
     assert np.array_equal(found.over_time("link1.angle")[2:, -1], own["final(link1.angle)"][2:])
     assert main([*arguments, "--freeze", "all"]) == 1
+    how = {"keep": KEEP, "stop_time": 0.1, "workers": 1, "folder": tmp_path / "numbers of NumPy"}
+    few = alfmu.sweep(path, {"m2": "uniform(0.5,1)"}, np.int64(2), parameters={"m3": np.float32(0.5)}, **how)
+    assert few["failure"].tolist() == ["", ""]
 
 
 # What is said --------------------------------------------------------------------------------------------------------
@@ -630,3 +639,14 @@ def test_the_page_has_its_pictures_and_needs_no_network(tmp_path, chromium, caps
     text = chromium.find_element("tag name", "main").text
     assert "48 of 48" not in text.split("Failures")[1]
     assert "m2 = -0.1 kg is outside" in text
+
+
+def test_what_a_variation_does_not_change_is_told_with_its_value():
+    """A few by name, many by their number; nothing where no case has a number."""
+    rates = {"start.angular_velocity": [1.0, 2.0]}
+    found = alfmu.sweep("five_bar", rates, stop_time=0.1, keep=["max(link1.x)", "min(link1.x)"])
+    assert found.lines()[-1] == "max(link1.x) is 0.5 m in all cases"
+    many = alfmu.sweep("five_bar", rates, stop_time=0.1, keep=["max(link*.x)"])
+    assert many.lines()[-1] == "4 kept numbers are the same in all cases"
+    failed = alfmu.sweep("four_bar", {"m2": [-1.0, -2.0]}, stop_time=0.1, keep=["max(link1.x)"])
+    assert not any("in all cases" in line for line in failed.lines())

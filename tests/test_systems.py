@@ -17,6 +17,7 @@ import pytest
 from drives import WANTED, drive, first_order, spindle
 from fmpy.ssp.simulation import simulate_ssp
 from fmpy.ssp.ssd import read_ssd, read_ssv
+from pythonfmu.builder import FmuBuilder
 from scipy.integrate import solve_ivp
 
 import alfmu
@@ -25,7 +26,7 @@ from alfmu.cli import main
 from alfmu.parts.blocks import BLOCKS
 from alfmu.systems.description import Component, Connection
 from alfmu.systems.masters import MASTERS
-from alfmu.systems.ports import conversion, measure
+from alfmu.systems.ports import Measure, conversion, measure
 from alfmu.systems.run import Assembly
 
 SAME = 1e-6
@@ -213,7 +214,7 @@ def changed(described: Path, old: str, new: str, folder: Path) -> Path:
         ("stop_time", "stop_tme", "no key stop_tme; did you mean stop_time"),
         ("[components.arm]", "[components.arm]\nfmu = 'x.fmu'", "has mechanism and fmu"),
         ('part = "motor"', 'part = "moter"', "did you mean motor"),
-        ("constant", "konstant", "a motor: motor() takes no konstant; did you mean constant"),
+        ("constant", "konstant", "component motor: motor() takes no konstant; did you mean constant"),
         ("0.4", "inf", "stop_time is inf"),
         ('to = "arm.A.torque"', 'to = "arm.A.torqe"', "arm has no input 'A.torqe'; did you mean A.torque"),
         ('from = "motor.torque"', 'from = "arm.m1"', "is a parameter, and a connection begins at an output"),
@@ -226,6 +227,9 @@ def changed(described: Path, old: str, new: str, folder: Path) -> Path:
         ('"controller.wanted" =', '"motor.voltage" =', "is given, and connected to controller.output"),
         ("[inputs]", "[inputs", "is no TOML file"),
         ('name = "drive"', 'name = "drive"\nmaster = "iterate"', "no master 'iterate'"),
+        ('name = "drive"', 'name = "drive"\nmaster = ["held"]', "no master ['held']"),
+        ('name = "drive"', 'name = "drive"\nbonds = [["motor.torque", ["a"]]]', "which is connected to nothing"),
+        ('to = "arm.A.torque"', 'to = "arm.A.torque"\nconvert = "none"', "convert is 'none'; give both units"),
     ],
 )
 def test_what_describes_no_system_is_refused(described, tmp_path, old, new, said):
@@ -235,26 +239,40 @@ def test_what_describes_no_system_is_refused(described, tmp_path, old, new, said
     assert said in str(raised.value).replace("\n", " ")
 
 
+def test_a_connected_input_is_not_set(described):
+    with pytest.raises(InputError, match=r"motor\.speed is connected to arm\.link1\.angular_velocity"):
+        System.load(described).simulate(0.01, parameters={"motor.speed": 1.0})
+
+
 def test_units_are_converted():
     assert conversion(measure("r/min"), measure("rad/s")) == pytest.approx((math.pi / 30, 0.0), rel=1e-14)
     assert conversion(measure("mm"), measure("m")) == (1e-3, 0.0)
     assert conversion(measure("m"), measure("mm")) == pytest.approx((1e3, 0.0), rel=1e-14)
+    celsius, kelvin = Measure.of("degC", {"K": 1}, offset=273.15), Measure.of("K", {"K": 1})
+    assert conversion(celsius, kelvin) == (1.0, 273.15)
+    assert conversion(kelvin, celsius) == (1.0, -273.15)
     with pytest.raises(InputError, match="do not measure the same"):
         conversion(measure("N"), measure("N.m"))
 
 
 def test_another_unit_of_an_fmu_asks_for_conversion(tmp_path):
-    """The unit of an FMU's input is renamed to r/min in its description, as another tool's FMU might have it."""
+    """The unit of an FMU's input is renamed to r/min in its description, as another tool's FMU might have it.
+
+    Its type says that it is a difference, for which the offset of a unit does not count.
+    """
     plain = alfmu.export(first_order("tool"), tmp_path / "plain.fmu", kind="native", reference=False)
     other = tmp_path / "tool.fmu"
     with zipfile.ZipFile(plain) as source, zipfile.ZipFile(other, "w") as target:
         for name in source.namelist():
             data = source.read(name)
             if name == "modelDescription.xml":
-                text = data.decode().replace('name="rad/s"', 'name="r/min"').replace('unit="rad/s"', 'unit="r/min"')
+                text = data.decode().replace('name="rad/s"', 'name="r/min"')
+                text = text.replace('unit="rad/s"', 'declaredType="Change" unit="r/min"')
+                change = '<SimpleType name="Change"><Real unit="r/min" relativeQuantity="true" /></SimpleType>'
+                text = text.replace("<TypeDefinitions>", f"<TypeDefinitions>{change}")
                 base = '<BaseUnit rad="1" s="-1"'
                 assert base in text
-                data = text.replace(f"{base} />", f'{base} factor="0.10471975511965977" />').encode()
+                data = text.replace(f"{base} />", f'{base} factor="0.10471975511965977" offset="7" />').encode()
             target.writestr(name, data)
     link = Connection("source.y", "tool.u")
     parts_ = {"source": first_order("source"), "tool": other}
@@ -346,15 +364,38 @@ def test_an_ssp_is_not_trusted(ssp, tmp_path, old, new, said):
     assert said in str(raised.value)
 
 
-@pytest.mark.parametrize("text", ["nan", "1e999", "x", ""])
-def test_values_in_a_parameter_set_are_not_trusted(ssp, tmp_path, text):
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        *(
+            ('value="2"', f'value="{text}"', "the parameter wanted of the component")
+            for text in ("nan", "1e999", "x", "")
+        ),
+        ("ssv:Real", "ssv:Boolean", "wanted of the component controller is '2'; a Boolean is true or false"),
+        ('ssv:Real value="2"', 'ssv:Boolean value="true"', "wanted is True; it must be a value of type Real"),
+        ('ssv:Real value="2"', 'ssv:Integer value="1.5"', "is '1.5'; an Integer is a whole number"),
+    ],
+)
+def test_values_in_a_parameter_set_are_not_trusted(ssp, tmp_path, old, new, said):
     path = tmp_path / "bad.ssp"
     with zipfile.ZipFile(ssp) as source, zipfile.ZipFile(path, "w") as target:
         for name in source.namelist():
             data = source.read(name)
-            target.writestr(name, data.replace(b'value="2"', f'value="{text}"'.encode()))
-    with pytest.raises(InputError, match="the parameter wanted of the component controller"):
-        System.load(path)
+            target.writestr(name, data.replace(old.encode(), new.encode()) if name.endswith("controller.ssv") else data)
+    with pytest.raises(InputError) as raised:
+        System.load(path).simulate(stop_time=0.01)
+    assert said in str(raised.value)
+
+
+def test_places_in_an_archive_are_uris(spindle_ssp, tmp_path):
+    path = tmp_path / "blank.ssp"
+    with zipfile.ZipFile(spindle_ssp) as source, zipfile.ZipFile(path, "w") as target:
+        for name in source.namelist():
+            data = source.read(name)
+            if name == "SystemStructure.ssd":
+                data = data.replace(b"resources/load.fmu", b"resources/my%20load.fmu")
+            target.writestr(name.replace("/load.fmu", "/my load.fmu"), data)
+    assert System.load(path).components["load"].what == "resources/my load.fmu"
 
 
 def test_an_archive_stays_in_its_folder(tmp_path):
@@ -512,6 +553,55 @@ def test_a_switch_and_choices_of_an_fmu_are_exchanged(tmp_path):
     assert np.ptp(run["arm.crank.angle"]) < 1e-9
     free = system.changed(components={"arm": path}).simulate()
     assert np.ptp(free["arm.crank.angle"]) > 1e-2
+
+
+COUNTER = """
+from pythonfmu import Boolean, Fmi2Causality, Fmi2Slave, Fmi2Variability, Integer
+
+
+class Counter(Fmi2Slave):
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+        self.add, self.hold, self.count, self.even, self.most = 1, False, 0, True, 9
+        for kind, name, causality in (
+            (Integer, "add", "input"), (Boolean, "hold", "input"), (Integer, "count", "output"),
+            (Boolean, "even", "output"), (Integer, "most", "parameter"),
+        ):
+            start = {} if causality == "output" else {"start": getattr(self, name)}
+            discrete = Fmi2Variability.tunable if causality == "parameter" else Fmi2Variability.discrete
+            self.register_variable(kind(name, causality=Fmi2Causality[causality], variability=discrete, **start))
+
+    def do_step(self, current_time, step_size):
+        self.count = min(self.count + (0 if self.hold else self.add), self.most)
+        self.even = self.count % 2 == 0
+        return True
+"""
+
+
+@pytest.fixture(scope="module")
+def counter(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An FMU of another tool without numbers that change continuously."""
+    folder = tmp_path_factory.mktemp("counter")
+    (folder / "counter.py").write_text(COUNTER)
+    return FmuBuilder.build_FMU(folder / "counter.py", dest=folder)
+
+
+def test_whole_numbers_and_booleans_of_fmus_are_connected(counter):
+    """The second counts by what the first has counted, and rests while that is even."""
+    links = [("a.count", "b.add"), ("a.even", "b.hold")]
+    system = System("pair", {"a": counter, "b": counter}, links, {"a.add": 1}, 5.0, 1.0)
+    run = system.simulate(inputs={"a.hold": (np.array([0.0, 3.0, 3.0, 5.0]), np.array([0.0, 0.0, 1.0, 1.0]))})
+    assert run["a.count"].tolist() == [0, 1, 2, 3, 3, 3]
+    assert run["a.even"].tolist() == [1, 0, 1, 0, 0, 0]
+    assert run["b.count"].tolist() == [0, 0, 1, 1, 4, 7]
+    with pytest.raises(InputError, match="of a says that it does not save its state"):
+        system.simulate(master="iterated")
+
+
+@pytest.mark.parametrize("value", [2.7, 3e9, math.inf, True])
+def test_a_whole_number_is_not_cut(counter, value):
+    with pytest.raises(InputError, match=r"most is .*; it must be a value of type Integer"):
+        System("one", {"a": counter}, []).simulate(1.0, 1.0, parameters={"a.most": value})
 
 
 def test_damaged_descriptions_are_refused(ssp, tmp_path):

@@ -15,8 +15,8 @@ import pytest
 
 import alfmu
 from alfmu.cli import main
-from alfmu.fmi.checks.pages import FORMS, save
-from alfmu.fmi.checks.registry import FAILED, NOT_APPLICABLE, PASSED, UNJUDGED
+from alfmu.fmi.checks.pages import FORMS, lines, save
+from alfmu.fmi.checks.registry import FAILED, NOT_APPLICABLE, PASSED, UNJUDGED, Finding
 from alfmu.fmi.checks.validation import Report, examine, known_checks
 from alfmu.fmi.records import FOLDER
 from alfmu.runtime import build
@@ -244,6 +244,23 @@ def test_a_step_that_does_not_end_is_ended(springs, monkeypatch):
     default, zero = report.findings
     assert default.detail == "it did not return within 1 s in fmi2DoStep(from 0 s, by 0.1 s)"
     assert (zero.result, zero.detail) == (UNJUDGED, "run.default failed")
+
+
+def test_what_one_failure_leaves_unjudged_is_one_line(springs, monkeypatch):
+    monkeypatch.setenv("DEFECT", "stillborn")
+    report = examine(springs("2"), checks=["run.default", "step.zero", "step.sizes", "file.description"])
+    failed, unjudged, summary = lines(report)
+    assert failed.split()[:2] == ["failed", "run.default"]
+    assert unjudged == "could not be judged  2 checks     run.default failed"
+    assert "4 checks" in summary
+    assert [line.split()[-1] for line in lines(report, every=True)[-3:-1]] == ["failed", "failed"]
+
+
+def test_a_reason_of_several_lines_stays_in_its_column():
+    finding = Finding("run.default", "it runs", "2.1", "", FAILED, "it says:\nno")
+    found = Report("x.fmu", "x", "2", "none", (finding,), 0.1)
+    first, _ = lines(found)
+    assert first == "failed               run.default  it says:\n" + 34 * " " + "no"
 
 
 def test_fmi_2_names_no_status_for_calls_in_the_wrong_order(springs, monkeypatch):

@@ -18,7 +18,7 @@ from ..files import atomic, write
 from ..model.calls import asked
 from ..model.errors import InputError
 from ..model.units import rate_of
-from ..model.words import counted, shown, there_is
+from ..model.words import counted, shown, some_like
 from ..result import Signal
 from .films import film
 from .laws import moved_by_law
@@ -349,7 +349,7 @@ def _kept(name: str, names: Sequence[str], patterns: Sequence[str] | None) -> li
     patterns = [each for each in plain(patterns) if not each.startswith("monitor.")]
     for pattern in patterns:
         if not any(each == pattern or fnmatchcase(each, pattern) for each in names):
-            raise InputError(f"{name} has no output {pattern!r} to linearise; {there_is(pattern, names)}")
+            raise InputError(f"{name} has no output {pattern!r} to linearise; {some_like(pattern, names)}")
     return [i for i, each in enumerate(names) if any(each == x or fnmatchcase(each, x) for x in patterns)]
 
 

@@ -44,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sub = commands[words[0]]
         options = re.findall(r"--[\w-]+", sub.format_usage())
         known = f"; {perhaps(unknown[0].partition('=')[0], options)}" if unknown[0].startswith("-") else ""
+        if not known and "=" in unknown[0] and "--set" in options:
+            known = f"; each value takes a --set of its own: --set {unknown[0]}"
         sub.error(f"{unknown[0]} is not understood{known}")
     try:
         with warnings.catch_warnings(), handling(signal.default_int_handler, signal.SIGTERM):

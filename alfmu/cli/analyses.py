@@ -53,6 +53,7 @@ def add(command: Command) -> None:
         "--outputs",
         metavar="PATTERNS",
         type=name_list,
+        action="extend",
         help='the outputs that C and D have, such as "link*.angle,*.force.*" (default: all)',
     )
     sub.add_argument("--plot", metavar="FILE.png", help="draw the eigenvalues in the plane (PNG, SVG or PDF)")

@@ -23,7 +23,12 @@ def add(command: Command) -> None:
     add_name(sub, "name", "NAME", "a mechanism, a recipe, or a Python file")
     sub.add_argument("data", metavar="DATA.csv", help="measurements over time, and inputs")
     sub.add_argument(
-        "--vary", type=name_list, metavar="NAME,...", required=True, help="parameters and start values, such as m2,l"
+        "--vary",
+        type=name_list,
+        metavar="NAME,...",
+        action="extend",
+        required=True,
+        help="parameters and start values, such as m2,l",
     )
     sub.add_argument(
         "--bounds",
@@ -34,7 +39,11 @@ def add(command: Command) -> None:
         help="keep a number between these (default: the bounds of the mechanism)",
     )
     sub.add_argument(
-        "--columns", type=name_list, metavar="NAME,...", help="measurements that count (default: all that are outputs)"
+        "--columns",
+        type=name_list,
+        metavar="NAME,...",
+        action="extend",
+        help="measurements that count (default: all but monitors)",
     )
     sub.add_argument(
         "--deviation",

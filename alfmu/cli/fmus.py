@@ -46,6 +46,7 @@ def add(command: Command) -> None:
         "--platform",
         metavar="all|NAMES",
         type=name_list,
+        action="extend",
         help="what a native FMU runs on, of linux64, win64, darwin64, aarch64-darwin, aarch64-linux, as linux64,win64 "
         "(default: what alfmu came with, this platform at least); others take ziglang (pip install ziglang)",
     )
@@ -83,6 +84,7 @@ def add(command: Command) -> None:
         "--checks",
         metavar="PATTERNS",
         type=name_list,
+        action="extend",
         help="only these checks, as state.*,step.zero; with those that they build on (default: all)",
     )
     sub.add_argument("--list", action="store_true", help="list the checks, with what the standard says, and end")

@@ -56,11 +56,17 @@ def add(command: Command) -> None:
         "--keep",
         metavar="PATTERN",
         nargs="+",
+        action="extend",
         help='what is kept of a run, such as "max(A.force.*)" "link1.angle" (default: last, least and largest value '
         "and mean of every output but multipliers and monitors)",
     )
     sub.add_argument(
-        "--keep-series", metavar="PATTERN", nargs="+", default=[], help="outputs kept at every communication point"
+        "--keep-series",
+        metavar="PATTERN",
+        nargs="+",
+        action="extend",
+        default=[],
+        help="outputs kept at every communication point",
     )
     sub.add_argument("--stop-time", type=float, metavar="S", help="end of each run in s (default: the unit's own)")
     sub.add_argument(

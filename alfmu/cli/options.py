@@ -78,6 +78,7 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         "--outputs",
         metavar="PATTERNS",
         type=name_list,
+        action="extend",
         help='compute these outputs alone, such as "link*.angle,*.force.*" (default: all); "*,link1.angle/A.torque" '
         "has the derivative of link1.angle at the end of each communication step by A.torque, held over it, beside all",
     )
@@ -85,6 +86,7 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         "--freeze",
         metavar="all|NAMES",
         type=name_list,
+        action="extend",
         help="make parameters of the mechanism constants at their values, as m1,m2 or all: smaller and faster",
     )
     sub.add_argument(
@@ -96,18 +98,21 @@ def add_scene(sub: argparse.ArgumentParser) -> None:
         "--lock",
         metavar="JOINTS",
         type=name_list,
+        action="extend",
         help="joints that Boolean inputs JOINT.locked can stop while running, as B,C",
     )
     sub.add_argument(
         "--release",
         metavar="JOINTS",
         type=name_list,
+        action="extend",
         help="joints that Boolean inputs JOINT.released can open while running, as E,F",
     )
     sub.add_argument(
         "--measure",
         metavar="all|NAMES",
         type=name_list,
+        action="extend",
         help="joints and springs whose relative motion, elongation and force are outputs, as B,C or all",
     )
 

@@ -122,7 +122,11 @@ def add_table(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("-o", "--output", metavar="FILE.csv", help="where to write the result (default: NAME.csv here)")
     sub.add_argument("--plot", metavar="FILE.png", help="also draw the result (PNG, SVG or PDF)")
     sub.add_argument(
-        "--plot-names", metavar="PATTERN", nargs="+", help='what to draw, such as "link*.angle" "*.force.*"'
+        "--plot-names",
+        metavar="PATTERN",
+        nargs="+",
+        action="extend",
+        help='what to draw, such as "link*.angle" "*.force.*"',
     )
     sub.add_argument(
         "--held-rows",

@@ -43,7 +43,9 @@ def add(command: Command) -> None:
     sub.add_argument(
         "--halvings", type=int, metavar="N", help="how often the communication step is halved (default: 5)"
     )
-    sub.add_argument("--masters", type=name_list, metavar="NAMES", help=f"of {','.join(MASTERS)} (default: all)")
+    sub.add_argument(
+        "--masters", type=name_list, action="extend", metavar="NAMES", help=f"of {','.join(MASTERS)} (default: all)"
+    )
     sub.add_argument(
         "--tolerance", type=float, metavar="T", help="relative tolerance of the components (default: 1e-9)"
     )

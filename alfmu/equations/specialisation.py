@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.errors import InputError
-from ..model.words import there_is
+from ..model.words import some_like, there_is
 from .evaluation import ARGUMENTS, evaluable, shared, symbols, with_functions
 from .interface import BALANCE, MONITORS, events
 from .types import Equations
@@ -103,7 +103,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     monitors = [m.name for m in (*MONITORS, *events(e)) if m.name not in e.monitors]
     for pattern in patterns:
         if not any(_matches(name, [pattern]) for name in [*names, *monitors]):
-            raise InputError(f"{e.name} has no output {pattern!r}; {there_is(pattern, [*names, *monitors])}")
+            raise InputError(f"{e.name} has no output {pattern!r}; {some_like(pattern, [*names, *monitors])}")
     kept = [i for i, name in enumerate(names) if _matches(name, patterns)]
     x = symbols(e)
     arguments = [x[letter] for letter in ARGUMENTS["readings"]]

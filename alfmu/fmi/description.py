@@ -96,7 +96,7 @@ def model_description(
     for reference, (causality, v) in enumerate(variables):
         head, kind = _facts(reference, causality, v)
         ET.SubElement(ET.SubElement(model_variables, "ScalarVariable", head), v.type, kind)
-    _structure(root, [causality for causality, _ in variables], [v for _, v in variables])
+    _structure(root, e, [causality for causality, _ in variables], [v for _, v in variables])
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
@@ -160,7 +160,7 @@ def model_description3(
         kinds = " ".join("dependent" for _ in on)
         ET.SubElement(structure, "Output", valueReference=reference, dependencies=" ".join(on), dependenciesKind=kinds)
     for reference, v in outputs:
-        on = " ".join(str(i) for i in _at_the_start(variables, v))
+        on = " ".join(str(i) for i in _at_the_start(e, variables, v))
         ET.SubElement(structure, "InitialUnknown", valueReference=reference, dependencies=on)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
@@ -248,7 +248,7 @@ def _facts(reference: int, causality: str, v: Variable) -> tuple[dict[str, str],
     return head, kind
 
 
-def _structure(root: ET.Element, causalities: Sequence[str], variables: Sequence[Variable]) -> None:
+def _structure(root: ET.Element, e: Equations, causalities: Sequence[str], variables: Sequence[Variable]) -> None:
     """Outputs with what they depend on: reactions and accelerations follow every input at once, the rest none.
 
     A Boolean input takes effect in the next step.
@@ -267,7 +267,7 @@ def _structure(root: ET.Element, causalities: Sequence[str], variables: Sequence
                 dependencies=" ".join(on),
                 dependenciesKind=" ".join("dependent" for _ in on),
             )
-            known = _at_the_start(list(zip(causalities, variables, strict=True)), v)
+            known = _at_the_start(e, list(zip(causalities, variables, strict=True)), v)
             ET.SubElement(unknowns, "Unknown", index=str(i + 1), dependencies=" ".join(str(k + 1) for k in known))
 
 
@@ -275,22 +275,23 @@ _LATER = ("step_size", "relative_tolerance", "absolute_tolerance", "input_order"
 """Of the solver: what has no effect before the first step."""
 
 
-def _at_the_start(variables: Sequence[tuple[str, Variable]], output: Variable) -> list[int]:
+def _at_the_start(e: Equations, variables: Sequence[tuple[str, Variable]], output: Variable) -> list[int]:
     """Places of the variables that an output may depend on when a run begins.
 
-    Those are parameters, Boolean inputs, which take effect at once at the start, and what the output follows later too.
-    What belongs to a communication step is zero then.
+    Those are parameters, Boolean inputs, which take effect at once at the start, inputs that move something, as the run
+    starts where these are, and what the output follows later too. What belongs to a communication step is zero then.
     """
     if output.of_step:
         return []
     later = {f"solver.{name}" for name in _LATER}
+    moving = {v.name for each in e.followed for v in e.inputs[each.input : each.input + 1 + each.derivatives]}
     if output.name == "monitor.iterations":  # which says what the start took, and methods count differently
         later -= {"solver.method"}
     return [
         i
         for i, (causality, v) in enumerate(variables)
         if (causality == "parameter" and v.name not in later)
-        or (causality == "input" and (v.type == "Boolean" or output.instant))
+        or (causality == "input" and (v.type == "Boolean" or v.name in moving or output.instant))
     ]
 
 

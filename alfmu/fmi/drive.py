@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -59,6 +60,9 @@ _KINDS = {
 }
 """Types of variables in FMI 2 and 3, and what they are here."""
 
+_NUMBERS = ("Real", "Integer", "Boolean")
+"""Kinds whose values are numbers in a table."""
+
 _STATE = {
     "2": ("getFMUstate", "setFMUstate", "freeFMUstate", "serializeFMUstate", "deSerializeFMUstate"),
     "3": ("getFMUState", "setFMUState", "freeFMUState", "serializeFMUState", "deserializeFMUState"),
@@ -88,8 +92,9 @@ class Fmu:
             raise ExportError(f"{path} is no co-simulation FMU of FMI 2.0 or 3.0; alfmu drives no other")
         self.name = self.description.modelName
         self._by_name = {v.name: v for v in self.description.modelVariables if not v.dimensions}
-        self.outputs = [_variable(v) for v in self._of("output") if _KINDS.get(v.type) in ("Real", "Integer")]
-        self.input_variables = [_variable(v) for v in self._of("input") if _KINDS.get(v.type) in ("Real", "Boolean")]
+        self.outputs, self.input_variables = (
+            [_variable(v) for v in self._of(each) if _KINDS.get(v.type) in _NUMBERS] for each in ("output", "input")
+        )
         experiment = self.description.defaultExperiment
         self.stop_time = float(experiment.stopTime) if experiment and experiment.stopTime else 10.0
         self.interval = float(experiment.stepSize) if experiment and experiment.stepSize else 0.02
@@ -145,15 +150,23 @@ class Fmu:
             settable = [v.name for v in self._by_name.values() if v.causality in ("parameter", "input")]
             raise InputError(f"{self.name} has no input or parameter {name!r}; {there_is(name, settable)}")
         try:
-            kinds = {"Real": float, "Integer": int, "Boolean": _truth, "String": str}
-            kinds["Enumeration"] = lambda given: _item(variable, given)
+            kinds = {"Real": float, "Integer": partial(_whole, variable.type), "Boolean": _truth, "String": str}
+            kinds["Enumeration"] = partial(_item, variable)
+            if isinstance(value, bool) and variable.type != "Boolean":
+                raise TypeError(value)
             value = kinds[_KINDS[variable.type]](value)
-        except (KeyError, TypeError, ValueError):
-            raise InputError(f"{self.name}: {name} is {value!r}; it must be a {variable.type} value") from None
+        except (KeyError, OverflowError, TypeError, ValueError):
+            raise InputError(f"{self.name}: {name} is {value!r}; it must be a value of type {variable.type}") from None
         kind = variable.type
         if kind == "Enumeration":
             kind = "Integer" if self._version == "2" else "Int64"
         self._call(f"set{kind}", [variable.valueReference], [value])
+
+    @property
+    def rewinds(self) -> bool:
+        """Whether it says that it saves and restores its state (`save`, `restore`)."""
+        can = self.description.coSimulation
+        return bool(can.canGetAndSetFMUstate and can.canSerializeFMUstate)
 
     @property
     def interpolates(self) -> bool:
@@ -229,7 +242,7 @@ class Fmu:
 
     def settable(self) -> list[Variable]:
         """Parameters that are numbers."""
-        return [_variable(v) for v in self._of("parameter") if _KINDS.get(v.type) in ("Real", "Integer", "Boolean")]
+        return [_variable(v) for v in self._of("parameter") if _KINDS.get(v.type) in _NUMBERS]
 
     def facts(self, parameters: Mapping[str, float | str]) -> dict[str, Any]:
         """What a result of it says of what was run, with these parameters."""
@@ -326,7 +339,16 @@ def _truth(value: float | str) -> bool:
 def _item(v: ModelVariable, value: float | str) -> int:
     """The number of an item of an enumeration, by its name or as it is."""
     numbers = {item.name: int(item.value) for item in v.declaredType.items}
-    return numbers[value] if value in numbers else int(value)
+    return numbers[value] if value in numbers else _whole("Int64", value)
+
+
+def _whole(kind: str, value: float | str) -> int:
+    """A whole number that a type can hold; ctypes would cut off what is more."""
+    number, bits = int(value), int("".join(filter(str.isdigit, kind)) or 32)
+    lowest = 0 if kind.startswith("U") else -(2 ** (bits - 1))
+    if (isinstance(value, float) and number != value) or not lowest <= number < lowest + 2**bits:
+        raise ValueError(value)
+    return number
 
 
 def _variable(v: ModelVariable) -> Variable:

@@ -128,11 +128,12 @@ class Node:
 
 
 class Reading:
-    """The attributes of an element, with those it inherits; what is taken is noted, `done` refuses the rest."""
+    """The attributes of an element, or `given` ones, of which it inherits some; what is taken is noted, `done` refuses
+    the rest."""
 
-    def __init__(self, node: Node, inherited: Mapping[str, tuple[str, Node]] | None = None):
+    def __init__(self, node: Node, given: Mapping[str, tuple[str, Node]] | None = None):
         self.node = node
-        self._given = {**(inherited or {}), **{name: (value, node) for name, value in node.attributes.items()}}
+        self._given = given or {name: (value, node) for name, value in node.attributes.items()}
         self._taken: set[str] = set()
 
     def has(self, name: str) -> bool:

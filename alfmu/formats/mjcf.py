@@ -40,6 +40,15 @@ _DYNAMICS = (
     "dyntype", "actdim", "timeconst", "inheritrange", "dampratio", "delay", "nsample", "armature", "damping",
 )  # fmt: skip
 _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "box": 3, "ellipsoid": 3}
+_PARTIAL = {"size", "stiffness", "damping", "polycoef", "biasprm"}
+"""Attributes with up to so many numbers: those that are not given are the default's."""
+
+_ATTITUDES = {"quat": 4, "axisangle": 4, "xyaxes": 6, "zaxis": 3, "euler": 3}
+"""How an attitude may be given, and the count of its numbers."""
+
+_POLYNOMIAL = (0.0, 1.0, 0.0, 0.0, 0.0)
+"""Coefficients of an equality of joints, where they are not given."""
+
 _TREE = ("body", "frame", "joint", "freejoint", "geom", "inertial", "site", *_IN_BODIES)
 _FLAGS = {
     "actuation", "autoreset", "clampctrl", "constraint", "contact", "damper", "diagexact", "energy", "equality",
@@ -201,9 +210,7 @@ class _File:
         for child in node.each():
             if child.tag != "default":
                 child.attributes.taken.update(child.attributes)
-                self.defaults[name].setdefault(child.tag, {}).update(
-                    {k: (v, child) for k, v in child.attributes.items()}
-                )
+                self.defaults[name][child.tag] = _over(self.defaults[name].get(child.tag, {}), child)
         for child in node.all("default"):
             self._default(child, name)
 
@@ -215,7 +222,7 @@ class _File:
         for tag in tags or (node.tag,):
             inherited |= self.defaults[name].get(tag, {})
         inherited.pop("class", None)
-        return Reading(node, inherited)
+        return Reading(node, _over(inherited, node))
 
     # Bodies -----------------------------------------------------------------------------------------------------
 
@@ -269,9 +276,9 @@ class _File:
         self.linkage.links.append(link)
         parts = self._tree(node, link, Pose(), childclass)
         inertial = node.one("inertial")
-        if inertial is not None and self.settings.from_geoms != "true":
+        if inertial is not None:
             link.inertial = self._inertial(Reading(inertial))
-        elif self.settings.from_geoms != "false":
+        if parts:  # geoms that count here, which is where there is no inertial or the compiler says so
             link.inertial = solids.together(parts)
         free = any(joint.kind == "free" for joint in link.joints)
         if free and (link.parent is not None or len(link.joints) > 1):
@@ -289,20 +296,14 @@ class _File:
         return Inertial(mass, at.place, at.turn @ matrix @ at.turn.T)
 
     def _pose(self, given: Reading) -> Pose:
-        ways = [name for name in ("quat", "axisangle", "xyaxes", "zaxis", "euler") if given.has(name)]
-        own = [name for name in ways if given.own(name)] or ways
-        if len(own) > 1:
-            given.node.fail(f"its attitude is given by {' and by '.join(own)}; give one of them")
-        turn = np.eye(3)
-        for name in ways:
-            given.text(name)
-        if own:
-            turn = self._turn(given, own[0])
+        ways = [name for name in _ATTITUDES if given.has(name)]
+        if len(ways) > 1:
+            given.node.fail(f"its attitude is given by {' and by '.join(ways)}; give one of them")
+        turn = self._turn(given, ways[0]) if ways else np.eye(3)
         return Pose(vector(given.numbers("pos", 3, (0.0, 0.0, 0.0))), turn)
 
     def _turn(self, given: Reading, how: str) -> Array:
-        sizes = {"quat": 4, "axisangle": 4, "xyaxes": 6, "zaxis": 3, "euler": 3}
-        x = vector(given.numbers(how, sizes[how]))
+        x = vector(given.numbers(how, _ATTITUDES[how]))
         if how == "euler":
             return turned(self.settings.euler, [self.settings.angle(a) for a in x])
         if (not np.linalg.norm(x[:3]) > 0 and how != "quat") or not np.linalg.norm(x) > 0:
@@ -464,7 +465,7 @@ class _File:
         for i, node in enumerate(section.each()):
             if node.tag not in ("connect", "weld", "joint"):
                 node.fail(f"an equality of kind <{node.tag}> does not map; alfmu takes connect, weld and joint")
-            given = self._reading(node, None, "equality", node.tag)
+            given = self._reading(node, None, "equality")
             name = given.text("name", f"{node.tag}{i + 1}")
             if not given.flag("active", True):
                 self.linkage.leave("equality constraints that are not active", node)
@@ -472,7 +473,8 @@ class _File:
             if node.tag == "joint":
                 of = self._scalar(given, "joint1")
                 by = self._scalar(given, "joint2") if given.has("joint2") else None
-                coefficients = given.numbers("polycoef", range(1, 6), (0.0, 1.0, 0.0, 0.0, 0.0))
+                given_ones = given.numbers("polycoef", range(1, 6), _POLYNOMIAL)
+                coefficients = [*given_ones, *_POLYNOMIAL[len(given_ones) :]]
                 self.linkage.couplings.append(Coupling(name, node, of, by, coefficients))
             else:
                 self.linkage.closures.append(self._equality(given, name))
@@ -565,7 +567,7 @@ class _File:
     def _range(self, given: Reading, what: str) -> tuple[float, float] | None:
         low, high = given.numbers(f"{what}range", 2, (0.0, 0.0))
         limited = given.choice(f"{what}limited", ("true", "false", "auto"), "auto")
-        if limited == "false" or (limited == "auto" and not (self.settings.autolimits and given.has(f"{what}range"))):
+        if limited == "false" or (limited == "auto" and not (self.settings.autolimits and (low or high))):
             return None
         if not low < high:
             given.fail(f"{what}range", f"{what}range is from {low:g} to {high:g}; give the smaller number first")
@@ -631,6 +633,17 @@ class _File:
                     given.fail("qpos", f"the quaternion of {joint.name} is zero")
             if rates is not None:
                 joint.rates, rates = tuple(rates[:b]), rates[b:]
+
+
+def _over(inherited: Inherited, node: Node) -> Inherited:
+    """Attributes of an element over inherited ones: one attitude, and where it gives fewer numbers, the others stay."""
+    replaced = _ATTITUDES.keys() if _ATTITUDES.keys() & node.attributes.keys() else set()
+    found = {name: given for name, given in inherited.items() if name not in replaced}
+    found |= {name: (value, node) for name, value in node.attributes.items()}
+    for name in _PARTIAL & inherited.keys() & node.attributes.keys():
+        words, before = (each[name][0].split() for each in (found, inherited))
+        found[name] = " ".join([*words, *before[len(words) :]]), node
+    return found
 
 
 _CONTACTS = (

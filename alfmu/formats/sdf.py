@@ -209,9 +209,8 @@ class _File:
             node.fail(f"frames are relative to each other in a circle ({' -> '.join([*self.pending, name])[:200]})")
         self.pending.append(name)
         posed = node.one("pose")
-        default = {"joint": lambda: told(node, "child"), "frame": lambda: node.attributes.get("attached_to", "")}
-        base = posed.attributes.get("relative_to", "") if posed is not None else ""
-        base = base or default.get(node.tag, lambda: "")() or "__model__"
+        default = told(node, "child") if node.tag == "joint" else node.attributes.get("attached_to", "")
+        base = (posed.attributes.get("relative_to", "") if posed is not None else "") or default or "__model__"
         found = self.base.inverse if base == "world" else self._pose(base, node)
         self.poses[name] = found @ (self._given(posed) if posed is not None else Pose())
         self.pending.pop()

@@ -16,8 +16,9 @@ from scipy.optimize import least_squares
 from ..equations import Equations
 from ..model.errors import AlfmuError, InputError
 from ..model.mechanism import Mechanism
-from ..model.words import there_is
+from ..model.words import counted, shown, there_is
 from ..result import Result, Signal
+from ..simulation import by_name
 from .run import Runs
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ _UNSEEN = 1e-7
 """Singular value of the derivatives, over the largest one, below which the data tell nothing of a combination of
 numbers [1]: derivatives have a relative error of some 1e-9."""
 
+_STILL = 1e-9
+"""Range of a column over the largest value of its unit, below which it is at rest but for round-off [1]: it counts by
+that value."""
+
 _WORSE = 1e3
 """Residuals of a run that cannot be made, over those of the first guess [1]: no such step is taken."""
 
@@ -46,10 +51,11 @@ class Fit:
 
     values: Mapping[str, float]
     errors: Mapping[str, float]
-    """Standard deviation of each, from the residuals as they are; infinite where the data do not tell it."""
+    """Standard deviation of each, from the residuals as they are; infinite where the data do not tell it, not a number
+    at a bound, or where there are as many measurements as numbers."""
     units: Mapping[str, str]
     covariance: NDArray[np.float64]
-    """(numbers, numbers), in the order of `values`."""
+    """(numbers, numbers), in the order of `values`; with those at their bounds held there."""
     bounds: Mapping[str, tuple[float, float]]
     noise: Mapping[str, float]
     """Root of the mean square of what each measured column differs by."""
@@ -83,13 +89,14 @@ class Fit:
         wide = max(map(len, self.values))
         lines = []
         for name, value in self.values.items():
-            low, high = self.bounds[name]
-            at_bound = " (at its bound)" if value in (low, high) else ""
             error = self.errors[name]
             known = f"+/- {error:.2g}" if math.isfinite(error) else "not told by the data"
-            lines.append(f"{name:{wide}}  {value:.8g} {self.units[name]}  {known}{at_bound}")
-        lines += [f"{name}: differs by {size:.3g} {self.data.units.get(name, '')}" for name, size in self.noise.items()]
-        return "\n".join(line.rstrip() for line in lines)
+            if math.isnan(error):
+                there = np.isclose(value, self.bounds[name], _TOLERANCE, _TOLERANCE).any()
+                known = "at its bound" if there else "by as many measurements as numbers"
+            lines.append(f"{name:{wide}}  {value:.8g} {self.units[name]}  {known}")
+        lines += [f"{name}: differs by {size:.3g} {self.result.units[name]}" for name, size in self.noise.items()]
+        return "\n".join(lines)
 
     def plot(self) -> Figure:
         """Measured points, the run through them, and what is left, by column."""
@@ -114,23 +121,33 @@ def fit(
 
     `data` is a table (CSV or a `Result`) with a column `time` [s], which begins where the run does; columns with names
     of outputs are measurements (NaN where there is none), those with names of inputs drive the run. `columns` are the
-    measurements that count, None for all there are. `vary` names parameters and start values, with a first guess each
-    where it is a mapping. `bounds` has the least and largest value of some; others keep to those of the mechanism.
-    Residuals of a column count by its standard deviation in `deviations`, by the range of the column where that is not
-    known. `progress` is called with the number of the run and the root of the mean square of its weighed residuals.
+    measurements that count, None for all there are but monitors. `vary` names parameters and start values, with a first
+    guess each where it is a mapping. `bounds` has the least and largest value of some; others keep to those of the
+    mechanism. Residuals of a column count by its standard deviation in `deviations`, by the range of the column where
+    that is not known, and by the largest value in its unit where it is at rest. `progress` is called with the number of
+    the run and the root of the mean square of its weighed residuals.
 
     The covariance comes from the residuals that are left, so that it tells errors of measuring, not of the model. A
-    combination of numbers that the data do not tell is warned of. Raises InputError where a name or number is wrong.
+    combination of numbers that the data do not tell is warned of. Raises InputError where a name or number is wrong,
+    where units of the data are not those of the mechanism, and where there are fewer measurements than numbers.
     """
+    for what, names in (("numbers to vary", vary), ("columns", columns)):
+        if isinstance(names, str):
+            raise InputError(f"the {what} are {names!r}; give a list of names")
+    if not isinstance(data, str | Path | Result):
+        raise InputError(f"the data are {shown(data)}; give a Result, or the path of a CSV file")
     table = data if isinstance(data, Result) else Result.from_csv(data)
     guesses = dict(vary) if isinstance(vary, Mapping) else {}
-    given = {**(parameters or {}), **guesses}
+    given = {**by_name(mechanism, "parameters", parameters), **guesses}
     runs = _runs(mechanism, list(vary), table, inputs, given)
     measured = _measured(runs, table, columns)
     seen = np.column_stack([table[name] for name in measured])
     known = np.isfinite(seen)
-    sizes = _sizes(measured, seen, known, deviations or {})
-    low, high = _bounds(runs, bounds or {})
+    sizes = _sizes(runs, measured, seen, known, by_name(mechanism, "deviations", deviations))
+    if (count := int(known.sum())) < len(runs.by):
+        has, wants = counted(count, "measurement"), counted(len(runs.by), "number")
+        raise InputError(f"{has} cannot tell {wants}; vary fewer, or measure more")
+    low, high = _bounds(runs, by_name(mechanism, "bounds", bounds))
     scale = [_scale(runs, name) for name in runs.by]
     first = np.array([runs.unit.get(name) for name in runs.by], float)
     if (outside := (first < low) | (first > high)).any():
@@ -147,10 +164,9 @@ def fit(
         xtol=_TOLERANCE,
         gtol=_TOLERANCE,
     )
-    covariance = _covariance(runs, problem, ended.x, np.array(scale))
+    covariance = _covariance(runs, problem, ended.x, np.array(scale), ended.active_mask == 0)
     result = problem.result(ended.x)
     left = np.where(known, seen - np.column_stack([result[name] for name in measured]), 0.0)
-    counted = np.maximum(known.sum(axis=0), 1)
     units = {v.name: v.unit for v in runs.unit.parameters}
     return Fit(
         values=dict(zip(runs.by, ended.x.tolist(), strict=True)),
@@ -158,7 +174,7 @@ def fit(
         units={name: units[name] for name in runs.by},
         covariance=covariance,
         bounds={name: (float(a), float(b)) for name, a, b in zip(runs.by, low, high, strict=True)},
-        noise=dict(zip(measured, np.sqrt((left**2).sum(axis=0) / counted).tolist(), strict=True)),
+        noise=dict(zip(measured, np.sqrt((left**2).sum(axis=0) / known.sum(axis=0)).tolist(), strict=True)),
         result=result,
         data=table,
         runs=problem.made,
@@ -194,8 +210,10 @@ def _runs(
 
 def _measured(runs: Runs, table: Result, columns: Sequence[str] | None) -> list[str]:
     """Columns that count."""
-    outputs = [v.name for v in runs.unit.outputs]
-    found = [name for name in table.names if name in outputs] if columns is None else list(columns)
+    units = {v.name: v.unit for v in runs.unit.outputs}
+    outputs = list(units)
+    if (found := columns) is None:
+        found = [name for name in table.names if name in outputs and not name.startswith("monitor.")]
     for name in found:
         if name not in table.names:
             raise InputError(f"the data have no column {name!r}; {there_is(name, table.names)}")
@@ -204,24 +222,35 @@ def _measured(runs: Runs, table: Result, columns: Sequence[str] | None) -> list[
     if not found:
         names = ", ".join(table.names[:5])
         raise InputError(f"no column of the data ({names}) is an output of {runs.unit.name}, such as {outputs[0]}")
-    return found
+    for name in found:
+        if (unit := table.units.get(name, units[name])) != units[name]:
+            raise InputError(f"the data have {name} in {unit}, {runs.unit.name} has it in {units[name]}; convert it")
+    return list(found)
 
 
 def _sizes(
-    measured: list[str], seen: NDArray[np.float64], known: NDArray[np.bool_], deviations: Mapping[str, float]
+    runs: Runs,
+    measured: list[str],
+    seen: NDArray[np.float64],
+    known: NDArray[np.bool_],
+    deviations: Mapping[str, float],
 ) -> NDArray[np.float64]:
     """What residuals of each column are divided by."""
     for name, value in deviations.items():
         if name not in measured:
             raise InputError(f"a deviation is given for {name!r}, which is not measured; {there_is(name, measured)}")
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"the deviation of {name} is {value}; it must be a finite number above zero")
-    sizes = []
-    for k, name in enumerate(measured):
-        values = seen[known[:, k], k]
-        if not len(values):
+        if not (isinstance(value, float | int | np.number) and math.isfinite(value) and value > 0):
+            raise InputError(f"the deviation of {name} is {shown(value)}; it must be a finite number above zero")
+    units = {v.name: v.unit for v in runs.unit.outputs}
+    largest: dict[str, float] = {}
+    for name, column, there in zip(measured, seen.T, known.T, strict=True):
+        if not there.any():
             raise InputError(f"the column {name} has no number")
-        sizes.append(deviations.get(name, float(np.ptp(values)) or 1.0))
+        largest[units[name]] = max(largest.get(units[name], 0.0), float(np.abs(column[there]).max()))
+    sizes = []
+    for name, column, there in zip(measured, seen.T, known.T, strict=True):
+        reach, usual = float(np.ptp(column[there])), largest[units[name]]
+        sizes.append(deviations.get(name, reach if reach > _STILL * usual else usual or 1.0))
     return np.array(sizes)
 
 
@@ -232,9 +261,13 @@ def _scale(runs: Runs, name: str) -> float:
 
 def _bounds(runs: Runs, bounds: Mapping[str, tuple[float, float]]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     variables = {v.name: v for v in runs.unit.parameters}
-    for name, (a, b) in bounds.items():
+    for name, given in bounds.items():
         if name not in runs.by:
             raise InputError(f"bounds are given for {name!r}, which is not varied; {there_is(name, runs.by)}")
+        try:
+            a, b = map(float, given)
+        except (TypeError, ValueError):
+            raise InputError(f"the bounds of {name} are {shown(given)}; give two numbers") from None
         if not a < b:
             raise InputError(f"the bounds of {name} are {a} and {b}; the first must be less")
     low, high = [], []
@@ -242,6 +275,8 @@ def _bounds(runs: Runs, bounds: Mapping[str, tuple[float, float]]) -> tuple[NDAr
         v = variables[name]
         own = (-math.inf if v.minimum is None else v.minimum, math.inf if v.maximum is None else v.maximum)
         a, b = bounds.get(name, own)
+        if max(a, own[0]) >= min(b, own[1]):
+            raise InputError(f"the bounds of {name} are {a:g} and {b:g}; it must be from {own[0]:g} to {own[1]:g}")
         low.append(max(a, own[0]))
         high.append(min(b, own[1]))
     return np.array(low), np.array(high)
@@ -299,22 +334,26 @@ class _Problem:
 
 
 def _covariance(
-    runs: Runs, problem: _Problem, x: NDArray[np.float64], scale: NDArray[np.float64]
+    runs: Runs, problem: _Problem, x: NDArray[np.float64], scale: NDArray[np.float64], free: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """(J' J)^-1 times the variance of what is left; infinite where the data do not tell a number."""
-    left, slopes = problem.residuals(x), problem.derivatives(x) * scale
+    """(J' J)^-1 times the variance of what is left, of the numbers that are free; infinite where the data do not tell
+    one, not a number for the others, and for all where nothing is left over to tell the variance."""
+    left, slopes = problem.residuals(x), (problem.derivatives(x) * scale)[:, free]
     _, sizes, rows = np.linalg.svd(slopes, full_matrices=False)
-    seen = sizes > _UNSEEN * sizes[0]
-    variance = float(left @ left) / max(len(left) - len(x), 1)
+    seen = sizes > _UNSEEN * sizes.max(initial=0.0)
+    spare = len(left) - len(sizes)
+    variance = float(left @ left) / spare if spare else math.nan
     inverse = rows[seen].T / sizes[seen]
-    covariance = variance * inverse @ inverse.T * np.outer(scale, scale)
+    among = variance * inverse @ inverse.T * np.outer(scale[free], scale[free])
     hidden = np.abs(rows[~seen]).max(axis=0, initial=0.0) > math.sqrt(_UNSEEN)
     if hidden.any():
-        names = ", ".join(name for name, each in zip(runs.by, hidden, strict=True) if each)
+        names = ", ".join(np.array(runs.by)[free][hidden])
         _LOGGER.warning(
             "%s: the data do not tell %s, or tell a combination of them alone; vary fewer, or measure more",
             *(runs.unit.name, names),
         )
-        covariance[hidden, :] = covariance[:, hidden] = np.nan
-        covariance[hidden, hidden] = np.inf
+        among[hidden, :] = among[:, hidden] = np.nan
+        among[hidden, hidden] = np.inf
+    covariance = np.full((len(x), len(x)), np.nan)
+    covariance[np.ix_(free, free)] = among
     return covariance

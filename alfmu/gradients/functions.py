@@ -44,17 +44,18 @@ class _Names(Mapping[str, Any]):
         return len(self.made)
 
 
-def _evaluated(expression: Expression, names: _Names) -> Any:
+def _evaluated(expression: Expression, names: _Names) -> ca.SX:
     """The expression of symbols; InputError where it is none."""
     if isinstance(expression, str):
         return names[expression]
     try:
-        found = expression(names)
-    except (TypeError, AttributeError, NotImplementedError, ValueError) as error:
-        raise InputError(f"an expression of a run cannot be differentiated: {error}; use CasADi's functions") from error
-    if isinstance(found, int | float):
-        raise InputError("an expression of a run takes no column, so that it has no derivative")
-    return found
+        return ca.SX(expression(names))
+    except (TypeError, AttributeError, NotImplementedError, ValueError, ArithmeticError, RuntimeError) as error:
+        why = str(error).strip().partition("\n")[0]
+        raise InputError(
+            f"an expression of a run cannot be differentiated ({why}); it must be one expression of columns, by "
+            "CasADi's functions"
+        ) from error
 
 
 class Function(ABC):
@@ -73,14 +74,17 @@ class _OfExpression(Function):
 
     def __init__(self, expression: Expression):
         names = _Names(ca.SX.sym)
-        value = ca.SX(_evaluated(expression, names))
+        value = _evaluated(expression, names)
         if value.shape != (1, 1):
             raise InputError(f"an expression of a run must be one number, not {value.shape[0]} by {value.shape[1]}")
         self._expression = expression
         self.names = tuple(name for name in names.made if name != TIME)
-        if not self.names:
-            raise InputError("an expression of a run takes no column, so that it has no derivative")
         symbols = ca.vertcat(*(names.made[name] for name in self.names))
+        if not (self.names and ca.depends_on(value, symbols)):
+            raise InputError(
+                "an expression of a run takes no column, so that it has no derivative; name columns, and use CasADi's "
+                "functions"
+            )
         time = names.made.get(TIME, ca.SX.sym(TIME))
         self._value = ca.Function("value", [symbols, time], [value, ca.jacobian(value, symbols)])
 

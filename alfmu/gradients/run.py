@@ -18,7 +18,7 @@ from ..model.words import there_is
 from ..result import Result, Signal
 from ..runtime.instance import Instance, tell_of_jumps
 from ..runtime.sweeps import Sweeps
-from ..simulation import Progress, communication_points, prepare, table_of, values_of
+from ..simulation import Progress, by_name, communication_points, prepare, table_of, values_of
 from .functions import Expression, Final, Function
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ class Runs:
         self.names = [v.name for v in self.unit.parameters]
         own = {v.name for v in self.unit.input_variables if v.type != "Boolean"}
         self._check(own)
-        given: dict[str, Signal] = dict(inputs or {})
+        given: dict[str, Signal] = by_name(self.unit, "inputs", inputs)
         for name in self.by:
             if name in own and name not in given:
                 given[name] = self.unit.get(name)
@@ -128,7 +128,9 @@ class Runs:
         count, starts = len(e.parameters), 2 * len(e.starts)
         states = count + starts + len(e.compliances)
         known = {*self.names[: count + starts], *self.names[states : states + len(e.states)], *inputs}
-        for name in self.by:
+        for k, name in enumerate(self.by):
+            if name in self.by[:k]:
+                raise InputError(f"{e.name}: {name} is named twice among what it is differentiated by; leave one out")
             if name not in known:
                 raise InputError(
                     f"{e.name} has no parameter, start value or input {name!r} to differentiate by; "

@@ -70,14 +70,21 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     rule, explicit_one = implicit.RULES.get(name), explicit_rule(name, tolerance)
     if rule is None and explicit_one is None:
         return {}
+    gaining = replace(
+        plan, iterations=3 if tracer.e.l else 1, corrections=3 * bool(tracer.e.l), quick=False, gaining=True
+    )
     if explicit_one:
         programs = {"method": _Explicit(tracer, plan).program(explicit_one)}
-        careful = replace(plan, iterations=3 if tracer.e.l else 1, corrections=3 * bool(tracer.e.l), quick=False)
-        program = _Explicit(tracer, replace(careful, gaining=True), name="method_careful").program(explicit_one)
+        program = _Explicit(tracer, gaining, name="method_careful").program(explicit_one)
         programs["method_careful"] = _softened(tracer, program) if tracer.e.l else program
+        if default_settings(tracer.e).method == "auto" and "tangents" in tracer.e.signatures:
+            programs["stiff"] = _Collocation(tracer, gaining, implicit.RULES["stiff"], "stiff").program("stiff")
+    elif isinstance(rule, Collocation):
+        programs = {"method": _Collocation(tracer, plan, rule).program()}
+        if tracer.e.l:
+            programs["method_careful"] = _Collocation(tracer, gaining, rule, name="method_careful").program()
     else:
-        kind = _Collocation if isinstance(rule, Collocation) else _Newmark
-        programs = {"method": kind(tracer, plan, rule).program()}
+        programs = {"method": _Newmark(tracer, plan, rule).program()}
     if tracer.e.l:
         # Implicit methods have no limits at singular positions: an explicit one passes them.
         on_branch = Plan(3, 3, weighted=True, branch=True, gaining=True, spacing=LONG_SPACING, side=LONG_PLACES)
@@ -269,6 +276,7 @@ class _Implicit(_Step):
 
     def __init__(self, tracer: Tracer, plan: Plan, mark: str = "method", name: str = ""):
         super().__init__(tracer, plan, mark, name)
+        self.by_constraints = False  # an implicit step looks at margins, with as many iterations as it takes, too
         self.moved = SX(len(self.e.states), 1)
         self.side = self.e.n + len(self.e.states)
         alike = "guess dq dv change w after_w dx rates_of begun"
@@ -321,14 +329,16 @@ class _Implicit(_Step):
 class _Collocation(_Implicit):
     """A step of a collocation method, by the accelerations at its nodes."""
 
-    def __init__(self, tracer: Tracer, plan: Plan, rule: Collocation):
-        super().__init__(tracer, plan)
+    def __init__(self, tracer: Tracer, plan: Plan, rule: Collocation, mark: str = "method", name: str = ""):
+        super().__init__(tracer, plan, mark, name)
         self.rule, self.nodes = rule, [str(i + 1) for i in range(len(rule.nodes))]
         self.count = self.side * len(rule.nodes)
         tracer.lengths |= dict.fromkeys(("history", "rates", "changes"), self.count)
 
-    def program(self) -> Program:
+    def program(self, allowed: str = "") -> Program:
+        """A step; `allowed` is the setting that has its tolerance over that of the method, if it is another."""
         side, rule, calls, s = self.side, self.rule, self.calls, len(self.nodes)
+        self.allowed = getattr(self.scene.settings, allowed) if allowed else SX(1)
         self.begin()
         self.start()
         self.stiff(calls, "0")
@@ -399,6 +409,7 @@ class _Collocation(_Implicit):
         # What q changes by, and behind it what v and the states do.
         sizes = [step * combined(row, parts)[:n] for row in self.rule.matrix], parts
         change = ca.mmax(ca.vertcat(*(ca.fabs(step * ca.vertcat(*x) / allowed) for x in zip(*sizes, strict=True))))
+        change /= self.allowed
         finite = ca.sumsqr(changes) < math.inf
         converged, worth = newton(change, before, ca.if_else)
         converged = ca.logic_and(finite, converged)
@@ -425,7 +436,7 @@ class _Collocation(_Implicit):
             work = z[self.layout.work]
             return q, v, work + dt * combined(rule.matrix[-1], list(powers)) if powers else work, *x
 
-        self.calls("method_sum", spaced("z step rates", powers), spaced("q v work", self.tracer.states), found)
+        self.calls(f"{self.mark}_sum", spaced("z step rates", powers), spaced("q v work", self.tracer.states), found)
 
     def _judge(self) -> None:
         """The error of the step, filtered twice as in `alfmu.method.stepping.collocation_error`."""
@@ -444,6 +455,7 @@ class _Collocation(_Implicit):
             *x, dq, dv, renew = known
             states = (None, *x, dv[n:]) if x else ()
             size, floor = scene.error_size(z, q, v, ca.vertcat(dq[:n], dv[:n]), *states)
+            size /= self.allowed
             return ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf), floor
 
         calls("estimate", f"z step rates {self.rates_of('0')}", "dq dv", first)
@@ -452,9 +464,11 @@ class _Collocation(_Implicit):
             self.solve(calls, "filtered", ["estimate"], "dv")
             calls("moving", "step dq dv", "dq", lambda dt, dq, dv: dq + rule.gamma * dt * dv)
         self.project()
-        calls("method_error", spaced("z q v", self.tracer.states, "dq dv renew p k"), "error floor", size)
+        calls(f"{self.mark}_error", spaced("z q v", self.tracer.states, "dq dv renew p k"), "error floor", size)
         if self.kinked:
-            self.judge_kinks(rule, ["0", *self.nodes], [self.rates_of("0"), "rates"], scene.settings.beside)
+            # The tolerance of an explicit step is that of the scene's own method, or that beside it.
+            explicit = scene.settings.beside if self.mark == "method" else SX(1)
+            self.judge_kinks(rule, ["0", *self.nodes], [self.rates_of("0"), "rates"], explicit)
 
 
 class _Newmark(_Implicit):

@@ -6,13 +6,16 @@ equal. Methods of high order see little of a kink in the middle of a step by the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import casadi as ca
 import numpy as np
 from casadi import SX
 
+from ..equations import Equations
 from .stream import BINARY, Instructions
 
-__all__ = ["JUMPS", "jumps", "kinks"]
+__all__ = ["JUMPS", "jumps", "kinks", "kinks_of_rates"]
 
 _COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)
 """Operations with a kink, or a jump, where both operands are equal."""
@@ -49,6 +52,14 @@ def kinks(f: ca.Function, arguments: list[SX], along: SX) -> SX:
             k = (first, second)[_SIGNED[code]]
             found.setdefault((k, k), values[k])
     return ca.vertcat(*(x for x in found.values() if ca.depends_on(x, along)))
+
+
+def kinks_of_rates(equations: Equations, x: Mapping[str, SX]) -> SX:
+    """What changes its sign where accelerations, or rates of states, have a kink, by the symbols x."""
+    known = [x[name] for name in "qvupt"]
+    along = ca.vertcat(*(x[name] for name in "qvut"))
+    names = ["dynamics", *["state_rates"] * bool(equations.states)]
+    return ca.vertcat(*(kinks(equations.functions[name], known, along) for name in names))
 
 
 JUMPS = {

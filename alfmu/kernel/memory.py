@@ -15,12 +15,13 @@ TIERS = ("quick", "careful", "branch")
 
 SETTINGS = (
     *("alpha", "tolerance", "freedom", "masses", "regular", "nothing", "least_distance", "continues"),
-    *("relative", "absolute", "short", "beside"),
+    *("relative", "absolute", "short", "beside", "stiff"),
 )
 """What `k` begins with. Degrees of freedom, logarithm of the product of the pivots that masses make, product of all
 pivots below which a position may be singular, margin that is nothing, least distance of places beside a singular
 position, whether to continue on the branch there (`method.singular`); tolerances of a step with error control, and over
-them that of a short step, and that of an explicit step on the branch in place of an implicit one."""
+them that of a short step, that of an explicit step on the branch in place of an implicit one, and that of an implicit
+step in place of an explicit one."""
 
 CONTROL = ("step_size", "tier", "method")
 """Largest internal step [s]; first tier (0 quick, 1 careful); what makes the steps (0 the tiers, 1 the method of the
@@ -28,20 +29,23 @@ scene with error control, 2 the same in steps of one length)."""
 
 TALLY = (
     *(*TIERS, "limits", "short_tries", "short_beside", "short_limits"),
-    *("tries", "careful_tries", "covered", "refused", "beside", "beside_limits"),
+    *("stiff_tries", "tries", "careful_tries", "covered", "refused", "beside", "beside_limits"),
 )
 """Internal steps made by each tier, limits taken; tries of short steps, those of them on the branch, limits taken
-there; by the method of the scene: tries, those of them with careful iterations, steps made, refused ones (short ones
-too), tries on the branch, limits taken there."""
+there; tries of implicit steps in place of explicit ones; by the method of the scene: tries, those of them with careful
+iterations, steps made, refused ones (short ones too), tries on the branch, limits taken there."""
 
 PACE = (
     *("dt", "before", "refused", "fixed", "end", "last", "accepted", "floor", "careful"),
     *("short", "other_dt", "other_before", "other_refused"),
+    *("stiff", "since", "patience"),
 )
 """What step control remembers (`method.stepping.Control.numbers`); the length of all steps where they have one, else 0,
 the end of the communication step, the length of the last step in it that was accepted, 0 before the first; whether the
 last one was accepted; what round-off left of its error over the tolerance; steps that go on with careful iterations;
-whether the first three are of short steps, and those of the method that is not in use (0 where none is known)."""
+whether the first three are of short steps, and those of the method that is not in use (0 where none is known);
+whether implicit steps are made in place of explicit ones, how many steps since the others were tried, and how many are
+made before they are again."""
 
 SEEN = ("acceleration_error", "near", "trouble")
 """What `seen` ends with: largest |Phi-ddot|, whether a limit has to be read instead, trouble."""
@@ -101,7 +105,7 @@ class Layout:
         self.pivot: int = self.change + 1
         self.near: int = self.pivot + 1
         size = self.near + 1
-        kept = e.kernel["method"].history if "method" in e.kernel else 0
+        kept = max((program.history for program in e.kernel.values()), default=0)
         lengths: dict[str, int] = {
             "z": size,
             "after": size,

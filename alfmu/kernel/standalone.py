@@ -54,9 +54,9 @@ def standalone(equations: Equations) -> Equations:
     if tracer.reads_quickly():
         kernel["instant_quick"] = tracer.instant_quick()
         # The work of what moves by itself is not handed on.
-        for name, step in {"onward": "quick", "short_onward": "short"}.items():
-            if not (e.timed or tracer.timed()) and step == ("short" if "method" in kernel else "quick"):
-                kernel[name] = tracer.onward(kernel[step])
+        if not (e.timed or tracer.timed()):
+            name, step = ("short_onward", "short") if "method" in kernel else ("onward", "quick")
+            kernel[name] = tracer.onward(kernel[step])
     if "reach" in kernel:
         kernel["reach"] = Program((Choice("within", zero=kernel["reach"].steps),))
     if e.l:

@@ -57,7 +57,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 13
+VERSION = 14
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -94,6 +94,7 @@ FUNCTIONS = {
 PROGRAMS = {
     **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
     **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful", "short_step": "short"},
+    **{"stiff_step": "stiff"},
     **_same("short_beside onward short_onward instant_quick"),
     **_same("instant_patient limit_patient keep gripping"),
     **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),
@@ -148,6 +149,7 @@ NUMBERS: dict[str, Number] = {
     "method": lambda t: 1 + (t.method in FIXED) if t.rule else 0,
     "rk4_choice": lambda t: list(t.known["solver.method"]).index("rk4") if "rk4" in t.known["solver.method"] else -1,
     "automatic": lambda t: default_settings(t.e).method == "auto",
+    "implicit": lambda t: bool(t.rule) and t.e.kernel["method"].nodes > 0,
     "method_cost": lambda t: t.cost("method"),
     "short_cost": lambda t: t.cost("short"),
     **{name: partial(lambda name, t: t.layout.fields[name][0], name) for name in FIELDS},
@@ -171,6 +173,8 @@ REALS: dict[str, Number] = {
     "exponent": lambda t: t.share[1],
     "short_share": lambda t: share(EXPLICIT5_SHORT)[0],
     "short_exponent": lambda t: share(EXPLICIT5_SHORT)[1],
+    "stiff_share": lambda t: share(implicit.RULES["stiff"])[0],
+    "stiff_exponent": lambda t: share(implicit.RULES["stiff"])[1],
     "beside_share": lambda t: share(EXPLICIT8)[0],
     "beside_exponent": lambda t: share(EXPLICIT8)[1],
 }

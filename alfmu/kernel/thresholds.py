@@ -125,6 +125,16 @@ REGAINED = 1.2
 """ratio of steps [1]: what `auto` takes for the step of the method that it does not use grows by it with each step of
 the other one, as conditions change; below 1.1 the five-bar takes long steps for 0.2 s after a singular position."""
 
+LONGER = 5.0
+"""ratio of steps [1]: `auto` goes over to implicit steps where one so many times as long as the explicit ones keeps the
+tolerance, as stability alone keeps these short."""
+
+PATIENCE = 100
+"""number of steps [1]: after so many `auto` tries whether implicit ones can be longer, or explicit ones are enough."""
+
+MOST_PATIENCE = 1600
+"""number of steps [1]: after each such try in vain it waits twice as long, up to this."""
+
 STAYS_CAREFUL = 8
 """number of tries [1]: so many are made with careful iterations after one that needed them."""
 

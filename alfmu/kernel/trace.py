@@ -30,7 +30,7 @@ from ..method.integrators import rk4
 from ..model.settings import Settings
 from . import rubbing
 from .form import Call, Choice, Loop, Plan, Program, Step, Steps, called
-from .kinks import kinks
+from .kinks import kinks_of_rates
 from .memory import GROSS, TIERS, Layout
 from .symbolic import MATRICES, Scene, Watch, lengths_of
 
@@ -209,10 +209,7 @@ class Tracer:
     def kinks(self) -> ca.Function:
         """kinks(t, q, v, u, p): what changes its sign where the rates of the motion or of states have a kink."""
         x = symbols(self.e)
-        known = [x[name] for name in "qvupt"]
-        along = ca.vertcat(*(x[name] for name in "qvut"))
-        names = ["dynamics", *["state_rates"] * bool(self.e.states)]
-        found = ca.vertcat(*(kinks(self.e.functions[name], known, along) for name in names))
+        found = kinks_of_rates(self.e, x)
         self.lengths["kinks"] = found.numel()
         return shared("kinks", [x[name] for name in "tqvup"], [found])
 

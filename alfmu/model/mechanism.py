@@ -378,6 +378,8 @@ class Spring(Brief):
     damping: Scalar
     rest: Scalar
     name: str = ""
+    friction: bool = False
+    """Whether it is the viscous friction of a joint, which nobody declared as a spring."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -859,7 +861,8 @@ class Mechanism:
         A hinge `A` has `A.angle` [rad], `A.angular_velocity` and `A.angular_acceleration`, a slider `guide` has
         `guide.displacement` [m], `guide.velocity` and `guide.acceleration`: of the second body from the first. A spring
         `S` has `S.elongation`, `S.elongation_rate` and `S.force` [N], positive in tension, or `S.torque` [N.m]. One
-        without a name is called after its joint (`A.spring`), between points by its number (`spring1`).
+        without a name is called after its joint (`A.spring`), between points by its number (`spring1`). Viscous
+        friction is no spring: declare a damper in its place to measure it.
 
         Raises DeclarationError where something is neither a spring nor a joint with one free motion.
         """
@@ -901,9 +904,9 @@ class Mechanism:
         return [(name, s) for name, s in self._springs() if s.name or self.measures_all or id(s) in asked]
 
     def _springs(self) -> list[tuple[str, Spring]]:
-        """All springs, by their own names or by those that `measure` gives them."""
+        """All springs but frictions, by their own names or by those that `measure` gives them."""
         named: dict[str, Spring] = {}
-        for i, spring in enumerate(self.springs, 1):
+        for i, spring in enumerate((s for s in self.springs if not s.friction), 1):
             joint = spring.between if isinstance(spring.between, AnyJoint) else None
             name = spring.name or (f"{joint.name}.spring" if joint else f"spring{i}")
             named[f"{name}{i}" if name in named else name] = spring
@@ -1623,7 +1626,8 @@ class Mechanism:
                 "coefficient; give coulomb"
             )
         if not dry or not symbolic(viscous).is_zero():
-            self.spring_damper(joint, damping=viscous)
+            known = replace(self.spring_damper(joint, damping=viscous), friction=True)
+            Mechanism.springs.of(self)[-1] = known
         if dry:
             self._dry_friction(joint, along, coulomb, static, radius, length, stribeck, collar)
 
@@ -1967,7 +1971,7 @@ class Mechanism:
         except DeclarationError as error:
             raise DeclarationError(f"{self.name}: {name}: {error}") from None
         if name.split(".")[0] in _RESERVED and what != "a start value":
-            raise DeclarationError(f"{self.name}: {name!r} is a name that alfmu uses itself")
+            raise DeclarationError(f"{self.name}: {name!r} is a name that alfmu uses itself; choose another")
         if name in self._names:
             raise DeclarationError(
                 f"{self.name}: {name!r} is {self._names[name]} already{self.declared_at(name)}; take another name"

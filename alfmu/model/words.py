@@ -10,7 +10,7 @@ from typing import Any
 
 from .errors import DeclarationError
 
-__all__ = ["LONGEST", "Brief", "counted", "in_words", "nearest", "shown", "text", "there_is"]
+__all__ = ["LONGEST", "Brief", "counted", "in_words", "nearest", "shown", "some_like", "text", "there_is"]
 
 LONGEST = 200
 """Most characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
@@ -95,6 +95,12 @@ def there_is(name: object, names: Collection[str]) -> str:
     listed = list(names)
     more = f" and {len(listed) - _SHOWN} more" if len(listed) > _SHOWN + 1 else ""
     return f"it has {', '.join(listed[: _SHOWN if more else None]) or 'none'}{more}"
+
+
+def some_like(pattern: str, names: Collection[str]) -> str:
+    """The same of a pattern that nothing matches: all of a part may have been meant, as of a body by its name."""
+    whole = any(name.startswith(f"{pattern}.") for name in names)
+    return f"did you mean {pattern}.*?" if whole else there_is(pattern, names)
 
 
 def in_words(names: Collection[str]) -> str:

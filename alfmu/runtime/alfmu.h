@@ -250,7 +250,7 @@ typedef struct Instance {
     Flags flags_before;
     double *read_at; /* q, v and inputs where outputs were read last */
     int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
-    long shared;     /* evaluations that served what was read and a step, since the motion began */
+    long shared;     /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
     int within; /* whether the next step goes on in a communication step that began before */
     long left;  /* internal steps that this communication step may still take */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
@@ -306,6 +306,7 @@ Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknow
 /* The same by inputs, and before the run by parameters and start values: along a direction of what is known, or back from
    one of what is not. */
 int has_derivatives(const Scene *s, int reference);
+int moves_start(const Instance *i);
 Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
     size_t known_count, const double *seed, int back, double *found);
 Outcome instance_output_derivatives(

@@ -417,7 +417,7 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
     if (!i->flags.initialized && (phase(c) != INITIALIZING || !begun(c)))
         return component_refuse(c, ERROR_, call, "outputs are known after initialising");
     for (size_t k = 0; k < known_count; k++)
-        inputs &= i->scene->variables[knowns[k]].kind == INPUT;
+        inputs &= i->scene->variables[knowns[k]].kind == INPUT && !moves_start(i);
     outcome = instance_read(i);
     if (outcome == DONE && inputs && !back) /* What the scene has for them, which is evaluated at once. */
         outcome = instance_derivative(i, unknowns, unknown_count, knowns, known_count, seed, found);

@@ -256,6 +256,13 @@ static Outcome open_to_change(Instance *i, const Variable *v)
     return DONE;
 }
 
+/* What the start depends on may have changed: until the run has begun, it is made again when it is asked for. */
+static void start_again(Instance *i, int changed)
+{
+    if (changed && !(i->flags.phase & RUN))
+        i->flags.initialized = 0;
+}
+
 static Outcome set_choice(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
@@ -285,8 +292,10 @@ static Outcome set_input(Instance *i, int reference, double value)
     *u = value;
     *slope = s->no_slope;
     i->flags.known = 0;
-    if (fabs(value) <= TRIED || !i->flags.initialized || instance_read(i) == DONE)
+    if (fabs(value) <= TRIED || !i->flags.initialized || instance_read(i) == DONE) {
+        start_again(i, value != u_before || slope_before != s->no_slope);
         return DONE;
+    }
     *u = u_before;
     *slope = slope_before;
     return say(i, REFUSED, "%s: %s = %g %s: outputs are not finite with it; give a smaller value", s->name,
@@ -296,7 +305,9 @@ static Outcome set_input(Instance *i, int reference, double value)
 static Outcome set_switch(Instance *i, int reference, double value)
 {
     const Scene *s = i->scene;
-    i->wanted[reference - s->parameters - s->choices - s->inputs] = value;
+    double *wanted = i->wanted + (reference - s->parameters - s->choices - s->inputs);
+    start_again(i, value != *wanted);
+    *wanted = value;
     i->flags.pending = 0;
     for (int k = 0; k < s->switches; k++)
         i->flags.pending |= i->wanted[k] != i->on[k];
@@ -349,6 +360,7 @@ Outcome instance_set_slope(Instance *i, int reference, double value)
     if (!isfinite(value))
         return say(i, REFUSED, "%s: the derivative of %s is %g; it must be a finite number", s->name,
             s->variables[reference].name, value);
+    start_again(i, value != i->slopes[1 + reference - s->parameters - s->choices]);
     i->slopes[1 + reference - s->parameters - s->choices] = value;
     return DONE;
 }
@@ -647,6 +659,8 @@ void settle_kernel(Instance *i)
     k[SETTINGS_BESIDE] =
         s->method == 1 ? of_step(s->beside_share, s->beside_exponent, relative) / k[SETTINGS_RELATIVE] : 1.0;
     k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;
+    k[SETTINGS_STIFF] =
+        s->method == 1 ? of_step(s->stiff_share, s->stiff_exponent, relative) / k[SETTINGS_RELATIVE] : 1.0;
     for (int c = 0; c < s->n; c++)
         rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
     field(i, s->dt)[0] = control[CONTROL_STEP_SIZE] = i->values[s->step_size];
@@ -994,8 +1008,11 @@ void instance_balance(Instance *i)
             "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
             z[s->time], c[RUN_ERROR],
             method(i) == 1 ? "use a smaller solver.relative_tolerance"
-                           : "steps of solver.step_size are too long: take shorter ones, or solver.method explicit or "
-                             "stiff, which control their error");
+            : s->l && !continues(i)
+                ? "near singular positions solver.formulation residual with solver.branch continue keeps it; elsewhere take "
+                  "a smaller solver.step_size"
+                : "steps of solver.step_size are too long: take shorter ones, or solver.method explicit or stiff, which "
+                  "control their error");
 }
 
 /* What the last communication step changed of the balance, where somebody reads it. */

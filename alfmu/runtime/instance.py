@@ -29,7 +29,7 @@ from ..model.mechanism import Mechanism
 from ..model.registry import load
 from ..model.settings import FIXED, Settings
 from ..model.words import there_is
-from .library import BRAKES, DONE, ENDED, FAILED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
+from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
 from .prepare import again, loaded, retraced
 from .probe import mobility, shared
 from .reuse import derive, ready
@@ -291,7 +291,7 @@ class Instance:
             self._rebuild(again(replace(self.equations, brakes=True)))
             outcome = self._unit.initialize()
         if outcome != DONE:
-            raise {REFUSED: InputError, OPEN: OpenError}.get(outcome, AssemblyError)(self._unit.text)
+            raise self._failure(outcome, moving=False)
         self._assembled()
         self._unit.run_on(True)
 
@@ -375,8 +375,12 @@ class Instance:
 
     def _judged(self, outcome: int) -> None:
         if outcome != DONE:
-            kinds = {REFUSED: InputError, OPEN: OpenError, UNHELD: AssemblyError}
-            raise kinds.get(outcome, StepError)(self._unit.text)
+            raise self._failure(outcome, moving=True)
+
+    def _failure(self, outcome: int, moving: bool) -> AlfmuError:
+        """What a call of the library came to; `moving` says whether the run had begun."""
+        kinds = {REFUSED: InputError, OPEN: OpenError, UNHELD: AssemblyError, ENDED: StepError}
+        return kinds.get(outcome, StepError if moving else AssemblyError)(self._unit.text)
 
     def _read(self) -> int:
         if not self.initialized:
@@ -434,9 +438,7 @@ class Instance:
         self._warn()
         error = raised[0] if raised else None
         if outcome not in (DONE, INTERRUPTED):
-            kinds = {REFUSED: InputError, OPEN: OpenError, ENDED: StepError}
-            kinds[FAILED] = StepError if self.initialized else AssemblyError
-            error = kinds.get(outcome, AssemblyError)(self._unit.text)
+            error = self._failure(outcome, self.initialized)
         return values[:made], error
 
     # Topology ----------------------------------------------------------------------------------------------------
@@ -506,11 +508,18 @@ class Instance:
                 c.projection_iterations += 2 * tries * plan.corrections
         c.steps += covered
         c.refused += refused
+        passes = int(self.memory["passes"].sum())
+        if tried := tally["stiff_tries"]:
+            program = kernel["stiff"]
+            evaluations = tried * program.evaluations + passes * program.nodes
+            c.evaluations += evaluations
+            c.multiplier_iterations += evaluations * program.plan.iterations
+            c.projection_iterations += 2 * tried * program.plan.corrections
         if tried := tally["tries"] + beside:
             program = kernel["method"]
-            # Careful tries, and those on the branch, evaluate once more for what round-off leaves.
-            judging = tally["careful_tries"] + beside
-            evaluations = tried * program.evaluations + judging + int(self.memory["passes"].sum()) * program.nodes
+            # Careful explicit tries, and those on the branch, evaluate once more for what round-off leaves.
+            judging = tally["careful_tries"] * (program.nodes == 0) + beside
+            evaluations = tried * program.evaluations + judging + passes * program.nodes
             evaluations += tally["beside_limits"] * (2 * kernel["beside"].plan.side - 1) if beside else 0
             c.evaluations += evaluations
             c.multiplier_iterations += evaluations * program.plan.iterations

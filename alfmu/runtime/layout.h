@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 13
+#define SCENE_VERSION 14
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -42,7 +42,7 @@
 #define JUMPS "%s: %s jumps by %.6g %s at t = %.6g s, which no rigid mechanism follows; give a law without jumps"
 #define BROKEN "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law that is finite there with both, or other parameters"
 #define IMPACT "%s: %s changes its rate by %.6g %s at t = %.6g s, which is an impact whose impulse is in no output; round the law off there, if no impact was meant"
-#define SETTINGS 12
+#define SETTINGS 13
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1
 #define SETTINGS_FREEDOM 2
@@ -55,11 +55,12 @@
 #define SETTINGS_ABSOLUTE 9
 #define SETTINGS_SHORT 10
 #define SETTINGS_BESIDE 11
+#define SETTINGS_STIFF 12
 #define CONTROL 3
 #define CONTROL_STEP_SIZE 0
 #define CONTROL_TIER 1
 #define CONTROL_METHOD 2
-#define TALLY 13
+#define TALLY 14
 #define TALLY_QUICK 0
 #define TALLY_CAREFUL 1
 #define TALLY_BRANCH 2
@@ -67,13 +68,14 @@
 #define TALLY_SHORT_TRIES 4
 #define TALLY_SHORT_BESIDE 5
 #define TALLY_SHORT_LIMITS 6
-#define TALLY_TRIES 7
-#define TALLY_CAREFUL_TRIES 8
-#define TALLY_COVERED 9
-#define TALLY_REFUSED 10
-#define TALLY_BESIDE 11
-#define TALLY_BESIDE_LIMITS 12
-#define PACE 13
+#define TALLY_STIFF_TRIES 7
+#define TALLY_TRIES 8
+#define TALLY_CAREFUL_TRIES 9
+#define TALLY_COVERED 10
+#define TALLY_REFUSED 11
+#define TALLY_BESIDE 12
+#define TALLY_BESIDE_LIMITS 13
+#define PACE 16
 #define PACE_DT 0
 #define PACE_BEFORE 1
 #define PACE_REFUSED 2
@@ -87,6 +89,9 @@
 #define PACE_OTHER_DT 10
 #define PACE_OTHER_BEFORE 11
 #define PACE_OTHER_REFUSED 12
+#define PACE_STIFF 13
+#define PACE_SINCE 14
+#define PACE_PATIENCE 15
 #define SEEN 3
 #define SEEN_ACCELERATION_ERROR 0
 #define SEEN_NEAR 1
@@ -130,6 +135,9 @@
 #define FIRST_STEP 0.001
 #define SHORTENED 0.2
 #define REGAINED 1.2
+#define LONGER 5.0
+#define PATIENCE 100
+#define MOST_PATIENCE 1600
 #define STAYS_CAREFUL 8
 #define UNSEEN 16
 #define SEEN_FLOOR 0.1
@@ -227,6 +235,7 @@
     X(method) \
     X(rk4_choice) \
     X(automatic) \
+    X(implicit) \
     X(method_cost) \
     X(short_cost) \
     X(z) \
@@ -307,6 +316,7 @@
     X(method_step) \
     X(method_careful) \
     X(short_step) \
+    X(stiff_step) \
     X(short_beside) \
     X(onward) \
     X(short_onward) \
@@ -332,6 +342,8 @@
     X(exponent) \
     X(short_share) \
     X(short_exponent) \
+    X(stiff_share) \
+    X(stiff_exponent) \
     X(beside_share) \
     X(beside_exponent)
 
@@ -352,6 +364,7 @@
     X(method_step) \
     X(method_careful) \
     X(short_step) \
+    X(stiff_step) \
     X(short_beside) \
     X(onward) \
     X(short_onward) \

@@ -17,6 +17,12 @@ int has_derivatives(const Scene *s, int reference)
     return v->kind == PARAMETER && (reference < starts || (reference >= states && reference < s->parameters - s->solver));
 }
 
+/* Whether inputs move places while the run begins. */
+int moves_start(const Instance *i)
+{
+    return i->scene->followed_count && !(i->flags.phase & RUN);
+}
+
 Outcome differentiable(Instance *i)
 {
     const Scene *s = i->scene;
@@ -61,7 +67,7 @@ Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_cou
     Outcome outcome;
     int of_start = 0;
     for (size_t k = 0; k < known_count; k++)
-        of_start |= i->scene->variables[knowns[k]].kind == PARAMETER;
+        of_start |= i->scene->variables[knowns[k]].kind == PARAMETER || moves_start(i);
     if (!i->gradient)
         i->gradient = gradient_new(i, 1);
     g = i->gradient;

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from ..equations import Equations, Mobility
-from ..equations.evaluation import DENSE, with_tangents
+from ..equations.evaluation import DENSE, symbols, with_tangents
 from ..equations.interface import CHOICES, checked, default_settings, integrator, setting, variables_of
 from ..kernel import DEFAULT, KERNELS
 from ..kernel.alternatives import formulations
 from ..kernel.controlled import controlled
+from ..kernel.kinks import kinks_of_rates
 from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
@@ -87,15 +88,23 @@ def decided(equations: Equations) -> Equations:
             limit = f"solver.formulation {formulation} is not there for constraints of velocities, such as a blade's"
         raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
     chosen, reason = integrator(equations), equations.reason
-    if chosen == "auto":
+    if undecided := chosen == "auto":
         chosen, reason = _chosen(equations)
     if chosen in RULES and equations.n > DENSE:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
     if chosen in UNRUBBED and equations.frictions:
         limit = f"solver.method {chosen} has no dry friction, which {equations.frictions[0].name} has"
         raise InputError(f"{equations.name}: {limit}; use auto, rk4, order8, explicit or stiff")
-    e = with_tangents(equations) if chosen in RULES else equations
+    if stiffens := _may_stiffen(equations, chosen):
+        reason += "; implicit steps where contacts make these short" * undecided
+    e = with_tangents(equations) if chosen in RULES or stiffens else equations
     return replace(e, chosen=chosen, reason=reason)
+
+
+def _may_stiffen(equations: Equations, chosen: str) -> bool:
+    """Whether `auto` may go over to implicit steps on the way: contacts are stiff once they touch."""
+    automatic = chosen == "explicit" and default_settings(equations).method == "auto"
+    return automatic and equations.n <= DENSE and kinks_of_rates(equations, symbols(equations)).numel() > 0
 
 
 def _chosen(equations: Equations) -> tuple[str, str]:

@@ -953,6 +953,7 @@ static void programs(Reader *r)
     SCENE_PROGRAMS(KNOWN)
 #undef KNOWN
     if (s->quick < 0 || s->careful < 0 || s->instant < 0 || (s->method && s->method_step < 0)
+        || (s->stiff_step >= 0 && s->method != 1)
         || (s->short_step >= 0 && (s->method != 1 || s->short_cost < 1 || s->method_cost < 1))
         || (s->l && (s->move < 0 || s->close < 0 || s->keep < 0 || s->impact < 0)))
         spoil(r, "a program is missing");

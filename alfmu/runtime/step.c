@@ -132,7 +132,9 @@ static int try_short(Instance *i)
     const int onward = s->short_onward >= 0 && read_here(i);
     int near = onward && s->short_beside >= 0 && read_near(i);
     tally[TALLY_SHORT_TRIES] += 1.0;
-    if (!near) {
+    if (near)
+        i->shared += s->short_cost; /* None of them is made. */
+    else {
         run(i, onward ? s->short_onward : s->short_step);
         i->shared += onward;
         if (after[s->trouble] == 0.0)
@@ -153,9 +155,49 @@ static int try_short(Instance *i)
     return 0;
 }
 
+/* A step on the branch in place of one that could not be judged. */
+static void beside_it(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *after = i->m + s->after;
+    if (after[s->trouble] == 0.0 || s->beside < 0)
+        return;
+    run(i, s->beside);
+    i->m[s->pace + PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+    i->m[s->tally + TALLY_BESIDE] += 1.0;
+    i->m[s->tally + TALLY_BESIDE_LIMITS] += after[s->near];
+}
+
+/* A try of the other of explicit and implicit steps; they go on where it keeps the tolerance, and 0 where it does not.
+   Explicit steps that are so much shorter than a stable method makes them are kept short by stability. */
+static int change_over(Instance *i, double left)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *pace = m + s->pace, kept[PACE];
+    const int stiff = pace[PACE_STIFF] != 0.0;
+    const double wanted = pace[PACE_DT] * (stiff ? 1.0 : LONGER), patience = fmax(pace[PACE_PATIENCE], PATIENCE);
+    if (pace[PACE_SINCE] < patience || pace[PACE_FIXED] != 0.0 || (!stiff && wanted > left))
+        return 0;
+    memcpy(kept, pace, sizeof kept);
+    turn_to(pace, 0);
+    pace[PACE_DT] = wanted;
+    pace[PACE_LAST] = 0.0;
+    run(i, stiff ? s->method_step : s->stiff_step);
+    m[s->tally + (stiff ? TALLY_TRIES : TALLY_STIFF_TRIES)] += 1.0;
+    if (m[s->after + s->trouble] == 0.0 && pace[PACE_ACCEPTED] != 0.0) {
+        pace[PACE_STIFF] = !stiff;
+        pace[PACE_SINCE] = pace[PACE_PATIENCE] = 0.0;
+        return 1;
+    }
+    memcpy(pace, kept, sizeof kept);
+    pace[PACE_SINCE] = 0.0;
+    pace[PACE_PATIENCE] = fmin(2.0 * patience, MOST_PATIENCE);
+    return 0;
+}
+
 /* A try of a short step, of the method of the scene where that is not possible. By few multiplier iterations; by more
-   where they were not enough, or the error is too large, as what they leave is part of it; on the branch near a singular
-   position. */
+   where they were not enough, or the error of an explicit step is too large, as what they leave is part of it; on the
+   branch near a singular position. */
 static void try_step(Instance *i)
 {
     const Scene *s = i->scene;
@@ -163,21 +205,29 @@ static void try_step(Instance *i)
     const double left = pace[PACE_END] - m[s->z + s->time];
     double dt, before, refused;
     int careful;
-    turn_to(pace, short_ones(i, left));
+    if (s->stiff_step >= 0 && change_over(i, left))
+        return;
+    turn_to(pace, pace[PACE_STIFF] == 0.0 && short_ones(i, left));
     if (pace[PACE_SHORT] != 0.0) {
         if (try_short(i))
             return;
         turn_to(pace, 0);
     }
+    if (pace[PACE_STIFF] != 0.0) {
+        run(i, s->stiff_step);
+        tally[TALLY_STIFF_TRIES] += 1.0;
+        beside_it(i);
+        return;
+    }
     dt = pace[PACE_DT], before = pace[PACE_BEFORE], refused = pace[PACE_REFUSED];
-    careful = s->method_careful >= 0 && (pace[PACE_CAREFUL] > 0.0 || pace[PACE_CAREFUL] <= -UNSEEN);
+    careful = s->method_careful >= 0 && (pace[PACE_CAREFUL] > 0.0 || (pace[PACE_CAREFUL] <= -UNSEEN && !s->implicit));
     if (careful)
         pace[PACE_CAREFUL] = fmax(pace[PACE_CAREFUL], 1.0) - 1.0;
     else {
         pace[PACE_CAREFUL] -= 1.0;
         run(i, s->method_step);
         tally[TALLY_TRIES] += 1.0;
-        if (s->method_careful >= 0 && (after[s->trouble] != 0.0 || pace[PACE_ACCEPTED] == 0.0)
+        if (s->method_careful >= 0 && (after[s->trouble] != 0.0 || (pace[PACE_ACCEPTED] == 0.0 && !s->implicit))
             && !(after[s->near] != 0.0 && irregular(i))) {
             careful = 1;
             pace[PACE_CAREFUL] = STAYS_CAREFUL;
@@ -193,12 +243,7 @@ static void try_step(Instance *i)
         if (after[s->trouble] == 0.0 && pace[PACE_FLOOR] > SEEN_FLOOR)
             pace[PACE_CAREFUL] = STAYS_CAREFUL;
     }
-    if (after[s->trouble] != 0.0 && s->beside >= 0) {
-        run(i, s->beside);
-        pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
-        tally[TALLY_BESIDE] += 1.0;
-        tally[TALLY_BESIDE_LIMITS] += after[s->near];
-    }
+    beside_it(i);
 }
 
 /* Steps by the method of the scene up to an end, or so many tries; 0 where one could not be judged. */
@@ -245,6 +290,7 @@ int cover(Instance *i, double end, long tries)
             /* Steps that are refused regain nothing: short ones and those of the method would take turns for ever. */
             if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
                 pace[PACE_OTHER_DT] *= REGAINED;
+            pace[PACE_SINCE] += 1.0;
             arrive(i);
         }
         tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations.interface import Counters
-from ..model.errors import AlfmuError, AssemblyError, InputError, OpenError, StepError
+from ..model.errors import AlfmuError, StepError
 from .instance import Instance
-from .library import ENDED, FAILED, INTERRUPTED, OPEN, REFUSED, Run
+from .library import INTERRUPTED, Run
 
 __all__ = ["Sweeps"]
 
@@ -139,6 +139,4 @@ class Sweeps:
         if outcome == _NO_MEMORY:
             raise self._no_memory()
         if outcome:
-            kinds = {REFUSED: InputError, OPEN: OpenError, ENDED: StepError}
-            kinds[FAILED] = StepError if unit.initialized else AssemblyError
-            raise kinds.get(outcome, AssemblyError)(unit._unit.text)
+            raise unit._failure(outcome, unit.initialized)

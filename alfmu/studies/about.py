@@ -161,7 +161,7 @@ def in_short(a: About) -> list[str]:
         _fitted("parameters", [f"{v.name} = {_start(v)} {v.unit}".removesuffix(" 1") for v in own]),
         _fitted("at the start", [f"{v.name} = {_start(v)} {v.unit}" for v in starts]),
         _fitted("inputs", [f"{v.name} [{v.unit}]" for v in a.inputs]),
-        _fitted(f"outputs ({len(a.outputs)})", _owned(a.outputs), "; "),
+        _fitted(f"outputs ({len(a.outputs)})", *_owned(a.outputs), "; "),
         _fitted("run", [f"{e.stop_time:g} s in steps of {e.interval:g} s", f"method {a.chosen}"]),
         "--all shows every name with unit and description, and the operations of a step; --json is for programs",
     ]
@@ -183,7 +183,8 @@ def _friction(a: About) -> list[str]:
 def in_all(a: About) -> list[str]:
     """All of it, in lines."""
     m, e = a.mechanism, a.equations
-    lines = [f"{m.name}: {m.description}", "", m.sketch.strip(), "", *_options(a), ""]
+    known = ([m.sketch.strip()], _options(a))
+    lines = [f"{m.name}: {m.description}", "", *(line for part in known if any(part) for line in (*part, ""))]
     coordinates, states = (_merged((f"{c.name} [{c.unit}]",) for c in each) for each in (a.coordinates, e.states))
     rows = _merged((f"{r.name} {r.direction}".strip(),) for r in e.rows)
     lines += [f"coordinates ({len(a.coordinates)}): {', '.join(text for (text,) in coordinates) or 'none'}"]
@@ -217,19 +218,23 @@ def _start(v: Variable) -> str:
     return v.start if isinstance(v.start, str) else f"{v.start:g}"
 
 
-def _fitted(title: str, texts: Sequence[str], between: str = ", ") -> str:
-    """A line of texts, as many as there is room for, and how many more there are."""
+def _fitted(title: str, texts: Sequence[str], counts: Sequence[int] = (), between: str = ", ") -> str:
+    """A line of texts, as many as there is room for, and how many more there are, each as many as its count or one."""
     shown, line = 0, f"{title}: "
     for k, text in enumerate(texts):
         added = f"{between if k else ''}{text}"
         if k and len(line) + len(added) > _WIDE - len(" and 999 more") * (k < len(texts) - 1):
             break
         line, shown = line + added, k + 1
-    return line + (f" and {len(texts) - shown} more" if shown < len(texts) else "" if texts else "none")
+    left = sum(counts[shown:]) or len(texts) - shown
+    return line + (f" and {left} more" if left else "" if texts else "none")
 
 
-def _owned(variables: Sequence[Variable]) -> list[str]:
-    """Outputs by what they belong to: those that have the same ones together, a few by name and many by number."""
+def _owned(variables: Sequence[Variable]) -> tuple[list[str], list[int]]:
+    """Outputs by what they belong to: those that have the same ones together, a few by name and many by number.
+
+    Beside each text the number of outputs that it stands for.
+    """
     parts: dict[str, list[str]] = {}
     for v in variables:
         owner, _, rest = v.name.replace("[", ".[").partition(".")
@@ -243,7 +248,7 @@ def _owned(variables: Sequence[Variable]) -> list[str]:
         by_name = len(rests) <= _FEW and not rests[0].startswith("[")
         known = ", ".join(rests) if by_name else f"{len(rests)}{' each' * (len(owners) > 1)}"
         texts.append(", ".join(_ranges(owners)) + f" ({known})" * (not alone))
-    return texts
+    return texts, [len(rests) * len(owners) for rests, owners in alike.items()]
 
 
 def _ranges(names: Sequence[str]) -> list[str]:

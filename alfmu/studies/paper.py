@@ -110,6 +110,10 @@ class Table:
     lines: Sequence[Sequence[Cell]]
     digits: int = 3
 
+    def __post_init__(self) -> None:
+        if len(set(self.columns)) < len(self.columns):
+            raise ValueError(f"{self.name}: columns have the same name: {', '.join(self.columns)}")
+
     @property
     def rows(self) -> list[Row]:
         """The lines with their columns."""
@@ -331,7 +335,7 @@ def table_1(effort: Effort) -> Chapter:
             rows.append((ratio, i, *_beside(closed, computed)))
     columns = ["alpha / m", "iterations"]
     for name in ("ax [m/s2]", "multiplier [N]", "ay [m/s2]"):
-        columns += [f"{name}, closed form", "computed", "relative difference"]
+        columns += [f"{name}, {x}" for x in ("closed form", "computed", "relative difference")]
     given = Table(
         "table_1_given",
         "Particle",

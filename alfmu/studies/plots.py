@@ -29,6 +29,9 @@ DECADES = 2
 ABOVE = 40
 """Between the panels and the buttons above them [px]."""
 
+BAR = 30
+"""Of the bar with the tools of a plot, below which its buttons stand [px]."""
+
 FONT = {"family": "system-ui, sans-serif", "size": 13, "color": "#1c2733"}
 GRID, FAINT = "#e3e8ee", "#6b7680"
 
@@ -82,6 +85,8 @@ def against_time(
         buttons.append({"label": "all", "method": "restyle", "args": [{"visible": [True] * len(of)}]})
         layout = figure["layout"]
         inner = layout["height"] - layout["margin"]["t"] - layout["margin"]["b"]
+        layout["height"] += BAR
+        layout["margin"]["t"] += BAR
         place = {"direction": "right", "type": "buttons", "x": 0, "xanchor": "left", "yanchor": "bottom"}
         place["y"] = 1 + ABOVE / inner
         figure["layout"]["updatemenus"] = [{**place, "buttons": buttons, "pad": {"b": 4}, "showactive": True}]

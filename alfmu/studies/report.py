@@ -808,12 +808,12 @@ def _chapter_of_page(page: Page, study: Study) -> None:
         for r in study.files["settings"]
         if r["code"] == "alfmu" and r["formulation"] == OWN and r["order"] is not None
     }
-    fast = [r for r in _one_way(study) if r["code"] == "alfmu" and r["formulation"] == OWN]
+    fast = [r for r in _one_way(study) if (r["code"], r["formulation"]) == ("alfmu", OWN) and r[TIME] is not None]
     panels = {c: [r for r in fast if r["control"] == c] for c in (STEP, TOLERANCE)}
     if fast:
         about = (
-            f"Position errors of {name} over what sets them. An order stands beside integrators whose errors show "
-            "one. On the dashed line, the error is the tolerance."
+            f"Position errors of {name} over what sets them, of runs that reached their end. An order stands beside "
+            "integrators whose errors show one. On the dashed line, the error is the tolerance."
         )
         page.plot(convergence(panels, orders, TOLERANCE, POSITION), about)
     for file in SHOWN:
@@ -842,6 +842,8 @@ def _maps_of_page(page: Page, study: Study) -> None:
     meaning = {str(r["class"]): _criterion(r) for r in maps.CRITERIA}
     page.legend(maps.CLASSES, {x: meaning.get(x) or meaning[x.split(":")[0]] for x in maps.CLASSES})
     page.maps(maps.maps_of(study.maps), maps.CLASSES, _said(study.maps.rows))
+    if late := maps.left_out(study.maps):
+        page.text(f"There was no time for {len(late)} more: {'; '.join(late)}.", note=True)
     page.fold("How maps are made", "\n\n".join([*maps.explained(), *maps.chapter(study.maps)][1:2]))
 
 

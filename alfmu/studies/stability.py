@@ -41,7 +41,7 @@ from .cases import (
 from .charts import Map, maps, save
 from .tables import Row, markdown, paragraph, shown, write_csv
 
-__all__ = ["CLASSES", "CRITERIA", "Effort", "maps_of", "stability"]
+__all__ = ["CLASSES", "CRITERIA", "Effort", "left_out", "maps_of", "stability"]
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
 
@@ -417,14 +417,19 @@ def _of(study: Study) -> dict[str, list[Row]]:
 
 
 def maps_of(study: Study) -> list[Map]:
-    """The maps of a mechanism, from its cells."""
+    """The maps of a mechanism, from its cells; those that there was no time for are left out, beside others."""
     drawn = []
     for title, cells in _of(study).items():
         columns, rows = (list(dict.fromkeys(c[x] for c in cells)) for x in ("column", "row"))
         classes = {(c["row"], c["column"]): c["class"] for c in cells}
         short = {(c["row"], c["column"]): _percent(c["reached [%]"]) for c in cells if c.get("cut short")}
         drawn.append(Map(title, cells[0]["across"], cells[0]["down"], columns, rows, classes, short))
-    return drawn
+    return [each for each in drawn if set(each.classes.values()) != {NOT_RUN}] or drawn
+
+
+def left_out(study: Study) -> list[str]:
+    """Maps that there was no time for."""
+    return [title for title, cells in _of(study).items() if all(c["class"] == NOT_RUN for c in cells)]
 
 
 def _percent(part: float) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.errors import InputError
-from ..model.words import there_is
+from ..model.words import some_like, there_is
 
 __all__ = ["FUNCTIONS", "USUAL", "Measure", "matching", "measured", "measures"]
 
@@ -36,7 +36,7 @@ INNER = ("multiplier[[]*", "monitor.*")
 MOST_COLUMNS = 4000
 """Numbers that are kept of a run, at most."""
 
-_CALL = re.compile(rf"({'|'.join(FUNCTIONS)})\((.+)\)")
+_CALL = re.compile(r"(\w+)\((.+)\)")
 
 
 @dataclass(frozen=True, order=True)
@@ -61,7 +61,9 @@ def measures(unit: str, keep: Sequence[str] | None, outputs: Sequence[str]) -> l
     else:
         found = {}
         for pattern in [keep] if isinstance(keep, str) else keep:
-            called = _CALL.fullmatch(pattern) if pattern not in outputs else None
+            called = None if _fitting(pattern, outputs) else _CALL.fullmatch(pattern)
+            if called and called[1] not in FUNCTIONS:
+                raise InputError(f"{unit}: {pattern} cannot be kept; {there_is(called[1], FUNCTIONS)}")
             functions, names = ((called[1],), called[2]) if called else (USUAL, pattern)
             each = matching(unit, [names], outputs)
             found |= dict.fromkeys(Measure(function, name) for name in each for function in functions)
@@ -75,13 +77,18 @@ def measures(unit: str, keep: Sequence[str] | None, outputs: Sequence[str]) -> l
     return list(found)
 
 
+def _fitting(pattern: str, outputs: Sequence[str]) -> list[str]:
+    """Outputs of a name, or that a pattern matches."""
+    return [name for name in outputs if name == pattern or fnmatchcase(name, pattern)]
+
+
 def matching(unit: str, patterns: Sequence[str], outputs: Sequence[str]) -> list[str]:
     """The outputs that match names or patterns, each once; InputError where one matches none."""
     found: dict[str, None] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        fit = [name for name in outputs if name == pattern or fnmatchcase(name, pattern)]
+        fit = _fitting(pattern, outputs)
         if not fit:
-            raise InputError(f"{unit} has no output {pattern!r} to keep; {there_is(pattern, outputs)}")
+            raise InputError(f"{unit} has no output {pattern!r} to keep; {some_like(pattern, outputs)}")
         found |= dict.fromkeys(fit)
     return list(found)
 

@@ -26,6 +26,9 @@ __all__ = ["Sweep"]
 
 SUMMARY, PAGE = "summary.json", "sweep.html"
 
+STILL = 3
+"""Kept numbers that are the same in all cases of which a reader is told each."""
+
 LISTED = 12
 """Kept numbers that the command line lists."""
 
@@ -168,8 +171,11 @@ class Sweep:
             )
         if more := len(moving) - LISTED:
             said += [f"and {more} more in {SUMMARY}"] if more > 0 else []
-        if still := len(s.spreads) - len(moving):
-            said.append(f"{still} kept numbers are the same in all cases")
+        still = [each for each in s.spreads if each.count and not each.moves]
+        if len(still) > STILL:
+            said.append(f"{len(still)} kept numbers are the same in all cases")
+        else:
+            said += [f"{x.name} is {x.largest:.5g} {x.unit} in all cases" for x in still]
         return said
 
     def _repr_html_(self) -> str:

@@ -21,12 +21,12 @@ from ..kernel.tables import packed
 from ..model.checks import perhaps_degrees, perhaps_millimetres
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
-from ..model.words import there_is
+from ..model.words import shown, there_is
 from ..result import Signal
 from ..runtime import Instance
 from ..runtime.prepare import again, with_defaults
 from ..runtime.reuse import derive, ready
-from ..simulation import communication_points, instance, signals_of
+from ..simulation import by_name, communication_points, instance, signals_of
 from .crew import Crew, Processes, Stop, cluster, make, stopping
 from .jobs import Code, FmuJob, Job, SceneJob, machine
 from .measures import Measure, matching, measures
@@ -99,15 +99,20 @@ def sweep(
     Raises InputError where what is asked for cannot be run, and KeyboardInterrupt, with what is finished as `sweep`,
     where the user ends it.
     """
-    table = read_cases(cases) if isinstance(cases, str | Path) else table_of_cases(cases or {})
-    planned_cases = planned(vary or {}, samples, sampler, seed, table)
-    how = _How(keep, keep_series, stop_time, communication_step, inputs or {}, parameters or {}, planned_cases)
+    samples = samples if samples is None else _whole("samples", samples)
+    workers = workers if workers is None else _whole("workers", workers)
+    seed = _whole("seed", seed)
+    vary = by_name(mechanism, "variations", vary)
+    table = read_cases(cases) if isinstance(cases, str | Path) else table_of_cases(by_name(mechanism, "cases", cases))
+    planned_cases = planned(vary, samples, sampler, seed, table)
+    given, signals = by_name(mechanism, "parameters", parameters), by_name(mechanism, "inputs", inputs)
+    how = _How(keep, keep_series, stop_time, communication_step, signals, given, planned_cases)
     is_fmu = isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu")
     if is_fmu and not (freeze is kernel is None):
         raise InputError(f"{mechanism}: frozen parameters and the kernel of an FMU are fixed when it is exported")
     job, units, others = _fmu(Path(str(mechanism)), how) if is_fmu else _scene(mechanism, how, freeze, kernel)
     asked = {
-        "vary": {name: text if isinstance(text, str) else f"{len(text)} values" for name, text in (vary or {}).items()},
+        "vary": {name: text if isinstance(text, str) else f"{np.size(text)} values" for name, text in vary.items()},
         "samples": samples,
         **({"sampler": sampler, "seed": seed} if samples else {}),
         "set": dict(job.fixed),
@@ -138,6 +143,12 @@ def sweep(
             ended.sweep = Sweep(store)  # type: ignore[attr-defined]
             raise ended
     return Sweep(store)
+
+
+def _whole(what: str, given: object) -> int:
+    if not isinstance(given, int | np.integer):
+        raise InputError(f"{what} is {shown(given)}; give a whole number")
+    return int(given)
 
 
 def _made(
@@ -347,7 +358,8 @@ def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], _Others]:
         archive = path.read_bytes()
         settable = {v.name: v for v in (*fmu.settable(), *fmu.input_variables)}
         how.check(fmu.name, settable, how.parameters)
-        for name, value in how.parameters.items():
+        fixed = [(k, x.item() if isinstance(x, np.generic) else x) for k, x in how.parameters.items()]
+        for name, value in fixed:
             fmu.set(name, value)
         stop, step = (b if a is None else a for a, b in ((how.stop_time, fmu.stop_time), (how.step, fmu.interval)))
         outputs = [v.name for v in fmu.outputs]
@@ -362,7 +374,7 @@ def _fmu(path: Path, how: _How) -> tuple[FmuJob, dict[str, str], _Others]:
             name=fmu.name,
             identity=hashlib.sha256(archive).hexdigest(),
             times=times,
-            fixed=tuple(how.parameters.items()),
+            fixed=tuple(fixed),
             inputs=inputs,
             table=table,
             varied=how.cases.names,

@@ -179,7 +179,8 @@ def read_cases(path: str | Path) -> dict[str, Column]:
             table[i] = np.nan
         if not np.isfinite(table[i]).all():
             raise InputError(
-                f"{path}, case {i + 1}: {','.join(row)[:60]!r} are not {len(names)} finite numbers, one under each name"
+                f"{path}, case {i + 1}: {','.join(row)[:60]!r} does not have {len(names)} finite numbers with commas "
+                "between them, one under each name"
             )
     return {name: table[:, i] for i, name in enumerate(names)}
 

@@ -193,8 +193,8 @@ def couple(
     if system.start_time:
         raise InputError(f"{system.name}: a study of coupling starts at 0 s, as the one mechanism does")
     finest = system.communication_step / 2**halvings
-    reference, inexact = _reference(system, mono, finest, tolerance)
-    limits = _limits(system, tolerance)
+    reference, inexact, units = _reference(system, mono, finest, tolerance)
+    limits = _limits(system, mono, units, tolerance)
     cases = []
     runs = [(master, system.communication_step / 2**k) for master in masters for k in range(halvings + 1)]
     bonds: list[Bond] = []
@@ -212,17 +212,27 @@ def couple(
     return Coupling(system.name, dict(mono.compare), cases, stable, inexact, [bond.name for bond in bonds])
 
 
-def _limits(system: System, tolerance: float) -> dict[str, float]:
-    """Tolerances of the components that have one."""
+def _limits(system: System, mono: Monolithic, units: Mapping[str, str], tolerance: float) -> dict[str, float]:
+    """Tolerances of the components that have one; InputError where outputs are not what they are compared with."""
     with Assembly(system) as assembly:
+        known = {v.name: v.unit for v in assembly.outputs}
+        for name, theirs in mono.compare.items():
+            if name not in known:
+                raise InputError(f"{system.name} has no output {name!r}; {there_is(name, known)}")
+            if known[name] not in ("", units[theirs]):
+                raise InputError(
+                    f"{system.name}: {name} is in {known[name]} and {theirs} in {units[theirs]}; compare what has one "
+                    "unit"
+                )
         found = [s.name for s in assembly.slaves if _LIMITED in s.ports]
     return {f"{c}.{_LIMITED}": tolerance for c in found if _LIMITED not in system.components[c].parameters}
 
 
 def _reference(
     system: System, mono: Monolithic, finest: float, tolerance: float
-) -> tuple[dict[str, NDArray[np.float64]], float]:
-    """The compared outputs of the one mechanism at all communication points of the finest run, and their own error."""
+) -> tuple[dict[str, NDArray[np.float64]], float, Mapping[str, str]]:
+    """The compared outputs of the one mechanism at all communication points of the finest run, their own error, and
+    the units of all."""
     if _LIMITED in mono.parameters:
         raise InputError(f"{system.name}: monolithic sets {_LIMITED}; leave it out, as the study's tolerance gives it")
     runs = []
@@ -235,7 +245,7 @@ def _reference(
             if name not in found:
                 raise InputError(f"{found.mechanism} has no output {name!r}; {there_is(name, found.names)}")
         runs.append({ours: found[theirs][::halves] for ours, theirs in mono.compare.items()})
-    return runs[1], max(_difference(runs[0][name], runs[1][name]) for name in mono.compare)
+    return runs[1], max(_difference(runs[0][name], runs[1][name]) for name in mono.compare), found.units
 
 
 def _difference(found: NDArray[np.float64], wanted: NDArray[np.float64]) -> float:
@@ -259,10 +269,6 @@ def _run(
     span = system.stop_time
     with Assembly(system.changed(master=master, communication_step=step), limits, observed=True) as unit:
         bonds = _bonds(system, unit.links)
-        known = [v.name for v in unit.outputs]
-        for name in mono.compare:
-            if name not in known:
-                raise InputError(f"{system.name} has no output {name!r}; {there_is(name, known)}")
         why = ""
         try:
             result = simulation.run(unit, span, step)

@@ -136,8 +136,8 @@ class Description:
                 raise InputError(f"{who}: {what} is {shown(value)}; it must be a finite number of seconds above zero")
         if self.stop_time <= self.start_time:
             raise InputError(f"{who}: stop_time is {self.stop_time:g} s; it must be after {self.start_time:g} s")
-        if self.master not in MASTERS:
-            raise InputError(f"{who}: there is no master {self.master!r}; use {in_words(list(MASTERS))}")
+        if self.master not in list(MASTERS):
+            raise InputError(f"{who}: there is no master {shown(self.master)}; use {in_words(list(MASTERS))}")
         if not isinstance(self.components, Mapping) or not self.components:
             raise InputError(f"{who} has no components; give it some by name")
         components = {name: _component(who, name, what) for name, what in self.components.items()}
@@ -158,7 +158,7 @@ class Description:
             if not _is_number(value) and not isinstance(value, bool):
                 raise InputError(f"{who}: the input {name} is {shown(value)}; it must be a finite number")
         object.__setattr__(self, "inputs", MappingProxyType(dict(self.inputs)))
-        sources = {each.source for each in connections}
+        sources = [each.source for each in connections]
         for bond in self.bonds or ():
             for end in bond:
                 if end not in sources:
@@ -238,6 +238,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         _known(path, "connections", table, _CONNECTION_KEYS)
         if lacking := [key for key in ("from", "to") if key not in table]:
             raise InputError(f"{path}: a connection has no {lacking[0]!r}; give from and to")
+        if "->" not in str(table.get("convert", "->")):
+            raise InputError(f'{path}: convert is {shown(table["convert"])}; give both units, as "r/min -> rad/s"')
         more = {key: table[key] for key in ("factor", "offset", "convert") if key in table}
         connections.append(Connection(table["from"], table["to"], **more))
     bonds = found.get("bonds")

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 from ..fmi.drive import checked_archive
@@ -125,7 +126,7 @@ def _read_component(path: Path, opened: zipfile.ZipFile, names: set[str], name: 
 
 def _place(what: str, source: str | None, names: set[str]) -> str:
     """A file of the archive by a URI relative to it; names of the archive were checked to stay inside."""
-    place = PurePosixPath((source or "").removeprefix("./")).as_posix()
+    place = PurePosixPath(unquote(source or "").removeprefix("./")).as_posix()
     if place not in names:
         raise InputError(f"{what} is {source!r}, which is no file in the archive; alfmu takes no other")
     return place
@@ -218,11 +219,14 @@ def _value(what: str, each: ET.Element) -> float | str:
     if len(held) != 1 or text is None:
         raise InputError(f"{what} has {kind} without a value, or several")
     if kind in ("Real", "Integer"):
-        return _number(what, text)
+        number = _number(what, text)
+        if kind == "Integer" and not number.is_integer():
+            raise InputError(f"{what} is {text!r}; an Integer is a whole number")
+        return number
     if kind == "Boolean":
         if text not in ("true", "false", "0", "1"):
             raise InputError(f"{what} is {text!r}; a Boolean is true or false")
-        return float(text in ("true", "1"))
+        return text in ("true", "1")
     if kind in ("String", "Enumeration"):
         return text
     raise InputError(f"{what} is a {kind}, which alfmu does not support")

@@ -116,10 +116,13 @@ class Assembly:
     ):
         self.system, self.name, self._held_rows, self._observed = system, system.name, held_rows, observed
         own: dict[str, dict[str, float | str]] = {}
+        sources = {each.target: each.source for each in system.connections}
         for name, value in (parameters or {}).items():
             component, _, variable = name.partition(".")
             if component not in system.components:
                 raise InputError(f"{self.name}: {name!r} is of no component; {there_is(component, system.components)}")
+            if name in sources:
+                raise InputError(f"{self.name}: {name} is connected to {sources[name]}, which gives its value")
             if name in system.inputs:  # what is set counts, as it does for a mechanism
                 system = self.system = system.changed(inputs={name: value})
                 continue
@@ -134,6 +137,11 @@ class Assembly:
                 slave = opened(component, Path(folder), own.get(component.name, {}))
                 stack.callback(slave.close)
                 self.slaves.append(slave)
+            if system.master == "iterated" and (stuck := [slave.name for slave in self.slaves if not slave.rewinds]):
+                raise InputError(
+                    f"{self.name}: the FMU of {stuck[0]} says that it does not save its state, which the master "
+                    '"iterated" needs to take steps back; use "held" or "extrapolated"'
+                )
             self._index = {slave.name: i for i, slave in enumerate(self.slaves)}
             self.links = [self._link(each) for each in system.connections]
             self._check_inputs()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
     from ..fmi.recipe import Recipe
     from .description import Component
 
-__all__ = ["Local", "Remote", "Slave", "opened", "recipe_of"]
+__all__ = ["Local", "Remote", "Slave", "naming", "opened", "recipe_of"]
 
 
 class Slave(ABC):
@@ -34,6 +36,8 @@ class Slave(ABC):
     ports: dict[str, Port]
     interpolates: bool
     """Whether its inputs may change linearly within a step."""
+    rewinds: bool
+    """Whether its state can be saved and restored."""
 
     @property
     def inputs(self) -> list[Port]:
@@ -83,7 +87,7 @@ class Local(Slave):
     def __init__(self, name: str, equations: Equations):
         self.name, self._equations = name, equations
         self._instance = i = Instance(equations)
-        self.interpolates = True
+        self.interpolates = self.rewinds = True
         real = frozenset(v.name for v in i.input_variables if v.type == "Real")
         self.ports = {}
         for kind, variables in (("parameter", i.parameters), ("input", i.input_variables), ("output", i.outputs)):
@@ -128,7 +132,7 @@ class Remote(Slave):
     def __init__(self, name: str, path: Path, parameters: Mapping[str, float | str], stated: Mapping[str, str]):
         self.name, self._parameters = name, dict(parameters)
         self._fmu = fmu = Fmu(path)
-        self.interpolates = fmu.interpolates
+        self.interpolates, self.rewinds = fmu.interpolates, fmu.rewinds
         units: dict[str, Measure] = {}
         for each in fmu.description.unitDefinitions:
             if (base := each.baseUnit) is not None and each.name:
@@ -142,9 +146,12 @@ class Remote(Slave):
         found += [("input", v.name) for v in fmu.input_variables] + [("output", v.name) for v in fmu.outputs]
         for kind, each in found:
             v = written[each]
-            own = v.unit or (v.declaredType.unit if v.declaredType is not None else None)
+            declared = v.declaredType
+            own = v.unit or (declared.unit if declared is not None else None)
             follows = fmu.followed(each) if kind == "output" else frozenset()
             unit = units.get(own) or measure(own)
+            if unit is not None and (v.relativeQuantity or (declared is not None and declared.relativeQuantity)):
+                unit = replace(unit, offset=0.0)  # a difference of temperatures, say
             self.ports[each] = Port(each, kind, self.kinds[each], own, unit, v.description or "", follows)
         try:
             for key, unit_name in stated.items():
@@ -204,12 +211,12 @@ def recipe_of(component: Component) -> Recipe:
     c = component
     if c.kind == "part":
         if c.what not in BLOCKS:
-            raise InputError(f"the component {c.name} is the part {c.what!r}; {there_is(c.what, BLOCKS)}")
+            raise InputError(f"there is no part {c.what!r}; {there_is(c.what, BLOCKS)}")
         make = partial(BLOCKS[str(c.what)], **c.options)
         try:
             recipe = Recipe(make())
         except DeclarationError as error:  # options are what the description says
-            raise InputError(f"the component {c.name}, a {c.what}: {error}") from None
+            raise InputError(str(error)) from None
         return recipe.changed(parameters=c.parameters, outputs=c.outputs)
     return of(c.what).changed(options=c.options, parameters=c.parameters, outputs=c.outputs)
 
@@ -220,12 +227,19 @@ def opened(component: Component, folder: Path, parameters: Mapping[str, float | 
     Raises AlfmuError with the component's name.
     """
     given = {**component.parameters, **parameters}
-    try:
+    with naming(component):
         if component.kind == "fmu":
             return Remote(component.name, folder / str(component.what), given, component.units)
         recipe = recipe_of(component).changed(parameters=parameters)
         scene = (recipe.parameters, recipe.outputs, recipe.freeze, recipe.kernel, recipe.start)
         return Local(component.name, packed_scene(recipe.declared(), *scene)[1])
+
+
+@contextmanager
+def naming(component: Component) -> Iterator[None]:
+    """What is refused here, with the component's name."""
+    try:
+        yield
     except AlfmuError as error:
         raise type(error)(f"the component {component.name}: {error}") from None
 

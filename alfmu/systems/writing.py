@@ -16,7 +16,7 @@ from ..model.words import in_words
 from .description import Component, Description
 from .ports import Measure, Port
 from .run import Assembly
-from .slaves import Remote, recipe_of
+from .slaves import Remote, naming, recipe_of
 from .ssp import DESCRIPTION, OSP, OWN, SPACES, VERSIONS, tag
 
 __all__ = ["write"]
@@ -61,8 +61,9 @@ def _fmu(system: Description, component: Component, folder: Path) -> bytes:
     if component.kind != "fmu":
         # Values of inputs are defaults, too: fmpy applies no parameter set by itself.
         constants = _constants(system, component.name)
-        recipe = recipe_of(component).changed(kind="native", reference=False, parameters=constants)
-        return export(recipe, folder / f"{component.name}.fmu").read_bytes()
+        with naming(component):
+            recipe = recipe_of(component).changed(kind="native", reference=False, parameters=constants)
+            return export(recipe, folder / f"{component.name}.fmu").read_bytes()
     if system.archive is not None:
         with zipfile.ZipFile(system.archive) as opened:
             return opened.read(str(component.what))

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..files import atomic
 from ..model.errors import InputError
-from ..model.words import there_is
+from ..model.words import some_like
 from ..result import Result
 
 if TYPE_CHECKING:
@@ -177,6 +177,8 @@ def _chosen(result: Result) -> tuple[list[_Panel], str]:
 
 def _wanted(result: Result, name: str) -> bool:
     """Whether a column belongs in a figure for which nobody names columns."""
+    if name in ERRORS and np.nanmax(result[name]) <= ROUNDING:
+        return False
     if name.startswith("monitor."):
         return name in ("monitor.position_error", "monitor.velocity_error", "monitor.energy", "monitor.work")
     unit = result.units.get(name, "")
@@ -242,7 +244,7 @@ def _matching(result: Result, patterns: Iterable[str]) -> list[str]:
         names = [name for name in result.names if name == pattern or fnmatchcase(name, pattern)]
         if not names:
             raise InputError(
-                f"the result of {result.mechanism} has nothing like {pattern!r}; {there_is(pattern, result.names)}"
+                f"the result of {result.mechanism} has nothing like {pattern!r}; {some_like(pattern, result.names)}"
             )
         found |= dict.fromkeys(names)
     return list(found)
@@ -301,7 +303,7 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     """Lines, labels and legend of one panel."""
     values = np.array([line.values for line in panel.lines])
     low, high = float(values.min()), float(values.max())
-    logarithmic = panel.logarithmic and high > 0
+    logarithmic = panel.logarithmic and high > ROUNDING
     for i, (line, style) in enumerate(zip(panel.lines, _styles(result, panel.lines), strict=True)):
         if not panel.logarithmic and _runs_close(values[i], values[:i], high - low):
             style |= {"marker": MARKERS[i % len(MARKERS)], "markersize": 3.5, "markevery": (0.02 + 0.023 * i, 0.14)}

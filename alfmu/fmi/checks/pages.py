@@ -46,10 +46,22 @@ def summary(report: Report) -> str:
 
 
 def lines(report: Report, every: bool = False) -> list[str]:
-    """The checks that failed or could not be judged, or every one, and the summary."""
-    shown = [f for f in report.findings if every or f.result in (FAILED, UNJUDGED)]
-    wide = max((len(f.id) for f in shown), default=0)
-    said = [f"{f.result:<{len(UNJUDGED)}}  {f.id:<{wide}}  {f.detail or f.title}" for f in shown]
+    """The checks that failed or could not be judged, or every one, and the summary.
+
+    Where many could not be judged for one reason, as none can be once the first run failed, they stand in one line.
+    """
+    groups: dict[tuple[str, ...], list[Finding]] = {}
+    for f in report.findings:
+        if every:
+            groups[f.id,] = [f]
+        elif f.result in (FAILED, UNJUDGED):
+            groups.setdefault((f.id,) if f.result == FAILED else (f.result, f.detail), []).append(f)
+    which = [alike[0].id if len(alike) == 1 else counted(len(alike), "check") for alike in groups.values()]
+    wide = max(map(len, which), default=0)
+    below = "\n" + " " * (len(UNJUDGED) + wide + 4)
+    said = []
+    for name, (f, *_) in zip(which, groups.values(), strict=True):
+        said.append(f"{f.result:<{len(UNJUDGED)}}  {name:<{wide}}  {f.detail or f.title}".replace("\n", below))
     return [*said, summary(report)]
 
 

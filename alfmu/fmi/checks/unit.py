@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as ET
 
 import fmpy
 import numpy as np
 from fmpy import fmi2, fmi3
 from fmpy.model_description import ModelDescription, ModelVariable
+
+from ..markup import tree
 
 __all__ = [
     "DISCARD",
@@ -164,7 +165,7 @@ class Session:
         self.journal.say("")
         self.types = TYPES[self.version]
         # fmpy reads some of these attributes under the names of the other version.
-        root = ET.parse(self.folder / "modelDescription.xml").getroot()
+        root = tree((self.folder / "modelDescription.xml").read_bytes(), "modelDescription.xml")
         self.flags = {key: text.strip() for key, text in root.find("CoSimulation").attrib.items()}
         scalar = [v for v in d.modelVariables if not v.dimensions and v.type not in ("Binary", "Clock")]
         self.variables = [Variable.of(v, self.version) for v in scalar]
