@@ -302,6 +302,33 @@ def test_many_instances_of_one_fmu_one_after_another(exported):
             fmu.step(0.02, 0.0)
 
 
+ENDING = """
+import atexit, ctypes, sys
+from alfmu.fmi.drive import Fmu
+
+register, ends = atexit.register, []
+def noted(call, *given, **named):
+    ends.append(ctypes.cast(call, ctypes.c_void_p).value if isinstance(call, ctypes._CFuncPtr) else None)
+    return register(call, *given, **named)
+atexit.register = noted
+for path in [*sys.argv[1:], sys.argv[1]]:
+    with Fmu(path) as fmu:
+        fmu.initialize()
+        fmu.step(0.01, 0.0)
+print(len({each for each in ends if each}))
+"""
+"""Each unpacked FMU has a library of its own, of which a function is to run when Python ends."""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="as on Linux")
+def test_the_library_of_an_fmu_gives_up_its_interpreter_before_the_process_ends(exported):
+    paths = [exported("five_bar"), exported("four_bar")]
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", ENDING, *map(str, paths)], capture_output=True, text=True, timeout=300
+    )
+    assert (done.stdout.split(), done.returncode) == (["3"], 0), done.stderr
+
+
 # The file -------------------------------------------------------------------------------------------------------------
 
 

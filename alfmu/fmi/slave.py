@@ -6,12 +6,14 @@ they need Python alone.
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import logging
+import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import wraps
+from functools import cache, wraps
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,20 @@ def _kept(*objects: object) -> None:
     """Give objects a reference that nobody drops, against one that pythonfmu's library drops but does not own."""
     for each in objects:
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(each))
+
+
+@cache
+def _ends_once(resources: Path) -> None:
+    """Have pythonfmu's library beside these resources give up its interpreter when Python ends.
+
+    Left to the end of the process, it does so twice: it writes into memory that it has freed, and a host may abort
+    after its results are written (pythonfmu 0.7.0, its issue 229). Windows is left as it is, as it was not tried there.
+    """
+    if not hasattr(os, "RTLD_NOLOAD"):
+        return
+    for path in resources.parent.glob("binaries/linux64/*.so"):
+        with suppress(OSError, AttributeError):  # a host that loaded another one, a pythonfmu that has no such function
+            atexit.register(ctypes.CDLL(str(path), mode=os.RTLD_NOLOAD | os.RTLD_NOW).finalizePythonInterpreter)
 
 
 def _called_from_fmi(call: Callable[..., Any]) -> Callable[..., Any]:
@@ -81,6 +97,7 @@ class Slave(Fmi2Slave):
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
         folder = Path(self.resources)
+        _ends_once(folder)
         self.scene = self._scene(folder)
         for path in folder.glob(f"{COMPILED}*"):
             with suppress(OSError):  # one for another platform
