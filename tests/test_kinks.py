@@ -123,7 +123,7 @@ def test_auto_goes_over_to_implicit_steps_where_a_contact_is_stiff():
     """By explicit steps alone 20 million evaluations."""
     automatic = pressed(alfmu.Instance("end_stop"))
     assert automatic.equations.chosen == "explicit"
-    assert automatic.equations.reason.endswith("implicit steps where contacts make these short")
+    assert automatic.equations.reason.endswith("implicit steps where stability keeps these short")
     exact = prepared(with_defaults(alfmu.derive(alfmu.load("end_stop")), {"solver.method": "stiff"}))
     exact = pressed(alfmu.Instance(with_defaults(exact, {"solver.relative_tolerance": 1e-11})))
     for _ in range(30):
@@ -132,6 +132,52 @@ def test_auto_goes_over_to_implicit_steps_where_a_contact_is_stiff():
     assert automatic.counters.evaluations < 5000
     size = np.maximum(np.abs(np.concatenate([exact.q, exact.v])), 1.0)
     assert np.max(np.abs(np.concatenate([automatic.q - exact.q, automatic.v - exact.v])) / size) < 1e-6
+
+
+def damped():
+    """Two arms with a damper between them."""
+    m = alfmu.Mechanism("damped")
+    angles = [m.coordinate(name, "rad", start=start, independent=True) for name, start in (("one", 1.0), ("two", 0.5))]
+    damping = m.parameter("damping", 0.1, "N.m.s/rad", minimum=0.0)
+    one, two = (m.body(name, mass=1.0, inertia=0.1) for name in ("first", "second"))
+    m.revolute("A", m.ground.at(0, 0), one.at(0, 0), coordinate=angles[0])
+    joint = m.revolute("B", one.at(1, 0), two.at(-1, 0), coordinate=angles[1])
+    m.gravity(0.0, -9.81)
+    m.spring_damper(joint, damping=damping)
+    return m, "damping", 1e4
+
+
+def motor():
+    """An arm that a motor turns, whose current is a state."""
+    m = alfmu.Mechanism("turned")
+    angle = m.coordinate("angle", "rad", start=1.0, independent=True)
+    inductance = m.parameter("inductance", 1.0, "H", minimum=1e-9)
+    arm = m.body("arm", mass=1.0, inertia=0.1)
+    joint = m.revolute("A", m.ground.at(0, 0), arm.at(-1, 0), coordinate=angle)
+    m.gravity(0.0, -9.81)
+    current = m.state("current", "A")
+    m.derivative(current, (5.0 - 2.0 * current - 0.5 * m.rate(angle)) / inductance)
+    m.drive(joint, 0.5 * current)
+    return m, "inductance", 1e-7
+
+
+@pytest.mark.parametrize("declared", [damped, motor])
+def test_auto_goes_over_to_implicit_steps_where_parameters_make_a_scene_stiff(declared):
+    """By explicit steps alone hundreds of thousands of evaluations."""
+    mechanism, name, value = declared()
+    ends = []
+    for method, tolerance in (("auto", 1e-6), ("stiff", 1e-10)):
+        unit = alfmu.Instance(prepared(with_defaults(alfmu.derive(mechanism), {"solver.method": method})))
+        unit.set("solver.relative_tolerance", tolerance)
+        unit.set(name, value)
+        unit.initialize()
+        for _ in range(50):
+            unit.step(0.02)
+        ends.append(np.concatenate([unit.q, unit.v]))
+        if method == "auto":
+            assert unit.equations.chosen == "explicit"
+            assert unit.counters.evaluations < 10_000
+    assert np.max(np.abs(ends[0] - ends[1])) < 1e-6
 
 
 def test_a_state_has_which_steps_are_made():
@@ -186,7 +232,7 @@ def test_explicit_steps_come_back_where_nothing_touches():
 
 
 @pytest.mark.parametrize("name", ["five_bar", "four_bar", "slider_crank", "bennett", "n_four_bar"])
-def test_scenes_without_kinks_carry_no_implicit_step(name):
+def test_scenes_that_never_become_stiff_carry_no_implicit_step(name):
     kernel = prepared(alfmu.derive(alfmu.load(name))).kernel
     assert "method" in kernel
     assert "stiff" not in kernel

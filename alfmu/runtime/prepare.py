@@ -96,15 +96,19 @@ def decided(equations: Equations) -> Equations:
         limit = f"solver.method {chosen} has no dry friction, which {equations.frictions[0].name} has"
         raise InputError(f"{equations.name}: {limit}; use auto, rk4, order8, explicit or stiff")
     if stiffens := _may_stiffen(equations, chosen):
-        reason += "; implicit steps where contacts make these short" * undecided
+        reason += "; implicit steps where stability keeps these short" * undecided
     e = with_tangents(equations) if chosen in RULES or stiffens else equations
     return replace(e, chosen=chosen, reason=reason)
 
 
 def _may_stiffen(equations: Equations, chosen: str) -> bool:
-    """Whether `auto` may go over to implicit steps on the way: contacts are stiff once they touch."""
+    """Whether `auto` may go over to implicit steps on the way: contacts are stiff once they touch, and other values of
+    its parameters make a damper stiff, or what has states."""
     automatic = chosen == "explicit" and default_settings(equations).method == "auto"
-    return automatic and equations.n <= DENSE and kinks_of_rates(equations, symbols(equations)).numel() > 0
+    if not automatic or equations.n > DENSE:
+        return False
+    damped = equations.functions["f"].jac_sparsity(0, 1).nnz() > 0
+    return damped or len(equations.states) > 0 or kinks_of_rates(equations, symbols(equations)).numel() > 0
 
 
 def _chosen(equations: Equations) -> tuple[str, str]:
