@@ -44,7 +44,7 @@ scale penalties, as no row has to carry it."""
 
 SAME = 1e-11
 """relative difference of coefficients [1]: coefficients that differ by less at all places beside the start are
-constant; round-off leaves 1e-15 of them."""
+constant, and those that are less than this of the largest (and of 1) are zero; round-off leaves 1e-15 of them."""
 
 LOOSE = 1e-12
 """share of the largest entry [1]: it is added to the diagonal of J J' of an assembly, so that rows that depend on each

@@ -655,14 +655,15 @@ static int alike(Range range)
     return range.most - range.least <= SAME * range.most;
 }
 
-/* Nonzeros of C at several places: as they are, and of angles also with a quarter turn of their own. */
+/* Nonzeros of C at several places: as they are, and of angles also with a quarter turn of their own. Those that are
+   round-off everywhere count as zero: a constraint of nothing else would hold by a penalty of its own what it does not. */
 static void coefficients(Instance *i, const double *q, double *M, Range *sizes, Range *amplitudes)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, n = (size_t)s->n, entries = (size_t)s->constraint.entries;
     const int *offsets = s->constraint.offsets;
     double *C = take(i, entries), *turned = take(i, entries), *own = take(i, entries);
-    double *there = take(i, n), *zeros = take(i, n);
+    double *there = take(i, n), *zeros = take(i, n), most = 1.0;
     memset(zeros, 0, n * sizeof *zeros);
     for (size_t e = 0; e < entries; e++)
         sizes[e] = amplitudes[e] = (Range){0.0, INFINITY, 0.0};
@@ -683,8 +684,12 @@ static void coefficients(Instance *i, const double *q, double *M, Range *sizes, 
         for (size_t e = 0; e < entries; e++) {
             widen(sizes + e, fabs(C[e]));
             widen(amplitudes + e, hypot(C[e], own[e]));
+            most = fmax(most, fabs(C[e]));
         }
     }
+    for (size_t e = 0; e < entries; e++)
+        if (amplitudes[e].most <= SAME * most)
+            sizes[e] = amplitudes[e] = (Range){0.0, 0.0, 0.0};
     i->used = used;
 }
 
@@ -743,6 +748,22 @@ static double unit_of(const Told *row)
                                         : row->most;
 }
 
+/* Rows of one joint, which follow each other, in one unit get the largest that the lengths in one of them tell: another
+   row may lie across them at the start, and not later. */
+static void share_units(const Scene *s, const Told *told, double *units)
+{
+    for (int r = 0, end; r < s->l; r = end) {
+        const Row *row = s->rows + r;
+        double most = 0.0;
+        for (end = r; end < s->l && !strcmp(row->name, row[end - r].name) && !strcmp(row->unit, row[end - r].unit); end++)
+            if (constant(told + end) == 0.0 && told[end].lengths.squares > 0.0)
+                most = fmax(most, units[end]);
+        for (int k = r; most > 0.0 && k < end; k++)
+            if (constant(told + k) == 0.0 && told[k].lengths.count > 0.0)
+                units[k] = most;
+    }
+}
+
 /* How often each row is written: rows that are multiples of each other at all places have the same sums, over places and
    coordinates, of their coefficients by random numbers, over their size. */
 static void copies(Instance *i, const double *q, double *count)
@@ -797,6 +818,7 @@ void default_penalties(Instance *i, const double *q, double *penalties)
         every_angular &= told[r].angular > 0.0;
         every_exact &= constant(told + r) > 0.0;
     }
+    share_units(s, told, units);
     for (int r = 0; r < s->l; r++) {
         if (every_angular && !every_exact)
             units[r] = told[r].angular;
