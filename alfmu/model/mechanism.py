@@ -337,6 +337,7 @@ class Constraint(Brief):
 class Lock(Brief):
     """A displacement that a Boolean input stops where it is and lets go again; `value` is where it was stopped."""
 
+    direction: ClassVar[str] = "locked"
     name: str
     of: AnyJoint | tuple[Body, Body] | ca.SX
     unit: str
@@ -347,6 +348,7 @@ class Lock(Brief):
 class Motion(Brief):
     """A displacement that follows a law; `value` is what a motion that is switched keeps beside it, else None."""
 
+    direction: ClassVar[str] = "motion"
     name: str
     of: AnyJoint | ca.SX
     law: ca.SX
@@ -361,6 +363,7 @@ class Friction(Lock):
     `slip` stands for the direction in which it slides (1 or -1), and is 0 while it sticks.
     """
 
+    direction: ClassVar[str] = "friction"
     slip: ca.SX
     coulomb: Scalar
     static: Scalar
