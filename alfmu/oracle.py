@@ -586,7 +586,7 @@ class Instance(runtime.Instance):
             return 0.0, ""
         sizes = np.where(self.active, np.nan_to_num(np.abs(residue / self.units), nan=np.inf), 0)
         row = self.equations.rows[int(np.argmax(sizes))]
-        return float(sizes.max()), f"{row.name} {row.direction}".strip()
+        return float(sizes.max()), row.text
 
     def _error(
         self, kind: type[AlfmuError], t: float, measured: str, remedy: str = "reduce solver.step_size"

@@ -37,6 +37,7 @@ __all__ = [
     "by_name",
     "communication_points",
     "instance",
+    "names_in",
     "prepare",
     "prepared",
     "read_inputs",
@@ -378,6 +379,14 @@ def by_name(mechanism: object, what: str, given: Mapping[str, Any] | None) -> di
         name = getattr(mechanism, "name", mechanism)
         raise InputError(f"{name}: the {what} are {shown(given)}; give a dictionary of values by their names")
     return dict(given or {})
+
+
+def names_in(mechanism: object, what: str, given: Iterable[str]) -> list[str]:
+    """Names in their order; InputError where they are given in another way, as one text above all."""
+    if isinstance(given, str) or not isinstance(given, Iterable) or not all(isinstance(x, str) for x in given):
+        name = getattr(mechanism, "name", mechanism)
+        raise InputError(f"{name}: the {what} are {shown(given)}; give a list of names")
+    return list(given)
 
 
 def signals_of(mechanism: object, inputs: Mapping[str, Signal] | None) -> dict[str, Callable[[float], float]]:

@@ -13,6 +13,7 @@ import pytest
 import alfmu
 from alfmu import Experiment, Mechanism, parts
 from alfmu.analysis.linearization import figure
+from alfmu.model.content import content
 from alfmu.parts import blocks
 
 
@@ -140,10 +141,10 @@ NONSENSE: dict[str, Any] = {
 }
 
 
-def calls(name: str) -> Iterator[tuple[str, Callable[[], Any]]]:
+def calls(name: str) -> Iterator[tuple[str, partial]]:
     """What is tried of a call: its description, and the call, each on a mechanism of its own."""
 
-    def made(change: Callable[[dict[str, Any]], Any], *more: Any) -> Callable[[], Any]:
+    def made(change: Callable[[dict[str, Any]], Any], *more: Any) -> partial:
         x = workshop()
         if name in GOOD:
             call, given = getattr(x.m if name != "draw" else alfmu.load("slider_crank"), name), GOOD[name](x)
@@ -175,14 +176,62 @@ def test_nonsense_is_answered_in_words(name):
     """Nothing of Python's own comes out, and what is said is a sentence of the mechanism."""
     said = {}
     for what, call in calls(name):
+        mechanism = call.keywords.get("m", getattr(call.func, "__self__", None))
+        before = content(mechanism) if isinstance(mechanism, Mechanism) else None
         try:
             call()
         except alfmu.AlfmuError as error:
             said[what] = str(error)
+            assert before is None or content(mechanism) == before, f"{name}: {what} is refused and leaves something"
         except Exception as error:
             pytest.fail(f"{name}: {what}: {type(error).__name__}: {error}")
     assert {"misspelt", "too many"} <= said.keys()
     assert not {what: text for what, text in said.items() if len(text) < 20 or "cannot use what it is given" in text}
+
+
+@pytest.mark.filterwarnings("ignore::alfmu.AlfmuWarning")
+@pytest.mark.parametrize(
+    ("call", "given"),
+    [
+        ("parameter", {"default": math.nan}),
+        ("start", {"rate": math.nan}),
+        ("coordinate", {"rate": 1.0}),
+        ("coordinate", {"independent": True, "rate": math.nan}),
+        ("input", {"derivatives": 2, "order": 7}),
+        ("state", {"nominal": 0.0}),
+        ("state", {"rate": math.nan}),
+        ("output", {"expression": math.nan}),
+        ("watch", {"marker": 5}),
+        ("constraint", {"expression": ca.SX.sym("foreign")}),
+        ("weld", {"second": 5}),
+    ],
+)
+def test_what_was_refused_can_be_declared_right_by_the_same_name(call, given):
+    x, right = workshop(), workshop()
+    with pytest.raises(alfmu.DeclarationError):
+        getattr(x.m, call)(**{**GOOD[call](x), **given})
+    getattr(x.m, call)(**GOOD[call](x))
+    getattr(right.m, call)(**GOOD[call](right))
+    assert content(x.m) == content(right.m)
+
+
+def test_a_joint_refused_after_an_input_moved_its_point_leaves_the_point_as_it_was():
+    m = Mechanism("shop")
+    point = m.ground.at(m.input("s", "m"), 0.0)
+    with pytest.raises(alfmu.DeclarationError, match="joint A connects ground to itself"):
+        m.weld("A", point, m.ground.at())
+    assert not m.signals
+    assert not m.moves
+    m.weld("A", point, m.body("cart", mass=1.0).at())
+    assert [signal.input.name for signal in m.signals] == ["s"]
+
+
+def test_a_part_of_several_declarations_that_is_refused_leaves_none_of_them():
+    x = workshop()
+    before = content(x.m)
+    with pytest.raises(alfmu.DeclarationError):
+        parts.load(x.m, "n", x.A, damping=0.1, opposing=math.nan)
+    assert content(x.m) == before
 
 
 def test_every_public_call_is_tried():

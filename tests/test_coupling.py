@@ -135,6 +135,48 @@ def test_a_study_says_what_it_lacks(tmp_path):
         couple(system.changed(bonds=[("motor.torque", "controller.output")]))
 
 
+def circle(**more) -> System:
+    """Two blocks whose outputs follow their inputs at once: y = x + u / 2, u_a = -y_b, u_b = y_a."""
+    one = Mechanism("one")
+    a, b = one.state("a", "rad/s", start=1.0), one.state("b", "rad/s")
+    y = (a - b / 2) / 1.25
+    one.derivative(a, -(b + y / 2) - a)
+    one.derivative(b, y - b)
+    blocks = {name: first_order(name, instant=0.5) for name in "ab"}
+    return System(
+        "circle",
+        {"a": alfmu.Recipe(blocks["a"], parameters={"start.x": 1.0}), "b": blocks["b"]},
+        [("a.y", "b.u"), Connection("b.y", "a.u", factor=-1.0)],
+        stop_time=1.0,
+        communication_step=0.1,
+        monolithic=Monolithic(one, {"a.x": "a"}),
+        **more,
+    )
+
+
+@pytest.mark.filterwarnings("ignore:.*algebraic loop:alfmu.AlfmuWarning")
+@pytest.mark.parametrize("own", ["iterated", "extrapolated"])
+def test_a_master_that_is_refused_leaves_the_others(own, tmp_path):
+    system = circle(master=own)
+    found = couple(system, halvings=2)
+    assert {case.master for case in found.cases} == {"held", "iterated"} == set(found.stable)
+    assert found.of("iterated")[-1].error < 1e-2
+    (said,) = [line for line in found.lines() if line.startswith("extrapolated")]
+    assert said.startswith("extrapolated: refused: circle: ")
+    assert "is an algebraic loop" in said
+    found.save(tmp_path / "cost.csv")
+    rows = list(csv.DictReader((tmp_path / "cost.csv").read_text().splitlines()))
+    (row,) = [row for row in rows if row["master"] == "extrapolated"]
+    assert math.isnan(float(row["error [1]"]))
+    assert "algebraic loop" in row["failed"]
+    found.plot(tmp_path / "cost.png")
+
+
+def test_a_study_whose_masters_are_all_refused_says_why():
+    with pytest.raises(InputError, match="algebraic loop"):
+        couple(circle(), masters=["extrapolated"], halvings=1)
+
+
 def test_the_command(tmp_path, monkeypatch, capsys):
     drive(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -643,6 +643,24 @@ def test_a_lock_lets_friction_hold_after_it(incline):
     assert i.get("block.position") == pytest.approx(place, abs=1e-15)
 
 
+def test_dry_friction_is_told_as_such_beside_a_lock_of_the_same_joint(capsys, tmp_path, monkeypatch):
+    m = block()
+    m.lock("guide")
+    m.compliances()
+    e = alfmu.derive(m)
+    assert [row.text for row in e.rows] == ["guide dry friction", "guide locked"]
+    assert {"guide.compliance.friction", "guide.compliance.locked"} == {x.name for x in e.compliances}
+    assert {v.name: v.description for v in e.outputs}["multiplier[1]"] == "multiplier of guide, dry friction"
+    monkeypatch.chdir(tmp_path)
+    swing = (
+        "m = alfmu.Mechanism('rub')\n    A = m.revolute('A', m.ground.at(), m.bar('rod', mass=1.0, length=1.0).start,"
+    )
+    swing += " coordinate=m.coordinate('th'))\n    m.friction(A, coulomb=0.2, radius=0.02)\n    return m\n"
+    (tmp_path / "rub.py").write_text(f"import alfmu\n\n\ndef rub() -> alfmu.Mechanism:\n    {swing}")
+    assert main(["info", "rub.py"]) == 0
+    assert "constraints (1): A dry friction\n" in capsys.readouterr().out
+
+
 def test_an_impact_says_that_dry_friction_takes_no_part_in_it(caplog):
     """A lock stops a bar on a block that slides on a guide that rubs."""
     m = block()

@@ -592,6 +592,28 @@ def test_the_summary_is_that_of_pandas_and_scipy(tmp_path):
     assert not any(s.moves or s.sensitivities for s in same.summary.spreads)
 
 
+def test_what_varies_by_round_off_alone_has_no_ranks(tmp_path):
+    """The slider of a slider-crank keeps to y = 0, to 1e-18 m."""
+    keep, folder = ["max(slider.y)", "min(slider.y)", "max(slider.x)"], tmp_path / "s"
+    found = alfmu.sweep("slider_crank", {"l1": "0.45:0.55:6"}, stop_time=0.5, keep=keep, folder=folder)
+    by_name = {s.name: s for s in found.summary.spreads}
+    least = by_name["min(slider.y)"]
+    assert least.largest > least.least
+    assert not any(by_name[name].moves or by_name[name].sensitivities for name in keep[:2])
+    assert by_name["max(slider.x)"].sensitivities["l1"] == pytest.approx(1.0)
+    said = [line for line in found.lines() if line.startswith("min(slider.y)")]
+    assert len(said) == 1
+    assert said[0].startswith("min(slider.y) does not vary: ")
+    assert said[0].endswith(" m in all cases, but for round-off")
+    found.save()
+    told = {each["name"]: each for each in json.loads((folder / "summary.json").read_text())["measures"]}
+    assert told["min(slider.y)"]["varies"] is False
+    assert told["max(slider.x)"]["varies"] is True
+    pytest.importorskip("plotly")
+    (row,) = [x for x in (folder / "sweep.html").read_text().split("<tr>") if "<code>min(slider.y)</code>" in x]
+    assert "does not vary" in row
+
+
 @pytest.mark.parametrize("form", ["parquet", "csv"])
 def test_files_are_read_by_others(form, tmp_path):
     pandas = pytest.importorskip("pandas")
@@ -645,8 +667,8 @@ def test_what_a_variation_does_not_change_is_told_with_its_value():
     """A few by name, many by their number; nothing where no case has a number."""
     rates = {"start.angular_velocity": [1.0, 2.0]}
     found = alfmu.sweep("five_bar", rates, stop_time=0.1, keep=["max(link1.x)", "min(link1.x)"])
-    assert found.lines()[-1] == "max(link1.x) is 0.5 m in all cases"
+    assert found.lines()[-1] == "max(link1.x) does not vary: 0.5 m in all cases"
     many = alfmu.sweep("five_bar", rates, stop_time=0.1, keep=["max(link*.x)"])
-    assert many.lines()[-1] == "4 kept numbers are the same in all cases"
+    assert many.lines()[-1] == "4 kept numbers do not vary between cases"
     failed = alfmu.sweep("four_bar", {"m2": [-1.0, -2.0]}, stop_time=0.1, keep=["max(link1.x)"])
     assert not any("in all cases" in line for line in failed.lines())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from alfmu import DeclarationError, Mechanism, derive, simulate
-from alfmu.view.picture import geometry
+from alfmu.view.picture import drawing, geometry
 
 
 def arm(length: float = 0.8) -> Mechanism:
@@ -51,6 +51,37 @@ def test_the_former_name_declares_the_same():
     m.trace("middle", m.bodies[0].at(0.4))
     assert [point.name for point in m.watched] == ["tip", "middle"]
     assert {"middle.x", "middle.vy"} <= {v.name for v in derive(m).outputs}
+
+
+def test_a_picture_holds_the_trail_and_everything_else_where_it_stands():
+    """A cart beside the arm, which runs away by metres, stands in the picture at its start."""
+    m = arm()
+    cart = m.body("cart", mass=1.0)
+    m.prismatic("guide", m.ground.at(), cart.at(), coordinate=m.coordinate("s", "m", rate=5.0, independent=True))
+    drawn = drawing(m)
+    path = np.array(drawn.trails["tip"])
+    assert np.ptp(path, axis=0).min() > 0.5
+    assert (drawn.view.low <= path.min(axis=0)).all()
+    assert (drawn.view.high >= path.max(axis=0)).all()
+    assert drawn.view.high[0] < 1.1
+    assert drawn.view.travel == ((0.0, 0.0),)
+
+
+def test_a_picture_in_space_holds_the_trail_and_everything_else_where_it_stands():
+    m = Mechanism("top")
+    how = {"mass": 1.0, "inertia": (0.1, 0.1, 0.1), "relative": True}
+    body, cart = m.spatial_body("body", **how), m.spatial_body("cart", **how)
+    ground, angle = m.spatial_ground.at(), m.coordinate("angle", "rad", start=0.3, independent=True)
+    m.spatial_revolute("A", ground, body.at(-0.5, 0, 0), axis=(0, 1, 0), coordinate=angle)
+    s = m.coordinate("s", "m", rate=5.0, independent=True)
+    m.spatial_prismatic("guide", ground, cart.at(), axis=(1, 0, 0), coordinate=s)
+    m.watch("end", body.at(0.5, 0.2, 0.0))
+    m.gravity(0, 0, -9.81)
+    drawn = drawing(m)
+    path = np.array(drawn.trails["end"])
+    assert np.ptp(path[:, 0]) > 0.5
+    assert np.ptp(drawn.view.cloud[:, 0]) >= np.ptp(path[:, 0]) - 0.1  # places at some instants alone
+    assert drawn.view.extent < 3.0
 
 
 def test_pictures_show_the_point_and_draw_the_body_as_far():

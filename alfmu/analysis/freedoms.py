@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..equations import Equations, Row
+from ..equations import Equations
 from ..files import write
 from ..model.calls import asked
 from ..model.errors import AlfmuError, InputError
@@ -272,7 +272,7 @@ def freedoms(
     beside = _beside(loops, start)
     groups = _groups(loops, beside)
     matrices = [np.abs(loops.matrix(y)) for y in (loops.home, beside)]
-    names = [_name(row) for row in e.rows]
+    names = [row.text for row in e.rows]
     off = [i for i in range(e.l) if not where.held[i] and i not in rubbing]
     held = np.flatnonzero(where.held)
     idle = [names[i] for k, i in enumerate(held) if max(C[k].max(initial=0.0) for C in matrices) < TOUCHED]
@@ -304,10 +304,6 @@ def _left_out(e: Equations) -> list[str]:
     return [f"dry friction ({names}) is no constraint here, though a joint that sticks has no motion"] * bool(names)
 
 
-def _name(row: Row) -> str:
-    return f"{row.name} {row.direction}".strip()
-
-
 def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
     """A regular place: the start, or one on a branch that begins there, that of the motion if there is one."""
     where = loops.situation
@@ -325,7 +321,7 @@ def _beside(loops: Loops, start: SingularPosition | None) -> Vector:
 def _groups(loops: Loops, y: Vector) -> tuple[Group, ...]:
     """Constraints in force that depend on each other at a regular place."""
     where = loops.situation
-    names = [_name(row) for row, on in zip(where.equations.rows, where.held, strict=True) if on]
+    names = [row.text for row, on in zip(where.equations.rows, where.held, strict=True) if on]
     null = loops.parts(loops.matrix(y))[0][:, loops.rank :]
     together = np.abs(null @ null.T) > TOUCHED
     left, found = {int(i) for i in np.flatnonzero(together.diagonal())}, []

@@ -73,7 +73,7 @@ def moved_by_law(where: Situation, state: State) -> str:
     moving = where.held & ((np.abs(rates) > RESTING) | (np.abs(seconds) > RESTING))
     if moving.any():
         row = int(np.argmax(moving))
-        name = f"{e.rows[row].name} {e.rows[row].direction}".strip()
+        name = e.rows[row].text
         return f"the law of {name} has a rate of {abs(rates[row]):.3g} and an acceleration of {abs(seconds[row]):.3g}"
     return f"{_carried(where, state)} by a law of time" if max(kinetic[0], changing[0]) > RESTING**2 else ""
 

@@ -481,7 +481,7 @@ def derive(mechanism: Mechanism) -> Equations:
     for efforts_kept, kept_outputs in (_locking(plain_locks, closures, lam), _driving(closures, lam)):
         values += efforts_kept
         outputs += kept_outputs
-    rows_of_locks = {x: closures.index((x, "locked")) for x in locks if isinstance(x, Lock)}
+    rows_of_locks = {x: closures.index((x, x.direction)) for x in locks if isinstance(x, Lock)}
     efforts_in_space = _efforts_in_space(m, plain, q, v)
     spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
     loads |= {o.name: x for o, x in zip(spatial_outputs, spatial_values, strict=True)}
@@ -506,9 +506,7 @@ def derive(mechanism: Mechanism) -> Equations:
     values += ca.vertsplit(lam)
     for i, row in enumerate(rows):
         force = "N" if row.unit == "m" else "N.m"  # times the row it is work
-        outputs.append(
-            Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.direction}")
-        )
+        outputs.append(Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.what}"))
     values += [state.symbol for state in m.states]
     states = [Variable(x.name, x.unit, x.start, description=x.description, nominal=x.nominal) for x in m.states]
     outputs += states
@@ -840,7 +838,7 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
         if isinstance(closure, Constraint):
             directions = ("",)
         elif isinstance(closure, Lock | Motion):
-            directions = ("locked" if isinstance(closure, Lock) else "motion",)
+            directions = (closure.direction,)
         elif isinstance(closure, SpatialJoint | Relation):
             directions = closure.directions
         elif isinstance(closure, Joint):
@@ -865,7 +863,7 @@ def _compliances(rows: list[Row]) -> list[Variable]:
             f"{row.name}.compliance.{row.direction}".removesuffix("."),
             units.get(row.unit, "1"),
             minimum=0.0,
-            description=f"compliance of {row.name} {row.direction}".strip() + ", for shares of redundant constraints",
+            description=f"compliance of {row.text}" + ", for shares of redundant constraints",
         )
         for row in rows
     ]
@@ -876,7 +874,7 @@ def _locking(locks: list[Lock | Motion], closures: list[Closing], lam: ca.SX) ->
     values, outputs = [], []
     for lock in locks:
         if isinstance(lock, Lock):
-            values.append(-lam[closures.index((lock, "locked"))])
+            values.append(-lam[closures.index((lock, lock.direction))])
             what, unit = _effort(lock)
             text = f"{what} of the lock of {lock.name}"
             outputs.append(Variable(f"{lock.name}.locking_{what}", unit, description=text))
@@ -908,7 +906,7 @@ def _switches(m: Mechanism, locks: list[Lock | Motion], closures: list[Closing])
             continue
         moving = isinstance(lock, Motion)
         name, text = ("driven", "put {} in force: the motion") if moving else ("locked", "stop the motion")
-        row = closures.index((lock, "motion" if moving else "locked"))
+        row = closures.index((lock, lock.direction))
         text = f"{text.format('the law')} of {lock.name}"
         switches.append(Switch(f"{lock.name}.{name}", [row], True, i, description=text))
     for closure in m.releases:

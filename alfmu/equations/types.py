@@ -88,6 +88,16 @@ class Row:
     direction: str
     unit: str
 
+    @property
+    def what(self) -> str:
+        """The direction in words."""
+        return "dry friction" if self.direction == "friction" else self.direction
+
+    @property
+    def text(self) -> str:
+        """Joint and direction as they are shown: `A x`, `drum locked`, `A dry friction`."""
+        return f"{self.name} {self.what}".strip()
+
 
 @dataclass(frozen=True)
 class Rubbing:

@@ -18,7 +18,7 @@ from ..model.errors import AlfmuError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import counted, shown, there_is
 from ..result import Result, Signal
-from ..simulation import by_name
+from ..simulation import by_name, names_in
 from .run import Runs
 
 if TYPE_CHECKING:
@@ -131,16 +131,15 @@ def fit(
     combination of numbers that the data do not tell is warned of. Raises InputError where a name or number is wrong,
     where units of the data are not those of the mechanism, and where there are fewer measurements than numbers.
     """
-    for what, names in (("numbers to vary", vary), ("columns", columns)):
-        if isinstance(names, str):
-            raise InputError(f"the {what} are {names!r}; give a list of names")
+    by = names_in(mechanism, "numbers to vary", vary)
+    wanted = None if columns is None else names_in(mechanism, "columns", columns)
     if not isinstance(data, str | Path | Result):
         raise InputError(f"the data are {shown(data)}; give a Result, or the path of a CSV file")
     table = data if isinstance(data, Result) else Result.from_csv(data)
     guesses = dict(vary) if isinstance(vary, Mapping) else {}
     given = {**by_name(mechanism, "parameters", parameters), **guesses}
-    runs = _runs(mechanism, list(vary), table, inputs, given)
-    measured = _measured(runs, table, columns)
+    runs = _runs(mechanism, by, table, inputs, given)
+    measured = _measured(runs, table, wanted)
     seen = np.column_stack([table[name] for name in measured])
     known = np.isfinite(seen)
     sizes = _sizes(runs, measured, seen, known, by_name(mechanism, "deviations", deviations))

@@ -18,7 +18,7 @@ from ..model.words import there_is
 from ..result import Result, Signal
 from ..runtime.instance import Instance, tell_of_jumps
 from ..runtime.sweeps import Sweeps
-from ..simulation import Progress, by_name, communication_points, prepare, table_of, values_of
+from ..simulation import Progress, by_name, communication_points, names_in, prepare, table_of, values_of
 from .functions import Expression, Final, Function
 
 if TYPE_CHECKING:
@@ -97,8 +97,7 @@ class Runs:
     ):
         if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
             raise InputError(f"{mechanism}: runs of an FMU have no derivatives; give the mechanism that it was made of")
-        if isinstance(by, str):
-            raise InputError(f"by is {by!r}; give a list of names")
+        by = names_in(mechanism, "numbers to derive by", by)
         found = prepare(mechanism, parameters or {}, inputs, outputs=outputs, kept=by, jacobian=False)
         if isinstance(found.unit, oracle.Instance):
             raise InputError(f"{found.unit.name}: the kernel oracle has no derivatives; use another one")

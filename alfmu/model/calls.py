@@ -2,7 +2,7 @@
 
 Declarations check what they are given, and say what is wrong. What they do not foresee ends in an error of Python's own
 somewhere inside; here it becomes a DeclarationError with the name of the part and of the argument, by the types that
-the signature has.
+the signature has. A call that is refused leaves its mechanism as it was.
 """
 
 from __future__ import annotations
@@ -55,12 +55,23 @@ _COUNTS = {2: "two", 3: "three", 4: "four"}
 
 def explained(function: Callable[_P, _R], kind: type[AlfmuError] = DeclarationError) -> Callable[_P, _R]:
     """The same function; errors of Python's own that its arguments lead to are AlfmuErrors of a kind, which say of what
-    call they are, what was given, and what it takes."""
+    call they are, what was given, and what it takes. After any error, a mechanism whose method it is, or that is its
+    argument `m`, is what it was before."""
 
     takes = _Takes(function)
 
     @wraps(function)
     def call(*given: _P.args, **named: _P.kwargs) -> _R:
+        mechanism = named.get("m", given[0] if given and takes.own and function.__name__ != "__init__" else None)
+        restore = mechanism._as_it_was() if hasattr(mechanism, "_as_it_was") else None
+        try:
+            return answered(given, named)
+        except BaseException:
+            if restore:
+                restore()
+            raise
+
+    def answered(given: Sequence[Any], named: Mapping[str, Any]) -> _R:
         try:
             known = takes.known(given, named)
             takes.check(known, bool)

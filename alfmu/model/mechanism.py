@@ -10,6 +10,7 @@ import math
 import re
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import InitVar, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Never, Self, TypeVar, overload
@@ -336,6 +337,7 @@ class Constraint(Brief):
 class Lock(Brief):
     """A displacement that a Boolean input stops where it is and lets go again; `value` is where it was stopped."""
 
+    direction: ClassVar[str] = "locked"
     name: str
     of: AnyJoint | tuple[Body, Body] | ca.SX
     unit: str
@@ -346,6 +348,7 @@ class Lock(Brief):
 class Motion(Brief):
     """A displacement that follows a law; `value` is what a motion that is switched keeps beside it, else None."""
 
+    direction: ClassVar[str] = "motion"
     name: str
     of: AnyJoint | ca.SX
     law: ca.SX
@@ -360,6 +363,7 @@ class Friction(Lock):
     `slip` stands for the direction in which it slides (1 or -1), and is 0 while it sticks.
     """
 
+    direction: ClassVar[str] = "friction"
     slip: ca.SX
     coulomb: Scalar
     static: Scalar
@@ -604,6 +608,27 @@ class Mechanism:
         self._by_symbol: dict[int | None, Start | Coordinate | Input] = {}
         self._symbols: dict[int | None, Symbol] = {key_of(self.time): Symbol("time", "time", "s")}
         self._owned: set[Body | SpatialBody] = {self.ground, self.spatial_ground}
+        self._changes: list[tuple[Any, str, Any]] = []
+
+    def _as_it_was(self) -> Callable[[], None]:
+        """What makes the mechanism again what it is now, for a declaration that is refused halfway."""
+        own = {name: copy(each) if isinstance(each, dict | set) else each for name, each in vars(self).items()}
+        own["_parts"] = {name: [*each] for name, each in self._parts.items()}
+        changes, count = self._changes, len(self._changes)
+
+        def restore() -> None:
+            while len(changes) > count:
+                part, name, value = changes.pop()
+                object.__setattr__(part, name, value)
+            vars(self).clear()
+            vars(self).update(own)
+
+        return restore
+
+    def _change(self, part: Any, name: str, value: Any) -> None:
+        """Change a part that is declared, or a marker, so that `_as_it_was` can take it back."""
+        self._changes.append((part, name, getattr(part, name)))
+        object.__setattr__(part, name, value)
 
     # Quantities -------------------------------------------------------------------------------------------------
 
@@ -2024,7 +2049,7 @@ class Mechanism:
                     f"{self.name}: joint {joint.name} has a coordinate, but {first.name} and {second.name} are placed "
                     "already; leave the coordinate out to close the joint by constraints"
                 )
-            target.placed_by = joint
+            self._change(target, "placed_by", joint)
         else:
             Mechanism.closures.of(self).append(joint)
         Mechanism.joints.of(self).append(joint)
@@ -2054,7 +2079,7 @@ class Mechanism:
                     f"{self.name}: joint {joint.name} places {second.name} on {first.name}, which nothing places yet; "
                     "declare joints with coordinates from the ground outwards"
                 )
-            second.placed_by = joint
+            self._change(second, "placed_by", joint)
             moving = (self._symbols[key_of(x)].kind for each in joint.second.point for x in symbols_in(each))
             joint.drifts = any(kind not in CONSTANT for kind in moving)
         (a, b, c), (d, e, f) = ([self._at_defaults(joint.name, x) for x in axis] for axis in joint.axes)
@@ -2129,7 +2154,8 @@ class Mechanism:
             what = f"a point of {marker.body.name} that {user} uses"
             place = self._vector(what, place, ("m",) * len(place), PLACE)
             for axis, x in zip("xyz", place, strict=False):
-                object.__setattr__(marker, axis, x)  # An input that moves the point is a signal from here on.
+                if x is not getattr(marker, axis):
+                    self._change(marker, axis, x)  # An input that moves the point is a signal from here on.
                 if kind:
                     self._no_jumps(f"a point of {user}", x, "m")
             for x in place if marker.body not in (self.ground, self.spatial_ground) else ():

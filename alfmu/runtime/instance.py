@@ -499,31 +499,30 @@ class Instance:
                 c.evaluations += evaluations
                 c.multiplier_iterations += evaluations * kernel[tier].plan.iterations
                 c.projection_iterations += 2 * made * kernel[tier].plan.corrections
-        for name, tries, limits in (("short", "short_tries", ""), ("short_beside", "short_beside", "short_limits")):
-            if tries := tally[tries]:
-                plan = kernel[name].plan
-                evaluations = tries * kernel[name].evaluations + (2 * plan.side - 1) * tally.get(limits, 0)
-                c.evaluations += evaluations
-                c.multiplier_iterations += evaluations * plan.iterations
-                c.projection_iterations += 2 * tries * plan.corrections
+        passes = int(self.memory["passes"].sum())
+
+        def tried(
+            name: str, tries: int, *, judged: int = 0, careful: int = 0, branch: str = "", limits: int = 0
+        ) -> None:
+            """Count tries of a program, with evaluations on both sides of the places where it reads limits."""
+            if not tries:
+                return
+            program = kernel[name]
+            # Careful explicit tries, and those on the branch, evaluate once more for what round-off leaves.
+            judging = careful * (program.nodes == 0) + judged
+            evaluations = tries * program.evaluations + judging + passes * program.nodes
+            evaluations += limits * (2 * kernel[branch].plan.side - 1) if limits else 0
+            c.evaluations += evaluations
+            c.multiplier_iterations += evaluations * program.plan.iterations
+            c.projection_iterations += 2 * tries * program.plan.corrections
+
+        tried("short", tally["short_tries"])
+        tried("short_beside", tally["short_beside"], branch="short_beside", limits=tally["short_limits"])
+        tried("stiff", tally["stiff_tries"])
+        how = {"judged": beside, "careful": tally["careful_tries"], "limits": tally["beside_limits"]}
+        tried("method", tally["tries"] + beside, **how, branch="beside")
         c.steps += covered
         c.refused += refused
-        passes = int(self.memory["passes"].sum())
-        if tried := tally["stiff_tries"]:
-            program = kernel["stiff"]
-            evaluations = tried * program.evaluations + passes * program.nodes
-            c.evaluations += evaluations
-            c.multiplier_iterations += evaluations * program.plan.iterations
-            c.projection_iterations += 2 * tried * program.plan.corrections
-        if tried := tally["tries"] + beside:
-            program = kernel["method"]
-            # Careful explicit tries, and those on the branch, evaluate once more for what round-off leaves.
-            judging = tally["careful_tries"] * (program.nodes == 0) + beside
-            evaluations = tried * program.evaluations + judging + passes * program.nodes
-            evaluations += tally["beside_limits"] * (2 * kernel["beside"].plan.side - 1) if beside else 0
-            c.evaluations += evaluations
-            c.multiplier_iterations += evaluations * program.plan.iterations
-            c.projection_iterations += 2 * tried * program.plan.corrections
         c.patient = patient
         reads, quick, shared = (int(counted[name]) for name in ("reads", "quick_reads", "shared"))
         c.evaluations += reads - shared

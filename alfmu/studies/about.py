@@ -154,7 +154,7 @@ def in_short(a: About) -> list[str]:
         *_options(a),
         _fitted(f"coordinates ({len(a.coordinates)})", [f"{c.name} [{c.unit}]" for c in a.coordinates]),
         *([_fitted(f"states ({len(e.states)})", [f"{v.name} [{v.unit}]" for v in e.states])] if e.states else []),
-        _fitted(f"constraints ({e.l})", [f"{row.name} {row.direction}".strip() for row in e.rows]),
+        _fitted(f"constraints ({e.l})", [row.text for row in e.rows]),
         _freedom(a),
         *([_fitted("not unique, as redundant constraints share a load", a.shared)] if a.shared else []),
         *_friction(a),
@@ -186,7 +186,7 @@ def in_all(a: About) -> list[str]:
     known = ([m.sketch.strip()], _options(a))
     lines = [f"{m.name}: {m.description}", "", *(line for part in known if any(part) for line in (*part, ""))]
     coordinates, states = (_merged((f"{c.name} [{c.unit}]",) for c in each) for each in (a.coordinates, e.states))
-    rows = _merged((f"{r.name} {r.direction}".strip(),) for r in e.rows)
+    rows = _merged((r.text,) for r in e.rows)
     lines += [f"coordinates ({len(a.coordinates)}): {', '.join(text for (text,) in coordinates) or 'none'}"]
     lines += [f"states ({len(e.states)}): {', '.join(text for (text,) in states)}"] if e.states else []
     lines += [f"constraints ({e.l}): {', '.join(text for (text,) in rows) or 'none'}", _freedom(a), *a.notes]

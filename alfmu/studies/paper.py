@@ -862,8 +862,8 @@ def _four_bar_plot(
         label = f"{name}, {dt:g} s" + (f", stopped at {r.times[-1]:.3g} s" if r.failure else "")
         width = 3 if name == "classic" else 1.2
         axes[1].semilogy(r.times, error, styles[dt], color=COLOURS[name], lw=width, alpha=0.8, label=label)
-    axes[1].set(title="start at th = 0, three steps", xlabel="time [s]", ylabel="angle error [rad]", ylim=(1e-9, 0.1))
-    axes[1].legend(fontsize=8, loc="lower right")
+    axes[1].set(title="start at th = 0, three steps", xlabel="time [s]", ylabel="angle error [rad]", ylim=(1e-9, 30))
+    axes[1].legend(fontsize=8, loc="upper left", ncols=2)  # above all errors
     marks = {"classic": "s", "residual": "o"}
     for name in PROCEDURES:
         done = [s for s in samples if s[0] == name and s[2] > effort.driven - DT / 2]

@@ -70,6 +70,8 @@ def page(store: Store, s: Summary) -> str:
         made.plot(pictures.histograms(columns, shown), caption)
         if moving:
             _against(made, store, s, shown, moving)
+    elif any(s.count for s in s.spreads):
+        made.text("No kept number varies between the cases.")
     made.head(2, "All kept numbers")
     made.text(_table(s.spreads[:LISTED]))
     if more := len(s.spreads) - LISTED:
@@ -88,7 +90,7 @@ def _against(made: Page, store: Store, s: Summary, shown: Sequence[Spread], movi
         pictures.sensitivities(mapped, moving),
         "Rank correlations (Spearman): +1 where a kept number always rises with a varied one, -1 where it always "
         "falls, 0 where neither, as where it first rises and then falls. Without any relation, "
-        f"{_noise(s.finished - s.failed)} are seen by chance.",
+        f"{_noise(s.finished - s.failed)} are seen by chance. What does not vary, or by round-off alone, has none.",
     )
     columns = store.columns(["case", "failure", *names, *(each.name for each in shown)])
     failed = columns["failure"] != ""
@@ -163,5 +165,7 @@ def _table(spreads: Sequence[Spread]) -> str:
     for s in spreads:
         numbers = [f"{x:.5g}" for x in (s.mean, s.deviation, *s.quantiles)]
         ends = [f"{s.least:.5g} ({s.least_case})", f"{s.largest:.5g} ({s.largest_case})"]
+        if s.count and not s.moves:
+            numbers[1], ends = "does not vary", [f"{s.least:.5g}", f"{s.largest:.5g}"]
         rows.append(f"| {' | '.join([f'`{s.name}`', s.unit, *numbers, *ends])} |")
     return "\n".join(rows)

@@ -173,9 +173,10 @@ class Sweep:
             said += [f"and {more} more in {SUMMARY}"] if more > 0 else []
         still = [each for each in s.spreads if each.count and not each.moves]
         if len(still) > STILL:
-            said.append(f"{len(still)} kept numbers are the same in all cases")
-        else:
-            said += [f"{x.name} is {x.largest:.5g} {x.unit} in all cases" for x in still]
+            said.append(f"{len(still)} kept numbers do not vary between cases")
+        for x in still if len(still) <= STILL else ():
+            but = ", but for round-off" * (x.largest > x.least)
+            said.append(f"{x.name} does not vary: {x.largest:.5g} {x.unit} in all cases{but}")
         return said
 
     def _repr_html_(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ AT_ONCE = 24
 """Columns that are read at once."""
 
 SAME = 1e-12
-"""Spread of a number over its magnitude [1] within which it is the same in all cases: round-off."""
+"""Spread of a number over its size [1] within which it is the same in all cases: round-off."""
 
 _NUMBERS = re.compile(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?")
 
@@ -44,11 +44,18 @@ class Spread:
     """At QUANTILES."""
     sensitivities: Mapping[str, float]
     """Spearman's rank correlation [1] with each varied number that changes; empty where this number does not."""
+    size: float
+    """The largest magnitude of any kept number in its unit; of one without a unit, of those of its output."""
 
     @property
     def moves(self) -> bool:
         """Whether it differs between cases by more than round-off."""
-        return self.largest - self.least > SAME * max(abs(self.least), abs(self.largest))
+        return self.largest - self.least > SAME * self.size
+
+    @property
+    def scale(self) -> str:
+        """What it shares its size with."""
+        return self.name.partition("(")[2] if self.unit in ("", "1") else self.unit
 
 
 @dataclass(frozen=True)
@@ -93,6 +100,7 @@ class Summary:
                 "name": s.name,
                 "unit": s.unit,
                 "count": s.count,
+                "varies": s.moves,
                 "mean": number(s.mean),
                 "deviation": number(s.deviation),
                 "min": {"value": number(s.least), "case": s.least_case},
@@ -120,7 +128,7 @@ def summarised(store: Store) -> Summary:
     cases, failed = texts["case"].astype(int), texts["failure"] != ""
     varied = store.columns(plan.varied)
     ranges = {name: (x.min(), x.max()) if len(x) else (np.nan, np.nan) for name, x in varied.items()}
-    spreads = list(_spreads(store, plan, cases, varied))
+    spreads = _sized(list(_spreads(store, plan, cases, varied)))
     reasons = [_reasons(cases, texts[name]) for name in ("failure", "warning")]
     return Summary(plan.cases, len(cases), int(failed.sum()), ranges, spreads, *reasons)
 
@@ -155,20 +163,24 @@ def _spread(
 ) -> Spread:
     if not len(x):
         nothing = (np.nan,) * len(QUANTILES)
-        return Spread(name, unit, 0, np.nan, np.nan, np.nan, -1, np.nan, -1, nothing, {})
+        return Spread(name, unit, 0, np.nan, np.nan, np.nan, -1, np.nan, -1, nothing, {}, 0.0)
     low, high = int(x.argmin()), int(x.argmax())
     quantiles = tuple(np.quantile(x, QUANTILES).tolist())
-    found = Spread(
-        *(name, unit, len(x), float(x.mean()), float(x.std()), float(x[low]), int(cases[low]), float(x[high])),
-        *(int(cases[high]), quantiles, {}),
-    )
-    if not found.moves:
-        return found
     ranks = _ranked(x)
     sensitivities = {each: float(ranks @ other) for each, other in varied.items()}
     return Spread(
-        *(getattr(found, field) for field in Spread.__dataclass_fields__ if field != "sensitivities"), sensitivities
+        *(name, unit, len(x), float(x.mean()), float(x.std()), float(x[low]), int(cases[low]), float(x[high])),
+        *(int(cases[high]), quantiles, sensitivities, float(np.abs(x).max())),
     )
+
+
+def _sized(spreads: Sequence[Spread]) -> list[Spread]:
+    """The same with sizes among all kept numbers, and without sensitivities of what is round-off."""
+    sizes: dict[str, float] = {}
+    for s in spreads:
+        sizes[s.scale] = max(s.size, sizes.get(s.scale, 0.0))
+    found = [replace(s, size=sizes[s.scale]) for s in spreads]
+    return [s if s.moves else replace(s, sensitivities={}) for s in found]
 
 
 def _reasons(cases: NDArray[np.int64], texts: NDArray[Any]) -> list[Failures]:

@@ -20,7 +20,7 @@ import io
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -88,6 +88,8 @@ class Coupling:
     reference_error: float
     """What the one mechanism differs from itself at a hundredth of its tolerance and half its step [1]."""
     bonds: Sequence[str]
+    refused: Mapping[str, str] = field(default_factory=dict)
+    """Why a master cannot run the system at all, or not at a step that was asked for."""
 
     def of(self, master: str) -> list[Case]:
         """The runs by one master, the longest step first."""
@@ -123,6 +125,7 @@ class Coupling:
                 f"   {case.seconds:8.2f}"
             ]
         said += [""]
+        said += [f"{master}: refused: {why}" for master, why in self.refused.items()]
         for master, (step, ended) in self.stable.items():
             order = self.order(master)
             slope = "no order can be fitted" if math.isnan(order) else f"order {order:.2f}"
@@ -141,6 +144,8 @@ class Coupling:
             each = [c.errors.get(name, math.inf) for name in self.compared]
             numbers = (c.step, c.error, *each, c.energy, c.passed, c.tries, c.seconds)
             table.writerow([c.master, *(f"{x:.9g}" for x in numbers), c.why])
+        for master, why in self.refused.items():
+            table.writerow([master, *["nan"] * (len(self.compared) + 6), why])
         write(path, text.getvalue().encode())
 
     def figure(self) -> Figure:
@@ -174,7 +179,8 @@ def couple(
 
     All mechanisms and parts, and FMUs that have the parameter, run with the relative tolerance `tolerance` unless the
     system sets one, the one mechanism with `REFERENCE` of it. `stability` searches the largest stable steps. `progress`
-    wraps the runs. Raises InputError where there is nothing to compare with.
+    wraps the runs. A master that cannot run the system is left out, with its reason in `refused`. Raises InputError
+    where there is nothing to compare with, and what the first master raises where all are refused.
     """
     system = system if isinstance(system, System) else System.load(system)
     mono = system.monolithic
@@ -194,22 +200,36 @@ def couple(
         raise InputError(f"{system.name}: a study of coupling starts at 0 s, as the one mechanism does")
     finest = system.communication_step / 2**halvings
     reference, inexact, units = _reference(system, mono, finest, tolerance)
-    limits = _limits(system, mono, units, tolerance)
-    cases = []
+    limits: dict[str, float] | None = None
+    cases: list[Case] = []
+    refused: dict[str, AlfmuError] = {}
     runs = [(master, system.communication_step / 2**k) for master in masters for k in range(halvings + 1)]
     bonds: list[Bond] = []
     for master, step in progress(runs):
-        case, bonds = _run(system, mono, master, step, reference, finest, limits)
-        cases.append(case)
+        if master in refused:
+            continue
+        try:
+            if limits is None:
+                limits = _limits(system.changed(master=master), mono, units, tolerance)
+            case, bonds = _run(system, mono, master, step, reference, finest, limits)
+        except AlfmuError as error:
+            refused[master] = error
+        else:
+            cases.append(case)
+    if refused and not cases:
+        raise next(iter(refused.values()))
     stable = {}
     for master in masters if stability else ():
+        if master in refused:
+            continue
 
         def fine(step: float, master: str = master) -> bool:
-            return _run(system, mono, master, step, reference, finest, limits)[0].error <= FAR
+            return _run(system, mono, master, step, reference, finest, limits or {})[0].error <= FAR
 
         good = [case.step for case in cases if case.master == master and case.error <= FAR]
         stable[master] = _largest(fine, max(good, default=0.0), system.stop_time, finest)
-    return Coupling(system.name, dict(mono.compare), cases, stable, inexact, [bond.name for bond in bonds])
+    said = {master: str(error) for master, error in refused.items()}
+    return Coupling(system.name, dict(mono.compare), cases, stable, inexact, [bond.name for bond in bonds], said)
 
 
 def _limits(system: System, mono: Monolithic, units: Mapping[str, str], tolerance: float) -> dict[str, float]:

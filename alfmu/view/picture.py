@@ -204,7 +204,8 @@ def drawing(
 
     Without `at`, where bars hide each other at the start (singular positions do that), the first start angle is taken
     1 rad further, and the picture says so. Dots have the trail of the mechanism's own experiment, as far as 500 steps
-    and as it can be run. Raises AlfmuError where the mechanism cannot start, or has nothing called so.
+    and as it can be run; the frame holds the trails and the position that is drawn. Raises AlfmuError where the
+    mechanism cannot start, or has nothing called so.
     """
     shapes = geometry(mechanism, parameters)
     if at:
@@ -226,8 +227,11 @@ def drawing(
         stop_time = min(equations.stop_time, 500 * equations.step_size)
         with suppress(AlfmuError):
             result = simulate(every, stop_time, equations.step_size, parameters=parameters)
-            covered = {name: np.append(result[name], columns[name]) for name in shapes.columns}
             trails = {dot: _path(result, shapes, dot) for dot in dots}
+            # The frame holds what is drawn: trails as a whole, all else where it stands.
+            moved = {name for dot in dots for name in _columns_of(shapes, dot)}
+            still = np.ones(len(result.time))
+            covered = {name: np.append(result[name] if name in moved else still * x, x) for name, x in columns.items()}
     return Drawing(shapes, columns, view_of(shapes, covered), trails, caption, size)
 
 
@@ -292,11 +296,16 @@ def _start(shapes: Shapes, equations: Equations) -> dict[str, float]:
     return {name: known[name] for name in shapes.columns}
 
 
+def _columns_of(shapes: Shapes, dot: str) -> list[str]:
+    """Columns of the place of a dot."""
+    if shapes.space:
+        return list(next(frame.columns for frame in shapes.space.frames if frame.name == dot))
+    return [f"{dot}.x", f"{dot}.y"]
+
+
 def _path(columns: Mapping[str, Any] | Result, shapes: Shapes, dot: str) -> list[tuple[float, ...]]:
     """Where a dot has been [m]."""
-    names = [f"{dot}.x", f"{dot}.y"]
-    if shapes.space:
-        names = list(next(frame.columns for frame in shapes.space.frames if frame.name == dot))
+    names = _columns_of(shapes, dot)
     path = list(zip(*(columns[name] for name in names), strict=True))
     return [(*place, 0.0) for place in path] if shapes.space and len(names) == 2 else path
 
