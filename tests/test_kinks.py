@@ -252,3 +252,27 @@ def test_implicit_steps_whose_multipliers_need_more_iterations_are_no_less_stabl
     tally = dict(zip(TALLY, unit.memory["tally"], strict=True))
     assert tally["tries"] < 50
     assert tally["beside"] == 0
+
+
+def test_positions_that_masses_alone_make_look_singular_are_passed():
+    """A governor with light balls and a heavy slider, by implicit steps: those on the branch fail in its place."""
+    values = {"l": 1.345, "width": 0.009311, "density": 18830.0, "m_ball": 0.743, "m_slider": 7.403, "side": 0.04529}
+    values |= {"pivot": 0.01121, "stiffness": 1.789e6, "damping": 21270.0, "rest": 0.2284, "g": 75.69}
+    values |= {"start.angle": -1.889, "start.rod_angle": 0.07649, "start.position": 0.4048}
+    values |= {"start.angular_velocity": -2.115, "start.rod_rate": 2.409}
+    ends = []
+    for method, tolerance in (("auto", 1e-6), ("explicit", 1e-9)):
+        unit = alfmu.Instance(
+            prepared(with_defaults(alfmu.derive(alfmu.load("flyball_governor")), {"solver.method": method}))
+        )
+        for name, value in {**values, "solver.relative_tolerance": tolerance}.items():
+            unit.set(name, value)
+        unit.initialize()
+        for _ in range(6):
+            unit.step(0.01)
+        ends.append(unit)
+    automatic, exact = ends
+    assert automatic.equations.chosen == "stiff"
+    assert dict(zip(TALLY, automatic.memory["tally"], strict=True))["regular_tries"] > 0
+    assert automatic.get("slider.position") == pytest.approx(exact.get("slider.position"), abs=1e-5)
+    assert automatic.counters.energy_error < 1e-3 * automatic.energy_scale

@@ -30,7 +30,7 @@ _CONTENTS = {
 _PARTS = {
     "an internal step": ("quick", "onward", "careful"),
     "the same on the branch of the motion, near singular positions": ("branch",),
-    "a step by solver.method": ("method", "beside", "stiff", "reach"),
+    "a step by solver.method": ("method", "beside", "regular", "stiff", "reach"),
     "outputs": ("instant", "instant_quick"),
     "limits of outputs at singular positions": ("limit",),
     "steps and outputs that iterate until they converge": (

@@ -93,6 +93,9 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
         mark = "method" if wanted is explicit_one else "beside"
         step = _Explicit(tracer, on_branch, mark, "beside")
         programs["beside"] = step.program(wanted, "" if explicit_one else "beside")
+        if isinstance(rule, Collocation):
+            # Masses can make a position look singular that is regular by its constraints.
+            programs["regular"] = _Explicit(tracer, gaining, mark, "regular").program(wanted, "beside")
     if default_settings(tracer.e).method == "auto":
         programs["short"] = _Explicit(tracer, quick, "short").program(EXPLICIT5_SHORT, "short")
         if tracer.e.l:

@@ -29,11 +29,12 @@ scene with error control, 2 the same in steps of one length)."""
 
 TALLY = (
     *(*TIERS, "limits", "short_tries", "short_beside", "short_limits"),
-    *("stiff_tries", "tries", "careful_tries", "covered", "refused", "beside", "beside_limits"),
+    *("stiff_tries", "regular_tries", "tries", "careful_tries", "covered", "refused", "beside", "beside_limits"),
 )
 """Internal steps made by each tier, limits taken; tries of short steps, those of them on the branch, limits taken
-there; tries of implicit steps in place of explicit ones; by the method of the scene: tries, those of them with careful
-iterations, steps made, refused ones (short ones too), tries on the branch, limits taken there."""
+there; tries of implicit steps in place of explicit ones, and of explicit ones in place of implicit ones where
+constraints are regular; by the method of the scene: tries, those of them with careful iterations, steps made, refused
+ones (short ones too), tries on the branch, limits taken there."""
 
 PACE = (
     *("dt", "before", "refused", "fixed", "end", "last", "accepted", "floor", "careful"),

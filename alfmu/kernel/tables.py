@@ -57,7 +57,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 14
+VERSION = 15
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -94,7 +94,7 @@ FUNCTIONS = {
 PROGRAMS = {
     **_same("quick careful instant limit move move_on_branch close impact sensitivity limit_sensitivity reach beside"),
     **{"branch_step": "branch", "method_step": "method", "method_careful": "method_careful", "short_step": "short"},
-    **{"stiff_step": "stiff"},
+    **{"stiff_step": "stiff", "regular_step": "regular"},
     **_same("short_beside onward short_onward instant_quick"),
     **_same("instant_patient limit_patient keep gripping"),
     **_same(" ".join(f"{program}_{name}" for program in ("move", "instant") for name in OTHERS)),

@@ -519,6 +519,7 @@ class Instance:
         tried("short", tally["short_tries"])
         tried("short_beside", tally["short_beside"], branch="short_beside", limits=tally["short_limits"])
         tried("stiff", tally["stiff_tries"])
+        tried("regular", tally["regular_tries"], judged=tally["regular_tries"])
         how = {"judged": beside, "careful": tally["careful_tries"], "limits": tally["beside_limits"]}
         tried("method", tally["tries"] + beside, **how, branch="beside")
         c.steps += covered

@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 14
+#define SCENE_VERSION 15
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -60,7 +60,7 @@
 #define CONTROL_STEP_SIZE 0
 #define CONTROL_TIER 1
 #define CONTROL_METHOD 2
-#define TALLY 14
+#define TALLY 15
 #define TALLY_QUICK 0
 #define TALLY_CAREFUL 1
 #define TALLY_BRANCH 2
@@ -69,12 +69,13 @@
 #define TALLY_SHORT_BESIDE 5
 #define TALLY_SHORT_LIMITS 6
 #define TALLY_STIFF_TRIES 7
-#define TALLY_TRIES 8
-#define TALLY_CAREFUL_TRIES 9
-#define TALLY_COVERED 10
-#define TALLY_REFUSED 11
-#define TALLY_BESIDE 12
-#define TALLY_BESIDE_LIMITS 13
+#define TALLY_REGULAR_TRIES 8
+#define TALLY_TRIES 9
+#define TALLY_CAREFUL_TRIES 10
+#define TALLY_COVERED 11
+#define TALLY_REFUSED 12
+#define TALLY_BESIDE 13
+#define TALLY_BESIDE_LIMITS 14
 #define PACE 16
 #define PACE_DT 0
 #define PACE_BEFORE 1
@@ -317,6 +318,7 @@
     X(method_careful) \
     X(short_step) \
     X(stiff_step) \
+    X(regular_step) \
     X(short_beside) \
     X(onward) \
     X(short_onward) \
@@ -365,6 +367,7 @@
     X(method_careful) \
     X(short_step) \
     X(stiff_step) \
+    X(regular_step) \
     X(short_beside) \
     X(onward) \
     X(short_onward) \

@@ -155,17 +155,26 @@ static int try_short(Instance *i)
     return 0;
 }
 
-/* A step on the branch in place of one that could not be judged. */
+/* A step on the branch in place of one that could not be judged; where that cannot be either, or has too large an error, an
+   explicit step in place of an implicit one, whose constraints alone tell whether it is near a singular position. */
 static void beside_it(Instance *i)
 {
     const Scene *s = i->scene;
     const double *after = i->m + s->after;
+    double *pace = i->m + s->pace, kept[PACE];
     if (after[s->trouble] == 0.0 || s->beside < 0)
         return;
+    memcpy(kept, pace, sizeof kept);
     run(i, s->beside);
-    i->m[s->pace + PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+    pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
     i->m[s->tally + TALLY_BESIDE] += 1.0;
     i->m[s->tally + TALLY_BESIDE_LIMITS] += after[s->near];
+    if (s->regular_step >= 0 && (after[s->trouble] != 0.0 || pace[PACE_ACCEPTED] == 0.0)) {
+        memcpy(pace, kept, sizeof kept);
+        run(i, s->regular_step);
+        pace[PACE_LAST] = 0.0;
+        i->m[s->tally + TALLY_REGULAR_TRIES] += 1.0;
+    }
 }
 
 /* A try of the other of explicit and implicit steps; they go on where it keeps the tolerance, and 0 where it does not.
