@@ -489,6 +489,18 @@ def test_unconverged_iterations_are_counted(caplog: pytest.LogCaptureFixture) ->
     assert "an evaluation ended without convergence after 1 passes of the multiplier iteration" in warning
 
 
+@pytest.mark.parametrize(("share", "warned"), [(1.0, False), (0.3, True)])
+def test_a_penalty_below_the_masses_is_warned_of(share: float, warned: bool, caplog: pytest.LogCaptureFixture) -> None:
+    """Links of 1 kg; at a tenth of that, reactions of the five-bar would be 0.05 N off in silence."""
+    i = running(derived("five_bar"), start(-1.0, 2.0, **{"solver.penalty": share, "solver.max_iterations": 200}))
+    with caplog.at_level("WARNING", "alfmu"):
+        i.step(0.01)
+        i.step(0.01)
+    said = "solver.penalty 0.3 is below the mass 1 that B x holds, so that multipliers may be wrong; use 0"
+    assert sum(said in each for each in caplog.messages) == warned
+    assert all("solver.penalty 1 is below" not in each for each in caplog.messages)
+
+
 @pytest.mark.parametrize("kernel", ["oracle", "vm"])
 def test_a_penalty_that_leaves_too_much_is_refused_by_both(kernel: str) -> None:
     """A step with a given penalty that is as small as a mass, and a reading, each by name; the state is kept."""

@@ -275,7 +275,8 @@ enum {
     WARNED_OF_FRICTION = 8,
     WARNED_OF_IMPACT = 16,
     WARNED_OF_CORNER = 32,
-    EVERY_WARNING = 63
+    WARNED_OF_PENALTY = 64,
+    EVERY_WARNING = 127
 };
 
 Instance *instance_new(const Scene *scene);

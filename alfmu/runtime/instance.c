@@ -1083,7 +1083,8 @@ static Outcome started(Instance *i)
 {
     const Scene *s = i->scene;
     const size_t l = (size_t)s->l, n = (size_t)s->n;
-    double *q = take(i, n), *v = take(i, n), alpha = i->values[s->penalty];
+    double *q = take(i, n), *v = take(i, n), alpha = i->values[s->penalty], heavy = 0.0;
+    int light = -1; /* a constraint whose penalty is below the mass that it holds */
     unsigned char *held = (unsigned char *)take(i, l);
     const double time = *instance_time(i);
     Outcome outcome;
@@ -1106,8 +1107,11 @@ static Outcome started(Instance *i)
     /* Whether the penalty is the one for which the quick step of the kernel is known to be enough. */
     i->flags.scaled = alpha == 0.0 && !i->flags.given;
     for (int r = 0; r < s->l; r++) {
+        const double mass = i->full[r] / PENALTY_RATIO;
         i->flags.scaled &= s->weighted || i->full[r] == i->full[0];
         i->full[r] = i->flags.given ? i->given[r] : alpha > 0.0 ? alpha : i->full[r];
+        if (held[r] && i->full[r] < mass * (1 - 1e-9) && mass > heavy)
+            heavy = mass, light = r;
     }
     for (int r = 0; r < s->l; r++)
         i->penalty[r] = held[r] ? i->full[r] : 0.0;
@@ -1119,6 +1123,11 @@ static Outcome started(Instance *i)
     if (outcome != DONE)
         return outcome;
     begin_at(i, q, v, time);
+    if (light >= 0)
+        warn(i, WARNED_OF_PENALTY,
+            "%s: solver.penalty %g is below the mass %g that %s %s holds, so that multipliers may be wrong; use 0, which "
+            "scales it with the masses",
+            s->name, i->full[light], heavy, s->rows[light].name, s->rows[light].direction);
     settle_kernel(i);
     /* At rest near a singular position nothing else tells the direction along which a limit is taken. */
     if (s->l && continues(i) && largest(v, dependent(s)) == 0.0 && margin(i) < BRANCH_MARGIN)
