@@ -748,22 +748,6 @@ static double unit_of(const Told *row)
                                         : row->most;
 }
 
-/* Rows of one joint, which follow each other, in one unit get the largest that the lengths in one of them tell: another
-   row may lie across them at the start, and not later. */
-static void share_units(const Scene *s, const Told *told, double *units)
-{
-    for (int r = 0, end; r < s->l; r = end) {
-        const Row *row = s->rows + r;
-        double most = 0.0;
-        for (end = r; end < s->l && !strcmp(row->name, row[end - r].name) && !strcmp(row->unit, row[end - r].unit); end++)
-            if (constant(told + end) == 0.0 && told[end].lengths.squares > 0.0)
-                most = fmax(most, units[end]);
-        for (int k = r; most > 0.0 && k < end; k++)
-            if (constant(told + k) == 0.0 && told[k].lengths.count > 0.0)
-                units[k] = most;
-    }
-}
-
 /* How often each row is written: rows that are multiples of each other at all places have the same sums, over places and
    coordinates, of their coefficients by random numbers, over their size. */
 static void copies(Instance *i, const double *q, double *count)
@@ -818,7 +802,6 @@ void default_penalties(Instance *i, const double *q, double *penalties)
         every_angular &= told[r].angular > 0.0;
         every_exact &= constant(told + r) > 0.0;
     }
-    share_units(s, told, units);
     for (int r = 0; r < s->l; r++) {
         if (every_angular && !every_exact)
             units[r] = told[r].angular;
