@@ -27,7 +27,7 @@ from alfmu.simulation import prepared
 
 RUNTIME = Path(alfmu.__file__).parent / "runtime"
 HOST = Path(__file__).with_name("scene_host.c")
-SOURCES = [HOST, *(RUNTIME / name for name in ("scene.c", "interpret.c", "linear.c", "tape.c"))]
+SOURCES = [HOST, *(RUNTIME / name for name in ("scene.c", "interpret.c", "operations.c", "linear.c", "tape.c"))]
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", *build.FLAGS, f"-I{RUNTIME}"]
 
 N = 60

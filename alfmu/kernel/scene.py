@@ -45,6 +45,7 @@ def operations_header() -> str:
     counts = ", ".join(str(OPERANDS[kind]) for kind in KINDS)
     lines += [
         *(f"#define {name.upper()}_KIND {KINDS.index(name)}" for name in SUMS),
+        f"#define IS_BINARY(kind) ((kind) <= {max(KINDS.index(x) for x in KINDS if x in BINARY)}) /* of those above */",
         f"#define OVER_KIND {KINDS.index(ca.OP_DIV)}",
         f"#define SINE_COSINE_KIND {KINDS.index(SINE_COSINE)}",
         f"#define KIND_COUNT {len(KINDS)}",
@@ -158,15 +159,9 @@ class Writer:
         self.parts.append(data.tobytes())
 
     def narrow(self, values: NDArray) -> None:
-        """How many integers of 16 bits there are, and by how much each differs from the one before the last.
-
-        Most operations have two operands, which follow those of the operation before. Low bytes stand before high
-        ones: an archive of the file is a sixth smaller by both.
-        """
-        data = values.astype(np.uint16)
-        data[2:] -= data[:-2].copy()
-        self.integer(data.size)
-        self.parts.append(data.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes())
+        """How many integers of 16 bits there are, and each: low bytes before high ones, which are alike."""
+        self.integer(values.size)
+        self.parts.append(values.astype("<u2").view(np.uint8).reshape(-1, 2).T.tobytes())
 
     def reals(self, values: Iterable[float]) -> None:
         data = np.array(list(values), "<f8")
@@ -184,8 +179,28 @@ class Writer:
             self.integers(words)
             self.integers(results.ravel())
             return
-        self.narrow(words)
         found = np.zeros(sum(made.outputs), np.int64)
         for entries, entry, step, place, places in results.tolist():
             found[entry + step * np.arange(entries)] = place + places * np.arange(entries)
-        self.narrow(found)
+        for part in _differences(words, found, count + sum(made.inputs)):
+            self.narrow(part)
+
+
+def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray, NDArray, NDArray]:
+    """Kinds and numbers of operations of each run, their operands, and the results: an archive is a quarter smaller.
+
+    Places from `first` on, where the first operation has its result, are counted back from the end of the run, those of
+    results from the end of all. The first operands of a run stand before the second ones, and of each stands by how much
+    it differs from the one before.
+    """
+    heads, operands = [], [np.zeros(0, np.int64)]
+    at, end = 0, first
+    while at < len(words):
+        kind, count = words[at : at + 2].tolist()
+        each = OPERANDS[KINDS[kind]]
+        heads += [kind, count]
+        end += count * (2 if KINDS[kind] == SINE_COSINE else 1)
+        block = words[at + 2 : at + 2 + each * count].reshape(count, each).T
+        operands.append(np.diff(np.where(block < first, block, block - end), prepend=0).ravel())
+        at += 2 + each * count
+    return np.array(heads), np.concatenate(operands), np.diff(np.where(results < first, results, results - end), prepend=0)

@@ -57,7 +57,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 15
+VERSION = 16
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"

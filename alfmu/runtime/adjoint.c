@@ -26,32 +26,6 @@
         A(i) += w * y; \
         A(j) += w * x; \
     }
-#define BINARY(kind, by_a, by_b) \
-    case kind: \
-        for (; count; count--, at -= 2, d--) { \
-            const double a = R(0), b = R(1), w = *d; \
-            (void)a, (void)b; \
-            if (w != 0.0) { \
-                const double of_a = by_a, of_b = by_b; \
-                if (of_a != 0.0) \
-                    A(0) += w * of_a; \
-                if (of_b != 0.0) \
-                    A(1) += w * of_b; \
-            } \
-        } \
-        break;
-#define UNARY(kind, by_a) \
-    case kind: \
-        for (; count; count--, at--, d--) { \
-            const double a = R(0), w = *d; \
-            (void)a; \
-            if (w != 0.0) { \
-                const double of_a = by_a; \
-                if (of_a != 0.0) \
-                    A(0) += w * of_a; \
-            } \
-        } \
-        break;
 
 void adjoints_through(const Flat *flat, const double *r, double *ar)
 {
@@ -83,8 +57,17 @@ void adjoints_through(const Flat *flat, const double *r, double *ar)
             for (int32_t c = run->result + 2 * (count - 1); count; count--, at--, c -= 2)
                 A(0) += ar[c] * r[c + 1] - ar[c + 1] * r[c];
             break;
-            BINARY_PARTIALS(BINARY)
-            UNARY_PARTIALS(UNARY)
+        default: {
+            const int each = operands[run->kind];
+            for (; count; count--, at -= each, d--)
+                if (*d != 0.0) {
+                    double of[2];
+                    partials(run->kind, R(0), R(each - 1), of);
+                    for (int j = 0; j < each; j++)
+                        if (of[j] != 0.0)
+                            A(j) += *d * of[j];
+                }
+        }
         }
     }
 }

@@ -60,11 +60,12 @@ HERE = _MACHINES.get((sys.platform, platform.machine().lower()), "")
 _FLAGS = ("-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
 """`-ffp-contract=off`: a sum of products is rounded as it is written, so that compiled scenes give the same numbers."""
 
-_OFTEN = ("adjoint.c", "instance.c", "interpret.c", "linear.c", "step.c", "tangent.c")
+_OFTEN = ("adjoint.c", "interpret.c", "linear.c", "step.c", "tangent.c")
 """What runs in every step; without tangents among it, one with derivatives takes three to six times as long."""
 
-_FAST, _SMALL = ("-O2", "-fno-unroll-loops"), ("-Os",)
-"""Of what runs often, and of the rest: an FMU carries the library, which is 25 to 30 % smaller so, and as fast."""
+_FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-slp-vectorize"), ("-Os",)
+"""Of what runs often, and of the rest: an FMU carries the library, which is 25 to 30 % smaller so, and as fast. Vectors
+are in the sources where they are worth it."""
 
 _NO_UNWINDING = ("-fno-asynchronous-unwind-tables", "-fno-unwind-tables")
 """Nothing here is unwound: a tenth of the library."""

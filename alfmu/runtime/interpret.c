@@ -49,6 +49,7 @@
     BINARY(PLUS_KIND, a + b) \
     BINARY(MINUS_KIND, a - b) \
     BINARY(OVER_KIND, a / b)
+/* Of rare operations the value is computed elsewhere. */
 #define OTHERS \
     UNARY(NEGATIVE_KIND, -a) \
     case SINE_COSINE_KIND: \
@@ -58,8 +59,13 @@
             *d++ = cos(a); \
         } \
         break; \
-        BINARY_OPERATIONS(BINARY) \
-        UNARY_OPERATIONS(UNARY)
+    default: \
+        if (IS_BINARY(kind)) \
+            for (; count; count--, NEXT(2)) \
+                *d++ = rare(kind, OPERAND(0), OPERAND(1)); \
+        else \
+            for (; count; count--, NEXT(1)) \
+                *d++ = rare(kind, OPERAND(0), 0.0);
 
 #define OPERAND(k) r[at[2 * (k)] + pass * at[2 * (k) + 1]]
 #define NEXT(n) at += 2 * (n)
@@ -101,7 +107,6 @@ static void wide_runs(const int32_t *at, const int32_t *end, const double *r, do
         int32_t count = *at++;
         switch (kind) {
             SUMS
-            OTHERS
         case LOOP_KIND: { /* how many values a pass gives, and how many words the body has */
             const int32_t values = at[0], body = at[1];
             at += 2;
@@ -119,6 +124,7 @@ static void wide_runs(const int32_t *at, const int32_t *end, const double *r, do
             for (; count; count--)
                 *d++ = r[*at++];
             break;
+            OTHERS
         }
     }
 }
@@ -200,7 +206,16 @@ static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r
             PAIRS(PLUS_KIND, a + b)
             PAIRS(MINUS_KIND, a - b)
             PAIRS(OVER_KIND, a / b)
-            OTHERS
+            UNARY(NEGATIVE_KIND, -a)
+        case SINE_COSINE_KIND:
+            for (; count; count--) {
+                const double a = r[*at++];
+                *d++ = sin(a);
+                *d++ = cos(a);
+            }
+            break;
+            BINARY_OPERATIONS(BINARY)
+            UNARY_OPERATIONS(UNARY)
         }
     }
 }
@@ -309,24 +324,6 @@ static void solve_dense(Instance *i, int size, const double *matrix, const doubl
                 d->part[part] = value; \
             } \
         break;
-/* Others, which are few, lane by lane. */
-#define BINARY_BY_LANE(kind, value) \
-    case kind: \
-        for (; count; count--, at += 2, d++) \
-            for (int lane = 0; lane < LANES; lane++) { \
-                const double a = r[at[0]].lane[lane], b = r[at[1]].lane[lane]; \
-                d->lane[lane] = value; \
-            } \
-        break;
-#define UNARY_BY_LANE(kind, value) \
-    case kind: \
-        for (; count; count--, at++, d++) \
-            for (int lane = 0; lane < LANES; lane++) { \
-                const double a = r[at[0]].lane[lane]; \
-                d->lane[lane] = value; \
-            } \
-        break;
-
 BY_PROCESSOR static void runs_in_lanes(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
 {
     while (at < end) {
@@ -343,8 +340,12 @@ BY_PROCESSOR static void runs_in_lanes(const uint16_t *at, const uint16_t *end, 
                     d[1].lane[lane] = cos(a);
                 }
             break;
-            BINARY_OPERATIONS(BINARY_BY_LANE)
-            UNARY_OPERATIONS(UNARY_BY_LANE)
+        default: {
+            const int operands = 1 + IS_BINARY(head);
+            for (; count; count--, at += operands, d++)
+                for (int lane = 0; lane < LANES; lane++)
+                    d->lane[lane] = rare((int)head, r[at[0]].lane[lane], r[at[operands - 1]].lane[lane]);
+        }
         }
     }
 }

@@ -94,6 +94,7 @@
 #define PLUS_KIND 5
 #define MINUS_KIND 6
 #define NEGATIVE_KIND 7
+#define IS_BINARY(kind) ((kind) <= 25) /* of those above */
 #define OVER_KIND 8
 #define SINE_COSINE_KIND 9
 #define KIND_COUNT 49

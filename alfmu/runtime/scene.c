@@ -134,7 +134,7 @@ static int32_t *integers(Reader *r, int count, size_t *found)
     return made;
 }
 
-/* Integers of 2 bytes, low bytes before high ones, each as what it is more than the one before the last. */
+/* Integers of 2 bytes, low bytes before high ones. */
 static uint16_t *narrow_integers(Reader *r, size_t *found)
 {
     const size_t size = length(r);
@@ -143,7 +143,7 @@ static uint16_t *narrow_integers(Reader *r, size_t *found)
     if (!made)
         return NULL;
     for (size_t k = 0; k < size; k++)
-        made[k] = (uint16_t)((k < 2 ? 0u : made[k - 2]) + at[k] + 256u * at[size + k]);
+        made[k] = (uint16_t)(at[k] + 256u * at[size + k]);
     *found = size;
     return made;
 }
@@ -674,13 +674,57 @@ static void checked_function(Reader *r, Function *f)
         r->scene->registers = f->registers;
 }
 
+/* Places from differences to those before, `step` words from each other; from `first` on they count back from `end`. */
+static void sum_up(const uint16_t *differences, size_t count, uint32_t first, uint32_t end, uint16_t *places, size_t step)
+{
+    uint16_t sum = 0;
+    for (size_t k = 0; k < count; k++) {
+        sum = (uint16_t)(sum + differences[k]);
+        places[k * step] = (uint16_t)(sum < first ? sum : sum + end);
+    }
+}
+
+/* Words and results of a function whose places have 16 bits. In the file there are the kinds of its runs and how many
+   operations each has, then the operands, then the results; of a run all first operands come before the second ones. */
+static void narrow_function(Reader *r, Function *f, int64_t first)
+{
+    size_t heads = 0, left = 0, results = 0, words = 0, k = 0;
+    const uint16_t *head = narrow_integers(r, &heads), *operand = narrow_integers(r, &left);
+    const uint16_t *result = narrow_integers(r, &results);
+    uint16_t *made = r->bad ? NULL : room(r, heads + left + results + 1, sizeof *made);
+    uint32_t end = (uint32_t)first;
+    if (!made)
+        return;
+    for (; k + 1 < heads; k += 2) {
+        const unsigned kind = head[k], count = head[k + 1];
+        const unsigned each = kind < KIND_COUNT ? (unsigned)operands_of(kind) : 0;
+        if (!each || count > left / each)
+            break;
+        made[words++] = (uint16_t)kind;
+        made[words++] = (uint16_t)count;
+        end += count * VALUES_OF(kind);
+        for (unsigned j = 0; j < each; j++, operand += count)
+            sum_up(operand, count, (uint32_t)first, end, made + words + j, each);
+        words += count * each;
+        left -= count * each;
+    }
+    if (left || k < heads) {
+        spoil(r, "a function is damaged");
+        return;
+    }
+    sum_up(result, results, (uint32_t)first, end, made + words, 1);
+    f->narrow = made;
+    f->words = words;
+    f->results = (int)results;
+}
+
 static void function(Reader *r, Function *f)
 {
-    size_t inputs = 0, outputs = 0, words = 0, results = 0;
+    size_t inputs = 0, outputs = 0;
     const int32_t *in = integers(r, -1, &inputs), *out = integers(r, -1, &outputs);
     const int wide = integer(r);
     int32_t *lengths;
-    int64_t all = 0;
+    int64_t all = 0, known = r->scene->constant_count;
     if (inputs + outputs > MOST_ARGUMENTS)
         spoil(r, "a function has %zu arguments and results", inputs + outputs);
     if (r->bad || !(lengths = room(r, inputs + outputs + 1, sizeof *lengths)))
@@ -690,7 +734,7 @@ static void function(Reader *r, Function *f)
     for (size_t k = 0; k < inputs + outputs; k++) {
         if (lengths[k] < 0 || lengths[k] > MOST_NUMBERS / MOST_ARGUMENTS)
             spoil(r, "an argument of a function has %d numbers", (int)lengths[k]);
-        all += k < inputs ? 0 : lengths[k];
+        *(k < inputs ? &known : &all) += lengths[k];
     }
     if ((r->results += all) > MOST_RESULTS)
         spoil(r, "its functions give too many numbers");
@@ -699,7 +743,7 @@ static void function(Reader *r, Function *f)
     f->lengths = lengths;
     /* Words and results stand behind each other. */
     if (wide) {
-        size_t rows = 0;
+        size_t words = 0, rows = 0;
         int64_t spare = 2 * all; /* entries that are said twice at most */
         const int32_t *first = integers(r, -1, &words), *then = integers(r, -1, &rows);
         int32_t *both = r->bad ? NULL : room(r, words + (size_t)all + 1, sizeof *both);
@@ -718,21 +762,14 @@ static void function(Reader *r, Function *f)
             for (int64_t each = 0; each < count; each++)
                 both[words + (size_t)(row[1] + each * row[2])] = (int32_t)(row[3] + each * row[4]);
         }
-        results = (size_t)all;
         f->wide = both;
+        f->words = words;
+        f->results = (int)all;
     } else {
-        const uint16_t *first = narrow_integers(r, &words), *then = narrow_integers(r, &results);
-        uint16_t *both = r->bad ? NULL : room(r, words + results + 1, sizeof *both);
-        if (!both)
-            return;
-        memcpy(both, first, words * sizeof *both);
-        memcpy(both + words, then, results * sizeof *both);
-        f->narrow = both;
+        narrow_function(r, f, known);
     }
-    if ((int64_t)results != all)
-        spoil(r, "a function gives %zu numbers in place of %d", results, (int)all);
-    f->words = words;
-    f->results = (int)results;
+    if (!r->bad && f->results != all)
+        spoil(r, "a function gives %d numbers in place of %d", f->results, (int)all);
     checked_function(r, f);
 }
 

@@ -27,25 +27,6 @@ static inline void along(Lanes *d, double partial, const Lanes *tangent)
             if (tangent->lane[lane] != 0.0)
                 d->lane[lane] += partial * tangent->lane[lane];
 }
-#define BINARY(kind, by_a, by_b) \
-    case kind: \
-        for (; count; count--, at += 2, d++) { \
-            const double a = R(0), b = R(1); \
-            (void)a, (void)b; \
-            memset(d, 0, sizeof *d); \
-            along(d, by_a, dr + at[0]); \
-            along(d, by_b, dr + at[1]); \
-        } \
-        break;
-#define UNARY(kind, by_a) \
-    case kind: \
-        for (; count; count--, at++, d++) { \
-            const double a = R(0); \
-            (void)a; \
-            memset(d, 0, sizeof *d); \
-            along(d, by_a, dr + at[0]); \
-        } \
-        break;
 
 BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr)
 {
@@ -80,8 +61,16 @@ BY_PROCESSOR void tangents_through(const Flat *flat, const double *r, Lanes *dr)
                     d[1].part[part] = -T(0) * r[c];
                 }
             break;
-            BINARY_PARTIALS(BINARY)
-            UNARY_PARTIALS(UNARY)
+        default: {
+            const int operands = 1 + IS_BINARY(run->kind);
+            for (; count; count--, at += operands, d++) {
+                double of[2];
+                partials(run->kind, R(0), R(operands - 1), of);
+                memset(d, 0, sizeof *d);
+                for (int j = 0; j < operands; j++)
+                    along(d, of[j], dr + at[j]);
+            }
+        }
         }
     }
 }
