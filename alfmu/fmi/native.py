@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -33,8 +34,16 @@ def checked(equations: Equations) -> None:
 
 
 def sources() -> dict[str, str]:
-    """The C files of the runtime by name, the same in every FMU."""
-    return {path.name: path.read_text(encoding="ascii") for path in build.sources()}
+    """The C files of the runtime by name, the same in every FMU: what a compiler reads, without comments."""
+    return {path.name: _without_comments(path.read_text(encoding="ascii")) for path in build.sources()}
+
+
+_COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/""", re.DOTALL)
+"""A comment with the space before it, or (as a group) what is none."""
+
+
+def _without_comments(text: str) -> str:
+    return re.sub(r"[ \t]*\n\s*\n|[ \t]+\n", "\n", _COMMENT.sub(lambda found: found[1] or " ", text)).lstrip()
 
 
 def platforms(scene: str, names: Iterable[str]) -> list[str]:

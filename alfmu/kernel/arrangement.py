@@ -283,8 +283,8 @@ def in_runs(operations: list[Operation], neutral: Mapping[str, int] = NOTHING_NE
     """The same operations, each after those that make its operands, in few runs of equal ones.
 
     The next run is of the kind that has an operation on which the longest sequence of other kinds waits, and takes all
-    of its kind that are ready, ordered by their operands. `neutral` are values by their names in `_AS`: with them a run also takes operations that
-    would be a short one of their own.
+    of its kind that are ready, ordered by their operands. `neutral` are values by their names in `_AS`: with them a run
+    also takes operations that would be a short one of their own.
     """
     users, missing = _users(operations)
     urgency = _urgency(operations, users, missing)

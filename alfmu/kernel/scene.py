@@ -190,9 +190,13 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
     """Kinds and numbers of operations of each run, their operands, and the results: an archive is a quarter smaller.
 
     Places from `first` on, where the first operation has its result, are counted back from the end of the run, those of
-    results from the end of all. The first operands of a run stand before the second ones, and of each stands by how much
-    it differs from the one before.
+    results from the end of all. The first operands of a run stand before the second ones, and of each stands by how
+    much it differs from the one before.
     """
+
+    def differences(places: NDArray) -> NDArray:
+        return np.diff(np.where(places < first, places, places - end), prepend=0).ravel()
+
     heads, operands = [], [np.zeros(0, np.int64)]
     at, end = 0, first
     while at < len(words):
@@ -200,7 +204,6 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
         each = OPERANDS[KINDS[kind]]
         heads += [kind, count]
         end += count * (2 if KINDS[kind] == SINE_COSINE else 1)
-        block = words[at + 2 : at + 2 + each * count].reshape(count, each).T
-        operands.append(np.diff(np.where(block < first, block, block - end), prepend=0).ravel())
+        operands.append(differences(words[at + 2 : at + 2 + each * count].reshape(count, each).T))
         at += 2 + each * count
-    return np.array(heads), np.concatenate(operands), np.diff(np.where(results < first, results, results - end), prepend=0)
+    return np.array(heads, np.int64), np.concatenate(operands), differences(results)

@@ -70,6 +70,9 @@ are in the sources where they are worth it."""
 _NO_UNWINDING = ("-fno-asynchronous-unwind-tables", "-fno-unwind-tables")
 """Nothing here is unwound: a tenth of the library."""
 
+_WINDOWS_FLAGS = ("-D__USE_MINGW_ANSI_STDIO=0",)
+"""The C library of Windows prints numbers by the standard; a second one would add a tenth."""
+
 _OF_HOSTS = ("component.c", "fmi2.c", "fmi3.c", "files.c", "resources.c", "gradient.c")
 """What a page has no use for: the functions of FMI, files, and runs with derivatives."""
 
@@ -121,7 +124,7 @@ def build(name: str, path: Path, release: bool = False) -> None:
         made = Path(folder) / file_name(name)
         files = [each for each in sources() if each.suffix == ".c" and (name != WEB or each.name not in _OF_HOSTS)]
         libraries = ["-lm", *["-ldl"] * name.endswith(("linux64", "-linux"))] if name != "win64" else []
-        flags = [x for x in _FLAGS if x != "-fPIC"] if name == WEB else _FLAGS
+        flags = [x for x in _FLAGS if x != "-fPIC"] if name == WEB else [*_FLAGS, *_WINDOWS_FLAGS * (name == "win64")]
         objects = []
         for file in files:
             objects.append(str(Path(folder) / f"{file.stem}.o"))

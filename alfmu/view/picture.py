@@ -55,6 +55,9 @@ __all__ = [
 MAX_FRAMES = 750
 """Frames of a GIF, at most; a longer motion is shown with fewer frames per second."""
 
+COLORS_OF_ICON = 64
+"""Of the icon of a mechanism in the plane, whose colours are flat."""
+
 COLORS_OF_GIF = 96
 """Colours that all frames of a GIF share."""
 
@@ -157,10 +160,12 @@ class Drawing:
         scene = _scene(self.shapes, self.view, self.size)
         return _frame(self.shapes, scene, self.columns, self.trails, self.caption)
 
-    def png(self) -> bytes:
-        """As a PNG, the same bytes each time."""
-        buffer = io.BytesIO()
-        self.image().save(buffer, "PNG", optimize=True)
+    def png(self, colors: int | None = None) -> bytes:
+        """As a PNG, the same bytes each time; of so many colours, with which that of a plane is half as large."""
+        image, buffer = self.image(), io.BytesIO()
+        if colors is not None:
+            image = image.quantize(colors, dither=Image.Dither.NONE)
+        image.save(buffer, "PNG", optimize=True)
         return buffer.getvalue()
 
     def svg(self) -> str:
@@ -280,7 +285,8 @@ def model_png(
     equations: Equations | None = None,
 ) -> bytes:
     """The PNG of `drawing`, the same bytes each time: the icon of an FMU."""
-    return drawing(mechanism, None, parameters, size, equations).png()
+    drawn = drawing(mechanism, None, parameters, size, equations)
+    return drawn.png(None if drawn.shapes.space else COLORS_OF_ICON)
 
 
 def _start(shapes: Shapes, equations: Equations) -> dict[str, float]:
