@@ -11,7 +11,7 @@ from PIL import Image
 from alfmu import DeclarationError, InputError, Mechanism, load
 from alfmu.cli import main
 from alfmu.view.drawing import as_data, from_data
-from alfmu.view.picture import COLORS, animate, drawing, geometry, model_png, view_of
+from alfmu.view.picture import COLORS, COLORS_OF_ICON, animate, drawing, geometry, model_png, view_of
 from alfmu.view.surface import WHITE, Text, placed, width_of
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -85,7 +85,13 @@ def test_an_svg_and_a_png_show_the_same():
 
 
 def test_the_icon_of_an_fmu_is_the_drawing():
-    assert model_png(load("four_bar")) == load("four_bar").draw().png()
+    """That of a plane in its most frequent colours: edges alone change, and by little."""
+    assert model_png(load("bennett")) == load("bennett").draw().png()
+    icon, drawn = (Image.open(io.BytesIO(x)) for x in (model_png(load("four_bar")), load("four_bar").draw().png()))
+    assert len(icon.getcolors()) == COLORS_OF_ICON
+    apart = np.abs(np.asarray(icon.convert("RGB")).astype(int) - np.asarray(drawn)).max(axis=2)
+    assert (apart > 0).mean() < 0.02
+    assert (apart > 16).mean() < 1e-3
 
 
 @pytest.mark.parametrize(("at", "angle"), [({"angle": 0.7}, 0.7), ({"start.angle": 2.0}, 2.0), ({"th1": -0.5}, -0.5)])

@@ -78,7 +78,7 @@ def outputs_at_start(mechanism: Mechanism) -> dict[str, float]:
 def colored(image: Image.Image, color: str) -> np.ndarray:
     """Which pixels (row, column) have a colour."""
     rgb = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
-    return np.all(np.asarray(image) == rgb, axis=2)
+    return np.all(np.asarray(image.convert("RGB")) == rgb, axis=2)
 
 
 def box(mask: np.ndarray) -> tuple[int, int, int, int]:

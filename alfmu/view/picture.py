@@ -56,7 +56,7 @@ MAX_FRAMES = 750
 """Frames of a GIF, at most; a longer motion is shown with fewer frames per second."""
 
 COLORS_OF_ICON = 64
-"""Of the icon of a mechanism in the plane, whose colours are flat."""
+"""Of the icon of a mechanism in the plane, whose colours are flat: half as large as with all shades of its edges."""
 
 COLORS_OF_GIF = 96
 """Colours that all frames of a GIF share."""
@@ -161,10 +161,10 @@ class Drawing:
         return _frame(self.shapes, scene, self.columns, self.trails, self.caption)
 
     def png(self, colors: int | None = None) -> bytes:
-        """As a PNG, the same bytes each time; of so many colours, with which that of a plane is half as large."""
+        """As a PNG, the same bytes each time; of its most frequent colours, where so many are wanted."""
         image, buffer = self.image(), io.BytesIO()
         if colors is not None:
-            image = image.quantize(colors, dither=Image.Dither.NONE)
+            image = _in_colors(image, colors)
         image.save(buffer, "PNG", optimize=True)
         return buffer.getvalue()
 
@@ -276,6 +276,18 @@ def _drawing_at(
         columns = _start(shapes, with_defaults(derive(placed), {**parameters, **starts}))
     caption = ", ".join(f"{name} = {value:g}" for name, value in at.items())
     return Drawing(shapes, columns, view_of(shapes, columns), {}, caption, size)
+
+
+def _in_colors(image: Image.Image, count: int) -> Image.Image:
+    """An image in its most frequent colours, the nearest of which stand for the others."""
+    shades = np.asarray(image) @ np.array([2**16, 2**8, 1])
+    found, each, often = np.unique(shades, return_inverse=True, return_counts=True)
+    colors = found[:, None] // [2**16, 2**8, 1] % 2**8
+    kept = colors[np.argsort(-often, kind="stable")[:count]]
+    nearest = ((colors[:, None] - kept) ** 2).sum(axis=2).argmin(axis=1)
+    indexed = Image.fromarray(nearest.astype(np.uint8)[each].reshape(shades.shape))
+    indexed.putpalette(kept.astype(np.uint8).tobytes())
+    return indexed
 
 
 def model_png(
