@@ -559,24 +559,25 @@ class Scene:
     ) -> tuple[SX, SX]:
         """Largest error of the constrained state beyond `least` (2 n), which is none, over the tolerance or over that
         where it is more; and `least` over the tolerance at most. `x` are the states and `change` their error."""
-        if x is not None:
-            size, floor = self.error_size(z, q, v, error, least)
-            return ca.fmax(size, ca.mmax(ca.fabs(change) / self._allowed_of_states(z, x))), floor
         n = self.e.n
         parts = error[:n], error[n : 2 * n]
         if self.e.l:
             _, C, _, solve = self._augmented(q)
             parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
-        allowed = self._allowed_of(z, q, v)
-        size = ca.fabs(ca.vertcat(*parts))
-        if least is None:
-            return ca.mmax(size / allowed), SX(0)
-        return ca.mmax(ca.fmax(size - least, 0) / ca.fmax(allowed, least)), ca.mmax(least / allowed)
+        size, allowed = ca.fabs(ca.vertcat(*parts)), self._allowed_of(z, q, v)
+        floor, over = SX(0), size / allowed
+        if least is not None:
+            floor, over = ca.mmax(least / allowed), ca.fmax(size - least, 0) / ca.fmax(allowed, least)
+        if x is not None:
+            size, over = ca.vertcat(size, change), ca.vertcat(over, ca.fabs(change) / self._allowed_of_states(z, x))
+        # The largest of numbers leaves out those that are none.
+        return ca.if_else(ca.sumsqr(size) < math.inf, ca.mmax(over), math.inf), floor
 
     def bound_size(self, z: SX, q: SX, v: SX, x: SX | None, bounds: SX) -> SX:
         """Largest of bounds of errors of q, v and states over the tolerance."""
         allowed = self._allowed_of(z, q, v)
-        return ca.mmax(bounds / (allowed if x is None else ca.vertcat(allowed, self._allowed_of_states(z, x))))
+        over = bounds / (allowed if x is None else ca.vertcat(allowed, self._allowed_of_states(z, x)))
+        return ca.if_else(ca.sumsqr(bounds) < math.inf, ca.mmax(over), math.inf)
 
     def _allowed_of(self, z: SX, q: SX, v: SX) -> SX:
         """Tolerance of q and v in a step from z."""

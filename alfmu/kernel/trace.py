@@ -411,7 +411,7 @@ class Tracer:
             lost = ca.if_else(left[0] <= GROSS**2, 0, math.inf)
             return watch + ca.vertcat(lost, SX(len(Watch._fields) - 1, 1))
 
-        calls("reached", f"{watch} left", watch, seen)
+        calls("reached", f"{watch} left0", watch, seen)
 
     def _brought(self, calls: Calls, place: str, placed: str, velocity: str) -> None:
         """S3: q0 and v0 on the branch: displaced across the motion alone, as the oracle does it, from `placed`, where a
@@ -419,16 +419,17 @@ class Tracer:
         self.place(calls, placed, "q0")
         calls(f"{calls.scene.kind}_return", f"q0 {place} {velocity} p k", "q0 v0", calls.scene.returned)
         self.place(calls, "q0", "q0")
-        self.settle(calls, "q0", "v0")
+        self.settle(calls, "q0", "v0", "pivot0 left0")
 
     def place(self, calls: Calls, at: str, to: str) -> None:
         """A place after a correction (10)."""
         calls(f"{calls.scene.kind}_place", f"{at} p k", to, calls.scene.placed)
 
-    def settle(self, calls: Calls, q: str = "q", v: str = "v") -> None:
-        """v after corrections (10), and what tells whether q and v keep the constraints."""
+    def settle(self, calls: Calls, q: str = "q", v: str = "v", told: str = "pivot left") -> None:
+        """v after corrections (10), and what tells whether q and v keep the constraints: names of the smallest pivot
+        and of the residues (squared)."""
         corrections, settled = calls.plan.corrections, calls.scene.settled
-        calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} pivot left", lambda q, v: settled(q, v, corrections))
+        calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} {told}", lambda q, v: settled(q, v, corrections))
 
     def unsettled(self, calls: Calls) -> None:
         """Whether q and v do not keep the constraints well enough."""

@@ -155,26 +155,46 @@ static int try_short(Instance *i)
     return 0;
 }
 
-/* A step on the branch in place of one that could not be judged; where that cannot be either, or has too large an error, an
-   explicit step in place of an implicit one, whose constraints alone tell whether it is near a singular position. */
-static void beside_it(Instance *i)
+/* Whether the error of a step is what round-off leaves of it. */
+static int rounded(const Instance *i)
+{
+    return i->m[i->scene->pace + PACE_FLOOR] * i->scene->share > NOISE;
+}
+
+/* A try of an explicit step in place of one of the method, from the same numbers of step control; whether it can be judged.
+   What only round-off excuses cannot. */
+static int in_place(Instance *i, const double *kept, int regular)
 {
     const Scene *s = i->scene;
     const double *after = i->m + s->after;
-    double *pace = i->m + s->pace, kept[PACE];
+    double *pace = i->m + s->pace, *tally = i->m + s->tally;
+    memcpy(pace, kept, PACE * sizeof *pace);
+    run(i, regular ? s->regular_step : s->beside);
+    pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+    tally[regular ? TALLY_REGULAR_TRIES : TALLY_BESIDE] += 1.0;
+    tally[TALLY_BESIDE_LIMITS] += regular ? 0.0 : after[s->near];
+    return after[s->trouble] == 0.0 && !(pace[PACE_ACCEPTED] != 0.0 && rounded(i));
+}
+
+/* A step on the branch in place of one that could not be judged. In place of an implicit one there is another explicit step,
+   whose constraints alone tell whether it is near a singular position: it comes first where they are regular, as where a
+   mechanism moves no mass to speak of, and else where that on the branch cannot be judged or has too large an error. */
+static void beside_it(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *after = i->m + s->after, *accepted = i->m + s->pace + PACE_ACCEPTED;
+    double kept[PACE];
+    int first, lost;
     if (after[s->trouble] == 0.0 || s->beside < 0)
         return;
-    memcpy(kept, pace, sizeof kept);
-    run(i, s->beside);
-    pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
-    i->m[s->tally + TALLY_BESIDE] += 1.0;
-    i->m[s->tally + TALLY_BESIDE_LIMITS] += after[s->near];
-    if (s->regular_step >= 0 && (after[s->trouble] != 0.0 || pace[PACE_ACCEPTED] == 0.0)) {
-        memcpy(pace, kept, sizeof kept);
-        run(i, s->regular_step);
-        pace[PACE_LAST] = 0.0;
-        i->m[s->tally + TALLY_REGULAR_TRIES] += 1.0;
-    }
+    memcpy(kept, i->m + s->pace, sizeof kept);
+    first = s->regular_step >= 0 && !irregular(i);
+    if ((in_place(i, kept, first) && (first || *accepted != 0.0)) || s->regular_step < 0)
+        return;
+    lost = after[s->trouble] != 0.0;
+    in_place(i, kept, !first);
+    if (after[s->trouble] != 0.0 && !lost)
+        in_place(i, kept, first);
 }
 
 /* A try of the other of explicit and implicit steps; they go on where it keeps the tolerance, and 0 where it does not.
@@ -289,7 +309,7 @@ int cover(Instance *i, double end, long tries)
         }
         judged = 0.0;
         /* The tolerance of a step is a share of that of the run. */
-        if (pace[PACE_ACCEPTED] != 0.0 && pace[PACE_FLOOR] * s->share > NOISE)
+        if (pace[PACE_ACCEPTED] != 0.0 && rounded(i))
             warn(i, WARNED_OF_ROUND_OFF,
                 "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had here, "
                 "and the motion goes on at that",
