@@ -1,6 +1,7 @@
 """Methods beside RK4 in the kernel: step control, linear algebra, steps against the oracle; runs, inputs, FMUs."""
 
 import ctypes
+import math
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -16,8 +17,9 @@ import alfmu
 from alfmu import runtime
 from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
+from alfmu.kernel.form import Call
 from alfmu.kernel.memory import PACE, Layout
-from alfmu.kernel.tables import packed
+from alfmu.kernel.tables import alone, packed
 from alfmu.method.inputs import Past
 from alfmu.method.stepping import Control, judged, landing, newton
 from alfmu.model.settings import FIXED
@@ -47,6 +49,25 @@ def begun(name: str, method: str, kernel: str, order: int = 0, **given: float) -
 def by_the_oracle(name: str, method: str, order: int = 0, **given: float) -> Adaptive:
     """The same on NumPy arrays: steps of the method from the oracle's accelerations."""
     return by_method(begun(name, "rk4", "oracle", order, **given), method, order)
+
+
+@pytest.mark.parametrize(("name", "method"), [("five_bar", "auto"), ("flyball_governor", "stiff")])
+def test_an_error_that_is_no_number_is_refused(name, method):
+    """In every program with error control: the largest of numbers leaves out those that are none."""
+    e = alone(scene(name, method, "vm", 0))
+    judged_by = [step for program in e.kernel.values() for step in program.steps if is_error(step)]
+    assert len(judged_by) >= 2
+    for step in judged_by:
+        f = e.functions[step.function]
+        known = [
+            np.full(f.numel_in(i), math.nan if x[:4] in ("rate", "dv") else 0.5) for i, x in enumerate(step.arguments)
+        ]
+        assert np.isnan(np.concatenate(known)).any()
+        assert float(f(*known)[0]) == math.inf, step.function
+
+
+def is_error(step: object) -> bool:
+    return isinstance(step, Call) and step.function.endswith("_error") and step.results[0] == "error"
 
 
 # Rules ------------------------------------------------------------------------------------------------------------

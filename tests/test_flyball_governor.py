@@ -203,6 +203,37 @@ def test_the_limit_of_stability_is_that_of_rk4():
         simulated(1.06 * 2.785 / largest)
 
 
+OVER_THE_AXIS = (
+    {
+        **{"l": 1.05, "width": 0.0133, "density": 4370.0, "m_ball": 20.6, "m_slider": 1.96, "side": 0.103},
+        **{"pivot": 0.00732, "stiffness": 4.53e6, "damping": 88700.0, "rest": 0.232, "g": 2.22},
+    },
+    {
+        **{"l": 0.806, "width": 0.0278, "density": 1710.0, "m_ball": 4.25, "m_slider": 4.7, "side": 0.011},
+        **{"pivot": 0.0139, "stiffness": 85000.0, "damping": 131000.0, "rest": 0.0547, "g": 47.5},
+    },
+)
+"""Governors whose balls swing so near the axis that nearly nothing is left of the inertia about it."""
+
+SWUNG = (
+    {"angle": 0.183, "rod_angle": -2.04, "position": 0.473, "angular_velocity": 0.311, "rod_rate": -0.064},
+    {"angle": 0.935, "rod_angle": 0.998, "position": 0.561, "angular_velocity": 0.173, "rod_rate": 3.13},
+)
+"""Their starts [rad, m, rad/s]."""
+
+
+@pytest.mark.parametrize(("given", "start"), list(zip(OVER_THE_AXIS, SWUNG, strict=True)))
+def test_little_inertia_is_no_singular_position(given, start):
+    """The shaft turns up to a thousand times as fast for an instant; limits there would be those of another motion."""
+    parameters = {**given, **{f"start.{name}": x for name, x in start.items()}}
+    r = alfmu.simulate("flyball_governor", 0.2, 0.01, parameters=parameters)
+    names = ("angle", "rod_angle", "position", "angular_velocity", "rod_rate")
+    motion = Governor(**given).motion(r.time, (*(start[name] for name in names), 0.0), method="DOP853")
+    assert np.abs(motion[:, 3]).max() > 50 * abs(start["angular_velocity"])
+    assert r["slider.position"] == pytest.approx(motion[:, 2], abs=1e-7)
+    assert r["bearing.angle"] == pytest.approx(motion[:, 0], abs=1e-7)
+
+
 # The FMU, and what is refused -----------------------------------------------------------------------------------------
 
 
