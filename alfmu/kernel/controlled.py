@@ -147,6 +147,11 @@ class _Step:
             self.tracer.place(self.calls, "q", "q")
         if self.e.l:
             self.tracer.settle(self.calls)
+        if self.e.l and self.plan.branch:
+            self.tracer.unsettled(self.calls)
+            again = self.calls.inside()
+            self.tracer.settle(again)
+            self.calls.choice("more", again)
 
     @property
     def kinked(self) -> bool:
@@ -197,8 +202,9 @@ class _Step:
         numbers = [known[name] for name in ("dt", "before", "refused")]
         *following, accepted = judged(order, numbers, step, error, ca.if_else)
         fixed = known["fixed"] != 0
-        # Steps of one length are not judged, but for Newton's method.
-        near = SX(0) if self.plan.branch else near
+        # Steps of one length are not judged, but for Newton's method. On the branch no error is known where the motion does
+        # not reach the places of a limit, which shorter steps do not change.
+        near = 1 - (error < math.inf) if self.plan.branch else near
         trouble = ca.if_else(fixed, trouble + 1 - (error < math.inf), ca.if_else(accepted, trouble, near))
         trouble += ca.logic_not(fixed) * (1 - (step >= SHORTEST))
         accepted = ca.logic_or(fixed, accepted)
