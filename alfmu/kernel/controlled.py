@@ -202,8 +202,8 @@ class _Step:
         numbers = [known[name] for name in ("dt", "before", "refused")]
         *following, accepted = judged(order, numbers, step, error, ca.if_else)
         fixed = known["fixed"] != 0
-        # Steps of one length are not judged, but for Newton's method. On the branch no error is known where the motion does
-        # not reach the places of a limit, which shorter steps do not change.
+        # Steps of one length are not judged, but for Newton's method. On the branch no error is known where the motion
+        # does not reach the places of a limit, which shorter steps do not change.
         near = 1 - (error < math.inf) if self.plan.branch else near
         trouble = ca.if_else(fixed, trouble + 1 - (error < math.inf), ca.if_else(accepted, trouble, near))
         trouble += ca.logic_not(fixed) * (1 - (step >= SHORTEST))

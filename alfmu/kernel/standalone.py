@@ -26,7 +26,7 @@ from ..method.formulations import CORRECTIONS
 from ..method.singular import DOUBLINGS
 from . import rubbing
 from .alternatives import OWN, Alternatives, alternatives
-from .form import Call, Choice, Loop, Plan, Program, Routine, called, rewritten
+from .form import Call, Choice, Plan, Program, Routine, called, rewritten
 from .memory import SEEN
 from .symbolic import MATRICES, ROUND_OFF, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
@@ -190,7 +190,7 @@ class _Patient(Alternatives):
         self.place(again, "q", "q")
         self.settle(again)
         self.unsettled(again)
-        self._repeat(calls, "more", CORRECTIONS, again)
+        self.repeat(calls, "more", CORRECTIONS, again)
         return self._ended(calls)
 
     def keep(self) -> Program:
@@ -378,26 +378,11 @@ class _Patient(Alternatives):
         again, plan = calls.inside(), calls.plan
         (self._iterate_once if self.formulation == OWN else self.classic)(again, a, lam, watch)
         again("unconverged", f"k {watch}", "more", lambda watch: again.scene.unconverged(plan, [Watch.of(watch)]))
-        self._repeat(calls, "more", most, again)
-
-    def _repeat(self, calls: Calls, number: str, most: int | str, again: Calls) -> None:
-        """What is called, and again until a number is zero that it gives."""
-        calls("begin", "k", number, lambda: SX(1))
-        calls.made.append(Loop(number, most, again.steps))
+        self.repeat(calls, "more", most, again)
 
     def _probe(self, calls: Calls, i: str, length: str) -> None:
         """With spacings that are doubled until they can tell."""
-        zone, again = f"zone{i}", calls.inside()
-        calls("stretch", length, "stretched", lambda dt: dt)
-        super()._probe(again, i, "stretched")
-
-        def longer(stretched: SX, near: SX, spacing: SX) -> tuple[SX, SX]:
-            more = ca.logic_and(near, 1 - (spacing < ca.inf))
-            return stretched * (1 + more), more
-
-        again("longer", f"stretched {zone} spacing", "stretched slow", longer)
-        self._repeat(calls, "slow", DOUBLINGS, again)
-        calls("told", f"{zone} slow", zone, lambda near, slow: near * (1 - slow))
+        self.probe_until_told(calls, i, length)
 
     def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
         """With spacings that are doubled until they can tell."""
@@ -410,7 +395,7 @@ class _Patient(Alternatives):
             return stretched * (1 + more), more
 
         again("longer_places", f"stretched {places[0]}", "stretched slow", longer)
-        self._repeat(calls, "slow", DOUBLINGS, again)
+        self.repeat(calls, "slow", DOUBLINGS, again)
 
     def _least(self, calls: Calls, lam: str) -> None:
         """By passes until they change no more; of other formulations where a step projects."""
@@ -426,7 +411,7 @@ class _Patient(Alternatives):
         again = calls.inside()
         calls("least_begin", "k", "least_z", lambda: SX(self.e.n, 1))
         again("least_again", f"k C D L {lam} least_z", "least_z least_norm more", scene.least_again)
-        self._repeat(calls, "more", CORRECTIONS, again)
+        self.repeat(calls, "more", CORRECTIONS, again)
         calls("least_end", "least_norm", lam, lambda lam: lam)
 
 

@@ -392,6 +392,13 @@ class Tracer:
             calls("supplied", f"power{i} supplied{i}", f"power{i}", lambda power, supplied: power + supplied)
 
     def _probe(self, calls: Calls, i: str, length: str) -> None:
+        """Whether a limit has to be taken, from places how far apart; `length` is what their spacing is measured by.
+
+        Steps with error control can be so short that it cannot be told from the least spacing.
+        """
+        (self.probe_until_told if calls.plan.gaining else self._probe_once)(calls, i, length)
+
+    def _probe_once(self, calls: Calls, i: str, length: str) -> None:
         """Whether a limit has to be taken, from places how far apart; `length` is what their spacing is measured by."""
         scene, plan = calls.scene, calls.plan
         calls("probe", f"q{i} p k", f"here zone{i} spacing placed", scene.probed)
@@ -403,6 +410,25 @@ class Tracer:
             lambda here, q, v, dt: scene.approached(here, q, v, scene.spacing(plan.spacing, v, dt)),
         )
         calls.choice(f"zone{i}", ways)
+
+    def probe_until_told(self, calls: Calls, i: str, length: str) -> None:
+        """The same with a spacing that is doubled until it can tell: the least one counts metres as radians."""
+        zone, again = f"zone{i}", calls.inside()
+        calls("stretch", length, "stretched", lambda dt: dt)
+        self._probe_once(again, i, "stretched")
+
+        def longer(stretched: SX, near: SX, spacing: SX) -> tuple[SX, SX]:
+            more = ca.logic_and(near, 1 - (spacing < ca.inf))
+            return stretched * (1 + more), more
+
+        again("longer", f"stretched {zone} spacing", "stretched slow", longer)
+        self.repeat(calls, "slow", branch.DOUBLINGS, again)
+        calls("told", f"{zone} slow", zone, lambda near, slow: near * (1 - slow))
+
+    def repeat(self, calls: Calls, number: str, most: int | str, again: Calls) -> None:
+        """What is called, and again until a number is zero that it gives."""
+        calls("begin", "k", number, lambda: SX(1))
+        calls.made.append(Loop(number, most, again.steps))
 
     def _reached(self, calls: Calls, watch: str) -> None:
         """Trouble in a watch where the branch does not lead to the place that was found last."""
