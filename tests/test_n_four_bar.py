@@ -287,3 +287,24 @@ def test_a_drive_at_one_crank_passes_singular_positions_at_full_order(loops):
     plain = ode.plain_steps(rate, np.pi / 2, -1.0, 0.005, 1000)[::10]
     assert errors["absolute", 0.005] <= 2 * np.abs(plain - exact).max()
     assert errors["natural", 0.005] > 14 * errors["natural", 0.0025]
+
+
+@pytest.mark.parametrize(
+    ("l", "given", "torque"),
+    [
+        (2.6, {"m": 5.0, "g": 22.6, "start.angle": 1.48, "start.angular_velocity": -1.25}, -60.6),
+        (1.66, {"m": 1.51, "g": 2.0, "start.angle": 1.3, "start.angular_velocity": -2.64}, 0.103),
+    ],
+)
+def test_long_links_pass_singular_positions(l, given, torque):
+    """Lengths, gravity and torques in proportion leave the angles of a motion as they are."""
+
+    def run(by: float) -> alfmu.Result:
+        parameters = {**given, "l": l * by, "g": given["g"] * by}
+        return alfmu.simulate(
+            derived("n_four_bar"), 2.0, 0.02, parameters=parameters, inputs={"A1.torque": torque * by**2}
+        )
+
+    usual, long = run(1 / l), run(1.0)
+    assert np.ptp(usual["crank1.angle"]) > np.pi
+    assert long["crank1.angle"] == pytest.approx(usual["crank1.angle"], abs=1e-7)

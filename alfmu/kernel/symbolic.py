@@ -623,6 +623,8 @@ class Scene:
         if plan.branch or "zone1" in known:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
             trouble += 1 - self.settings.continues if plan.branch else near * self.settings.continues
+            if plan.branch and plan.gaining:
+                trouble += near * (self.settings.least_distance > branch.FARTHEST)
         elif e.l:
             near = sum(x.margin < branch.BRANCH_MARGIN if plan.margins else x.near for x in evaluations)
             trouble += near if plan.quick and not plan.margins else near * self.settings.continues

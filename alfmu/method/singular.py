@@ -70,6 +70,10 @@ READ_ZONE = 0.2
 """distance to the singular position over READ_DISTANCE [1]: reactions read closer than this are limits; farther ones
 are as exact by themselves."""
 
+FARTHEST = 0.1
+"""distance of the first place [rad]: above it steps with error control take no limit; penalties of 200 times the masses
+ask for 0.5, and a four-bar is 2e-5 rad off then at a tolerance of 1e-6, which no estimate sees."""
+
 PLACES = 4
 """places on either side [1]: a limit of order 8, whose places can be so far apart that round-off does not count; with 2
 the N-four-bar in natural coordinates is 8e-10 rad off after 10 s of steps of 0.3 ms instead of 2e-11."""
