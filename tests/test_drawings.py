@@ -87,6 +87,7 @@ def test_an_svg_and_a_png_show_the_same():
 def test_the_icon_of_an_fmu_is_the_drawing():
     """That of a plane in its most frequent colours: edges alone change, and by little."""
     assert model_png(load("bennett")) == load("bennett").draw().png()
+    assert model_png(load("four_bar")) == load("four_bar").draw().png(COLORS_OF_ICON)
     icon, drawn = (Image.open(io.BytesIO(x)) for x in (model_png(load("four_bar")), load("four_bar").draw().png()))
     assert len(icon.getcolors()) == COLORS_OF_ICON
     apart = np.abs(np.asarray(icon.convert("RGB")).astype(int) - np.asarray(drawn)).max(axis=2)

@@ -618,6 +618,21 @@ def test_the_sources_are_the_same_in_every_fmu_and_the_scene_is_in_its_resources
     assert scenes[0] != scenes[1] == scenes[2]
 
 
+@pytest.mark.skipif(not (build.compiler() and build.compiler() != build.zig()), reason="needs a preprocessor")
+def test_sources_are_those_of_the_runtime_without_comments(tmp_path):
+    """A compiler reads the same."""
+    for path in build.sources():
+        text = native.sources()[path.name]
+        assert "/*" not in text
+        (tmp_path / path.name).write_text(text, encoding="ascii")
+        command = [*build.compiler(), "-fpreprocessed", "-E", "-P"]
+        own, bare = (
+            subprocess.run([*command, file], capture_output=True, text=True, check=True).stdout.split()
+            for file in (path, tmp_path / path.name)
+        )
+        assert own == bare, path.name
+
+
 def test_the_same_mechanism_gives_the_same_bytes(built, tmp_path):
     again = alfmu.export("particle_on_circle", tmp_path, kind="native")
     assert again.read_bytes() == built("particle_on_circle").read_bytes()

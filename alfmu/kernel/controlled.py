@@ -146,12 +146,7 @@ class _Step:
         for _ in range(self.plan.corrections):
             self.tracer.place(self.calls, "q", "q")
         if self.e.l:
-            self.tracer.settle(self.calls)
-        if self.e.l and self.plan.branch:
-            self.tracer.unsettled(self.calls)
-            again = self.calls.inside()
-            self.tracer.settle(again)
-            self.calls.choice("more", again)
+            self.tracer.settle_well(self.calls)
 
     @property
     def kinked(self) -> bool:
@@ -204,8 +199,9 @@ class _Step:
         fixed = known["fixed"] != 0
         # Steps of one length are not judged, but for Newton's method. On the branch no error is known where the motion
         # does not reach the places of a limit, which shorter steps do not change.
-        near = 1 - (error < math.inf) if self.plan.branch else near
-        trouble = ca.if_else(fixed, trouble + 1 - (error < math.inf), ca.if_else(accepted, trouble, near))
+        unknown = 1 - (error < math.inf)
+        unjudged = unknown if self.plan.branch else near
+        trouble = ca.if_else(fixed, trouble + unknown, ca.if_else(accepted, trouble, unjudged))
         trouble += ca.logic_not(fixed) * (1 - (step >= SHORTEST))
         accepted = ca.logic_or(fixed, accepted)
         following = [ca.if_else(fixed, old, new) for old, new in zip(numbers, following, strict=True)]

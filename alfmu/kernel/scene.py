@@ -194,7 +194,7 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
     much it differs from the one before.
     """
 
-    def differences(places: NDArray) -> NDArray:
+    def stored(places: NDArray) -> NDArray:
         return np.diff(np.where(places < first, places, places - end), prepend=0).ravel()
 
     heads, operands = [], [np.zeros(0, np.int64)]
@@ -204,6 +204,6 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
         each = OPERANDS[KINDS[kind]]
         heads += [kind, count]
         end += count * (2 if KINDS[kind] == SINE_COSINE else 1)
-        operands.append(differences(words[at + 2 : at + 2 + each * count].reshape(count, each).T))
+        operands.append(stored(words[at + 2 : at + 2 + each * count].reshape(count, each).T))
         at += 2 + each * count
-    return np.array(heads, np.int64), np.concatenate(operands), differences(results)
+    return np.array(heads, np.int64), np.concatenate(operands), stored(results)

@@ -380,9 +380,9 @@ class _Patient(Alternatives):
         again("unconverged", f"k {watch}", "more", lambda watch: again.scene.unconverged(plan, [Watch.of(watch)]))
         self.repeat(calls, "more", most, again)
 
-    def _probe(self, calls: Calls, i: str, length: str) -> None:
-        """With spacings that are doubled until they can tell."""
-        self.probe_until_told(calls, i, length)
+    def doubles(self, plan: Plan) -> bool:
+        """Always: no tier comes after this one."""
+        return True
 
     def _read_places(self, calls: Calls, places: Sequence[str], length: str = "dt") -> None:
         """With spacings that are doubled until they can tell."""

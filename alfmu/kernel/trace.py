@@ -172,12 +172,7 @@ class Tracer:
         if plan.branch:
             calls("open", "q p k", "open", scene.open)
             calls.choice("open", more)
-        self.settle(calls)
-        if plan.branch:
-            self.unsettled(calls)
-            again = calls.inside()
-            self.settle(again)
-            calls.choice("more", again)
+        self.settle_well(calls)
 
     def reach(self) -> Program:
         """Keep the inputs at a communication point."""
@@ -392,16 +387,17 @@ class Tracer:
             calls("supplied", f"power{i} supplied{i}", f"power{i}", lambda power, supplied: power + supplied)
 
     def _probe(self, calls: Calls, i: str, length: str) -> None:
-        """Whether a limit has to be taken, from places how far apart; `length` is what their spacing is measured by.
-
-        Steps with error control can be so short that it cannot be told from the least spacing.
-        """
-        (self.probe_until_told if calls.plan.gaining else self._probe_once)(calls, i, length)
-
-    def _probe_once(self, calls: Calls, i: str, length: str) -> None:
         """Whether a limit has to be taken, from places how far apart; `length` is what their spacing is measured by."""
+        calls("probe", f"q{i} p k", f"here zone{i} spacing placed", calls.scene.probed)
+        (self._approach_until_told if self.doubles(calls.plan) else self._approach)(calls, i, length)
+
+    def doubles(self, plan: Plan) -> bool:
+        """Whether a spacing that cannot tell is doubled; RK4's step is left to the patient tier there."""
+        return plan.gaining
+
+    def _approach(self, calls: Calls, i: str, length: str) -> None:
+        """The same of a place whose margin is known."""
         scene, plan = calls.scene, calls.plan
-        calls("probe", f"q{i} p k", f"here zone{i} spacing placed", scene.probed)
         ways = calls.inside()
         ways(
             f"approach{plan.own}",
@@ -411,11 +407,11 @@ class Tracer:
         )
         calls.choice(f"zone{i}", ways)
 
-    def probe_until_told(self, calls: Calls, i: str, length: str) -> None:
+    def _approach_until_told(self, calls: Calls, i: str, length: str) -> None:
         """The same with a spacing that is doubled until it can tell: the least one counts metres as radians."""
         zone, again = f"zone{i}", calls.inside()
         calls("stretch", length, "stretched", lambda dt: dt)
-        self._probe_once(again, i, "stretched")
+        self._approach(again, i, "stretched")
 
         def longer(stretched: SX, near: SX, spacing: SX) -> tuple[SX, SX]:
             more = ca.logic_and(near, 1 - (spacing < ca.inf))
@@ -456,6 +452,15 @@ class Tracer:
         and of the residues (squared)."""
         corrections, settled = calls.plan.corrections, calls.scene.settled
         calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} {told}", lambda q, v: settled(q, v, corrections))
+
+    def settle_well(self, calls: Calls) -> None:
+        """The same at the end of a step: on the branch once more where that was not enough."""
+        self.settle(calls)
+        if calls.plan.branch:
+            self.unsettled(calls)
+            again = calls.inside()
+            self.settle(again)
+            calls.choice("more", again)
 
     def unsettled(self, calls: Calls) -> None:
         """Whether q and v do not keep the constraints well enough."""

@@ -377,8 +377,8 @@ int move_by(const Scene *s, int formulation);
 double *lanes_from(double *place);
 void registers_begin(Instance *i);
 
-/* What an operation gives that is rare, and its derivatives by its operands. */
-double rare(int kind, double a, double b);
+/* What a rare operation gives for its operands a and b, and its derivatives by them. */
+double rare_value(int kind, double a, double b);
 void partials(int kind, double a, double b, double of[2]);
 
 /* What the operations of a function give, once its arguments stand in the registers. */

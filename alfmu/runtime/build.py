@@ -68,7 +68,7 @@ _FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-s
 are in the sources where they are worth it."""
 
 _SMALLER = ("-mllvm", "-inline-threshold=0")
-"""What clang, which zig has, does not put in place of calls: 2 % of the library."""
+"""Clang, which zig is, copies no function to where it is called: the library is 2 % smaller."""
 
 _NO_UNWINDING = ("-fno-asynchronous-unwind-tables", "-fno-unwind-tables", "-fomit-frame-pointer")
 """Nothing here is unwound: a tenth of the library."""

@@ -49,7 +49,7 @@
     BINARY(PLUS_KIND, a + b) \
     BINARY(MINUS_KIND, a - b) \
     BINARY(OVER_KIND, a / b)
-/* Of rare operations the value is computed elsewhere. */
+/* Rare operations are computed by `operations.c`. */
 #define OTHERS \
     UNARY(NEGATIVE_KIND, -a) \
     case SINE_COSINE_KIND: \
@@ -62,10 +62,10 @@
     default: \
         if (IS_BINARY(kind)) \
             for (; count; count--, NEXT(2)) \
-                *d++ = rare(kind, OPERAND(0), OPERAND(1)); \
+                *d++ = rare_value(kind, OPERAND(0), OPERAND(1)); \
         else \
             for (; count; count--, NEXT(1)) \
-                *d++ = rare(kind, OPERAND(0), 0.0);
+                *d++ = rare_value(kind, OPERAND(0), 0.0);
 
 #define OPERAND(k) r[at[2 * (k)] + pass * at[2 * (k) + 1]]
 #define NEXT(n) at += 2 * (n)
@@ -324,6 +324,7 @@ static void solve_dense(Instance *i, int size, const double *matrix, const doubl
                 d->part[part] = value; \
             } \
         break;
+
 BY_PROCESSOR static void runs_in_lanes(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
 {
     while (at < end) {
@@ -344,7 +345,7 @@ BY_PROCESSOR static void runs_in_lanes(const uint16_t *at, const uint16_t *end, 
             const int operands = 1 + IS_BINARY(head);
             for (; count; count--, at += operands, d++)
                 for (int lane = 0; lane < LANES; lane++)
-                    d->lane[lane] = rare((int)head, r[at[0]].lane[lane], r[at[operands - 1]].lane[lane]);
+                    d->lane[lane] = rare_value((int)head, r[at[0]].lane[lane], r[at[operands - 1]].lane[lane]);
         }
         }
     }

@@ -1,4 +1,4 @@
-/* What the operations of a scene that are rare compute, and their derivatives. */
+/* Rare operations of a scene: what they give, and their partial derivatives. */
 
 #include <math.h>
 
@@ -9,7 +9,7 @@
     case kind: \
         return value;
 
-double rare(int kind, double a, double b)
+double rare_value(int kind, double a, double b)
 {
     switch (kind) {
         BINARY_OPERATIONS(VALUE)
