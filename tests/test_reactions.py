@@ -160,7 +160,9 @@ def test_implicit_steps_go_on_without_limits_that_small_penalties_put_far_away(r
     assert small["link1.angle"] == pytest.approx(usual["link1.angle"], abs=1e-8)
 
 
-@pytest.mark.parametrize(("method", "ratio"), [("explicit", 1.0), ("explicit", 100.0), ("stiff", 1.0)])
+@pytest.mark.parametrize(
+    ("method", "ratio"), [("explicit", 1.0), ("explicit", 100.0), ("stiff", 1.0), ("auto", 1e18), ("rk4", 1e18)]
+)
 def test_a_penalty_that_a_method_cannot_take_is_named(method, ratio):
     with pytest.raises(alfmu.StepError, match=r"solver\.penalty"):
         alfmu.simulate(derived("four_bar"), 0.5, 0.02, parameters={"solver.method": method, "solver.penalty": ratio})

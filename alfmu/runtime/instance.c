@@ -575,8 +575,8 @@ static Outcome explained(Instance *i, const double *q, const double *v, double t
     else if (!(pivot > 0.0))
         outcome = say(i, FAILED,
             "%s, t = %.6g s: the augmented mass matrix is singular; give the massless body a mass, or hold it by "
-            "constraints",
-            s->name, t);
+            "constraints%s",
+            s->name, t, or_penalty(i));
     i->used = used;
     return outcome;
 }
