@@ -308,3 +308,33 @@ def test_long_links_pass_singular_positions(l, given, torque):
     usual, long = run(1 / l), run(1.0)
     assert np.ptp(usual["crank1.angle"]) > np.pi
     assert long["crank1.angle"] == pytest.approx(usual["crank1.angle"], abs=1e-7)
+
+
+@pytest.mark.parametrize("method", ["auto", "order8"])
+@pytest.mark.parametrize(
+    ("row", "th", "w", "torque"),
+    [
+        (
+            Row(2, 2.13288279257949, 6.630464526769515, 7.645315553663511),
+            -2.7863714778975397,
+            3.0103818620836567,
+            105.274900794,
+        ),
+        (Row(2, 3.962931103739716, 3.289434374634343, 14.2866982415673), 0.0322019597676273, -0.6084486, 5.75072578185),
+    ],
+)
+def test_a_step_that_ends_beside_a_singular_position_is_closed(row, th, w, torque, method):
+    """A few 1e-5 rad beside it corrections of velocities gain a fifth each, and the runs ended."""
+    times = np.linspace(0.0, 4.0, 401)
+    exact = ode.motion(lambda t, x, v: row.acceleration(x, torque), th, w, times)[:, 0]
+    given = {
+        "l": row.l,
+        "m": row.m,
+        "g": row.g,
+        "start.angle": th,
+        "start.angular_velocity": w,
+        "solver.method": method,
+    }
+    r = alfmu.simulate(derived("n_four_bar"), 4.0, 0.01, parameters=given, inputs={"A1.torque": torque})
+    assert r["crank1.angle"] == pytest.approx(exact, abs=1e-7)
+    assert np.abs(r["monitor.velocity_error"]).max() < 1e-12

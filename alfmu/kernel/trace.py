@@ -25,6 +25,7 @@ from casadi import SX
 from ..equations import Equations, Mobility
 from ..equations.evaluation import DENSE, EVALUATED, shared, symbols, with_functions
 from ..method import singular as branch
+from ..method.formulations import CORRECTIONS
 from ..method.inputs import KEPT, extrapolated, reached
 from ..method.integrators import rk4
 from ..model.settings import Settings
@@ -454,13 +455,15 @@ class Tracer:
         calls(f"{calls.scene.kind}_settle", f"{q} {v} p k", f"{v} {told}", lambda q, v: settled(q, v, corrections))
 
     def settle_well(self, calls: Calls) -> None:
-        """The same at the end of a step: on the branch once more where that was not enough."""
+        """The same at the end of a step; on the branch until it is enough: corrections gain little beside a singular
+        position."""
         self.settle(calls)
         if calls.plan.branch:
             self.unsettled(calls)
             again = calls.inside()
             self.settle(again)
-            calls.choice("more", again)
+            self.unsettled(again)
+            calls.made.append(Loop("more", CORRECTIONS, again.steps))
 
     def unsettled(self, calls: Calls) -> None:
         """Whether q and v do not keep the constraints well enough."""
