@@ -198,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line asks for."""
     names = mechanisms()
     text = "Measure whether runs hold the tolerance that they are given, on every mechanism over its own stop time."
-    chosen = parser("tolerances", names, text, "an hour", "one second each").parse_args(arguments)
+    chosen = parser("tolerances", names, text, "a quarter of an hour", "one second each").parse_args(arguments)
 
     def make(studies: list[str], command: str) -> None:
         write(chosen.output, QUICK if chosen.quick else USUAL, studies, command)
