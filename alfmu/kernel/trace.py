@@ -457,13 +457,13 @@ class Tracer:
     def settle_well(self, calls: Calls) -> None:
         """The same at the end of a step; on the branch until it is enough: corrections gain little beside a singular
         position."""
-        self.settle(calls)
-        if calls.plan.branch:
-            self.unsettled(calls)
-            again = calls.inside()
-            self.settle(again)
-            self.unsettled(again)
-            calls.made.append(Loop("more", CORRECTIONS, again.steps))
+        if not calls.plan.branch:
+            self.settle(calls)
+            return
+        again = calls.inside()
+        self.settle(again)
+        self.unsettled(again)
+        self.repeat(calls, "more", CORRECTIONS, again)
 
     def unsettled(self, calls: Calls) -> None:
         """Whether q and v do not keep the constraints well enough."""
