@@ -933,7 +933,7 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
     const Matrix C = J.constraints;
     double *phi = take(i, count), *weights = take(i, l), *units = take(i, l), *near = take(i, n), *dq = take(i, n);
-    double *aside = take(i, n);
+    double *aside = take(i, n), most = 1.0;
     int rank, found;
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
     memset(phi, 0, count * sizeof *phi);
@@ -948,8 +948,9 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
         for (int e = 0; e < s->constraint.entries; e++)
             units[s->constraint.indices[e]] = fmax(units[s->constraint.indices[e]], fabs(C.values[e]));
     }
-    for (int r = 0; r < s->l; r++)
-        weights[r] = held[r] / (units[r] > 0.0 ? units[r] : 1.0);
+    most = fmax(most, largest(units, s->l));
+    for (int r = 0; r < s->l; r++) /* A row of round-off alone stays small. */
+        weights[r] = held[r] / (units[r] > SAME * most ? units[r] : 1.0);
     weighted_at(i, q, weights, C, phi);
     rank = many ? rank_of_many(i, &J) : rank_of(i, C);
     *here = s->n - rank;
