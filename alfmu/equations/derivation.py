@@ -850,7 +850,8 @@ def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Ro
             turning = direction.startswith("rotation")
             own = isinstance(closure, Constraint | Lock | Motion | Relation)
             unit = closure.unit if own else "rad" if turning else "m"
-            rows.append(Row(closure.name, direction, unit))
+            # The axes of bodies may lie anywhere, which coefficients would tell of instead of the unit.
+            rows.append(Row(closure.name, direction, unit, float(isinstance(closure, SpatialJoint))))
             closures.append((closure, direction))
             signs.append(sign)
     return rows, closures, stack(signs)

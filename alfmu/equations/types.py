@@ -87,6 +87,8 @@ class Row:
     name: str
     direction: str
     unit: str
+    size: float = 0.0
+    """What the row comes to for a unit of displacement; 0 where the coefficients have to tell (`runtime/start.c`)."""
 
     @property
     def what(self) -> str:

@@ -57,7 +57,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 16
+VERSION = 17
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -463,6 +463,7 @@ class _Table:
             w.text(r.name)
             w.text(r.direction)
             w.text(r.unit)
+        w.reals(r.size for r in e.rows)
         normal = np.random.default_rng(0).standard_normal((max(thresholds.TRIES, thresholds.RANKED), e.n))
         normal[:, e.dependent :] = 0.0
         w.reals(normal.ravel())

@@ -67,6 +67,7 @@ typedef struct {
 
 typedef struct {
     const char *name, *direction, *unit;
+    double size; /* for a unit of displacement; 0 where the coefficients tell */
 } Row;
 
 typedef struct {

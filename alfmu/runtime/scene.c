@@ -298,6 +298,8 @@ static void names(Reader *r)
     const int there = enough(r, 8 * (size_t)s->n + 12 * (size_t)s->l, 1);
     Coordinate *coordinates = there ? room(r, (size_t)s->n, sizeof *coordinates) : NULL;
     Row *rows = there ? room(r, (size_t)s->l + 1, sizeof *rows) : NULL;
+    const double *sizes;
+    size_t count = 0;
     for (int k = 0; k < s->n && !r->bad; k++) {
         coordinates[k].name = text(r);
         coordinates[k].unit = text(r);
@@ -306,6 +308,14 @@ static void names(Reader *r)
         rows[k].name = text(r);
         rows[k].direction = text(r);
         rows[k].unit = text(r);
+    }
+    sizes = reals(r, &count);
+    if (count != (size_t)s->l)
+        spoil(r, "%zu rows have a size, not %d", count, s->l);
+    for (int k = 0; k < s->l && !r->bad; k++) {
+        rows[k].size = sizes[k];
+        if (!(sizes[k] >= 0.0 && isfinite(sizes[k])))
+            spoil(r, "the size of row %d is %g", k, sizes[k]);
     }
     s->coordinates = coordinates;
     s->timed = !r->bad && s->n > 0 && !strcmp(coordinates[s->n - 1].unit, "s");

@@ -797,9 +797,10 @@ void default_penalties(Instance *i, const double *q, double *penalties)
     memset(told, 0, l * sizeof *told);
     tell(s, sizes, amplitudes, told);
     for (int r = 0; r < s->l; r++) {
-        units[r] = unit_of(told + r);
-        known &= constant(told + r) > 0.0 || told[r].lengths.squares > 0.0 || told[r].angular > 0.0;
-        every_angular &= told[r].angular > 0.0;
+        const int declared = s->rows[r].size > 0.0;
+        units[r] = declared ? s->rows[r].size : unit_of(told + r);
+        known &= declared || constant(told + r) > 0.0 || told[r].lengths.squares > 0.0 || told[r].angular > 0.0;
+        every_angular &= told[r].angular > 0.0 && !declared;
         every_exact &= constant(told + r) > 0.0;
     }
     for (int r = 0; r < s->l; r++) {
