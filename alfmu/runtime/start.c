@@ -748,15 +748,22 @@ static double unit_of(const Told *row)
                                         : row->most;
 }
 
+/* Whether two rows are directions of one joint, which are square to each other. */
+static int of_one_joint(const Scene *s, int a, int b)
+{
+    return a == b || (s->rows[a].size > 0.0 && s->rows[b].size > 0.0 && !strcmp(s->rows[a].name, s->rows[b].name));
+}
+
 /* How often each row is written: rows that are multiples of each other at all places have the same sums, over places and
-   coordinates, of their coefficients by random numbers, over their size. */
+   coordinates, of their coefficients by random numbers, over their size. Those of one joint are parts of one row, which the
+   directions of its axes have divided among them. */
 static void copies(Instance *i, const double *q, double *count)
 {
     const Scene *s = i->scene;
     const Pattern *p = &s->constraint;
     const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l;
     double *C = take(i, (size_t)p->entries), *there = take(i, n), *zeros = take(i, n);
-    double *sums = take(i, l), *squares = take(i, l);
+    double *sums = take(i, l), *squares = take(i, l), *parts = take(i, l);
     memset(zeros, 0, n * sizeof *zeros);
     memset(sums, 0, l * sizeof *sums);
     memset(squares, 0, l * sizeof *squares);
@@ -772,13 +779,17 @@ static void copies(Instance *i, const double *q, double *count)
     }
     for (int r = 0; r < s->l; r++) {
         sums[r] = fabs(sums[r]) / sqrt(fmax(squares[r], 1e-300));
-        count[r] = 0.0;
+        parts[r] = s->rows[r].size > 0.0 ? squares[r] / (s->rows[r].size * s->rows[r].size) : 1.0;
     }
-    for (int r = 0; r < s->l; r++)
+    for (int r = 0; r < s->l; r++) {
+        double all = 0.0, own = 0.0;
         for (int other = 0; other < s->l; other++)
-            count[r] += fabs(sums[r] - sums[other]) <= SAME * sums[r];
-    for (int r = 0; r < s->l; r++)
-        count[r] = fmax(count[r], 1.0); /* What is not a number is like nothing. */
+            if (fabs(sums[r] - sums[other]) <= SAME * sums[r]) {
+                all += parts[other];
+                own += of_one_joint(s, r, other) ? parts[other] : 0.0;
+            }
+        count[r] = all > own && own > 0.0 ? all / own : 1.0; /* NaN equals no other row. */
+    }
     i->used = used;
 }
 
@@ -819,9 +830,13 @@ void default_penalties(Instance *i, const double *q, double *penalties)
     for (int r = 0; !known && all.most <= ALIKE * all.least && r < s->l; r++)
         units[r] = 1 / ALIKE < mean && mean < ALIKE ? 1.0 : mean;
     for (int c = 0; c < s->n; c++) {
+        double own = 0.0; /* of the directions of a joint together, as its axes may lie anywhere */
         held[c] = 0.0;
-        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++)
-            held[c] = fmax(held[c], sizes[e].most / units[p->indices[e]]);
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+            const int r = p->indices[e], more = e > p->offsets[c] && of_one_joint(s, p->indices[e - 1], r);
+            own = more ? hypot(own, sizes[e].most / units[r]) : sizes[e].most / units[r];
+            held[c] = fmax(held[c], own);
+        }
         wide = fmax(wide, held[c]);
     }
     for (int c = 0; c < s->n; c++)
