@@ -11,6 +11,9 @@ of one body then, so no joint is needed to work it out.
 
 A body in relative coordinates has none of its own: a joint with coordinates places it on another body, R = R1 R12 and
 its point on the joint from that of the other body, so that every expression is built upon that of the body before.
+
+Constraints of a joint between bodies that one body carries are written in the axes of that body, from its origin. They
+contain the coordinates of the loop alone then, and neither the motion nor the distance of the carrier adds round-off.
 """
 
 from __future__ import annotations
@@ -117,6 +120,20 @@ def spin_matrix(e: ca.SX) -> ca.SX:
     return ca.jacobian(angular_velocity(e, rates), rates)
 
 
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A body as a body that carries it sees it, in the axes of that carrier."""
+
+    rotation: ca.SX
+    """The matrix (3, 3) that leads from the axes of the body to those of the carrier."""
+    anchor: Vector
+    """A point fixed on the body, in the body's frame [m]."""
+    begin: ca.SX
+    """The point (3,) of the carrier where the chain of joints to the body begins [m]."""
+    way: ca.SX
+    """The way (3,) from there to the anchor [m]."""
+
+
 @dataclass(eq=False, repr=False)
 class SpatialBody(Brief):
     """A rigid body in space; `Mechanism.spatial_body` makes it.
@@ -174,10 +191,36 @@ class SpatialBody(Brief):
         place = joint.first.place + joint.slide
         return local, place + joint.reach if joint.drifts else place
 
+    @property
+    def carriers(self) -> list[SpatialBody]:
+        """The body, the one that carries it, and so on up to one that no joint places."""
+        found = [self]
+        while (joint := found[-1].placed_by) is not None:
+            found.append(joint.first.body)
+        return found
+
+    def seen_by(self, carrier: SpatialBody) -> Seen | None:
+        """The body as one of its carriers sees it; None of itself."""
+        if self is carrier:
+            return None
+        kept = self.__dict__.setdefault("_seen", {})
+        if carrier not in kept:
+            joint = self._joint
+            before = joint.first.body.seen_by(carrier)
+            if before is None:
+                turn, begin, way = joint.relative_turn, _column(joint.first.point), joint.local_slide
+            else:
+                arm = _between(before.anchor, joint.first.point) + joint.local_slide
+                turn, begin, way = before.rotation @ joint.relative_turn, before.begin, before.way + before.rotation @ arm
+            anchor = joint.second.point
+            if joint.drifts:
+                anchor, way = self.center, way + turn @ joint.beyond
+            kept[carrier] = Seen(turn, anchor, begin, way)
+        return kept[carrier]
+
     def turned(self, point: Vector) -> ca.SX:
         """A point of the body's frame, from its anchor, in ground axes (3,)."""
-        own = self.center if self.own is not None else self.anchor[0]
-        return self.rotation @ ca.vertcat(*(ca.SX(a) - c for a, c in zip(point, own, strict=True)))
+        return self.rotation @ _between(self.center if self.own is not None else self.anchor[0], point)
 
     @property
     def _joint(self) -> SpatialJoint:
@@ -297,11 +340,35 @@ class SpatialJoint(Brief):
             raise DeclarationError(f"{self.name}, a {self.kind} joint, has no free motion {shown(which)}; {has}")
         return SpatialFreedom(self, which)
 
-    def triad(self, second: bool = False) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Two normals and the axis of the joint, a right-handed triad fixed on one of the bodies, in ground axes."""
-        turn = (self.second if second else self.first).body.rotation
-        normal, other, axis = (turn @ _column(x) for x in right_handed(self.axes[second], self.nominal[second]))
-        return normal, other, axis
+    def triad(self, second: bool = False, carrier: SpatialBody | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Two normals and the axis of the joint, a right-handed triad fixed on one of the bodies, in the axes of the
+        ground, or of a body that carries that one."""
+        body = (self.second if second else self.first).body
+        normal, other, axis = map(_column, right_handed(self.axes[second], self.nominal[second]))
+        if body is carrier:
+            return normal, other, axis
+        turn = body.rotation if carrier is None else body.seen_by(carrier).rotation
+        return turn @ normal, turn @ other, turn @ axis
+
+    @property
+    def carrier(self) -> SpatialBody | None:
+        """The body that carries both bodies of the joint, the nearest one; None where there is none."""
+        others = self.second.body.carriers
+        return next((body for body in self.first.body.carriers if body in others), None)
+
+    @property
+    def apart(self) -> ca.SX:
+        """The way (3,) from the first point to the second, in the axes of the carrier, of the ground where there is
+        none."""
+        if (carrier := self.carrier) is None:
+            return self.second.place - self.first.place
+        (begin, way), (begin2, way2) = (
+            (_column(marker.point), ca.SX.zeros(3))
+            if (seen := marker.body.seen_by(carrier)) is None
+            else (seen.begin, seen.way + seen.rotation @ _between(seen.anchor, marker.point))
+            for marker in (self.first, self.second)
+        )
+        return (begin2 - begin) + (way2 - way)
 
     # Relative coordinates ---------------------------------------------------------------------------------------
 
@@ -343,10 +410,28 @@ class SpatialJoint(Brief):
     @cached_property
     def slide(self) -> ca.SX:
         """The way (3,) from the first point to the second in ground axes, from the coordinates."""
+        return self._slid(self.triad())
+
+    @property
+    def local_slide(self) -> ca.SX:
+        """The same in the axes of the first body."""
+        return self._slid(self.triad(carrier=self.first.body))
+
+    def _slid(self, triad: tuple[ca.SX, ca.SX, ca.SX]) -> ca.SX:
         found = ca.SX.zeros(3)
-        for coordinate, (_, along) in zip(self.coordinates or (), self.columns, strict=True):
+        for coordinate, along in zip(self.coordinates or (), self._ways(triad), strict=True):
             found += coordinate * along
         return found
+
+    def _ways(self, triad: tuple[ca.SX, ca.SX, ca.SX]) -> list[ca.SX]:
+        """Velocity (3,) of the second point, from the first body, for each unit of a rate, in the axes of a triad."""
+        nothing, (normal, other, axis) = ca.SX.zeros(3), triad
+        return {
+            "cylindrical": [nothing, axis],
+            "prismatic": [axis],
+            "screw": [self.lead / (2 * math.pi) * axis],
+            "planar": [normal, other, nothing],
+        }.get(self.kind, [nothing] * len(RELATIVE.get(self.kind, ())))
 
     @cached_property
     def reach(self) -> ca.SX:
@@ -356,7 +441,7 @@ class SpatialJoint(Brief):
     @property
     def beyond(self) -> ca.SX:
         """The same in the frame of that body."""
-        return ca.vertcat(*(ca.SX(a) - b for a, b in zip(self.second.body.center, self.second.point, strict=True)))
+        return _between(self.second.point, self.second.body.center)
 
     @cached_property
     def columns(self) -> list[tuple[ca.SX, ca.SX]]:
@@ -370,15 +455,16 @@ class SpatialJoint(Brief):
                 return []
             matrix = self.first.body.rotation @ spin_matrix(self.relative_attitude)
             return [(matrix[:, i], nothing) for i in range(4)]
-        normal, other, axis = self.triad()
-        return {
-            "revolute": lambda: [(axis, nothing)],
-            "cylindrical": lambda: [(axis, nothing), (nothing, axis)],
-            "prismatic": lambda: [(nothing, axis)],
-            "screw": lambda: [(axis, self.lead / (2 * math.pi) * axis)],
-            "universal": lambda: [(axis, nothing), (self.triad(second=True)[2], nothing)],
-            "planar": lambda: [(nothing, normal), (nothing, other), (axis, nothing)],
+        triad = self.triad()
+        turns = {
+            "revolute": lambda: [triad[2]],
+            "cylindrical": lambda: [triad[2], nothing],
+            "prismatic": lambda: [nothing],
+            "screw": lambda: [triad[2]],
+            "universal": lambda: [triad[2], self.triad(second=True)[2]],
+            "planar": lambda: [nothing, nothing, triad[2]],
         }.get(self.kind, list)()
+        return list(zip(turns, self._ways(triad), strict=True))
 
     # What is measured -------------------------------------------------------------------------------------------
 
@@ -410,9 +496,10 @@ class SpatialJoint(Brief):
         return kept[which]
 
     def _from_places(self, which: str) -> ca.SX:
-        normal, other, axis = self.triad()
+        carrier = self.carrier
+        normal, other, axis = self.triad(carrier=carrier)
         if which == "angle":
-            turned = self.triad(second=True)[0]
+            turned = self.triad(True, carrier)[0]
             return ca.atan2(ca.dot(other, turned), ca.dot(normal, turned))
         if self.kind == "universal":
             # With u1 on the first body, u2 on the second: R1 u1, R1 u2, R1 (u1 x u2), or these of R2.
@@ -425,22 +512,22 @@ class SpatialJoint(Brief):
             both = body.rotation @ _column(_cross(one, two))
             return ca.atan2(ca.dot(on_other, both), ca.dot(on_other, body.rotation @ _column(across)))
         along = {"position": axis, "position1": normal, "position2": other}[which]
-        return ca.dot(along, self.second.place - self.first.place)
+        return ca.dot(along, self.apart)
 
     def residual(self, direction: str) -> ca.SX:
         """What the joint keeps at zero along one direction, in m or (for a small misalignment) rad."""
-        apart = self.second.place - self.first.place
+        carrier = self.carrier
         if direction in ("x", "y", "z"):
-            return apart["xyz".index(direction)]
+            return self.apart["xyz".index(direction)]
         if direction.startswith("normal"):
-            return ca.dot(self.triad()[int(direction[-1]) - 1], apart)
+            return ca.dot(self.triad(carrier=carrier)[int(direction[-1]) - 1], self.apart)
         if direction == "axis":
-            return ca.dot(self.triad()[2], apart)
+            return ca.dot(self.triad(carrier=carrier)[2], self.apart)
         if direction == "length":
-            return (ca.sumsqr(apart) - self.length**2) / (2 * self.length)
+            return (ca.sumsqr(self.apart) - self.length**2) / (2 * self.length)
         if direction == "screw":
-            return self._thread()[0]
-        return ca.dot(*self._kept_square(direction))
+            return self._thread(carrier)[0]
+        return ca.dot(*self._kept_square(direction, carrier))
 
     def reaction(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """Force (3,) and moment (3,) about the joint's point on the second body, on it from the first, in ground axes.
@@ -450,7 +537,8 @@ class SpatialJoint(Brief):
         force, moment = ca.SX.zeros(3), ca.SX.zeros(3)
         for direction, lam in multipliers.items():
             if direction in ("x", "y", "z"):
-                force -= lam * ca.SX([direction == axis for axis in "xyz"])
+                along = ca.SX([direction == axis for axis in "xyz"])
+                force -= lam * (along if (carrier := self.carrier) is None else carrier.rotation @ along)
             elif direction.startswith("normal"):
                 force -= lam * self.triad()[int(direction[-1]) - 1]
             elif direction == "axis":
@@ -466,23 +554,24 @@ class SpatialJoint(Brief):
                 moment -= lam * ca.cross(on_second, on_first)
         return force, moment
 
-    def _thread(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+    def _thread(self, carrier: SpatialBody | None = None) -> tuple[ca.SX, ca.SX, ca.SX]:
         """How far [m] the second body of a screw is ahead of its thread, and the derivatives of that.
 
         p sin(s/p - th) with p = lead/(2 pi), which knows no whole turns; the derivatives (3,) are by a displacement and
-        by a turn of the second body.
+        by a turn of the second body, in the axes of the ground or of a carrier.
         """
         pitch = self.lead / (2 * math.pi)
-        normal, other, axis = self.triad()
-        turned = self.triad(second=True)[0]
+        normal, other, axis = self.triad(carrier=carrier)
+        turned = self.triad(True, carrier)[0]
         phase = self._measured("position") / pitch
         way = ca.cos(phase) * ca.dot(normal, turned) + ca.sin(phase) * ca.dot(other, turned)
         across = pitch * (ca.sin(phase) * normal - ca.cos(phase) * other)
         return ca.dot(across, turned), way * axis, ca.cross(turned, across)
 
-    def _kept_square(self, direction: str) -> tuple[ca.SX, ca.SX]:
-        """Two directions, one on each body, that a joint keeps at a right angle."""
-        on_first, on_second = self.triad(), self.triad(second=True)
+    def _kept_square(self, direction: str, carrier: SpatialBody | None = None) -> tuple[ca.SX, ca.SX]:
+        """Two directions, one on each body, that a joint keeps at a right angle, in the axes of the ground or of a
+        carrier."""
+        on_first, on_second = self.triad(carrier=carrier), self.triad(True, carrier)
         if direction == "rotation":
             return on_first[2], on_second[2]
         if direction == "rotation3":
@@ -536,6 +625,11 @@ class SpatialFreedom(Brief):
 def _column(vector: Vector) -> ca.SX:
     """Numbers or expressions as a column (3,)."""
     return ca.vertcat(*map(ca.SX, vector))
+
+
+def _between(a: Vector, b: Vector) -> ca.SX:
+    """The way (3,) from one point of a body's frame to another."""
+    return ca.vertcat(*(ca.SX(y) - x for x, y in zip(a, b, strict=True)))
 
 
 def _length(axis: Vector) -> Scalar:
