@@ -1,7 +1,7 @@
-"""Linkages in space drawn at random, as data in the position in which they are assembled, and declared in any direction.
+"""Linkages in space drawn at random, as data in the position in which they are assembled, declared in any direction.
 
-Most are planar linkages made of bodies and joints in space, whose loops have redundant constraints in every position. The
-others are a Sarrus linkage, a linkage with a universal joint and a ball, and a platform on parallel arms.
+Most are planar linkages made of bodies and joints in space, whose loops have redundant constraints in every position.
+The others are a Sarrus linkage, a linkage with a universal joint and a ball, and a table on parallel legs.
 """
 
 from __future__ import annotations
@@ -139,7 +139,6 @@ def six_bar(random: np.random.Generator) -> Linkage:
     """A four-bar whose coupler drives a second loop (Watt or Stephenson)."""
     made = four_bar(random)
     made.name = "six_bar"
-    made.joints = [each for each in made.joints]
     for each in made.joints:
         each.kind = "revolute"
     C, D = made.joints[3].point, made.joints[2].point
@@ -194,8 +193,9 @@ def sarrus(random: np.random.Generator) -> Linkage:
 
 
 def scissors(random: np.random.Generator) -> Linkage:
-    """Two stages of crossed bars, hinged at their middles and ends, on a hinge and a slide."""
-    made = Linkage("scissors", rate=random.uniform(0.3, 1.0))
+    """Two stages of crossed bars, hinged at their middles and ends, on a hinge and a slide; they do not fold up in a
+    second."""
+    made = Linkage("scissors", gravity=(0.0, -1.0, 0.0), rate=random.uniform(0.3, 1.0))
     w, h = random.uniform(0.5, 0.8), random.uniform(0.3, 0.5)
     at = {(i, side): np.array([w * side, h * i, 0.02 * i]) for i in range(3) for side in (0, 1)}
     previous: dict[int, str | None] = {0: None, 1: None}
@@ -216,8 +216,8 @@ def scissors(random: np.random.Generator) -> Linkage:
 
 
 def gripper(random: np.random.Generator) -> Linkage:
-    """A finger on two parallel arms of equal length, and a third one that is redundant."""
-    made = Linkage("gripper", rate=random.uniform(0.5, 1.5))
+    """A finger on two parallel arms of equal length, and a third one that is redundant; it does not align in a second."""
+    made = Linkage("gripper", gravity=(0.0, -1.0, 0.0), rate=random.uniform(0.5, 1.5))
     arm = np.array([random.uniform(0.2, 0.5), random.uniform(0.3, 0.5), 0.0])
     roots = [_flat(x, 0.0, random) for x in (0.0, 0.3, random.uniform(0.5, 0.8))]
     finger = "coupler"

@@ -51,6 +51,9 @@ _SHARED = 1e-12
 _LEFT = 2.0**-50
 """Last change of what multipliers of least norm are made of, over what it is."""
 
+LEFT_BY_FEW = 1e-3
+"""What few multiplier iterations may leave of accelerations, over the relative tolerance of a step."""
+
 _GAIN = 2 / 3
 """Change of an iteration over that of the one before, from which on round-off is all that changes."""
 
@@ -618,8 +621,12 @@ class Scene:
         evaluations = [Watch.of(x) for name, x in known.items() if name.startswith("watch")]
         pivot = ca.mmin(ca.vertcat(*(x.pivot for x in evaluations), known.get("pivot", SX(0, 1))))
         # Error control judges what iterations leave by the error that it makes; few of them also by how they gain.
-        unjudged = 1 if plan.quick or "pace" not in known else known["pace"][PACE.index("fixed")] != 0
-        trouble, near = 1 - (pivot > 0) + unjudged * self.unconverged(plan, evaluations), SX(0)
+        fixed = known["pace"][PACE.index("fixed")] != 0 if "pace" in known else SX(1)
+        limit = ca.if_else(
+            fixed, self.settings.tolerance, ca.fmax(self.settings.tolerance, LEFT_BY_FEW * self.settings.relative)
+        )
+        unjudged = 1 if plan.quick else fixed
+        trouble, near = 1 - (pivot > 0) + unjudged * self.unconverged(plan, evaluations, limit), SX(0)
         if plan.branch or "zone1" in known:
             near = sum(x for name, x in known.items() if name.startswith("zone"))
             trouble += 1 - self.settings.continues if plan.branch else near * self.settings.continues

@@ -211,7 +211,11 @@ class SpatialBody(Brief):
                 turn, begin, way = joint.relative_turn, _column(joint.first.point), joint.local_slide
             else:
                 arm = _between(before.anchor, joint.first.point) + joint.local_slide
-                turn, begin, way = before.rotation @ joint.relative_turn, before.begin, before.way + before.rotation @ arm
+                turn, begin, way = (
+                    before.rotation @ joint.relative_turn,
+                    before.begin,
+                    before.way + before.rotation @ arm,
+                )
             anchor = joint.second.point
             if joint.drifts:
                 anchor, way = self.center, way + turn @ joint.beyond

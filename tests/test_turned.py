@@ -1,0 +1,74 @@
+"""Planar and over-constrained linkages made of bodies in space: the same motion in every direction and place.
+
+`DRAWS=200 pytest tests/test_turned.py` draws so many of each kind; by default one of each.
+"""
+
+import logging
+import os
+from functools import cache
+
+import numpy as np
+import pytest
+from oracles.newton_euler import NewtonEuler
+from scipy.spatial.transform import Rotation
+from turned import KINDS, Linkage
+
+import alfmu
+from alfmu.runtime.probe import Probe
+
+DRAWS = int(os.environ.get("DRAWS", "1"))
+STOP, STEP = 0.3, 0.02
+CASES = [(kind, seed) for kind in KINDS for seed in range(DRAWS)]
+NAMES = [f"{kind.__name__}-{seed}" for kind, seed in CASES]
+
+
+@cache
+def drawn(kind, seed: int) -> Linkage:
+    return kind(np.random.default_rng(seed))
+
+
+def direction(seed: int) -> tuple[Rotation, tuple[float, ...]]:
+    """A random direction, and a place up to 100 m from the origin."""
+    random = np.random.default_rng(seed)
+    return Rotation.random(random_state=seed), tuple(map(float, random.uniform(-100, 100, 3)))
+
+
+def motion(linkage, turn=None, offset=(0.0, 0.0, 0.0), absolute="", **parameters) -> tuple[np.ndarray, int]:
+    """Centres of mass (bodies, 3, times) in the axes of the linkage, and the evaluations that were made."""
+    run = alfmu.simulate(linkage.declared(turn, offset, absolute), STOP, STEP, parameters=parameters)
+    places = np.array([[run[f"{each.name}.{axis}"] for axis in "xyz"] for each in linkage.links])
+    if turn is not None:
+        places = np.einsum("ji,bjt->bit", turn.as_matrix(), places - np.array(offset)[:, None])
+    return places, run.counters.evaluations
+
+
+@pytest.mark.parametrize(("kind", "seed"), CASES, ids=NAMES)
+def test_a_turned_and_shifted_linkage_moves_as_newton_and_euler_say(kind, seed, caplog):
+    """By default within 1e-6, in as many evaluations as the aligned one to a tenth, and without a warning."""
+    linkage, (turn, offset) = drawn(kind, seed), direction(seed)
+    exact = NewtonEuler(linkage).motion(np.arange(0.0, STOP + STEP / 2, STEP))
+    with caplog.at_level(logging.WARNING, "alfmu"):
+        (aligned, evaluations), (turned, more) = motion(linkage), motion(linkage, turn, offset)
+    assert np.abs(aligned - exact).max() <= 1e-6
+    assert np.abs(turned - exact).max() <= 1e-6
+    assert more <= 1.1 * evaluations
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(("kind", "seed"), CASES, ids=NAMES)
+def test_a_tight_tolerance_holds_in_every_direction(kind, seed):
+    linkage, (turn, offset) = drawn(kind, seed), direction(seed + 1)
+    tight = {"solver.relative_tolerance": 1e-9}
+    assert np.abs(motion(linkage, turn, offset, **tight)[0] - motion(linkage, **tight)[0]).max() <= 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_the_rank_does_not_depend_on_the_direction(kind):
+    """Rows that are round-off alone, or combinations of others to round-off, are redundant in all directions."""
+    linkage = drawn(kind, 0)
+    known = Probe.of(alfmu.derive(linkage.declared()))
+    for seed in range(5):
+        probe = Probe.of(alfmu.derive(linkage.declared(*direction(seed))))
+        assert probe.mobility() == known.mobility()
+        assert set(probe.units) == set(known.units) == {1.0}
+        assert probe.penalty.max() == pytest.approx(known.penalty.max(), rel=0.5)
