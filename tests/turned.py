@@ -216,7 +216,7 @@ def scissors(random: np.random.Generator) -> Linkage:
 
 
 def gripper(random: np.random.Generator) -> Linkage:
-    """A finger on two parallel arms of equal length, and a third one that is redundant; it does not align in a second."""
+    """A finger on two parallel arms of equal length, and a redundant third one; they do not align in a second."""
     made = Linkage("gripper", gravity=(0.0, -1.0, 0.0), rate=random.uniform(0.5, 1.5))
     arm = np.array([random.uniform(0.2, 0.5), random.uniform(0.3, 0.5), 0.0])
     roots = [_flat(x, 0.0, random) for x in (0.0, 0.3, random.uniform(0.5, 0.8))]

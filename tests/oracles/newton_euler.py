@@ -1,8 +1,8 @@
 """Linkages in space by the equations of Newton and Euler for each body, and joints by least squares.
 
 The state of a body is its centre of mass, its rotation as a quaternion, its velocity and its angular velocity; no
-coordinates are chosen. Joints are rows for the accelerations of both bodies. Gauss's principle of least constraint gives
-the accelerations, by a pseudoinverse, which redundant rows do not disturb. DOP853 integrates.
+coordinates are chosen. Joints are rows for the accelerations of both bodies. Gauss's principle of least constraint
+gives the accelerations, by a pseudoinverse, which redundant rows do not disturb. DOP853 integrates.
 """
 
 from __future__ import annotations
