@@ -160,29 +160,39 @@ class _Writing:
     def _piece(self, piece: Repeat, carried: dict[tuple[int, int], tuple[int, int]]) -> None:
         """A loop, or straight code, which has one pass."""
         part = slice(piece.start, piece.end)
-        body = _Body(piece, self._operations, self._local, self._kept, self._found(part), carried)
-        made = arranged(body.instructions())
-        at = {value: (self._constant(number), 0) for value, number in made.constants.items()}
+        found = self._found(part)
         if piece.count == 1:
-            at |= {value: body.sources[slot][1:] for value, (_, slot) in made.arguments.items()}
-            self._straight(made.runs, at)
+            self._straight(piece, found)
         else:
+            body = _Body(piece, self._operations, self._local, self._kept, found, carried)
+            made = arranged(body.instructions())
+            at = {value: (self._constant(number), 0) for value, number in made.constants.items()}
             self._looped(piece.count, body, made, at)
-        for _, column, value in made.results:
-            first, step = at[value]
-            self._place[piece.passes(column)] = first + step * np.arange(piece.count)
+            for _, column, value in made.results:
+                first, step = at[value]
+                self._place[piece.passes(column)] = first + step * np.arange(piece.count)
         writes = np.flatnonzero(self._operations.result[0, part][: piece.period] >= 0)
         for columns in [writes] if piece.count == 1 else writes[:, None]:
             users = (piece.passes(0)[:, None] + columns).reshape(-1)
             which, entry = self._operations.result[:, users]
             self._lines += in_line(self._results[which] + entry, self._found(users)[0])
 
-    def _straight(self, found: list[list[Operation]], at: dict[int, tuple[int, int]]) -> None:
-        for run in found:
-            for operation in run:
-                at |= {value: (self._end + i, 0) for i, value in enumerate(operation.made)}
-                self._end += len(operation.made)
-        self._words += _runs(found, {value: place[:1] for value, place in at.items()})
+    def _straight(self, piece: Repeat, found: NDArray) -> None:
+        part = slice(piece.start, piece.end)
+        instructions, entries = _straight(self._operations, part, self._local[:, part], self._kept[part], found)
+        made = arranged(instructions)
+        own = made.arrays.made[made.arrays.made >= 0]
+        at = np.zeros(1 + max(len(instructions) + 2, own.max(initial=0)), np.int64)
+        at[list(made.constants)] = [self._constant(number) for number in made.constants.values()]
+        at[[value for value in made.arguments]] = entries
+        at[own] = self._end + np.arange(len(own))
+        self._end += len(own)
+        for (kind, count), operands in zip(made.arrays.heads.tolist(), made.arrays.each, strict=True):
+            for start in range(0, count, NARROW - 1):
+                places = at[operands[start : start + NARROW - 1]]
+                self._words += [kind, len(places), *places.ravel().tolist()]
+        columns, values = np.array(made.results, int).reshape(-1, 3)[:, 1:].T
+        self._place[piece.start + columns] = at[values]
 
     def _looped(self, count: int, body: _Body, made: Arrangement, at: dict[int, tuple[int, int]]) -> None:
         """Operations by which nothing passes on to later passes each in all passes, and loops of the others."""
@@ -244,6 +254,43 @@ class _Writing:
         return np.select(cases, [self._place[o.made[:, part]], entries, self._number[operand * cases[2]]], -1)
 
 
+def _straight(
+    operations: Operations, part: slice, local: NDArray, kept: NDArray, found: NDArray
+) -> tuple[Instructions, NDArray]:
+    """Operations that have one pass as a function of its own, and the places of its arguments.
+
+    `local` (2, many) are operands that are made among them, `found` the places of others, `kept` what is needed
+    elsewhere. What is taken from elsewhere is an instruction of its own before the first one that takes it.
+    """
+    code, kind = operations.code[part], operations.kind[:, part]
+    makes = code != ca.OP_OUTPUT
+    taken = (makes & ~local & (kind != NOTHING)).T.ravel()
+    users, _ = np.divmod(np.flatnonzero(taken), 2)
+    _, first, leaf = np.unique(found.T.ravel()[taken], return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    first = first[order]  # of each leaf, the operand that takes it first
+    before = np.cumsum(makes) - makes  # operations before each
+    leaves = before[users[first]] + np.arange(len(first))  # numbers of instructions
+    own = before + np.searchsorted(users[first], np.arange(len(code)), "right")
+
+    count = len(first) + int(makes.sum())
+    total = count + int(kept.sum())
+    made, operands = np.empty(total, np.int64), np.full((2, total), -1)
+    places, constants = np.zeros((2, total), np.int64), np.zeros(total)
+    places[1] = -1
+    constant = kind.T.ravel()[taken][first] == CONSTANT
+    made[leaves] = np.where(constant, ca.OP_CONST, ca.OP_INPUT)
+    constants[leaves[constant]] = operations.constant[operations.operand[:, part].T.ravel()[taken][first[constant]]]
+    places[1, leaves[~constant]] = np.arange(np.count_nonzero(~constant))
+    made[own[makes]] = code[makes]
+    both = np.full((len(code), 2), -1)
+    both[local.T & makes[:, None]] = own[operations.made[:, part].T[local.T & makes[:, None]] - part.start]
+    both.reshape(-1)[taken] = leaves[np.argsort(order)[leaf]]
+    operands[:, own[makes]] = both[makes].T
+    made[count:], operands[0, count:], places[1, count:] = ca.OP_OUTPUT, own[kept], np.flatnonzero(kept)
+    return Instructions(made, operands, places, constants), found.T.ravel()[taken][first[~constant]]
+
+
 class _Body:
     """One pass of a piece as a function of its own, whose arguments are what it takes from elsewhere."""
 
@@ -259,7 +306,6 @@ class _Body:
         self._piece, self._operations, self._found = piece, operations, found
         first = slice(piece.start, piece.start + piece.period)
         self._first = [x[..., first].tolist() for x in (operations.code, operations.kind, operations.made, local)]
-        self._firsts = found[:, : piece.period].tolist()
         self._constant = operations.constant
         self._carried = carried
         self._kept = np.flatnonzero(kept[piece.start : piece.end].reshape(piece.count, -1).any(axis=0)).tolist()
@@ -301,8 +347,6 @@ class _Body:
     def _leaf(self, j: int, column: int, kind: int) -> tuple[int, int]:
         """A constant, or where else an operand comes from in each pass."""
         piece = self._piece
-        if piece.count == 1 and kind != CONSTANT:
-            return ca.OP_INPUT, self._slot((LINE, self._firsts[j][column], 0))
         places = self._found[j, column :: piece.period]
         if kind == CONSTANT and (places == places[0]).all():
             return ca.OP_CONST, self._number(places[0], self._operations.operand[j, piece.start + column])

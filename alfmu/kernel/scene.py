@@ -21,7 +21,7 @@ from casadi import SX
 from numpy.typing import NDArray
 
 from . import passes
-from .arrangement import KINDS, SINE_COSINE, SUMS
+from .arrangement import KINDS, OPERANDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
 from .passes import EACH_KIND, GATHER_KIND, LOOP_KIND, NARROW, Code, Constants, written
 from .stream import BINARY, UNARY, Instructions, number
@@ -57,10 +57,6 @@ def operations_header() -> str:
         f"enum {{ {', '.join(f'{_macro(step.__name__)}_CODE' for step in CALLS)} }};",
     ]
     return "\n".join([*lines, ""])
-
-
-OPERANDS = {kind: 2 if kind in BINARY else 1 for kind in KINDS} | SUMS
-"""How many operands operations of a kind have."""
 
 
 def _partials(operation: int) -> list[str]:

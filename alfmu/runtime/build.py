@@ -76,8 +76,9 @@ _NO_UNWINDING = ("-fno-asynchronous-unwind-tables", "-fno-unwind-tables", "-fomi
 _WINDOWS_FLAGS = ("-D__USE_MINGW_ANSI_STDIO=0",)
 """The C library of Windows prints numbers by the standard; a second one would add a tenth."""
 
-_OF_HOSTS = ("component.c", "fmi2.c", "fmi3.c", "files.c", "resources.c", "gradient.c")
-"""What a page has no use for: the functions of FMI, files, and runs with derivatives."""
+_OF_HOSTS = ("arrange.c", "component.c", "fmi2.c", "fmi3.c", "files.c", "resources.c", "gradient.c")
+"""What a page has no use for: the functions of FMI, files, runs with derivatives, and what makes
+scenes."""
 
 _WEB_FLAGS = ("-mexec-model=reactor", "-Wl,--export-dynamic", "-Wl,--export=malloc", "-Wl,--export=free")
 """A library that the page calls, with memory that the page may ask for."""

@@ -92,6 +92,8 @@ _SIGNATURES = {
     "tangent_run": (c_long, c_void_p, POINTER(_Run), c_int, c_void_p, c_void_p, c_void_p, POINTER(c_int)),
     "recorded_run": (c_long, c_void_p, POINTER(_Run), c_double, POINTER(c_int)),
     "adjoint_run": (c_int, c_void_p, POINTER(_Run), c_void_p, c_void_p, c_void_p),
+    "arrange": (c_int, c_int, c_void_p, c_void_p, c_void_p, c_int, *[c_void_p] * 4),
+    "in_runs": (c_int, c_int, c_int, *[c_void_p] * 7),
 }
 """Result and arguments of each function."""
 
