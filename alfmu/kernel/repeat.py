@@ -140,9 +140,9 @@ class _Sequence:
     def _exact(self, period: int, begin: int, end: int) -> Iterator[_Candidate]:
         """Where the operations from `begin` to `end` do repeat with a period."""
         same = self.token[begin : end - period] == self.token[begin + period : end]
-        for distance in self.distance:
-            one, other = distance[begin : end - period], distance[begin + period : end]
-            same &= (one == other) | ((one >= period) & (other >= period))  # from before the period is from elsewhere
+        one, other = self.distance[:, begin : end - period], self.distance[:, begin + period : end]
+        # What is from before the period is from elsewhere.
+        same &= ((one == other) | (np.minimum(one, other) >= period)).all(axis=0)
         for start, stop in _true(same):
             length = stop - start
             if length >= (FEWEST - 1) * period:
@@ -214,25 +214,29 @@ class _Lines:
         """Tables that a loop needs; entries of the first and the last pass may differ unless `ends` says otherwise."""
         o, part, shape = self._operations, slice(repeat.start, repeat.end), (repeat.count, repeat.period)
         self._period[part] = repeat.period
+        made = o.made[:, part]
+        which, entry = o.written[:, made].reshape(2, 2, *shape)
+        numbers = np.array([o.result[1, part], *o.operand[:, part]]).reshape(3, *shape)
+        numbers = np.concatenate([numbers, made.reshape(2, *shape), which, entry])
+        steps = numbers[:, 1:] - numbers[:, :-1]  # from pass to pass
 
-        def step(numbers: NDArray, ends: bool = ends) -> NDArray:
-            """From pass to pass; _NONE where it is not always the same."""
-            steps = np.diff(numbers.reshape(shape), axis=0)
-            steps = steps if ends or repeat.count < FEWEST else steps[1:-1]
-            return np.where((steps == steps[0]).all(axis=0), steps[0], _NONE)
+        def even(steps: NDArray, ends: bool) -> NDArray:
+            """The steps; _NONE where they are not always the same."""
+            steps = steps if ends or repeat.count < FEWEST else steps[:, 1:-1]
+            first = steps[:, 0]
+            return np.where((steps == first[:, None]).all(axis=1), first, _NONE)
 
+        step = even(steps, ends)
+        kind, first, middle = o.kind[:, part][:, : repeat.period], repeat.count // 2, made.reshape(2, *shape)
+        middle = middle[:, first]
+        there = np.where(middle >= repeat.start, even(steps[3:5], False), step[3:5])
+        owner = self._period[middle]
+        stored = (there == 0) | ((there != _NONE) & (owner > 0) & (there % np.maximum(owner, 1) == 0))
         writes = o.result[0, part][: repeat.period] >= 0
-        tables = np.count_nonzero(writes & (step(o.result[1, part]) == _NONE))
-        for kind, operand, made in zip(o.kind[:, part], o.operand[:, part], o.made[:, part], strict=True):
-            kind = kind[: repeat.period]
-            tables += np.count_nonzero((kind == INPUT) & (step(operand) == _NONE))
-            owner = self._period[made].reshape(shape)[repeat.count // 2]
-            own = made.reshape(shape)[repeat.count // 2] >= repeat.start
-            there = np.where(own, step(made, ends=False), step(made))
-            stored = (there == 0) | ((there != _NONE) & (owner > 0) & (there % np.maximum(owner, 1) == 0))
-            which, entry = o.written[:, made]
-            written = ~writes & (which[: repeat.period] >= 0) & (step(which) == 0) & (step(entry) != _NONE)
-            tables += np.count_nonzero((kind == VALUE) & ~stored & ~written)
+        written = ~writes & (which[:, 0] >= 0) & (step[5:7] == 0) & (step[7:9] != _NONE)
+        tables = np.count_nonzero(writes & (step[0] == _NONE))
+        tables += np.count_nonzero((kind == INPUT) & (step[1:3] == _NONE))
+        tables += np.count_nonzero((kind == VALUE) & ~stored & ~written)
         self._period[part] = 0
         return int(tables)
 
@@ -256,5 +260,6 @@ def _stretches(hashed: NDArray) -> Iterator[tuple[int, int, int]]:
 
 def _true(flags: NDArray) -> Iterator[tuple[int, int]]:
     """Beginnings and ends of what is true."""
-    edges = np.flatnonzero(np.diff(flags.astype(np.int8), prepend=0, append=0))
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    edges = np.flatnonzero(flags[1:] != flags[:-1]) + 1
+    edges = [0, *edges.tolist(), len(flags)] if len(flags) and flags[0] else [*edges.tolist(), len(flags)]
+    yield from zip(edges[::2], edges[1::2], strict=False)
