@@ -242,18 +242,30 @@ class _Explicit(_Step):
         for i in range(len(rates) * self.by_constraints):
             calls("irregular", f"q{i + 1} p k", f"zone{i + 1}", scene.irregular)
         q, v = scene.symbol("q"), scene.symbol("v")
-        known = spaced("z step", rates, "q v", self.tracer.states, "p k")
-        if not self.plan.gaining:
-            least = None
-        else:
-            known += " round_off"
+        rounds = self.plan.gaining
+        if rounds:
             self._rounded(str(len(rates)))
-            least = scene.least_error(rule, dt, v, scene.symbol("round_off"))
-        if allowed:
-            share = getattr(scene.settings, allowed)
-            error, least = error / share, None if least is None else least / share
-        states = (scene.symbol("x"), error[2 * n + 1 :]) if self.e.states else ()
-        calls(f"{self.name}_error", known, "error floor", lambda *_: scene.error_size(z, q, v, error, least, *states))
+        share = getattr(scene.settings, allowed) if allowed else None
+
+        def judged(x: SX) -> SX:
+            return x if share is None else x / share
+
+        off = "off_q", "off_v", *("off_x" for _ in self.tracer.states)
+
+        def parted(*_: SX) -> tuple[SX, ...]:
+            found = judged(error)
+            return found[:n], found[n : 2 * n], *(found[2 * n + 1 :] for _ in off[2:])
+
+        def size(z: SX, q: SX, v: SX, *known: SX) -> tuple[SX, SX]:
+            *x, off_q, off_v = known[: 2 + len(off[2:])]
+            change = known[len(x) + 2 : len(x) + 2 + len(x)]
+            least = judged(scene.least_error(rule, dt, v, scene.symbol("round_off"))) if rounds else None
+            return scene.error_size(z, q, v, (off_q, off_v), least, *x, *change)
+
+        calls(f"{self.name}_off", spaced("z step", rates, "k"), spaced(off), parted)
+        self.tracer.along(calls, "off_q", "off_v")
+        known = spaced("z q v", self.tracer.states, off, *["step round_off"] * rounds, "k")
+        calls(f"{self.name}_error", known, "error floor", size)
         if self.kinked:
             places = [str(i + 1) for i in range(len(rule.nodes))]
             known = [f"{x}{i}" for i in places for x in ("a", *["xdot"] * bool(self.e.states))]
@@ -459,7 +471,8 @@ class _Collocation(_Implicit):
         def size(z: SX, q: SX, v: SX, *known: SX) -> tuple[SX, SX]:
             *x, dq, dv, renew = known
             states = (None, *x, dv[n:]) if x else ()
-            size, floor = scene.error_size(z, q, v, ca.vertcat(dq[:n], dv[:n]), *states)
+            parts = dq[:n], dv[:n]
+            size, floor = scene.error_size(z, q, v, scene.along(q, *parts) if self.e.l else parts, *states)
             size /= self.allowed
             return ca.if_else(ca.logic_and(renew == 0, ca.sumsqr(dv) < math.inf), size, math.inf), floor
 

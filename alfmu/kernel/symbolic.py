@@ -96,10 +96,11 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     alike = {
         "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
         "singular error read_power renew before passes size most patient again projects within floor": 1,
-        "supply supplied suppliedn crossed": 1,
+        "supply supplied suppliedn crossed margin": 1,
         "left stabilisation": 2,
         "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
         "q qz ql qn v vz vl vn a al an da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
+        "aside off_q off_v": n,
         "round_off read_a": n,
         "lam laml lamn dlam dlaml force Phi Cv stabilised least_norm": l,
         "du inputs": inputs,
@@ -107,7 +108,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
         "soft": found["k"],
         "slopes": 1 + inputs,
         "rate": 2 * n + 1 + len(e.states),
-        "x xdot": len(e.states),
+        "x xdot off_x": len(e.states),
         "given known": e.driven,
         "H Q": (n + len(e.states)) ** 2,
         "rows": l * n,
@@ -433,7 +434,8 @@ class Scene:
         usual = self.e.l - (self.e.dependent - self.settings.freedom)
         return ca.sum1(pivots < branch.BRANCH_MARGIN) > usual
 
-    def _margin_at(self, q: SX) -> SX:
+    def margin_at(self, q: SX) -> SX:
+        """S2: the margin at a place."""
         D, _ = self.factors(self.augmented_mass(self.scale * self.e.M(q, self.p), self.e.C(q, self.p)))
         return self.margin(D)[1]
 
@@ -445,22 +447,27 @@ class Scene:
     def probed(self, q: SX) -> tuple[SX, ...]:
         """The margin at q, whether a limit may have to be taken there, no spacing yet; also q after a correction (10),
         most of which is known then."""
-        here = self._margin_at(q)
+        here = self.margin_at(q)
         farthest = branch.LIMIT_ZONE * self.settings.least_distance
         near = 1 - (ca.sqrt(here) >= farthest)
         return here, near, SX(0), self.placed(q)
 
-    def approached(self, here: SX, q: SX, v: SX, spacing: SX) -> tuple[SX, SX]:
-        """S4: whether the limit has to be taken at q of a known margin, and the spacing [s] of the places for it."""
-        rate = self._rate(here, q, v, spacing)
+    def aside(self, q: SX, v: SX, spacing: SX) -> tuple[SX, SX]:
+        """S2: the places beside q, one spacing along v before and after it, whose margins tell how fast its own changes."""
+        before, after = (q + k * spacing * v for k in (-1, 1))
+        return before, after
+
+    def approached(self, here: SX, before: SX, after: SX, spacing: SX) -> tuple[SX, SX]:
+        """S4: whether the limit has to be taken at a place of a known margin, and the spacing [s] of the places for it,
+        by the margins beside it."""
+        rate = self._rate(here, before, after)
         first = self.settings.least_distance
         zone = ca.sqrt(here) < branch.LIMIT_ZONE * first
         # Where the places are too near to tell, the spacing is infinite, and the step is left to the patient tier.
         return ca.if_else(rate > 0, zone, here <= self.settings.nothing), spacing * first / rate
 
-    def _rate(self, here: SX, q: SX, v: SX, spacing: SX) -> SX:
-        """S2: the distance that one spacing along v covers at q of a known margin; 0 where that cannot be told."""
-        before, after = (self._margin_at(q + k * spacing * v) for k in (-1, 1))
+    def _rate(self, here: SX, before: SX, after: SX) -> SX:
+        """S2: the distance that one spacing along v covers, by margins; 0 where that cannot be told."""
         squared = branch.curvature(before, here, after)
         told = ca.logic_or(here > self.settings.nothing, squared > self.settings.nothing)
         return ca.if_else(told, ca.sqrt(ca.fmax(squared, 0)), 0)
@@ -493,10 +500,10 @@ class Scene:
 
         return branch.returned(M, C, self.weights, solve, heavy, q, wanted, v, speed, ca.vertcat(self._own(v), 0))
 
-    def read_places(self, q: SX, v: SX, dt: SX) -> list[SX]:
-        """S4: the places from which a limit is read; not finite where they cannot be told from the position itself."""
-        spacing = self.spacing(branch.SPACING, v, dt)
-        spacing *= branch.READ_DISTANCE / self._rate(self._margin_at(q), q, v, spacing)
+    def read_places(self, here: SX, before: SX, after: SX, spacing: SX, q: SX, v: SX) -> list[SX]:
+        """S4: the places from which a limit is read, by margins; not finite where they cannot be told from the position
+        itself."""
+        spacing *= branch.READ_DISTANCE / self._rate(here, before, after)
         return [q + k * spacing * v for k in branch.READ_MEAN]
 
     def limits(self, *found: SX) -> tuple[SX, ...]:
@@ -557,16 +564,24 @@ class Scene:
         """Whether q and v with these residues (squared) do not."""
         return 1 - self._within(left[0], q) * self._within(left[1], v)
 
+    def along(self, q: SX, *parts: SX) -> tuple[SX, ...]:
+        """Displacements or velocities without what the constraints take of them."""
+        _, C, _, solve = self._augmented(q)
+        return tuple(branch.tangential(C, self.weights, solve, x) for x in parts)
+
     def error_size(
-        self, z: SX, q: SX, v: SX, error: SX, least: SX | None = None, x: SX | None = None, change: SX | None = None
+        self,
+        z: SX,
+        q: SX,
+        v: SX,
+        parts: Sequence[SX],
+        least: SX | None = None,
+        x: SX | None = None,
+        change: SX | None = None,
     ) -> tuple[SX, SX]:
         """Largest error of the constrained state beyond `least` (2 n), which is none, over the tolerance or over that
-        where it is more; and `least` over the tolerance at most. `x` are the states and `change` their error."""
-        n = self.e.n
-        parts = error[:n], error[n : 2 * n]
-        if self.e.l:
-            _, C, _, solve = self._augmented(q)
-            parts = [branch.tangential(C, self.weights, solve, x) for x in parts]
+        where it is more; and `least` over the tolerance at most. `parts` are the errors of q and v along the motion,
+        `x` are the states and `change` their error."""
         size, allowed = ca.fabs(ca.vertcat(*parts)), self._allowed_of(z, q, v)
         floor, over = SX(0), size / allowed
         if least is not None:

@@ -307,10 +307,21 @@ class Tracer:
 
     def _read_places(self, calls: Calls, places: list[str], length: str = "dt") -> None:
         """The places from which a limit is read; `length` is what their spacing is measured by."""
-        n, scene = self.e.n, calls.scene
-        calls(
-            "read_places", f"z {length} p k", spaced(places), lambda z, dt: scene.read_places(z[:n], z[n : 2 * n], dt)
-        )
+        scene = calls.scene
+
+        def aside(q: SX, v: SX, dt: SX) -> tuple[SX, ...]:
+            spacing = scene.spacing(branch.SPACING, v, dt)
+            return spacing, *scene.aside(q, v, spacing)
+
+        calls("read_aside", f"qz vz {length} k", "spacing aside1 aside2", aside)
+        self._margins(calls, "qz aside1 aside2")
+        known = "margin0 margin1 margin2 spacing qz vz k"
+        calls("read_places", known, spaced(places), scene.read_places)
+
+    def _margins(self, calls: Calls, places: str, first: int = 0) -> None:
+        """The margins at places, numbered from the first."""
+        for i, place in enumerate(places.split(), first):
+            calls("margin_at", f"{place} p k", f"margin{i}", calls.scene.margin_at)
 
     def _least(self, calls: Calls, lam: str) -> None:
         """Multipliers of least norm in place of those found last."""
@@ -400,12 +411,14 @@ class Tracer:
         """The same of a place whose margin is known."""
         scene, plan = calls.scene, calls.plan
         ways = calls.inside()
-        ways(
-            f"approach{plan.own}",
-            f"here q{i} v{i} {length} p k",
-            f"zone{i} spacing",
-            lambda here, q, v, dt: scene.approached(here, q, v, scene.spacing(plan.spacing, v, dt)),
-        )
+
+        def aside(q: SX, v: SX, dt: SX) -> tuple[SX, ...]:
+            spacing = scene.spacing(plan.spacing, v, dt)
+            return spacing, *scene.aside(q, v, spacing)
+
+        ways(f"aside{plan.own}", f"q{i} v{i} {length} k", "spacing aside1 aside2", aside)
+        self._margins(ways, "aside1 aside2", 1)
+        ways("approach", "here margin1 margin2 spacing k", f"zone{i} spacing", scene.approached)
         calls.choice(f"zone{i}", ways)
 
     def _approach_until_told(self, calls: Calls, i: str, length: str) -> None:
@@ -447,6 +460,11 @@ class Tracer:
     def place(self, calls: Calls, at: str, to: str) -> None:
         """A place after a correction (10)."""
         calls(f"{calls.scene.kind}_place", f"{at} p k", to, calls.scene.placed)
+
+    def along(self, calls: Calls, dq: str, dv: str) -> None:
+        """Changes of q and v without what the constraints at q take of them."""
+        if self.e.l:
+            calls(f"{calls.scene.kind}_along", f"q {dq} {dv} p k", f"{dq} {dv}", calls.scene.along)
 
     def settle(self, calls: Calls, q: str = "q", v: str = "v", told: str = "pivot left") -> None:
         """v after corrections (10), and what tells whether q and v keep the constraints: names of the smallest pivot
