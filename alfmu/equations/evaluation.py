@@ -10,7 +10,7 @@ import casadi as ca
 
 from .types import Equations, Signature
 
-__all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "with_functions", "with_tangents"]
+__all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "tangents_once", "with_functions", "with_tangents"]
 
 DENSE = 50
 """Coordinates up to which matrices are dense arrays; larger ones are sparse."""
@@ -187,6 +187,16 @@ def with_tangents(equations: Equations) -> Equations:
     """
     if "tangents" in equations.signatures:
         return equations
+    return with_functions(equations, {"tangents": shared("tangents", *_tangents(equations))})
+
+
+def tangents_once(equations: Equations) -> ca.Function:
+    """The same function, to be evaluated a few times: what it computes twice is not looked for, which takes longest."""
+    return equations.functions.get("tangents") or ca.Function("tangents", *_tangents(equations))
+
+
+def _tangents(equations: Equations) -> tuple[list[ca.SX], list[ca.SX]]:
+    """Arguments and values."""
     e, x = equations, symbols(equations)
     q, v, a, lam, u, p, t = (x[k] for k in ("q", "v", "a", "lam", "u", "p", "t"))
     R = e.f(q, v, u, p, t) - e.d(q, v, p) - e.M(q, p) @ a - e.C(q, p).T @ lam
@@ -196,4 +206,4 @@ def with_tangents(equations: Equations) -> Equations:
         rates, inputs = e.state_rates(q, v, u, p, t), len(e.inputs)
         values += [ca.jacobian(R, u)[:, inputs:], ca.jacobian(rates, q), ca.jacobian(rates, v)]
         values.append(ca.jacobian(rates, u)[:, inputs:])
-    return with_functions(e, {"tangents": shared("tangents", [q, v, a, lam, u, p, t], list(map(ca.densify, values)))})
+    return [q, v, a, lam, u, p, t], list(map(ca.densify, values))

@@ -115,7 +115,7 @@ def _chosen(equations: Equations) -> tuple[str, str]:
     """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
     if equations.n > DENSE:
         return "explicit", f"explicit: more than {DENSE} coordinates"
-    probe = Probe.of(untraced(with_tangents(equations)))
+    probe = Probe.of(untraced(equations))
     if probe is None:
         return "explicit", "explicit: the defaults have no start"
     try:

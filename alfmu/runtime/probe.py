@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations, Mobility
-from ..equations.evaluation import DENSE
+from ..equations.evaluation import DENSE, tangents_once
 from ..equations.interface import default_settings
 from ..kernel.memory import SETTINGS, Layout
 from ..kernel.tables import packed_start
@@ -176,10 +176,7 @@ class Probe:
 
     @np.errstate(all="ignore")
     def spectrum(self) -> NDArray[np.float64]:
-        """Eigenvalues [1/s] of small motions about the start and of its states, none where they are not finite.
-
-        Of equations that have tangents.
-        """
+        """Eigenvalues [1/s] of small motions about the start and of its states, none where they are not finite."""
         e, n, l, settings = self.equations, self.equations.n, self.equations.l, default_settings(self.equations)
         M, C, F, xi, alpha, solve = self._dynamics()
 
@@ -190,7 +187,7 @@ class Probe:
         a, lam, _, _ = method.residual(M, F, C, xi, alpha, solve, np.zeros(n), np.zeros(l), most, done)
         lam = method.minimum_norm(C, alpha, solve, lam, method.CORRECTIONS, done)
         q, v, u, p, t = (self.numbers[letter] for letter in "qvupt")
-        Rq, Rv, Xq, Xv, _, *others = map(np.array, e.functions["tangents"](q, v, a, lam, u, p, t))
+        Rq, Rv, Xq, Xv, _, *others = map(np.array, tangents_once(e)(q, v, a, lam, u, p, t))
         count = len(e.states)
         Rx, Gq, Gv, Gx = others or (np.zeros(shape) for shape in ((n, 0), (0, n), (0, n), (0, 0)))
         zeros = np.zeros((n, 2 * n + count)), np.zeros((l, 2 * n + count))
