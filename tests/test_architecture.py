@@ -53,6 +53,7 @@ ROOMS: dict[str, set[str]] = {
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 
 LATE: dict[str, set[str]] = {
+    "kernel": {"runtime"},
     "model": {"equations", "formats", "result", "view"},
     "result": {"view"},
     "simulation": {"analysis", "fmi", "systems"},
@@ -60,7 +61,7 @@ LATE: dict[str, set[str]] = {
 }
 """Room -> the rooms above it that it imports when it is asked to, or for types alone: `Mechanism.draw()`,
 `Marker.position`, the result that an error has, `result.plot()`, the film of a result, an FMU that `simulate` is given,
-a start in a position of rest. Never where a module is imported."""
+a start in a position of rest, the C library that arranges functions. Never where a module is imported."""
 
 
 def modules() -> dict[str, Path]:

@@ -15,8 +15,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..model.errors import AlfmuError, AlfmuWarning
+from ..model.making import showing
 from . import analyses, fits, fmus, judged, looks, many, runs, shells, systems
-from .says import failed, fall_silent, handling, perhaps
+from .says import GettingReady, failed, fall_silent, handling, perhaps
 
 __all__ = ["main", "parser"]
 
@@ -52,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # What is under way when a signal comes is put in order.
             warnings.filterwarnings("always", category=AlfmuWarning)
             warnings.showwarning = _printed(warnings.showwarning)
-            return chosen.run(chosen) or 0
+            with showing(GettingReady()):
+                return chosen.run(chosen) or 0
     except AlfmuError as error:
         return failed(str(error))
     except BrokenPipeError:  # whoever reads our output has seen enough

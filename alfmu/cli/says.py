@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
 import threading
+import time
 from argparse import Namespace
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -51,6 +53,33 @@ def progress_bar(what: str, unit: str = "step") -> Callable[[Iterable[Any]], Ite
     from tqdm import tqdm
 
     return lambda steps: tqdm(steps, desc=what, unit=unit, delay=1.0, disable=None, leave=False)
+
+
+class GettingReady:
+    """Shows on a terminal what is made while a mechanism gets ready; stages that follow each other count as one."""
+
+    AFTER = 2.0
+    """Time [s] after which it is shown."""
+
+    def __init__(self) -> None:
+        self._begun = self._ended = -math.inf
+
+    @contextmanager
+    def __call__(self) -> Iterator[Callable[[str], None]]:
+        from tqdm import tqdm
+
+        now = time.monotonic()
+        if now - self._ended > self.AFTER / 2:
+            self._begun = now
+        delay = max(self._begun + self.AFTER - now, 1e-9)
+        with tqdm(desc="getting ready", unit="function", delay=delay, disable=None, leave=False) as bar:
+
+            def show(name: str) -> None:
+                bar.set_postfix_str(name, refresh=False)
+                bar.update()
+
+            yield show
+        self._ended = time.monotonic()
 
 
 @contextmanager

@@ -8,9 +8,20 @@ from itertools import accumulate, pairwise
 
 import casadi as ca
 
+from ..model.making import making
 from .types import Equations, Signature
 
-__all__ = ["ARGUMENTS", "DENSE", "EVALUATED", "evaluable", "shared", "symbols", "tangents_once", "with_functions", "with_tangents"]
+__all__ = [
+    "ARGUMENTS",
+    "DENSE",
+    "EVALUATED",
+    "evaluable",
+    "shared",
+    "symbols",
+    "tangents_once",
+    "with_functions",
+    "with_tangents",
+]
 
 DENSE = 50
 """Coordinates up to which matrices are dense arrays; larger ones are sparse."""
@@ -153,6 +164,7 @@ def shared(name: str, arguments: list[ca.SX], values: list[ca.SX]) -> ca.Functio
 
     They are found on the nonzeros: on a matrix, CasADi's search takes time with the square of its size.
     """
+    making(name)
     entries = ca.cse(ca.vertcat(*(ca.vec(value.nz[:]) for value in values)))
     ends = list(accumulate((value.nnz() for value in values), initial=0))
     values = [ca.SX(x.sparsity(), entries[ends[i] : ends[i + 1]]) for i, x in enumerate(values)]

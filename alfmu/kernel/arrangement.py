@@ -148,7 +148,10 @@ def arranged(instructions: Instructions) -> Arrangement:
         {k: (which, entry) for k, which, entry in _places(instructions, code == ca.OP_INPUT)},
         dict(zip(constant.tolist(), instructions.constant[constant].tolist(), strict=True)) | dict(own),
         Runs.of(_done(found), heads, room, made),
-        [(*x[1:], value) for x, value in zip(_places(instructions, code == ca.OP_OUTPUT), result.tolist(), strict=True)],
+        [
+            (*x[1:], value)
+            for x, value in zip(_places(instructions, code == ca.OP_OUTPUT), result.tolist(), strict=True)
+        ],
     )
 
 

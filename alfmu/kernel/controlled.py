@@ -241,7 +241,7 @@ class _Explicit(_Step):
         _, [error], _ = explicit(rule, rate, z[layout.time], self.tracer.begun(z), dt, None, settle)
         for i in range(len(rates) * self.by_constraints):
             calls("irregular", f"q{i + 1} p k", f"zone{i + 1}", scene.irregular)
-        q, v = scene.symbol("q"), scene.symbol("v")
+
         rounds = self.plan.gaining
         if rounds:
             self._rounded(str(len(rates)))

@@ -185,7 +185,7 @@ class _Writing:
         own = made.arrays.made[made.arrays.made >= 0]
         at = np.zeros(1 + max(len(instructions) + 2, own.max(initial=0)), np.int64)
         at[list(made.constants)] = [self._constant(number) for number in made.constants.values()]
-        at[[value for value in made.arguments]] = entries
+        at[list(made.arguments)] = entries
         at[own] = self._end + np.arange(len(own))
         self._end += len(own)
         for (kind, count), operands in zip(made.arrays.heads.tolist(), made.arrays.each, strict=True):

@@ -20,6 +20,7 @@ import numpy as np
 from casadi import SX
 from numpy.typing import NDArray
 
+from ..model.making import making
 from . import passes
 from .arrangement import KINDS, OPERANDS, SINE_COSINE, SUMS
 from .form import Call, Choice, Factor, Lanes, LeastNorm, Loop, Solve
@@ -120,6 +121,7 @@ def code(f: ca.Function, scene: str) -> Code:
 
     Scenes of one mechanism have most functions in common, each of which is written once.
     """
+    making(f.name())
     instructions = Instructions.of(f)
     instructions.check(scene, f.name())
     inputs, outputs = (

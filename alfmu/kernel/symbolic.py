@@ -453,7 +453,7 @@ class Scene:
         return here, near, SX(0), self.placed(q)
 
     def aside(self, q: SX, v: SX, spacing: SX) -> tuple[SX, SX]:
-        """S2: the places beside q, one spacing along v before and after it, whose margins tell how fast its own changes."""
+        """S2: the places beside q, one spacing along v before and after it."""
         before, after = (q + k * spacing * v for k in (-1, 1))
         return before, after
 

@@ -29,6 +29,7 @@ from ..equations.interface import (
 from ..method import formulations, friction, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.checks import BROKEN, IMPACT, JUMP, JUMPS
+from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
 from ..model.units import rate_of
@@ -310,7 +311,8 @@ def function_sizes(equations: Equations) -> dict[str, int]:
 def packed(equations: Equations) -> bytes:
     """The scene file of traced equations, written once."""
     if "file" not in equations.programs:
-        equations.programs["file"] = _file(equations, alone(equations))
+        with getting_ready():
+            equations.programs["file"] = _file(equations, alone(equations))
     return equations.programs["file"]
 
 

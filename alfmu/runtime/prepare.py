@@ -23,6 +23,7 @@ from ..method.implicit import RULES
 from ..method.stepping import explicit_rule
 from ..model.content import latest
 from ..model.errors import InputError
+from ..model.making import getting_ready
 from ..model.settings import Settings
 from ..model.words import there_is
 from .build import compiler
@@ -59,7 +60,8 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
     known = equations.programs.setdefault("prepared", {})
     if "interpreted" not in known:
-        known["interpreted"] = _interpreted(equations)
+        with getting_ready():
+            known["interpreted"] = _interpreted(equations)
     e = known["interpreted"]
     if kernel != "compiled" and not (kernel == "auto" and compiler()):
         return e

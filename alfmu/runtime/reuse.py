@@ -10,6 +10,7 @@ from ..equations import Equations, derivation
 from ..equations.specialisation import ALL, specialised
 from ..kernel import DEFAULT
 from ..model.content import content, latest
+from ..model.making import getting_ready
 from ..model.mechanism import Mechanism
 from ..model.settings import Settings
 from .prepare import decided, prepared, with_defaults
@@ -29,10 +30,11 @@ def derive(mechanism: Mechanism) -> Equations:
     Raises DeclarationError where the declaration has no equations: a body that nothing places, a joint that no
     coordinate can close, an expression with a foreign symbol.
     """
-    key = content(mechanism)
-    if key is None:
-        return derivation.derive(mechanism)
-    return latest(_KEPT, key, lambda: derivation.derive(mechanism))
+    with getting_ready():
+        key = content(mechanism)
+        if key is None:
+            return derivation.derive(mechanism)
+        return latest(_KEPT, key, lambda: derivation.derive(mechanism))
 
 
 def ready(

@@ -1,0 +1,46 @@
+"""What is made while a mechanism gets ready, told to whoever shows it: the command line does where that takes long."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
+
+__all__ = ["getting_ready", "making", "showing"]
+
+Show = Callable[[], AbstractContextManager[Callable[[str], None]]]
+"""Opens what shows names, and closes it when all is made."""
+
+_SHOW: ContextVar[Show | None] = ContextVar("show", default=None)
+_TELL: ContextVar[Callable[[str], None] | None] = ContextVar("tell", default=None)
+
+
+@contextmanager
+def showing(show: Show) -> Iterator[None]:
+    """Whatever gets ready inside is shown by this."""
+    token = _SHOW.set(show)
+    try:
+        yield
+    finally:
+        _SHOW.reset(token)
+
+
+@contextmanager
+def getting_ready() -> Iterator[None]:
+    """A stage, of which the outermost is shown."""
+    show = _SHOW.get()
+    if show is None or _TELL.get() is not None:
+        yield
+        return
+    with show() as tell:
+        token = _TELL.set(tell)
+        try:
+            yield
+        finally:
+            _TELL.reset(token)
+
+
+def making(name: str) -> None:
+    """Tell the name of a function that is about to be made."""
+    if (tell := _TELL.get()) is not None:
+        tell(name)
