@@ -183,7 +183,7 @@ class _Writing:
         instructions, entries = _straight(self._operations, part, self._local[:, part], self._kept[part], found)
         made = arranged(instructions)
         own = made.arrays.made[made.arrays.made >= 0]
-        at = np.zeros(1 + max(len(instructions) + 2, own.max(initial=0)), np.int64)
+        at = np.zeros(1 + max(*made.constants, own.max(initial=0)), np.int64)
         at[list(made.constants)] = [self._constant(number) for number in made.constants.values()]
         at[list(made.arguments)] = entries
         at[own] = self._end + np.arange(len(own))
