@@ -21,8 +21,8 @@ AXES = [(0, 0, 1), (0, 1, 0), (1, 0, 0)]
 
 
 def absolute() -> alfmu.Mechanism:
-    """A parallelogram in space and a link that hangs from it: four bodies with seven coordinates each."""
-    m = alfmu.Mechanism("four_bodies")
+    """A four-bar in space: three bodies with seven coordinates each."""
+    m = alfmu.Mechanism("three_bodies")
     corners = [(0.0, 0.0, 0.0), (0.2, 0.3, 0.0), (0.7, 0.4, 0.0), (0.5, 0.0, 0.0)]
     hinges = []
     for i, (begin, end) in enumerate(pairwise(map(np.array, corners))):
@@ -35,8 +35,6 @@ def absolute() -> alfmu.Mechanism:
     ends = [(ground(*corners[0]), hinges[0][0]), *((a[1], b[0]) for a, b in pairwise(hinges))]
     for i, (first, second) in enumerate([*ends, (ground(*corners[-1]), hinges[-1][1])]):
         m.spatial_revolute(f"H{i}", first, second, axis=(0, 0, 1))
-    link = m.spatial_body("link", mass=0.5, inertia=(0.01, 0.01, 0.01), center=(0.1, 0, 0), position=(0.8, 0.4, 0))
-    m.spatial_revolute("L", hinges[1][1], link.at(), axis=(1, 0, 0))
     m.gravity(0, -9.81, 0)
     return m
 
@@ -57,19 +55,19 @@ def chain(bodies: int) -> alfmu.Mechanism:
 def test_functions_are_made_once():
     """Operations of all functions of a scene, to which the time of getting ready is in proportion.
 
-    They were 1,000,000 while programs had margins and errors of their own, each with the factors of the augmented mass.
+    They were 500,000 while programs had margins and errors of their own, each with the factors of the augmented mass.
     """
     e = prepared(alfmu.derive(absolute()))
-    assert sum(f.n_instructions() for f in alone(e).functions.values()) < 600_000
+    assert sum(f.n_instructions() for f in alone(e).functions.values()) < 420_000
 
 
 def test_time_of_an_operation_that_is_arranged():
-    """Python took some 20 us of the processor for each operation of a function."""
+    """Python took some 10 to 20 us of the processor for each operation of a function."""
     f = alfmu.derive(chain(20)).functions["dynamics"]
     instructions = Instructions.of(f)
     began = time.process_time()
     written(instructions, [f.nnz_in(i) for i in range(f.n_in())], [f.nnz_out(i) for i in range(f.n_out())])
-    assert (time.process_time() - began) / len(instructions) < 8e-6
+    assert (time.process_time() - began) / len(instructions) < 5e-6
 
 
 def test_stages_within_stages_are_shown_once():
