@@ -32,6 +32,9 @@ SCENE = "scene.bin"
 COMPILED = "compiled-"
 """Beginning of the name of compiled functions, there too."""
 
+_STOP = -1
+"""In place of a value reference: the stop time."""
+
 OPTIONS = "options.json"
 """Name of the file with the options of the mechanism, there too."""
 
@@ -117,6 +120,8 @@ class Slave(Fmi2Slave):
 
     def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
         self.unit.time = start_time
+        if stop_time is not None and self.unit.stop(stop_time) != DONE:
+            self._refused[_STOP] = self.unit.text
         if tolerance and self.unit.tolerate(tolerance) != DONE:
             self._say(self.unit.text, Fmi2Status.warning)
 

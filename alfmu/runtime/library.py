@@ -69,6 +69,7 @@ _SIGNATURES = {
     "set_time": (None, c_void_p, c_double),
     "slope": (c_int, c_void_p, c_int, c_double),
     "tolerate": (c_int, c_void_p, c_double),
+    "stop": (c_int, c_void_p, c_double),
     "run_on": (None, c_void_p, c_int),
     "initialized": (c_int, c_void_p),
     "initialize": (c_int, c_void_p),
@@ -265,6 +266,10 @@ class Unit:
 
     def tolerate(self, tolerance: float) -> int:
         return self.scene.library.alfmu_tolerate(self.address, tolerance)
+
+    def stop(self, time: float) -> int:
+        """No step leads past this time."""
+        return self.scene.library.alfmu_stop(self.address, time)
 
     def run_on(self, running: bool) -> None:
         """Whether parameters are fixed."""
