@@ -10,6 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "baseline.h"
 #include "lanes.h"
 #include "layout.h"
 #include "linear.h"
