@@ -27,8 +27,8 @@ outputs=["*.angle"])`. What the options say takes precedence over it, those of -
 _VALIDATE = """An FMU is native code, and checking how it behaves runs that code with all your rights: validate FMUs
 from strangers with --static, or where they can do no harm. It runs in a process of its own, so that an FMU that crashes
 or does not return is a failed check with the call that it was in. Its files are looked at first, and all of the archive
-has to be sound. Errors of the standard fail, with the section that they are against. A risk is what the standard does not
-forbid and what hides mistakes of importers; a note is worth knowing. Exit code 0: nothing failed; 1: something did;
+has to be sound. Errors of the standard fail, with the section that they are against. A risk is what the standard does
+not forbid and what hides mistakes of importers; a note is worth knowing. Exit code 0: nothing failed; 1: something did;
 3: nothing did, and most could not be judged."""
 
 NOT_JUDGED = 3

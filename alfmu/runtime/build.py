@@ -150,12 +150,10 @@ def _run(arguments: list[str]) -> None:
 
 
 def needed(library: bytes) -> str:
-    """The newest version of glibc whose symbols a library for Linux of 64 bits asks for, such as 2.17; empty where none."""
+    """The newest version of glibc that a library for Linux of 64 bits asks for, such as 2.17; empty where none."""
     if library[:6] != b"\x7fELF\x02\x01":
         return ""
-    at, size, count = (
-        struct.unpack_from(form, library, where)[0] for form, where in (("<Q", 40), ("<H", 58), ("<H", 60))
-    )
+    (at,), (size, count) = struct.unpack_from("<Q", library, 40), struct.unpack_from("<HH", library, 58)
     sections = [struct.unpack_from("<IIQQQQIIQQ", library, at + k * size) for k in range(count)]
     found = {(0,)}
     for _, kind, _, _, place, _, link, entries, _, _ in sections:

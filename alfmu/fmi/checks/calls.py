@@ -19,8 +19,8 @@ _INSTANCES, _SECONDS, _WARM = 200, 3.0, 40
 """Instances that are made and freed, the time [s] after which no more are, and those before memory is looked at."""
 
 _ILLEGAL = (
-    "When detecting illegal arguments or a function call not allowed in the current state, the FMU returns Error; it need "
-    "not detect them, and then hides mistakes of importers"
+    "When detecting illegal arguments or a function call not allowed in the current state, the FMU returns Error; it "
+    "need not detect them, and then hides mistakes of importers"
 )
 
 
@@ -79,6 +79,14 @@ def version(s: Session, task: Task) -> str:
     return judge(faults, said)
 
 
+def _got(s: Session, kind: str, reference: int) -> tuple[int, list[object]]:
+    """Status and values of a reference, read as of a type by a new instance."""
+    unit = s.ready()
+    found = unit.get_raw(kind, [reference])
+    unit.end()
+    return found
+
+
 @check(
     "reference.get",
     "Values of unknown references are not given",
@@ -88,16 +96,10 @@ def version(s: Session, task: Task) -> str:
     fault=RISKY,
 )
 def get_unknown(s: Session, task: Task) -> str:
-    def one(kind: str, reference: int) -> tuple[int, list[object]]:
-        unit = s.ready()
-        found = unit.get_raw(kind, [reference])
-        unit.end()
-        return found
-
     faults, ways = [], {}
     for kind in s.types:
         for reference in unused(s):
-            status, values = s.apart(partial(one, kind, reference))
+            status, values = s.apart(partial(_got, s, kind, reference))
             ways.setdefault(shown(status), []).append(kind)
             if status <= WARNING:
                 faults.append(f"{s.name(f'Get{kind}')} of reference {reference}, which no variable has, gives {values}")
@@ -147,13 +149,8 @@ def wrong_type(s: Session, task: Task) -> str:
     for kind in dict.fromkeys(v.type for v in s.variables):
         v = next(v for v in s.variables if v.type == kind)
         for other in ("Float64", "Int32", "Boolean", "String"):
-            if other == kind:
-                continue
-            unit = s.ready()
-            status, _ = unit.get_raw(other, [v.reference])
-            if status <= WARNING:
+            if other != kind and (status := s.apart(partial(_got, s, other, v.reference))[0]) <= WARNING:
                 faults.append(f"{s.name(f'Get{other}')} of {v.name}, a {kind}, ends with {shown(status)}")
-            unit.end()
     return judge(faults)
 
 
@@ -269,15 +266,18 @@ def categories(s: Session, task: Task) -> str:
     known = [each.name for each in s.description.logCategories]
     if not known:
         raise NotApplicable("LogCategories declares none")
+
+    def chosen(name: str) -> int:
+        unit = s.unit()
+        status = unit.logging(True, [name])
+        unit.end()
+        return status
+
     faults = []
     for name in known:
-        unit = s.unit()
-        if (status := unit.logging(True, [name])) > WARNING:
+        if (status := s.apart(partial(chosen, name))) > WARNING:
             faults.append(f"the declared category {name!r} is refused with {shown(status)}")
-        unit.end()
-    unit = s.unit()
-    status = unit.logging(True, ["no_category_of_this_name"])
-    unit.end()
+    status = s.apart(partial(chosen, "no_category_of_this_name"))
     if status == 0 and s.version == "2":
         judge(faults)
         raise Unjudged("the declared ones are taken, and so is an unknown one, for which FMI 2 names no status")
