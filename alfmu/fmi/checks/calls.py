@@ -148,9 +148,13 @@ def wrong_type(s: Session, task: Task) -> str:
     faults = []
     for kind in dict.fromkeys(v.type for v in s.variables):
         v = next(v for v in s.variables if v.type == kind)
-        for other in ("Float64", "Int32", "Boolean", "String"):
-            if other != kind and (status := s.apart(partial(_got, s, other, v.reference))[0]) <= WARNING:
-                faults.append(f"{s.name(f'Get{other}')} of {v.name}, a {kind}, ends with {shown(status)}")
+        others = [other for other in ("Float64", "Int32", "Boolean", "String") if other != kind]
+        found = [(other, s.apart(partial(_got, s, other, v.reference))[0]) for other in others]
+        faults += [
+            f"{s.name(f'Get{other}')} of {v.name}, a {kind}, ends with {shown(status)}"
+            for other, status in found
+            if status <= WARNING
+        ]
     return judge(faults)
 
 
@@ -273,10 +277,9 @@ def categories(s: Session, task: Task) -> str:
         unit.end()
         return status
 
-    faults = []
-    for name in known:
-        if (status := s.apart(partial(chosen, name))) > WARNING:
-            faults.append(f"the declared category {name!r} is refused with {shown(status)}")
+    found = {name: s.apart(partial(chosen, name)) for name in known}
+    refusals = {name: shown(status) for name, status in found.items() if status > WARNING}
+    faults = [f"the declared category {name!r} is refused with {status}" for name, status in refusals.items()]
     status = s.apart(partial(chosen, "no_category_of_this_name"))
     if status == 0 and s.version == "2":
         judge(faults)
