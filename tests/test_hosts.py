@@ -1,5 +1,5 @@
-"""What hosts do: last steps that round-off leaves, traps of floating-point numbers, stop times, times of 32 bits, looks into
-steps, other locales, older systems."""
+"""What hosts do: last steps that round-off leaves, traps of floating-point numbers, stop times, times of 32 bits, looks
+into steps, other locales, older systems."""
 
 import ctypes
 import os
@@ -64,7 +64,8 @@ class Host:
         )
         if self.two:
             callbacks = self.callbacks = fmpy.fmi2.fmi2CallbackFunctions()
-            callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(lambda *said: self.log.append((said[4] or b"").decode()))
+            logger = fmpy.fmi2.fmi2CallbackLoggerTYPE
+            callbacks.logger = logger(lambda *said: self.log.append((said[4] or b"").decode()))
             callbacks.allocateMemory = fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.fmi2.calloc)
             callbacks.freeMemory = fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.fmi2.free)
             self.unit.instantiate(callbacks=callbacks, loggingOn=True)
@@ -90,7 +91,7 @@ class Host:
 @pytest.mark.parametrize("method", ["auto", "rk4", "stiff"])
 @pytest.mark.parametrize(("end", "step"), [(1.0, 0.1), (5.0, 0.02), (10.0, 0.1)])
 def test_the_last_step_that_round_off_leaves_is_made(made, kind, method, end, step):
-    """A master that ends at `end` and sums up its steps; the outputs are those of before, as nothing moves in no time."""
+    """A master that ends at `end` and sums up its steps; nothing moves in no time."""
     host, t, h, before = Host(made(kind, method=method)), 0.0, 0.0, None
     while t < end:
         h, before = min(step, end - t), host.read()
@@ -150,7 +151,7 @@ def test_a_step_that_is_lost_in_the_time_is_refused_unless_it_is_one_of_no_time(
     np.testing.assert_allclose(instance.q, before, atol=1e-11)
 
 
-# The floating-point environment -----------------------------------------------------------------------------------------
+# The floating-point environment ---------------------------------------------------------------------------------------
 
 _TRAPS = """
 import ctypes, os, sys
@@ -253,7 +254,7 @@ def test_a_reset_forgets_the_stop_time(made):
 
 @kinds
 def test_a_time_of_32_bits_is_followed_and_told_once(made, kind, caplog):
-    """Against a host that keeps the time in 64 bits, to what the other's times are off by; not so if it is off by more."""
+    """Against a host that keeps the time in 64 bits; a time that is off by more is refused."""
     path = made(kind)
     single, double = Host(path), Host(path)
     h = np.float32(0.01)

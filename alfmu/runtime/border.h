@@ -93,7 +93,7 @@ static inline void border_out(const Border *b)
 #define INSIDE(TYPE, CALL) \
     do { \
         const Border border = border_in(); \
-        const TYPE given = (TYPE)(CALL); \
+        TYPE given = (TYPE)(CALL); \
         border_out(&border); \
         return given; \
     } while (0)
