@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -137,6 +138,67 @@ def test_steps_of_any_length_are_made(mechanism, method):
         np.testing.assert_allclose(instance.q, q + h * v, rtol=0, atol=1e-13)
         loads = [i for i, each in enumerate(instance.outputs) if ".force." in each.name or ".torque" in each.name]
         np.testing.assert_allclose(instance.read()[loads], outputs[loads], rtol=1e-5, atol=1e-5)
+
+
+DRIVE = """
+name = "drive"
+stop_time = 1.0
+communication_step = 0.1
+[components.arm]
+mechanism = "four_bar"
+options = { coordinates = "joint" }
+set = { "start.angle" = 0.5, "start.angular_velocity" = 0.0 }
+[components.motor]
+part = "motor"
+options = { resistance = 0.5, inductance = 0.01, constant = 1.0 }
+[components.controller]
+part = "controller"
+options = { gain = 1.0, time = 0.2, limit = 60.0 }
+[[connections]]
+from = "motor.torque"
+to = "arm.A.torque"
+[[connections]]
+from = "arm.link1.angular_velocity"
+to = "motor.speed"
+[[connections]]
+from = "arm.link1.angular_velocity"
+to = "controller.measured"
+[[connections]]
+from = "controller.output"
+to = "motor.voltage"
+[inputs]
+"controller.wanted" = 2.0
+"""
+
+
+def test_a_master_of_a_system_ends_at_its_stop_time(tmp_path):
+    """As OMSimulator does it, which tells units the stop time and makes a last step of what its sum lacks."""
+    (tmp_path / "drive.toml").write_text(DRIVE)
+    alfmu.System.load(tmp_path / "drive.toml").export(tmp_path / "drive.ssp")
+    with zipfile.ZipFile(tmp_path / "drive.ssp") as archive:
+        archive.extractall(tmp_path)
+    end, step, t, h = 1.0, 0.1, 0.0, 0.0
+    paths = {each: next(tmp_path.glob(f"resources/*{each}*.fmu")) for each in ("arm", "motor", "controller")}
+    units = {each: Host(path, stop=end) for each, path in paths.items()}
+
+    def pass_on(source: str, output: str, target: str, variable: str) -> None:
+        a, b = units[source], units[target]
+        b.unit.setReal([b.references[variable]], a.unit.getReal([a.references[output]]))
+
+    while t < end:
+        h = min(step, end - t)
+        pass_on("motor", "torque", "arm", "A.torque")
+        pass_on("arm", "link1.angular_velocity", "motor", "speed")
+        pass_on("arm", "link1.angular_velocity", "controller", "measured")
+        pass_on("controller", "output", "motor", "voltage")
+        for host in units.values():
+            host.step(t, h)
+        t += h
+    assert h < 1e-15
+    for host in units.values():
+        assert host.log == []
+        with pytest.raises(FMICallException):
+            host.step(end, step)
 
 
 def test_a_step_that_is_lost_in_the_time_is_refused_unless_it_is_one_of_no_time():
