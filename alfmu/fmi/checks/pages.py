@@ -44,7 +44,8 @@ _COLUMNS = "".join(f'<col style="width: {width}">' for width in ("14%", "16%", "
 def summary(report: Report) -> str:
     """One line: how many problems, or that most could not be judged, and how many checks had which result."""
     counts = report.counts()
-    each = ", ".join(f"{number} {result}" for result, number in counts.items() if number)
+    nouns = {RISKY, NOTED}
+    each = ", ".join(counted(n, result) if result in nouns else f"{n} {result}" for result, n in counts.items() if n)
     total = counted(len(report.findings), "check")
     found = f"{counted(counts[FAILED], 'problem')} found" if report.judged or counts[FAILED] else "not judged"
     return f"{report.path}: {found} ({total}: {each})"
