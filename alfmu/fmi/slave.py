@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import ctypes
 import logging
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -119,8 +120,8 @@ class Slave(Fmi2Slave):
     # Life --------------------------------------------------------------------------------------------------------
 
     def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
-        self.unit.time = start_time
-        if stop_time is not None and self.unit.stop(stop_time) != DONE:
+        self._refused.pop(_STOP, None)
+        if self.unit.begin(start_time, math.inf if stop_time is None else stop_time) != DONE:
             self._refused[_STOP] = self.unit.text
         if tolerance and self.unit.tolerate(tolerance) != DONE:
             self._say(self.unit.text, Fmi2Status.warning)

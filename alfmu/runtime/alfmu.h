@@ -301,7 +301,7 @@ Outcome instance_stabilise(Instance *i, double zeta, double omega, int projectio
 Outcome instance_set_slope(Instance *i, int reference, double value);
 
 Outcome instance_tolerate(Instance *i, double tolerance);
-Outcome instance_stop(Instance *i, double stop);
+Outcome instance_begin(Instance *i, double start, double stop);
 Outcome instance_initialize(Instance *i);
 Outcome instance_can_step(Instance *i, double start, double h);
 Outcome instance_ready(Instance *i, double start, double h);

@@ -177,8 +177,7 @@ Status component_begin(Component *c, double start, const double *stop, double to
         return WRONG;
     if (!isfinite(start))
         return component_refuse(c, ERROR_, call, "the start time must be a finite number");
-    *instance_time(c->instance) = start;
-    if (stop && instance_stop(c->instance, *stop) != DONE)
+    if (instance_begin(c->instance, start, stop ? *stop : INFINITY) != DONE)
         return refused(c, WRONG);
     if (tolerance != 0.0 && instance_tolerate(c->instance, tolerance) != DONE)
         return refused(c, WARNED);

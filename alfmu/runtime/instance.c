@@ -1508,12 +1508,13 @@ static int is_now(Instance *i, double start, double h)
     return 1;
 }
 
-/* The time past which the host does not step. */
-Outcome instance_stop(Instance *i, double stop)
+/* Where a run begins, and the time past which the host does not step. */
+Outcome instance_begin(Instance *i, double start, double stop)
 {
-    const double time = *instance_time(i);
-    if (!(stop >= time))
-        return say(i, REFUSED, "%s: the stop time is %g s; it must not be before the start at %g s", i->scene->name, stop, time);
+    if (!(stop >= start))
+        return say(
+            i, REFUSED, "%s: the stop time is %g s; it must not be before the start at %g s", i->scene->name, stop, start);
+    *instance_time(i) = start;
     i->stop = stop;
     return DONE;
 }

@@ -135,9 +135,9 @@ API int alfmu_tolerate(Instance *i, double tolerance)
     INSIDE(int, instance_tolerate(i, tolerance));
 }
 
-API int alfmu_stop(Instance *i, double stop)
+API int alfmu_begin(Instance *i, double start, double stop)
 {
-    INSIDE(int, instance_stop(i, stop));
+    INSIDE(int, instance_begin(i, start, stop));
 }
 
 /* How an input changes in the next communication step, per second; it is held in those after it. */
