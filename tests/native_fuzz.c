@@ -30,7 +30,7 @@ enum { NONE = 0, BORN = 1, INITIALIZING = 2, STEPPING = 4, TERMINATED = 8, RUN =
 typedef struct {
     void *handle;
     int phase;
-    double time;
+    double time, stop; /* INFINITY where no stop time was said */
 } Unit;
 
 /* A thread: its own instances and states, its own numbers. */
@@ -163,6 +163,20 @@ static void checked_text(const char *text)
         abort();
 }
 
+static Unit *unit_of(Fuzz *f, const void *handle)
+{
+    for (int k = 0; k < SLOTS; k++)
+        if (f->units[k].handle == handle)
+            return f->units + k;
+    return NULL;
+}
+
+/* What may come of a step: one past the stop time is an error. */
+static int of_step(const Unit *u, int expected, double point, double h)
+{
+    return u && expected != ALL && point + h > u->stop ? expected | ONLY(ERROR_) : expected;
+}
+
 /* The calls that both versions have -------------------------------------------------------------------------------- */
 
 #if FUZZ_FMI == 2
@@ -215,10 +229,10 @@ static void *made(Fuzz *f, int bad)
     return c;
 }
 
-static int begin(Fuzz *f, void *c, int expected, int has_tolerance, double tolerance, double start)
-{
-    return CALLED(fmi2SetupExperiment, expected, c, has_tolerance, tolerance, start, below(f, 2), nonsense(f));
-}
+#define BEGIN(EXPECTED, HAS_STOP, STOP) \
+    CALLED(fmi2SetupExperiment, EXPECTED, c, has_tolerance, tolerance, start, HAS_STOP, STOP)
+
+static int begin(Fuzz *f, void *c, int expected, int has_tolerance, double tolerance, double start);
 
 static int entered(Fuzz *f, void *c, int expected, double start)
 {
@@ -236,7 +250,7 @@ static void ask_time(Fuzz *f, Unit *u)
 
 static int stepped(Fuzz *f, void *c, int expected, double point, double h)
 {
-    return CALLED(fmi2DoStep, expected, c, point, h, (fmi2Boolean)below(f, 2));
+    return CALLED(fmi2DoStep, of_step(unit_of(f, c), expected, point, h), c, point, h, (fmi2Boolean)below(f, 2));
 }
 
 /* Calls that FMI 2 has alone. */
@@ -388,10 +402,9 @@ static void *made(Fuzz *f, int bad)
     return c;
 }
 
-static int begin(Fuzz *f, void *c, int expected, int has_tolerance, double tolerance, double start)
-{
-    return CALLED(ENTER, expected, c, has_tolerance != 0, tolerance, start, one_in(f, 2), nonsense(f));
-}
+#define BEGIN(EXPECTED, HAS_STOP, STOP) CALLED(ENTER, EXPECTED, c, has_tolerance != 0, tolerance, start, HAS_STOP, STOP)
+
+static int begin(Fuzz *f, void *c, int expected, int has_tolerance, double tolerance, double start);
 
 static int entered(Fuzz *f, void *c, int expected, double start)
 {
@@ -409,20 +422,18 @@ static int stepped(Fuzz *f, void *c, int expected, double point, double h)
 {
     fmi3Boolean events = 9, terminate = 9, early = 9;
     fmi3Float64 reached = NAN;
-    Unit *u = NULL;
+    Unit *u = unit_of(f, c);
+    const int may = of_step(u, expected, point, h);
     int phase, status;
-    for (int k = 0; k < SLOTS; k++)
-        if (f->units[k].handle == c)
-            u = f->units + k;
     if (!u)
         return CALLED(fmi3DoStep, expected, c, point, h, 1, &events, &terminate, &early, &reached);
     phase = u->phase;
     u->phase = phase == STEPPING ? -1 : phase; /* marks it for `looked` */
     if (one_in(f, 8)) {
-        status = CALLED(fmi3DoStep, expected, c, point, h, one_in(f, 2), NULL, NULL, NULL, NULL);
+        status = CALLED(fmi3DoStep, may, c, point, h, one_in(f, 2), NULL, NULL, NULL, NULL);
         reached = NAN;
     } else {
-        status = CALLED(fmi3DoStep, expected, c, point, h, one_in(f, 2), &events, &terminate, &early, &reached);
+        status = CALLED(fmi3DoStep, may, c, point, h, one_in(f, 2), &events, &terminate, &early, &reached);
         if (status < ERROR_ && (events || terminate))
             wrong(f, "what is said of a step");
         if (expected != ALL && status == OK && (early ? !(reached > u->time && reached < point + h) : reached != point + h))
@@ -551,10 +562,23 @@ static void begin_again(Fuzz *f, Unit *u)
     if (u->handle)
         FREE(u->handle);
     u->handle = made(f, bad);
+    u->stop = INFINITY;
     if (!u->handle != (bad != 0))
         wrong(f, "an instance, or none");
     u->phase = u->handle ? BORN : NONE;
     u->time = 0.0;
+}
+
+/* Begins an experiment, with a stop time or without; one before the start is refused. */
+static int begin(Fuzz *f, void *c, int expected, int has_tolerance, double tolerance, double start)
+{
+    const int has_stop = one_in(f, 2);
+    const double stop = one_in(f, 2) ? nonsense(f) : start + unit(f);
+    Unit *u = unit_of(f, c);
+    const int status = BEGIN(has_stop && !(stop >= start) ? ONLY(ERROR_) : expected, has_stop, stop);
+    if (u && status <= WARNING)
+        u->stop = has_stop ? stop : INFINITY;
+    return status;
 }
 
 /* The next phase of life, or another. */
@@ -591,6 +615,7 @@ static void live(Fuzz *f, Unit *u, int legal)
         if (CALLED(RESET, expect(legal), u->handle) == OK) {
             u->phase = BORN;
             u->time = 0.0;
+            u->stop = INFINITY;
         }
         break;
     case 4: {
@@ -854,7 +879,7 @@ static void *fuzzed(void *given)
 {
     static uint64_t nobody[64];
     Fuzz *f = given;
-    Unit stranger = {NULL, NONE, 0.0};
+    Unit stranger = {NULL, NONE, 0.0, INFINITY};
     while (f->made < f->calls && f->failures < 20) {
         Unit *u = f->units + below(f, SLOTS);
         int legal;

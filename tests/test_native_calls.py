@@ -268,8 +268,8 @@ def test_intermediate_updates_come_at_every_internal_step_without_early_return_t
         seen.append((time, set_requested, get_allowed, finished, can_return, angle))
         wanted[0] = True  # which nobody allowed
 
-    unit, plain = instance(path, log, intermediateUpdate=look), instance(path, log)
-    for each in (unit, plain):
+    unit, plain, alone = instance(path, log, intermediateUpdate=look), instance(path, log), instance(path, log)
+    for each in (unit, plain, alone):
         each.enterInitializationMode()
         each.exitInitializationMode()
     _, _, early, reached = unit.doStep(0.0, 0.1)
@@ -280,9 +280,11 @@ def test_intermediate_updates_come_at_every_internal_step_without_early_return_t
     for k in range(5):
         plain.doStep(0.02 * k, 0.02)
         angles += plain.getFloat64([plain.references["link1.angle"]])
-    assert [row[5] for row in seen] == angles
+    # The state after the step is that of a host that does not look.
+    alone.doStep(0.0, 0.1)
+    assert [row[5] for row in seen] == angles[:-1] + alone.getFloat64([alone.references["link1.angle"]])
     assert any("not while a step is made" in line for line in log)
-    for each in (unit, plain):
+    for each in (unit, plain, alone):
         each.freeInstance()
 
 

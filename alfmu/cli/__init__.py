@@ -26,7 +26,9 @@ COMMANDS = (looks, fmus, runs, many, fits, systems, analyses, judged, shells)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage, 130 interrupted."""
+    """Run one command; returns the exit code: 0 done, 1 failed or problems found, 2 wrong usage, 3 not judged, 130
+    interrupted.
+    """
     parser, commands = _parser()
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete
@@ -94,7 +96,7 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
     parser = argparse.ArgumentParser(
         prog="alfmu",
         description="Closed-loop mechanisms as FMUs for co-simulation: export, run, check and watch them.",
-        epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage, 130 interrupted. "
+        epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage, 3 not judged, 130 interrupted. "
         "See `alfmu COMMAND --help`.",
     )
     parser.add_argument("--version", action="version", version=f"alfmu {version('alfmu')}")

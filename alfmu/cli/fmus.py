@@ -27,7 +27,12 @@ outputs=["*.angle"])`. What the options say takes precedence over it, those of -
 _VALIDATE = """An FMU is native code, and checking how it behaves runs that code with all your rights: validate FMUs
 from strangers with --static, or where they can do no harm. It runs in a process of its own, so that an FMU that crashes
 or does not return is a failed check with the call that it was in. Its files are looked at first, and all of the archive
-has to be sound. Exit code 0: nothing failed; 1: something did."""
+has to be sound. Errors of the standard fail, with the section that they are against. A risk is what the standard does
+not forbid and what hides mistakes of importers; a note is worth knowing. Exit code 0: nothing failed; 1: something did;
+3: nothing did, and most could not be judged."""
+
+NOT_JUDGED = 3
+"""Exit code where an FMU could not be judged."""
 
 
 def add(command: Command) -> None:
@@ -123,9 +128,10 @@ def _export(chosen: argparse.Namespace) -> None:
     older = {each.resolve() for each in Path(chosen.output or ".").glob("*.fmu")}  # none where -o names the file
     path = export(recipe, chosen.output)
     said = "replaced" if path.resolve() in older else "wrote"
-    platforms = libraries_in(path, recipe.kind)
+    glibc = libraries_in(path, recipe.kind)
     where = "every host" if recipe.kind == "native" else "hosts with Python (use --kind native for others)"
-    print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {', '.join(platforms)}")
+    on = ", ".join(f"{name} (glibc {version})" if version else name for name, version in glibc.items())
+    print(f"{said} {path} ({path.stat().st_size / 1000:.0f} kB), kind {recipe.kind}: {where} on {on}")
 
 
 def _export_system(chosen: argparse.Namespace) -> None:
@@ -171,4 +177,4 @@ def _validate(chosen: argparse.Namespace) -> int:
         wrote = once_written(Path(chosen.output))
         save(report, chosen.output)
         say(chosen, wrote)
-    return int(bool(report.problems))
+    return 1 if report.problems else 0 if report.judged else NOT_JUDGED

@@ -25,7 +25,8 @@ from ..model.words import there_is
 from .slave import OPTIONS
 
 try:
-    from fmpy import extract, instantiate_fmu, read_model_description
+    from fmpy import extract, instantiate_fmu, platform_tuple, read_model_description, sharedLibraryExtension
+    from fmpy import platform as platform_2
     from fmpy.fmi1 import FMICallException
     from fmpy.model_description import ModelDescription, ModelVariable
 except ModuleNotFoundError as error:
@@ -33,7 +34,10 @@ except ModuleNotFoundError as error:
         f"running or checking an FMU takes fmpy ({error}); install it with: pip install 'alfmu[fmu]'"
     ) from None
 
-__all__ = ["Fmu", "checked_archive", "checked_folder", "description_of", "kind_of"]
+__all__ = [
+    *("Fmu", "checked_archive", "checked_folder", "description_of", "kind_of"),
+    *("missing_library", "platforms_of"),
+]
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -73,6 +77,21 @@ _LOGGERS: list[object] = []
 """Callbacks of all FMUs, which have to outlive them."""
 
 
+def platforms_of(folder: Path) -> list[str]:
+    """Names of the platforms for which an unpacked FMU has a library."""
+    return sorted(each.name for each in (folder / "binaries").glob("*") if each.is_dir() and any(each.iterdir()))
+
+
+def missing_library(folder: Path, description: ModelDescription) -> str:
+    """Why the code of an unpacked FMU cannot run on this machine; empty where there is a library for it."""
+    platform = platform_2 if description.fmiVersion.startswith("2") else platform_tuple
+    name = f"{description.coSimulation.modelIdentifier}{sharedLibraryExtension}"
+    if (folder / "binaries" / platform / name).is_file():
+        return ""
+    others = ", ".join(platforms_of(folder))
+    return f"there is no library for {platform} in it; it has {f'those of {others}' if others else 'none'}"
+
+
 def kind_of(type_name: str) -> str:
     """The type of a variable of FMI 2 or 3 as it is called here; Binary and others are `Other`."""
     return _KINDS.get(type_name, "Other")
@@ -108,6 +127,8 @@ class Fmu:
             self._folder = stack.enter_context(scratch())
             extract(str(path), self._folder)
             checked_folder(self._folder, path)
+            if missing := missing_library(Path(self._folder), self.description):
+                raise ExportError(f"{path} cannot be instantiated: {missing}")
             try:
                 self.slave = instantiate_fmu(
                     self._folder, self.description, "CoSimulation", debug_logging=True, logger=_logged

@@ -62,11 +62,16 @@ def libraries(scene: str, names: Iterable[str]) -> dict[str, bytes]:
     return {name: library(name, scene) for name in names}
 
 
-def libraries_in(path: Path, kind: str) -> list[str]:
-    """Names of the platforms for which an FMU of a kind carries the runtime."""
+def libraries_in(path: Path, kind: str) -> dict[str, str]:
+    """The platforms for which an FMU of a kind carries the runtime, with the version of glibc that it needs there."""
     with zipfile.ZipFile(path) as archive:
         files = archive.namelist()
-    folders = {file.split("/")[1] for file in files if file.startswith("binaries/")}
-    if kind == "python":  # its binaries are pythonfmu's
-        return [name for name in PLATFORMS if f"resources/{file_name(name)}" in files]
-    return [name for name, platform in PLATFORMS.items() if folders & {name, platform.fmi3}]
+
+        def of(name: str, fmi3: str) -> str | None:
+            if kind == "python":  # its binaries are pythonfmu's
+                return next((each for each in files if each == f"resources/{file_name(name)}"), None)
+            folders = tuple(f"binaries/{each}/" for each in (name, fmi3))
+            return next((each for each in files if each.startswith(folders)), None)
+
+        there = {name: of(name, platform.fmi3) for name, platform in PLATFORMS.items()}
+        return {name: build.needed(archive.read(file)) for name, file in there.items() if file}

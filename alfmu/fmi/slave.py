@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import ctypes
 import logging
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -31,6 +32,9 @@ SCENE = "scene.bin"
 
 COMPILED = "compiled-"
 """Beginning of the name of compiled functions, there too."""
+
+_STOP = -1
+"""In place of a value reference: the stop time."""
 
 OPTIONS = "options.json"
 """Name of the file with the options of the mechanism, there too."""
@@ -116,7 +120,9 @@ class Slave(Fmi2Slave):
     # Life --------------------------------------------------------------------------------------------------------
 
     def setup_experiment(self, start_time: float, stop_time: float | None = None, tolerance: float | None = None):
-        self.unit.time = start_time
+        self._refused.pop(_STOP, None)
+        if self.unit.begin(start_time, math.inf if stop_time is None else stop_time) != DONE:
+            self._refused[_STOP] = self.unit.text
         if tolerance and self.unit.tolerate(tolerance) != DONE:
             self._say(self.unit.text, Fmi2Status.warning)
 

@@ -213,5 +213,8 @@ EARLIEST = 1e-3
 """time [s]: instants before this are told apart as those at this time, by its last digits."""
 
 LEFT_TO_RK4 = 16.0
-"""ratio of steps [1]: what is left of a step up to an event, and is shorter than so many of the shortest steps under
-error control, is made by RK4."""
+"""ratio of steps [1]: what is left of a step up to an event or a communication point, and is shorter than so many of
+the shortest steps under error control, is made by RK4."""
+
+LAST_DIGITS = 4.0
+"""number of last digits of the time [1]: what is left and is no longer than that is made by RK4, too."""

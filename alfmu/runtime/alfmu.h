@@ -10,6 +10,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "baseline.h"
 #include "lanes.h"
 #include "layout.h"
 #include "linear.h"
@@ -254,6 +255,7 @@ typedef struct Instance {
     long shared;     /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
     int within; /* whether the next step goes on in a communication step that began before */
     long left;  /* internal steps that this communication step may still take */
+    double stop; /* time [s] past which the host does not step, as it said; INFINITY where it said none */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
     int (*go_on)(struct Instance *i); /* asked now and then within a run in one call, where there is one; zero ends it */
     void *run;                        /* what that is about */
@@ -277,7 +279,8 @@ enum {
     WARNED_OF_IMPACT = 16,
     WARNED_OF_CORNER = 32,
     WARNED_OF_PENALTY = 64,
-    EVERY_WARNING = 127
+    WARNED_OF_TIME = 128,
+    EVERY_WARNING = 255
 };
 
 Instance *instance_new(const Scene *scene);
@@ -298,6 +301,7 @@ Outcome instance_stabilise(Instance *i, double zeta, double omega, int projectio
 Outcome instance_set_slope(Instance *i, int reference, double value);
 
 Outcome instance_tolerate(Instance *i, double tolerance);
+Outcome instance_begin(Instance *i, double start, double stop);
 Outcome instance_initialize(Instance *i);
 Outcome instance_can_step(Instance *i, double start, double h);
 Outcome instance_ready(Instance *i, double start, double h);
@@ -347,6 +351,8 @@ Outcome knowledge(Instance *i, const double *q, const double *v);
 Outcome projected(Instance *i, double *q, double *v);
 Outcome covered(Instance *i, double end, double dt, int once);
 Outcome watched_step(Instance *i, double start, double dt);
+Outcome plain_step(Instance *i, double start, double dt);
+double brief(const Instance *i);
 int method(const Instance *i);
 
 /* The interface Jacobian (jacobian.c). */

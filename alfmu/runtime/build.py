@@ -12,13 +12,14 @@ import os
 import platform
 import shlex
 import shutil
+import struct
 import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["HERE", "PLATFORMS", "WEB", "Platform", "build", "compiler", "file_name", "sources"]
+__all__ = ["HERE", "PLATFORMS", "WEB", "Platform", "build", "compiler", "file_name", "needed", "sources"]
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ def build(name: str, path: Path, release: bool = False) -> None:
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         made = Path(folder) / file_name(name)
         files = [each for each in sources() if each.suffix == ".c" and (name != WEB or each.name not in _OF_HOSTS)]
-        libraries = ["-lm", *["-ldl"] * name.endswith(("linux64", "-linux"))] if name != "win64" else []
+        libraries = ["-lm"] if name != "win64" else []
         flags = [x for x in _FLAGS if x != "-fPIC"] if name == WEB else [*_FLAGS, *_WINDOWS_FLAGS * (name == "win64")]
         small = [*_SMALL, *_SMALLER * ("ziglang" in command)]
         objects = []
@@ -149,7 +150,37 @@ def _run(arguments: list[str]) -> None:
         raise RuntimeError(f"the C compiler {arguments[0]} failed: {done.stderr.strip()[:2000]}")
 
 
+def needed(library: bytes) -> str:
+    """The newest version of glibc that a library for Linux of 64 bits asks for, such as 2.17; empty where none."""
+    if library[:6] != b"\x7fELF\x02\x01":
+        return ""
+    (at,), (size, count) = struct.unpack_from("<Q", library, 40), struct.unpack_from("<HH", library, 58)
+    sections = [struct.unpack_from("<IIQQQQIIQQ", library, at + k * size) for k in range(count)]
+    found = {(0,)}
+    for _, kind, _, _, place, _, link, entries, _, _ in sections:
+        if kind != _VERSIONS_NEEDED:
+            continue
+        names = sections[link][4]
+        for _ in range(entries):
+            _, versions, _, first, onward = struct.unpack_from("<HHIII", library, place)
+            version = place + first
+            for _ in range(versions):
+                _, _, _, name, next_one = struct.unpack_from("<IHHII", library, version)
+                text = library[names + name : library.index(b"\0", names + name)].decode()
+                if text.startswith("GLIBC_2"):
+                    found.add(tuple(map(int, text.removeprefix("GLIBC_").split("."))))
+                version += next_one
+            place += onward
+    return ".".join(map(str, max(found))) if len(found) > 1 else ""
+
+
+_VERSIONS_NEEDED = 0x6FFFFFFE
+"""SHT_GNU_verneed: the section of an ELF file with the versions of symbols that it asks for."""
+
+
 if __name__ == "__main__":
     for wanted in sys.argv[1:] or [HERE, *[WEB] * (zig() is not None)]:
-        build(wanted, _FOLDER / file_name(wanted))
-        print(_FOLDER / file_name(wanted))
+        built = _FOLDER / file_name(wanted)
+        build(wanted, built)
+        version = needed(built.read_bytes())
+        print(built, f"needs glibc {version}" if version else "")

@@ -25,6 +25,9 @@ __all__ = ["FLAGS", "SUFFIX", "build", "cache", "compiled_scene", "kept", "verif
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off`: the same operations as the interpreter makes, so the same numbers."""
 
+_BASELINE = Path(__file__).with_name("baseline.h")
+"""A header before all others, so that compiled scenes run where the runtime does."""
+
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 """Of shared libraries here."""
 
@@ -52,10 +55,11 @@ def compiled_scene(equations: Equations, scene: bytes) -> Path:
 def _library(scene: str, command: list[str], files: list[str], otherwise: str) -> Path:
     """C of a scene as a library in the cache."""
     # On long straight-line code the higher level takes twice the time and gains nothing.
-    flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS]
-    identity = "\0".join([*files, *command, version(command), *flags])
+    flags = ["-O2" if len(files) == 1 else "-O1", *FLAGS, "-include", _BASELINE.name]
+    baseline = _BASELINE.read_text(encoding="ascii")
+    identity = "\0".join([*files, baseline, *command, version(command), *flags])
     name = f"kernel_{hashlib.sha256(identity.encode()).hexdigest()[:32]}"
-    named = {f"kernel{i}.c": text for i, text in enumerate(files)}
+    named = {_BASELINE.name: baseline, **{f"kernel{i}.c": text for i, text in enumerate(files)}}
     return kept(name, SUFFIX) or build(scene, [*command, *flags], named, name, SUFFIX, otherwise)
 
 

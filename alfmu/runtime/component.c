@@ -70,6 +70,7 @@ void component_free(Component *c)
     instance_free(c->instance);
     scene_free(c->scene);
     free(c->before);
+    free(c->after);
     free(c->host);
     free(c->name);
     free(c);
@@ -170,13 +171,14 @@ Status component_logging(Component *c, int on, size_t count, const char *const c
     return FINE;
 }
 
-Status component_begin(Component *c, double start, double tolerance, const char *call)
+Status component_begin(Component *c, double start, const double *stop, double tolerance, const char *call)
 {
     if (!component_in(c, INSTANTIATED, call))
         return WRONG;
     if (!isfinite(start))
         return component_refuse(c, ERROR_, call, "the start time must be a finite number");
-    *instance_time(c->instance) = start;
+    if (instance_begin(c->instance, start, stop ? *stop : INFINITY) != DONE)
+        return refused(c, WRONG);
     if (tolerance != 0.0 && instance_tolerate(c->instance, tolerance) != DONE)
         return refused(c, WARNED);
     return FINE;
@@ -430,41 +432,80 @@ Status component_derivative(Component *c, const unsigned *unknowns, size_t unkno
 
 static State *saved(Component *c, State *state);
 
-/* A communication step made of internal ones, after each of which the host may look. It may end the step there, and then
-   has what was reached before one that fails; otherwise the whole step is taken back. */
+/* A step of a length from the state before a step that the host looks into, where it returns early: as if it had asked for
+   that one. Where it cannot be made, the state here stays. */
+static void returned(Component *c, double point, double step, long made)
+{
+    Instance *i = c->instance;
+    if (made < 2) /* The only step so far is that one. */
+        return;
+    c->after = saved(c, c->after);
+    if (!c->after)
+        return;
+    state_restore(i, c->before->bytes, c->before->size);
+    if (instance_step(i, point, step) != DONE)
+        state_restore(i, c->after->bytes, c->after->size);
+    i->warns = 0; /* It has been said. */
+}
+
+/* A communication step into which the host looks. It is made as any other, and then again by internal ones, after each of
+   which the host may look; at last the state is that of the first time, so that looks change nothing. The host may end the
+   step at one of them; where the step fails, it then has what was reached before, and otherwise the whole step is taken
+   back. */
 static Status watched(Component *c, double point, double step, int *early)
 {
     const int may_return = *early;
     Instance *i = c->instance;
-    const double count = fmax(1.0, ceil(step / i->values[i->scene->step_size] * (1 - 1e-12)));
+    const double count = fmax(1.0, ceil(step / i->values[i->scene->step_size] * (1 - 1e-12))), length = step / count;
     double until = INFINITY;
+    Outcome whole = instance_can_step(i, point, step);
     *early = 0;
-    if (instance_can_step(i, point, step) != DONE)
-        return refused(c, DISCARDED);
+    if (whole != DONE)
+        return refused(c, whole == ENDED ? WRONG : DISCARDED);
     c->before = saved(c, c->before);
     if (!c->before)
         return component_refuse(c, ERROR_, "DoStep", "there is not enough memory");
+    whole = stepped(c, point, step);
+    if (whole == DONE && count > 1.0) {
+        c->after = saved(c, c->after);
+        if (!c->after)
+            return component_refuse(c, ERROR_, "DoStep", "there is not enough memory");
+        state_restore(i, c->before->bytes, c->before->size);
+    }
     for (double k = 1.0; k <= count; k += 1.0) {
-        Outcome outcome;
-        i->within = k > 1.0;
-        outcome = stepped(c, k > 1.0 ? *instance_time(i) : point, step / count);
-        i->within = 0;
-        *early = may_return && k > 1.0;
-        if (outcome != DONE && *early)
-            return FINE; /* The next step says what is wrong. */
-        if (outcome != DONE) {
+        Outcome outcome = DONE;
+        if (whole != DONE || k < count) {
+            i->within = k > 1.0;
+            outcome = instance_step(i, k > 1.0 ? *instance_time(i) : point, length);
+            i->within = 0;
+            if (whole == DONE)
+                i->warns = 0; /* It has been said. */
+            else
+                told(c);
+        }
+        if (outcome != DONE && whole == DONE)
+            k = count; /* It can be made, in one. */
+        else if (outcome != DONE && may_return && k > 1.0) {
+            *early = 1; /* The next step says what is wrong. */
+            returned(c, point, (k - 1.0) * length, (long)k - 1);
+            return FINE;
+        } else if (outcome != DONE) {
             const Status status = refused(c, outcome == ENDED ? WRONG : DISCARDED);
             state_restore(i, c->before->bytes, c->before->size);
             return status;
         }
-        *early = may_return && k < count;
-        if (k == count)
+        if (k == count && whole == DONE && count > 1.0)
+            state_restore(i, c->after->bytes, c->after->size);
+        else if (k == count)
             *instance_time(i) = point + step;
-        c->instance->flags.phase = LOOKING;
+        *early = may_return && k < count;
+        i->flags.phase = LOOKING;
         c->look(c->host, *instance_time(i), *early, &until);
-        c->instance->flags.phase = STEPPING;
-        if (*early && *instance_time(i) >= until)
+        i->flags.phase = STEPPING;
+        if (*early && *instance_time(i) >= until) {
+            returned(c, point, k * length, (long)k);
             return FINE;
+        }
     }
     return FINE;
 }

@@ -46,7 +46,7 @@ typedef struct {
     void (*log)(void *host, const char *name, Category category, const char *text);
     Look *look;
     void *host;
-    State *before;   /* a step that the host looks into */
+    State *before, *after; /* a step that the host looks into */
     unsigned logged; /* categories, as bits */
     int has_time;    /* whether time is a variable, behind all others */
 } Component;
@@ -63,8 +63,8 @@ void component_say(Component *c, Category category, const char *text);
 Status component_refuse(Component *c, Category category, const char *call, const char *why);
 Status component_logging(Component *c, int on, size_t count, const char *const categories[], const char *call);
 
-/* `tolerance` is 0 where the host asks for none. */
-Status component_begin(Component *c, double start, double tolerance, const char *call);
+/* `tolerance` is 0 where the host asks for none, `stop` is NULL where it says no stop time. */
+Status component_begin(Component *c, double start, const double *stop, double tolerance, const char *call);
 Status component_enter(Component *c, const char *call);
 Status component_initialized(Component *c, const char *call);
 Status component_terminated(Component *c, const char *call);

@@ -2,9 +2,10 @@
    the names of windows.h are those of others too. */
 
 #if !defined(_GNU_SOURCE)
-#define _GNU_SOURCE /* dladdr */
+#define _GNU_SOURCE /* dladdr, dl_iterate_phdr */
 #endif
 
+#include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,6 +15,8 @@
 #if defined(_WIN32)
 #define WIN32_LEAN_AND_MEAN
 #include <windows.h>
+#elif defined(__linux__)
+#include <link.h>
 #else
 #include <dlfcn.h>
 #endif
@@ -65,6 +68,29 @@ static FILE *opened(const char *path)
 #endif
 }
 
+#if defined(__linux__)
+/* The path of the object that an address is in; dladdr has moved from one library to another between versions of glibc. */
+typedef struct {
+    uintptr_t address;
+    char *path;
+} Sought;
+
+static int look_into(struct dl_phdr_info *info, size_t size, void *sought)
+{
+    const Sought *s = sought;
+    (void)size;
+    for (int k = 0; k < info->dlpi_phnum; k++) {
+        const uintptr_t begin = info->dlpi_addr + info->dlpi_phdr[k].p_vaddr;
+        if (info->dlpi_phdr[k].p_type == PT_LOAD && s->address - begin < info->dlpi_phdr[k].p_memsz) {
+            if (strlen(info->dlpi_name) < LONGEST_PATH)
+                strcpy(s->path, info->dlpi_name);
+            return 1;
+        }
+    }
+    return 0;
+}
+#endif
+
 /* The folder of resources as seen from this library, which is in binaries/<platform>. */
 void own_resources(char *path)
 {
@@ -82,6 +108,12 @@ void own_resources(char *path)
             *path = 0;
         for (char *at = path; *at; at++)
             *at = *at == '\\' ? '/' : *at;
+    }
+#elif defined(__linux__)
+    {
+        static const int here; /* an address in this library */
+        Sought sought = {(uintptr_t)&here, path};
+        dl_iterate_phdr(look_into, &sought);
     }
 #else
     {

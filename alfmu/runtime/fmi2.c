@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "border.h"
 #include "component.h"
 
 #include "fmi.h"
@@ -37,9 +38,11 @@ API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String gui
     const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
 {
     char why[500] = "it is for co-simulation alone";
+    const Border border = border_in();
     Component *c
         = type == fmi2CoSimulation ? component_new(name, guid, resources, sizeof(Host), why, sizeof why) : NULL;
     Host *host;
+    border_out(&border);
     (void)visible;
     if (!c) {
         char text[600] = "cannot be instantiated: ";
@@ -65,35 +68,34 @@ API void fmi2FreeInstance(fmi2Component c)
 
 API fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count, const fmi2String categories[])
 {
-    return (fmi2Status)component_logging(c, on, count, categories, "fmi2SetDebugLogging");
+    INSIDE(fmi2Status, component_logging(c, on, count, categories, "fmi2SetDebugLogging"));
 }
 
 API fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
     fmi2Boolean has_stop, fmi2Real stop)
 {
-    (void)has_stop;
-    (void)stop;
-    return (fmi2Status)component_begin(c, start, has_tolerance ? tolerance : 0.0, "fmi2SetupExperiment");
+    INSIDE(fmi2Status,
+        component_begin(c, start, has_stop ? &stop : NULL, has_tolerance ? tolerance : 0.0, "fmi2SetupExperiment"));
 }
 
 API fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 {
-    return (fmi2Status)component_enter(c, "fmi2EnterInitializationMode");
+    INSIDE(fmi2Status, component_enter(c, "fmi2EnterInitializationMode"));
 }
 
 API fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
-    return (fmi2Status)component_initialized(c, "fmi2ExitInitializationMode");
+    INSIDE(fmi2Status, component_initialized(c, "fmi2ExitInitializationMode"));
 }
 
 API fmi2Status fmi2Terminate(fmi2Component c)
 {
-    return (fmi2Status)component_terminated(c, "fmi2Terminate");
+    INSIDE(fmi2Status, component_terminated(c, "fmi2Terminate"));
 }
 
 API fmi2Status fmi2Reset(fmi2Component c)
 {
-    return (fmi2Status)component_reset(c, "fmi2Reset");
+    INSIDE(fmi2Status, component_reset(c, "fmi2Reset"));
 }
 
 /* Values ----------------------------------------------------------------------------------------------------------- */
@@ -102,12 +104,12 @@ API fmi2Status fmi2Reset(fmi2Component c)
     API fmi2Status fmi2Get##TYPE( \
         fmi2Component c, const fmi2ValueReference references[], size_t count, fmi2##TYPE values[]) \
     { \
-        return (fmi2Status)component_get(c, references, count, values, count, FORM, "fmi2Get" #TYPE); \
+        INSIDE(fmi2Status, component_get(c, references, count, values, count, FORM, "fmi2Get" #TYPE)); \
     } \
     API fmi2Status fmi2Set##TYPE( \
         fmi2Component c, const fmi2ValueReference references[], size_t count, const fmi2##TYPE values[]) \
     { \
-        return (fmi2Status)component_set(c, references, count, values, count, FORM, "fmi2Set" #TYPE); \
+        INSIDE(fmi2Status, component_set(c, references, count, values, count, FORM, "fmi2Set" #TYPE)); \
     }
 
 VALUES(Real, FLOATS)
@@ -143,21 +145,21 @@ API fmi2Status fmi2SetString(
 API fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t unknown_count,
     const fmi2ValueReference knowns[], size_t known_count, const fmi2Real directions[], fmi2Real changes[])
 {
-    return (fmi2Status)component_derivative(c, unknowns, unknown_count, knowns, known_count, directions, known_count,
-        changes, unknown_count, 0, "fmi2GetDirectionalDerivative");
+    INSIDE(fmi2Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, directions, known_count,
+        changes, unknown_count, 0, "fmi2GetDirectionalDerivative"));
 }
 
 API fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
     const fmi2Integer orders[], const fmi2Real values[])
 {
-    return (fmi2Status)component_slopes(c, references, count, orders, values, "fmi2SetRealInputDerivatives");
+    INSIDE(fmi2Status, component_slopes(c, references, count, orders, values, "fmi2SetRealInputDerivatives"));
 }
 
 API fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
     const fmi2Integer orders[], fmi2Real values[])
 {
-    return (fmi2Status)component_output_derivatives(
-        c, references, count, orders, values, count, "fmi2GetRealOutputDerivatives");
+    INSIDE(fmi2Status, component_output_derivatives(
+        c, references, count, orders, values, count, "fmi2GetRealOutputDerivatives"));
 }
 
 /* Steps ------------------------------------------------------------------------------------------------------------ */
@@ -165,7 +167,7 @@ API fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueRefe
 API fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolean no_way_back)
 {
     (void)no_way_back;
-    return (fmi2Status)component_step(c, point, step, NULL, "fmi2DoStep");
+    INSIDE(fmi2Status, component_step(c, point, step, NULL, "fmi2DoStep"));
 }
 
 API fmi2Status fmi2CancelStep(fmi2Component c)
@@ -225,30 +227,30 @@ API fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, f
 
 API fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
-    return (fmi2Status)component_save(c, state, "fmi2GetFMUstate");
+    INSIDE(fmi2Status, component_save(c, state, "fmi2GetFMUstate"));
 }
 
 API fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
-    return (fmi2Status)component_restore(c, state, "fmi2SetFMUstate");
+    INSIDE(fmi2Status, component_restore(c, state, "fmi2SetFMUstate"));
 }
 
 API fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
-    return (fmi2Status)component_forget(c, state, "fmi2FreeFMUstate");
+    INSIDE(fmi2Status, component_forget(c, state, "fmi2FreeFMUstate"));
 }
 
 API fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
 {
-    return (fmi2Status)component_state_size(c, state, size, "fmi2SerializedFMUstateSize");
+    INSIDE(fmi2Status, component_state_size(c, state, size, "fmi2SerializedFMUstateSize"));
 }
 
 API fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
-    return (fmi2Status)component_write(c, state, bytes, size, "fmi2SerializeFMUstate");
+    INSIDE(fmi2Status, component_write(c, state, bytes, size, "fmi2SerializeFMUstate"));
 }
 
 API fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
-    return (fmi2Status)component_read(c, bytes, size, state, "fmi2DeSerializeFMUstate");
+    INSIDE(fmi2Status, component_read(c, bytes, size, state, "fmi2DeSerializeFMUstate"));
 }

@@ -3,6 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "border.h"
 #include "component.h"
 
 #include "fmi.h"
@@ -68,8 +69,10 @@ API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, 
     fmi3IntermediateUpdateCallback update)
 {
     char why[500] = "it has no event mode (hasEventMode is false); leave eventModeUsed false";
+    const Border border = border_in();
     Component *c = event_mode ? NULL : component_new(name, token, resources, sizeof(Host), why, sizeof why);
     Host *host;
+    border_out(&border);
     if (!c)
         return not_made(environment, log, why, visible, intermediate, intermediate_count);
     host = c->host;
@@ -105,16 +108,16 @@ API void fmi3FreeInstance(fmi3Instance c)
 
 API fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t count, const fmi3String categories[])
 {
-    return (fmi3Status)component_logging(c, on, count, categories, "fmi3SetDebugLogging");
+    INSIDE(fmi3Status, component_logging(c, on, count, categories, "fmi3SetDebugLogging"));
 }
 
 API fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance, fmi3Float64 tolerance,
     fmi3Float64 start, fmi3Boolean has_stop, fmi3Float64 stop)
 {
     static const char call[] = "fmi3EnterInitializationMode";
-    const Status begun = component_begin(c, start, has_tolerance ? tolerance : 0.0, call);
-    (void)has_stop;
-    (void)stop;
+    const Border border = border_in();
+    const Status begun = component_begin(c, start, has_stop ? &stop : NULL, has_tolerance ? tolerance : 0.0, call);
+    border_out(&border);
     if (begun <= WARNED)
         component_enter(c, call);
     return (fmi3Status)begun;
@@ -122,17 +125,17 @@ API fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_toler
 
 API fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
 {
-    return (fmi3Status)component_initialized(c, "fmi3ExitInitializationMode");
+    INSIDE(fmi3Status, component_initialized(c, "fmi3ExitInitializationMode"));
 }
 
 API fmi3Status fmi3Terminate(fmi3Instance c)
 {
-    return (fmi3Status)component_terminated(c, "fmi3Terminate");
+    INSIDE(fmi3Status, component_terminated(c, "fmi3Terminate"));
 }
 
 API fmi3Status fmi3Reset(fmi3Instance c)
 {
-    return (fmi3Status)component_reset(c, "fmi3Reset");
+    INSIDE(fmi3Status, component_reset(c, "fmi3Reset"));
 }
 
 /* Values ----------------------------------------------------------------------------------------------------------- */
@@ -147,11 +150,11 @@ API fmi3Status fmi3Reset(fmi3Instance c)
 #define VALUES(TYPE, FORM) \
     GET(TYPE) \
     { \
-        return (fmi3Status)component_get(c, references, count, values, value_count, FORM, "fmi3Get" #TYPE); \
+        INSIDE(fmi3Status, component_get(c, references, count, values, value_count, FORM, "fmi3Get" #TYPE)); \
     } \
     SET(TYPE) \
     { \
-        return (fmi3Status)component_set(c, references, count, values, value_count, FORM, "fmi3Set" #TYPE); \
+        INSIDE(fmi3Status, component_set(c, references, count, values, value_count, FORM, "fmi3Set" #TYPE)); \
     }
 
 VALUES(Float64, FLOATS)
@@ -198,7 +201,9 @@ API fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 point, fmi3Float64 
 {
     Component *c = instance;
     int returned = component_good(c) && ((Host *)c->host)->may_return;
+    const Border border = border_in();
     const Status status = component_step(c, point, step, &returned, "fmi3DoStep");
+    border_out(&border);
     (void)no_way_back;
     if (status == WRONG)
         return fmi3Error;
@@ -217,55 +222,55 @@ API fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueRefer
     const fmi3ValueReference knowns[], size_t known_count, const fmi3Float64 seed[], size_t seed_count,
     fmi3Float64 sensitivity[], size_t sensitivity_count)
 {
-    return (fmi3Status)component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
-        sensitivity, sensitivity_count, 0, "fmi3GetDirectionalDerivative");
+    INSIDE(fmi3Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
+        sensitivity, sensitivity_count, 0, "fmi3GetDirectionalDerivative"));
 }
 
 API fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
     const fmi3ValueReference knowns[], size_t known_count, const fmi3Float64 seed[], size_t seed_count,
     fmi3Float64 sensitivity[], size_t sensitivity_count)
 {
-    return (fmi3Status)component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
-        sensitivity, sensitivity_count, 1, "fmi3GetAdjointDerivative");
+    INSIDE(fmi3Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
+        sensitivity, sensitivity_count, 1, "fmi3GetAdjointDerivative"));
 }
 
 API fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference references[], size_t count,
     const fmi3Int32 orders[], fmi3Float64 values[], size_t value_count)
 {
-    return (fmi3Status)component_output_derivatives(
-        c, references, count, orders, values, value_count, "fmi3GetOutputDerivatives");
+    INSIDE(fmi3Status, component_output_derivatives(
+        c, references, count, orders, values, value_count, "fmi3GetOutputDerivatives"));
 }
 
 /* State ------------------------------------------------------------------------------------------------------------ */
 
 API fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state)
 {
-    return (fmi3Status)component_save(c, state, "fmi3GetFMUState");
+    INSIDE(fmi3Status, component_save(c, state, "fmi3GetFMUState"));
 }
 
 API fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state)
 {
-    return (fmi3Status)component_restore(c, state, "fmi3SetFMUState");
+    INSIDE(fmi3Status, component_restore(c, state, "fmi3SetFMUState"));
 }
 
 API fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state)
 {
-    return (fmi3Status)component_forget(c, state, "fmi3FreeFMUState");
+    INSIDE(fmi3Status, component_forget(c, state, "fmi3FreeFMUState"));
 }
 
 API fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size)
 {
-    return (fmi3Status)component_state_size(c, state, size, "fmi3SerializedFMUStateSize");
+    INSIDE(fmi3Status, component_state_size(c, state, size, "fmi3SerializedFMUStateSize"));
 }
 
 API fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
 {
-    return (fmi3Status)component_write(c, state, bytes, size, "fmi3SerializeFMUState");
+    INSIDE(fmi3Status, component_write(c, state, bytes, size, "fmi3SerializeFMUState"));
 }
 
 API fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
 {
-    return (fmi3Status)component_read(c, bytes, size, state, "fmi3DeserializeFMUState");
+    INSIDE(fmi3Status, component_read(c, bytes, size, state, "fmi3DeserializeFMUState"));
 }
 
 /* What belongs to other kinds of FMUs ------------------------------------------------------------------------------ */

@@ -488,17 +488,11 @@ static Outcome moved(Instance *i, double end, double dt, int all)
     do {
         const double from = *time, left = end - from;
         const int last = left <= dt * (1 + ONE_STEP);
-        if (ended(i) || (method(i) && left > LEFT_TO_RK4 * GIVEN_UP)) {
+        if (ended(i) || method(i)) {
             outcome = covered(i, end, dt, 1);
         } else {
             const double step = last ? left : dt;
-            i->left--;
-            if (i->flags.brakes)
-                hold(i);
-            if (!(i->flags.fast && advance(i, 1, step) == 1)) {
-                outcome = watched_step(i, from, step);
-                i->counts[PATIENT_STEPS] += outcome == DONE;
-            }
+            outcome = plain_step(i, from, step);
             if (outcome == DONE)
                 *time = last ? end : from + step;
         }

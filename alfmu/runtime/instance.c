@@ -2,6 +2,7 @@
 
 #include "alfmu.h"
 #include "tape.h"
+#include "text.h"
 
 #include <assert.h>
 #include <float.h>
@@ -176,6 +177,7 @@ void instance_reset(Instance *i)
     memset(i->numbers, 0, i->count * sizeof *i->numbers);
     memset(&i->flags, 0, sizeof i->flags);
     i->flags.phase = INSTANTIATED;
+    i->stop = INFINITY;
     i->stabilisation[0] = ZETA;
     i->stabilisation[1] = OMEGA;
     *i->projection = -1.0;
@@ -197,7 +199,7 @@ Outcome say(Instance *i, Outcome outcome, const char *format, ...)
 {
     va_list arguments;
     va_start(arguments, format);
-    vsnprintf(i->text, sizeof i->text, format, arguments);
+    write_list(i->text, sizeof i->text, format, arguments);
     va_end(arguments);
     return outcome;
 }
@@ -217,7 +219,7 @@ void warn(Instance *i, int of, const char *format, ...)
     i->warns = 1;
     used = strlen(i->warning);
     va_start(arguments, format);
-    vsnprintf(i->warning + used, sizeof i->warning - used, format, arguments);
+    write_list(i->warning + used, sizeof i->warning - used, format, arguments);
     va_end(arguments);
 }
 
@@ -240,9 +242,9 @@ static Outcome checked(Instance *i, const Variable *v, double value)
     if (value >= v->minimum && value <= v->maximum)
         return DONE;
     if (isfinite(v->minimum))
-        snprintf(low, sizeof low, "%g", v->minimum);
+        write_text(low, sizeof low, "%g", v->minimum);
     if (isfinite(v->maximum))
-        snprintf(high, sizeof high, "%g", v->maximum);
+        write_text(high, sizeof high, "%g", v->maximum);
     return say(i, REFUSED, "%s: %s = %g %s is outside [%s, %s]", name, v->name, value, v->unit, low, high);
 }
 
@@ -513,7 +515,7 @@ static const char *or_compliances(const Instance *i, char *text, size_t size)
     for (int r = 0; r < i->scene->compliances; r++)
         least = fmin(least, i->compliances[r]);
     if (least > 0.0 && least < INFINITY)
-        snprintf(text, size, "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
+        write_text(text, size, "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
             largest(i->compliances, i->scene->compliances) / least);
     return text;
 }
@@ -1346,7 +1348,7 @@ static Outcome subdivided(Instance *i, double start, double dt)
         return DONE;
     for (int c = 0; c < s->n && c < SAID; c++) {
         char part[64];
-        snprintf(part, sizeof part, "%s%.40s = %.6g", c ? ", " : "", s->coordinates[c].name, q[c]);
+        write_text(part, sizeof part, "%s%.40s = %.6g", c ? ", " : "", s->coordinates[c].name, q[c]);
         strncat(where, part, sizeof where - strlen(where) - 1);
     }
     return say(i, FAILED,
@@ -1370,6 +1372,27 @@ static Outcome interrupted(Instance *i)
     return say(i, FAILED, "%s, t = %.6g s: interrupted", i->scene->name, *instance_time(i));
 }
 
+/* The length of what is left of a communication step or up to an event, from which on no error control is of use: methods
+   that have one leave it to RK4. A host that sums up its steps makes such a last one of what its sum lacks. */
+double brief(const Instance *i)
+{
+    return fmax(LEFT_TO_RK4 * GIVEN_UP, LAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
+}
+
+/* A step of RK4, whatever the method of the scene: by the kernel, or by loops that stop on convergence. */
+Outcome plain_step(Instance *i, double start, double dt)
+{
+    Outcome outcome;
+    i->left--;
+    if (i->flags.brakes)
+        hold(i);
+    if (i->flags.fast && advance(i, 1, dt) == 1)
+        return DONE;
+    outcome = watched_step(i, start, dt);
+    i->counts[PATIENT_STEPS] += outcome == DONE;
+    return outcome;
+}
+
 /* Steps by the method of the scene up to the end of a communication step, or one of them; those of one length take dt. */
 Outcome covered(Instance *i, double end, double dt, int once)
 {
@@ -1382,6 +1405,13 @@ Outcome covered(Instance *i, double end, double dt, int once)
     while (*time < end && !(once && *time > from)) {
         if (i->left <= 0)
             return too_much(i);
+        if (end - *time <= brief(i)) {
+            const Outcome outcome = plain_step(i, *time, end - *time);
+            pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+            if (outcome == DONE)
+                *time = end;
+            return outcome;
+        }
         if (i->flags.brakes)
             hold(i);
         if (cover(i, end, once || i->flags.brakes ? 1 : i->left))
@@ -1463,6 +1493,32 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
     return outcome;
 }
 
+/* Whether a host's time is the one here: to a millionth of the step, or to what a host with numbers of 32 bits has of it. */
+static int is_now(Instance *i, double start, double h)
+{
+    const double time = *instance_time(i), apart = fabs(start - time);
+    if (!isfinite(start) || apart <= 1e-6 * h + 1e-12 * fabs(time))
+        return isfinite(start);
+    if (!(fabs(start) < FLT_MAX && (double)(float)start == start && apart <= FLT_EPSILON * fmax(fabs(start), fabs(time))))
+        return 0;
+    warn(i, WARNED_OF_TIME,
+        "%s, t = %.9g s: the host steps from %.9g s, as a time of 32 bits has it; steps begin where the host says, and laws of "
+        "time are followed to %.0e s; keep the time in 64 bits to follow them exactly",
+        i->scene->name, time, start, FLT_EPSILON * fabs(start));
+    return 1;
+}
+
+/* Where a run begins, and the time past which the host does not step. */
+Outcome instance_begin(Instance *i, double start, double stop)
+{
+    if (!(stop >= start))
+        return say(
+            i, REFUSED, "%s: the stop time is %g s; it must not be before the start at %g s", i->scene->name, stop, start);
+    *instance_time(i) = start;
+    i->stop = stop;
+    return DONE;
+}
+
 /* DONE, or why a communication step cannot be made from here, or not by one call. */
 Outcome instance_can_step(Instance *i, double start, double h)
 {
@@ -1471,7 +1527,7 @@ Outcome instance_can_step(Instance *i, double start, double h)
     if (!(isfinite(h) && h > 0.0))
         return say(
             i, REFUSED, "%s, t = %.6g s: a communication step of %g s; it must be above zero", s->name, time, h);
-    if (!(isfinite(start) && fabs(start - time) <= 1e-6 * h + 1e-12 * fabs(time)))
+    if (!is_now(i, start, h))
         return say(i, REFUSED, "%s: a step from t = %g s is asked for, but the state is at t = %g s", s->name, start,
             time);
     if (!(steps <= MOST_STEPS))
@@ -1479,7 +1535,13 @@ Outcome instance_can_step(Instance *i, double start, double h)
             "%s, t = %.6g s: a communication step of %g s takes %.3g internal steps, more than %d; take shorter "
             "communication steps, or increase solver.step_size (%g s)",
             s->name, time, h, steps, MOST_STEPS, i->values[s->step_size]);
-    if (!(start + h / steps > nextafter(start, INFINITY)))
+    if (start + h > i->stop && start + h - i->stop > 1e-6 * h + FLT_EPSILON * fabs(i->stop))
+        return say(i, ENDED,
+            "%s, t = %.6g s: a step of %g s leads past the stop time of %g s that the host gave; end the run there, or give "
+            "a later stop time or none",
+            s->name, time, h, i->stop);
+    /* A step that is lost itself moves nothing that a number could show. */
+    if (!(start + h / steps > (steps > 1.0 ? nextafter(start, INFINITY) : start)) && h > LEFT_TO_RK4 * GIVEN_UP)
         return say(i, REFUSED,
             "%s, t = %.6g s: steps of %g s are lost in the last digit of the time; take longer ones, or begin at 0",
             s->name, time, h / steps);

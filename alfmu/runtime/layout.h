@@ -164,6 +164,7 @@
 #define ONE_STEP 1e-09
 #define EARLIEST 0.001
 #define LEFT_TO_RK4 16.0
+#define LAST_DIGITS 4.0
 
 #define SCENE_COUNTS(X) \
     X(parameters) \

@@ -7,6 +7,7 @@
 #endif
 
 #include "alfmu.h"
+#include "border.h"
 #include "fmi.h"
 #include "run.h"
 
@@ -17,7 +18,7 @@ API int alfmu_scene_version(void)
 
 API Scene *alfmu_scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)
 {
-    return scene_load(bytes, size, why, why_size);
+    INSIDE(Scene *, scene_load(bytes, size, why, why_size));
 }
 
 /* The functions of the scene as compiled code in place of interpreted ones; zero where they are of another scene. */
@@ -89,7 +90,7 @@ API const char *alfmu_variable(const Scene *s, int reference, int *type, int *ki
 
 API int alfmu_set(Instance *i, int reference, double value)
 {
-    return (int)instance_set(i, reference, value);
+    INSIDE(int, instance_set(i, reference, value));
 }
 
 API int alfmu_choose(Instance *i, int reference, const char *value)
@@ -131,13 +132,18 @@ API void alfmu_set_time(Instance *i, double time)
 
 API int alfmu_tolerate(Instance *i, double tolerance)
 {
-    return (int)instance_tolerate(i, tolerance);
+    INSIDE(int, instance_tolerate(i, tolerance));
+}
+
+API int alfmu_begin(Instance *i, double start, double stop)
+{
+    INSIDE(int, instance_begin(i, start, stop));
 }
 
 /* How an input changes in the next communication step, per second; it is held in those after it. */
 API int alfmu_slope(Instance *i, int reference, double value)
 {
-    return (int)instance_set_slope(i, reference, value);
+    INSIDE(int, instance_set_slope(i, reference, value));
 }
 
 /* From here on parameters are fixed, or can be changed again. */
@@ -153,18 +159,18 @@ API int alfmu_initialized(const Instance *i)
 
 API int alfmu_initialize(Instance *i)
 {
-    return (int)instance_initialize(i);
+    INSIDE(int, instance_initialize(i));
 }
 
 /* What `alfmu_step` begins with, for a caller that makes the step itself. */
 API int alfmu_ready(Instance *i, double start, double h)
 {
-    return (int)instance_ready(i, start, h);
+    INSIDE(int, instance_ready(i, start, h));
 }
 
 API int alfmu_step(Instance *i, double start, double h)
 {
-    return (int)instance_step(i, start, h);
+    INSIDE(int, instance_step(i, start, h));
 }
 
 /* Functions of Python's own C interface, as the binding hands them over: the library is not linked with Python. */
@@ -214,15 +220,18 @@ API const Method *alfmu_python_step(const Python *functions)
 API int alfmu_read(Instance *i, double *values)
 {
     const int first = outputs_from(i->scene), end = variable_count(i->scene);
+    const Border border = border_in();
     const Outcome outcome = instance_read(i);
     for (int k = first; k < end; k++)
         values[k - first] = instance_get(i, k);
+    border_out(&border);
     return (int)outcome;
 }
 
 API int alfmu_get_many(Instance *i, const int *references, int count, double *values)
 {
     const int first = outputs_from(i->scene);
+    const Border border = border_in();
     Outcome outcome = DONE;
     int reads = 0;
     for (int k = 0; k < count; k++)
@@ -230,6 +239,7 @@ API int alfmu_get_many(Instance *i, const int *references, int count, double *va
     if (reads)
         outcome = instance_read(i);
     instance_get_many(i, references, count, values);
+    border_out(&border);
     return (int)outcome;
 }
 
@@ -245,7 +255,7 @@ API void alfmu_save(const Instance *i, unsigned char *state)
 
 API int alfmu_restore(Instance *i, const unsigned char *state, size_t size)
 {
-    return (int)state_restore(i, state, size);
+    INSIDE(int, state_restore(i, state, size));
 }
 
 /* Where q, v, computed angles, work and time stand, in this order, as long as the instance lives. */

@@ -69,6 +69,7 @@ _SIGNATURES = {
     "set_time": (None, c_void_p, c_double),
     "slope": (c_int, c_void_p, c_int, c_double),
     "tolerate": (c_int, c_void_p, c_double),
+    "begin": (c_int, c_void_p, c_double, c_double),
     "run_on": (None, c_void_p, c_int),
     "initialized": (c_int, c_void_p),
     "initialize": (c_int, c_void_p),
@@ -267,6 +268,10 @@ class Unit:
 
     def tolerate(self, tolerance: float) -> int:
         return self.scene.library.alfmu_tolerate(self.address, tolerance)
+
+    def begin(self, start: float, stop: float) -> int:
+        """Where a run begins, and the time past which no step leads."""
+        return self.scene.library.alfmu_begin(self.address, start, stop)
 
     def run_on(self, running: bool) -> None:
         """Whether parameters are fixed."""

@@ -11,6 +11,9 @@
 #include "alfmu.h"
 #include "tape.h"
 
+/* A step over the one before [1], from which on the motion only goes on. */
+#define SHORT 1e-6
+
 /* What is heard of an input: how many points are known, of which derivative, their times and values, newest first. */
 enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
 
@@ -53,11 +56,12 @@ static void at(const double *c, double time, double *found)
     }
 }
 
-/* A point heard of an input at a time, in place of what was heard there or later. */
-static void hear(double *heard, const Given *g, double time)
+/* A point heard of an input at a time, in place of what was heard there or later, or so little before that differences
+   would be round-off. */
+static void hear(double *heard, const Given *g, double time, double little)
 {
     int count = heard[LEVEL] == g->level ? (int)heard[KNOWN_POINTS] : 0, later = 0;
-    while (later < count && heard[TIMES + later] >= time)
+    while (later < count && heard[TIMES + later] >= time - little)
         later++;
     count = count - later < HEARD_POINTS - 1 ? count - later : HEARD_POINTS - 1;
     memmove(heard + TIMES + 1, heard + TIMES + later, (size_t)count * sizeof *heard);
@@ -122,18 +126,21 @@ void signals_begin(Instance *i, double time)
     }
 }
 
-/* The polynomial of an input for a step of h [s], from where the one before has come. */
-static void aim(const Followed *f, const Given *g, double *c, double *heard, double start, double h)
+/* The polynomial of an input for a step of h [s], from where the one before has come. In a step as brief as `little`, or
+   much shorter than the one before, the motion only goes on: it could make up for what it lacks only by any acceleration. */
+static void aim(const Followed *f, const Given *g, double *c, double *heard, double start, double h, double little)
 {
     double now[3], end[3];
     at(c, start, now);
-    hear(heard, g, start);
+    hear(heard, g, start, little);
     foreseen(heard, g, f->order, h, end);
     memset(c, 0, POLYNOMIAL * sizeof *c);
     c[0] = start;
     c[1] = now[0];
     c[2] = now[1];
-    if (g->level < 2) {
+    if (h <= little || (heard[KNOWN_POINTS] > 1.0 && h <= SHORT * (heard[TIMES] - heard[TIMES + 1])))
+        c[3] = now[2] / 2;
+    else if (g->level < 2) {
         const double way = end[0] - now[0];
         c[3] = (3 * way - (2 * now[1] + end[1]) * h) / (h * h);
         c[4] = (-2 * way + (now[1] + end[1]) * h) / (h * h * h);
@@ -167,7 +174,7 @@ Outcome signals_aim(Instance *i, double start, double h)
     for (int k = 0; k < s->followed_count; k++) {
         const Given g = given(i, k);
         tape_aim(i, k, g.level, start, h);
-        aim(s->followed + k, &g, polynomial(i, k), i->heard + k * HEARD, start, h);
+        aim(s->followed + k, &g, polynomial(i, k), i->heard + k * HEARD, start, h, brief(i));
     }
     return DONE;
 }
@@ -177,7 +184,7 @@ Outcome signals_aim(Instance *i, double start, double h)
 /* What is aimed at depends on values in proportion, its times being what they are: its tangents are what `aim` makes of
    theirs. */
 
-enum { SAVED_LEVEL = HEARD, SAVED_START, SAVED_STEP, SAVED_FROM, SAVED };
+enum { SAVED_LEVEL = HEARD, SAVED_START, SAVED_STEP, SAVED_FROM, SAVED_LITTLE, SAVED };
 
 static void tape_aim(Instance *i, int which, int level, double start, double h)
 {
@@ -192,6 +199,7 @@ static void tape_aim(Instance *i, int which, int level, double start, double h)
     saved[SAVED_START] = start;
     saved[SAVED_STEP] = h;
     saved[SAVED_FROM] = polynomial(i, which)[0];
+    saved[SAVED_LITTLE] = brief(i);
     i->tape->words[e->words] = place_of(i, polynomial(i, which));
     i->tape->words[e->words + 1] = place_of(i, i->heard + which * HEARD);
     i->tape->words[e->words + 2] = place_of(i, i->m + s->u + s->followed[which].input);
@@ -212,7 +220,7 @@ static void aim_along(const Followed *f, const double *saved, double *x)
     memcpy(heard + VALUES, x + OF_INPUT + POLYNOMIAL - 1, HEARD_POINTS * sizeof *heard);
     for (int k = 0; k <= f->derivatives; k++)
         g.value[k] = x[k];
-    aim(f, &g, c, heard, saved[SAVED_START], saved[SAVED_STEP]);
+    aim(f, &g, c, heard, saved[SAVED_START], saved[SAVED_STEP], saved[SAVED_LITTLE]);
     memcpy(x + OF_INPUT, c + 1, (POLYNOMIAL - 1) * sizeof *c);
     memcpy(x + OF_INPUT + POLYNOMIAL - 1, heard + VALUES, HEARD_POINTS * sizeof *heard);
 }

@@ -8,6 +8,7 @@
 
 #include "start.h"
 #include "tape.h"
+#include "text.h"
 
 /* What an assembly closes: the gaps of the rows that are held, and the start values. */
 typedef struct {
@@ -274,10 +275,10 @@ static const char *gap_label(Instance *i, const Loops *loops, char *label, size_
         for (int r = 0; r < s->l; r++)
             if (!strcmp(s->rows[r].name, s->rows[worst].name))
                 gap += loops->residue[r] * loops->residue[r];
-        snprintf(label, size, "a gap of %.3g %s at %s", sqrt(gap), s->rows[worst].unit, s->rows[worst].name);
+        write_text(label, size, "a gap of %.3g %s at %s", sqrt(gap), s->rows[worst].unit, s->rows[worst].name);
     } else {
         const Variable *start = s->variables + s->own + s->tied[worst - s->l];
-        snprintf(label, size, "%s missed by %.3g %s", start->name, fabs(loops->residue[worst]), start->unit);
+        write_text(label, size, "%s missed by %.3g %s", start->name, fabs(loops->residue[worst]), start->unit);
     }
     return label;
 }

@@ -338,8 +338,6 @@ int communicate(Instance *i, double start, double h, long *made)
     const Mark begun = tape_mark(i);
     long steps;
     *made = -1;
-    if (!(h > 0.0 && h < INFINITY && fabs(start - z[s->time]) <= 1e-6 * h + 1e-12 * fabs(start)))
-        return 0;
     ratio = h / m[s->control + CONTROL_STEP_SIZE] * (1 - 1e-12);
     if (!(ratio < MOST_STEPS))
         return 0;

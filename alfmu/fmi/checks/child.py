@@ -18,8 +18,21 @@ from pathlib import Path
 from fmpy import read_model_description
 
 from . import calls, motion, values
-from .registry import CHECKS, FAILED, NOT_APPLICABLE, PASSED, UNJUDGED, Check, Fault, NotApplicable, Task, Unjudged
-from .unit import Broken, Journal, Session
+from .registry import (
+    CHECKS,
+    FAILED,
+    NOT_APPLICABLE,
+    NOTED,
+    PASSED,
+    UNJUDGED,
+    Check,
+    Fault,
+    NotApplicable,
+    Noted,
+    Task,
+    Unjudged,
+)
+from .unit import Broken, Journal, Once, Session
 
 __all__ = ["CURRENT", "JOURNAL", "RECORD", "TASK", "all_checks", "main", "result_file"]
 
@@ -97,7 +110,11 @@ def _one(folder: Path, check: Check, description: object, task: dict, given: Tas
             session = Session(Path(task["folder"]), description, Journal(folder / JOURNAL))
             result, detail = PASSED, check.run(session, given) or ""
         except Fault as fault:
-            result, detail = FAILED, str(fault)
+            result, detail = check.fault, str(fault)
+        except Noted as note:
+            result, detail = NOTED, str(note)
+        except Once as reason:
+            result, detail = NOT_APPLICABLE, str(reason)
         except Broken as broken:
             result, detail = FAILED, str(broken)
         except NotApplicable as reason:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from .registry import Fault, NotApplicable, Task, Unjudged, check, judge
+from .registry import RISKY, Fault, NotApplicable, Task, Unjudged, check, judge
 from .unit import DISCARD, WARNING, Broken, Session, Unit, Variable, shown
 
 __all__ = ["driven", "excite", "unlike"]
@@ -18,6 +19,10 @@ _COUNT = 20
 
 _STIR = 1e-3
 """Size [1] of the changes of inputs in such runs, over their nominal value: seen in every bit, and always possible."""
+
+_ROUND_OFF = 1e-13
+"""Difference [1] of runs that have to be the same, over the largest value: some hundred last digits. What is forgotten
+makes more, and a sum in another order, as by several threads, makes less."""
 
 _VARIED = 0.05
 """Largest difference [1] that other sizes of steps may make after a few of them, over 1 and the value: more is an error
@@ -59,10 +64,14 @@ def driven(unit: Unit, count: int, begin: int = 0, size: float | None = None) ->
 
 
 def unlike(s: Session, wanted: Sequence[np.ndarray], got: Sequence[np.ndarray], when: str) -> list[str]:
-    """The first outputs that differ in a bit, in sentences."""
-    for k, (a, b) in enumerate(zip(wanted, got, strict=True)):
-        if a.tobytes() != b.tobytes():
-            i = next(i for i in range(len(a)) if a[i : i + 1].tobytes() != b[i : i + 1].tobytes())
+    """The first outputs that differ by more than round-off, in sentences."""
+    with np.errstate(invalid="ignore"):  # infinities
+        allowed = _ROUND_OFF * np.abs(wanted).max(axis=0)
+        for k, (a, b) in enumerate(zip(wanted, got, strict=True)):
+            unlike = ~((np.abs(a - b) <= allowed) | (a == b) | (np.isnan(a) & np.isnan(b)))
+            if not unlike.any():
+                continue
+            i = int(unlike.argmax())
             name = s.numbers[i].name
             return [f"{when}, {name} is {b[i]:.17g} in row {k} of the run, and was {a[i]:.17g}"]
     return []
@@ -89,10 +98,11 @@ def default(s: Session, task: Task) -> str:
     "The values of an FMU follow from start values, inputs and steps (a demand of this checker, not of the standard)",
     "not demanded",
     "not demanded",
+    fault=RISKY,
 )
 def again(s: Session, task: Task) -> str:
-    first = driven(s.ready(), _COUNT)
-    return judge(unlike(s, first, driven(s.ready(), _COUNT), "in a second instance"))
+    first, second = (s.apart(lambda: driven(s.ready(), _COUNT)) for _ in range(2))
+    return judge(unlike(s, first, second, "in a second instance"))
 
 
 @check(
@@ -132,18 +142,25 @@ def serialised(s: Session, task: Task) -> str:
     name = "canSerializeFMUstate" if s.version == "2" else "canSerializeFMUState"
     if not _can(s, "canSerializeFMUState"):
         raise NotApplicable(f"{name} is false")
-    unit, other = s.ready(), s.ready(name="other")
-    driven(unit, 5)
-    state = unit.save()
-    data, when = unit.write(state), unit.time
-    first = driven(unit, _COUNT, begin=5)
+
+    def loaded(unit: Unit, data: bytes, when: float) -> list[np.ndarray]:
+        unit.restore(unit.load(data))
+        unit.time = when
+        rows = driven(unit, _COUNT, begin=5)
+        unit.end()
+        return rows
+
+    def written() -> tuple[bytes, float, list[np.ndarray], list[np.ndarray]]:
+        unit = s.ready()
+        driven(unit, 5)
+        data, when = unit.write(unit.save()), unit.time
+        return data, when, driven(unit, _COUNT, begin=5), loaded(unit, data, when)
+
+    data, when, first, same = s.apart(written)
+    other = s.apart(lambda: loaded(s.ready(name="other"), data, when))
     faults = []
-    for each, who in ((unit, "the same instance"), (other, "another instance")):
-        each.restore(each.load(data))
-        each.time = when
-        faults += unlike(s, first, driven(each, _COUNT, begin=5), f"read from bytes by {who}")
-    unit.end()
-    other.end()
+    for rows, who in ((same, "the same instance"), (other, "another instance")):
+        faults += unlike(s, first, rows, f"read from bytes by {who}")
     return judge(faults, f"{len(data)} bytes")
 
 
@@ -165,36 +182,40 @@ def _states(s: Session) -> None:
 )
 def reset(s: Session, task: Task) -> str:
     parameter = next((v for v in s.of("parameter") if v.type in ("Real", "Float64") and v.start is not None), None)
-    new = s.unit()
-    new.show_starts()
-    starts = {}
-    for v in [*s.of("parameter"), *s.of("input")]:
-        status, value = new.get(v)
-        if status <= WARNING:
-            starts[v.name] = value
-    new.end()
-    first = driven(s.ready(), _COUNT)
-    unit = s.unit()
-    if parameter:
-        unit.set(parameter, moved(parameter, 1e-3))
-    try:
+
+    def begin() -> dict[str, object]:
+        new, starts = s.unit(), {}
+        new.show_starts()
+        for v in [*s.of("parameter"), *s.of("input")]:
+            status, value = new.get(v)
+            if status <= WARNING:
+                starts[v.name] = value
+        new.end()
+        return starts
+
+    def used(change: bool) -> tuple[list[str], list[np.ndarray]]:
+        unit = s.unit()
+        if parameter and change:
+            unit.set(parameter, moved(parameter, 1e-3))
         unit.begin()
         driven(unit, 5)
+        unit.must(unit.reset(), "Reset")
+        unit.show_starts()
+        faults = []
+        for name, value in starts.items():
+            status, now = unit.get(s.by_name[name])
+            if status > WARNING or (now != value and not (now != now and value != value)):
+                faults.append(f"{name} is {now!r} after Reset, and {value!r} in a new instance")
+        unit.must(unit.reset(), "Reset")
+        unit.begin()
+        return faults, driven(unit, _COUNT)
+
+    starts, first = s.apart(begin), s.apart(lambda: driven(s.ready(), _COUNT))
+    try:
+        faults, rows = s.apart(lambda: used(True))
     except Broken:  # with that parameter
-        unit.end()
-        unit = s.ready()
-        driven(unit, 5)
-    unit.must(unit.reset(), "Reset")
-    unit.show_starts()
-    faults = []
-    for name, value in starts.items():
-        status, now = unit.get(s.by_name[name])
-        if status > WARNING or (now != value and not (now != now and value != value)):
-            faults.append(f"{name} is {now!r} after Reset, and {value!r} in a new instance")
-    unit.must(unit.reset(), "Reset")
-    unit.begin()
-    faults += unlike(s, first, driven(unit, _COUNT), "after Reset")
-    return judge(faults)
+        faults, rows = s.apart(lambda: used(False))
+    return judge(faults + unlike(s, first, rows, "after Reset"))
 
 
 # Steps ----------------------------------------------------------------------------------------------------------------
@@ -206,6 +227,7 @@ def reset(s: Session, task: Task) -> str:
     "communicationStepSize is above zero",
     "4.2.2 Computation",
     "Advancing Time: required to be larger than 0.0",
+    fault=RISKY,
 )
 def zero(s: Session, task: Task) -> str:
     unit = s.ready()
@@ -227,6 +249,7 @@ def zero(s: Session, task: Task) -> str:
     "communicationStepSize is above zero",
     "4.2.2 Computation",
     "Advancing Time: required to be larger than 0.0",
+    fault=RISKY,
 )
 def negative(s: Session, task: Task) -> str:
     unit = s.ready()
@@ -241,6 +264,7 @@ def negative(s: Session, task: Task) -> str:
     "currentCommunicationPoint is where the last step ended; the FMU may refuse it, or make up for the difference",
     "4.2.2 Computation",
     "fmi3DoStep: currentCommunicationPoint",
+    fault=RISKY,
 )
 def elsewhere(s: Session, task: Task) -> str:
     unit = s.ready()
@@ -259,16 +283,20 @@ def elsewhere(s: Session, task: Task) -> str:
     "With canHandleVariableCommunicationStepSize every length above zero is taken",
     "4.3.1 Co-Simulation FMU (canHandleVariableCommunicationStepSize)",
     "canHandleVariableCommunicationStepSize",
+    fault=RISKY,
 )
 def sizes(s: Session, task: Task) -> str:
     if not s.varies:
         raise NotApplicable("canHandleVariableCommunicationStepSize is false")
-    even, uneven = s.ready(), s.ready()
-    for _ in range(8):
-        even.step()
-    for share in (0.3, 1.7, 0.01, 0.99, 2.0, 0.5, 1.5, 0.4, 0.6):  # 8 in all
-        uneven.step(share * s.step)
-    a, b = even.read(s.real_outputs), uneven.read(s.real_outputs)
+
+    def after(shares: Sequence[float]) -> np.ndarray:
+        unit = s.ready()
+        for share in shares:
+            unit.step(share * s.step)
+        return unit.read(s.real_outputs)
+
+    a = s.apart(lambda: after([1.0] * 8))
+    b = s.apart(lambda: after([0.3, 1.7, 0.01, 0.99, 2.0, 0.5, 1.5, 0.4, 0.6]))  # 8 in all
     if not np.isfinite(b).all():
         raise Fault("with uneven steps an output is not finite")
     apart = np.abs(a - b) / (1 + np.abs(a))
@@ -406,13 +434,18 @@ def by_time(s: Session, task: Task) -> str:
     outputs = s.real_outputs
     if highest < 1 or not outputs:
         raise NotApplicable("maxOutputDerivativeOrder is 0")
-    unit = s.ready()
-    driven(unit, 3)
-    status, found = unit.output_derivatives(outputs, 1)
-    unit.must(status, "GetOutputDerivatives")
-    status, _ = unit.output_derivatives(outputs, highest + 1)
+
+    def rates() -> tuple[np.ndarray, int]:
+        unit = s.ready()
+        driven(unit, 3)
+        status, found = unit.output_derivatives(outputs, 1)
+        unit.must(status, "GetOutputDerivatives")
+        status, _ = unit.output_derivatives(outputs, highest + 1)
+        unit.end()
+        return found, status
+
+    found, status = s.apart(rates)
     faults = [] if status >= DISCARD else [f"order {highest + 1} is answered, and {highest} is the highest declared"]
-    unit.end()
     if not s.varies:
         judge(faults)
         raise Unjudged("canHandleVariableCommunicationStepSize is false, so that there are no differences to compare")
@@ -427,7 +460,7 @@ def by_time(s: Session, task: Task) -> str:
         one.end()
         return np.tensordot([-25 / 12, 4, -3, 4 / 3, -1 / 4], rows, 1) / size
 
-    wide, narrow = slopes(s.step / 32), slopes(s.step / 64)
+    wide, narrow = (s.apart(partial(slopes, s.step / parts)) for parts in (32, 64))
     error = np.abs(wide - narrow)
     known = error <= 0.05 * (1 + np.abs(narrow))
     if not known.any():
@@ -459,10 +492,14 @@ def capabilities(s: Session, task: Task) -> str:
     faults, said = [], []
 
     def tried(name: str, declared: bool, call: Callable[[Unit], int]) -> None:
-        unit = s.ready()
-        unit.step()
-        status = call(unit)
-        unit.end()
+        def one() -> int:
+            unit = s.ready()
+            unit.step()
+            status = call(unit)
+            unit.end()
+            return status
+
+        status = s.apart(one)
         if declared and status > WARNING:
             faults.append(f"{name} is true, and the call ends with {shown(status)}")
         if not declared and status <= WARNING:

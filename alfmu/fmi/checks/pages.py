@@ -11,15 +11,19 @@ from textwrap import shorten
 from ...files import write
 from ...model.errors import InputError
 from ...model.words import counted
-from .registry import FAILED, NOT_APPLICABLE, PASSED, UNJUDGED, Finding
+from .registry import FAILED, NOT_APPLICABLE, NOTED, PASSED, RISKY, UNJUDGED, Finding
 from .validation import Report
 
 __all__ = ["FORMS", "check_form", "html", "lines", "markdown", "save", "summary", "svg"]
 
 _COLOURS = {PASSED: "#2b7a3d", FAILED: "#b3261e", NOT_APPLICABLE: "#7a7a7a", UNJUDGED: "#9a6700"}
+_COLOURS |= {RISKY: "#a04000", NOTED: "#1f5fa8"}
 """Dark enough on white for text: contrast is 4.5 or more."""
 
-_MARKS = {PASSED: "✓", FAILED: "✗", NOT_APPLICABLE: "–", UNJUDGED: "?"}
+_MARKS = {PASSED: "✓", FAILED: "✗", NOT_APPLICABLE: "–", UNJUDGED: "?", RISKY: "!", NOTED: "i"}
+
+_SHOWN = (FAILED, RISKY, NOTED, UNJUDGED)
+"""Results that are shown unless every one is, by weight."""
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1d1d1b; max-width: 78rem; margin: 2rem auto; padding: 0 1.2rem; }
@@ -38,30 +42,36 @@ _COLUMNS = "".join(f'<col style="width: {width}">' for width in ("14%", "16%", "
 
 
 def summary(report: Report) -> str:
-    """One line: how many problems, and how many checks had which result."""
+    """One line: how many problems, or that most could not be judged, and how many checks had which result."""
     counts = report.counts()
-    each = ", ".join(f"{number} {result}" for result, number in counts.items() if number)
+    nouns = {RISKY, NOTED}
+    each = ", ".join(counted(n, result) if result in nouns else f"{n} {result}" for result, n in counts.items() if n)
     total = counted(len(report.findings), "check")
-    return f"{report.path}: {counted(counts[FAILED], 'problem')} found ({total}: {each})"
+    found = f"{counted(counts[FAILED], 'problem')} found" if report.judged or counts[FAILED] else "not judged"
+    return f"{report.path}: {found} ({total}: {each})"
 
 
 def lines(report: Report, every: bool = False) -> list[str]:
-    """The checks that failed or could not be judged, or every one, and the summary.
+    """The checks that failed, show a risk, have a note, or could not be judged, or every one, and the summary.
 
+    What failed says where the standard demands it.
     Where many could not be judged for one reason, as none can be once the first run failed, they stand in one line.
     """
     groups: dict[tuple[str, ...], list[Finding]] = {}
     for f in report.findings:
         if every:
             groups[f.id,] = [f]
-        elif f.result in (FAILED, UNJUDGED):
-            groups.setdefault((f.id,) if f.result == FAILED else (f.result, f.detail), []).append(f)
+        elif f.result in _SHOWN:
+            groups.setdefault((f.result, f.detail) if f.result == UNJUDGED else (f.id,), []).append(f)
+    if not every:
+        groups = dict(sorted(groups.items(), key=lambda group: _SHOWN.index(group[1][0].result)))
     which = [alike[0].id if len(alike) == 1 else counted(len(alike), "check") for alike in groups.values()]
     wide = max(map(len, which), default=0)
     below = "\n" + " " * (len(UNJUDGED) + wide + 4)
     said = []
     for name, (f, *_) in zip(which, groups.values(), strict=True):
-        said.append(f"{f.result:<{len(UNJUDGED)}}  {name:<{wide}}  {f.detail or f.title}".replace("\n", below))
+        text = f"{f.detail or f.title}{f' ({f.section})' if f.result == FAILED else ''}"
+        said.append(f"{f.result:<{len(UNJUDGED)}}  {name:<{wide}}  {text}".replace("\n", below))
     return [*said, summary(report)]
 
 
@@ -118,7 +128,7 @@ def svg(report: Report) -> str:
     for i, f in enumerate(report.findings):
         y, colour = top + row * i + 14, _COLOURS[f.result]
         bold = ' font-weight="600"' if f.result == FAILED else ""
-        seen = f.detail if f.result in (FAILED, UNJUDGED) else f.title
+        seen = f.detail if f.result in _SHOWN else f.title
         texts.append(
             f'<text x="16" y="{y}" fill="{colour}"{bold}>{_MARKS[f.result]}</text>'
             f'<text x="36" y="{y}" fill="{colour}"{bold}>{f.result}</text>'
@@ -159,6 +169,6 @@ def _facts(report: Report) -> str:
 
 
 def _by_weight(report: Report) -> list[Finding]:
-    """Failed ones first, then those that could not be judged."""
-    order = (FAILED, UNJUDGED, PASSED, NOT_APPLICABLE)
+    """Failed ones first, then risks and notes, and those that could not be judged."""
+    order = (*_SHOWN, PASSED, NOT_APPLICABLE)
     return sorted(report.findings, key=lambda f: order.index(f.result))

@@ -11,13 +11,16 @@ from .unit import Session
 __all__ = [
     "CHECKS",
     "FAILED",
+    "NOTED",
     "NOT_APPLICABLE",
     "PASSED",
+    "RISKY",
     "UNJUDGED",
     "Check",
     "Fault",
     "Finding",
     "NotApplicable",
+    "Noted",
     "Task",
     "Unjudged",
     "check",
@@ -25,11 +28,17 @@ __all__ = [
 ]
 
 PASSED, FAILED, NOT_APPLICABLE, UNJUDGED = "passed", "failed", "not applicable", "could not be judged"
-"""Results of a check."""
+RISKY, NOTED = "risk", "note"
+"""Results of a check. What the standard forbids fails. A risk is what it does not forbid and what hides mistakes of
+importers; a note is worth knowing."""
 
 
 class Fault(Exception):
     """What the FMU does is not what the standard says."""
+
+
+class Noted(Exception):
+    """What the FMU does is allowed, and worth knowing."""
 
 
 class NotApplicable(Exception):
@@ -42,7 +51,7 @@ class Unjudged(Exception):
 
 @dataclass(frozen=True)
 class Finding:
-    """What one check found: `result` is one of passed, failed, not applicable, could not be judged."""
+    """What one check found: `result` is one of passed, failed, risk, note, not applicable, could not be judged."""
 
     id: str
     title: str
@@ -79,6 +88,8 @@ class Check:
     run: Callable[[Session, Task], str | None] | None = field(repr=False)
     after: str | None = "run.default"
     """The check without which this one tells nothing."""
+    fault: str = FAILED
+    """Result where the FMU does not do it: a risk where the standard does not demand it of the FMU."""
 
     def finding(self, version: str, result: str, detail: str = "") -> Finding:
         return Finding(self.id, self.title, self.sections.get(version, ""), self.demand, result, detail)
@@ -89,13 +100,13 @@ CHECKS: dict[str, Check] = {}
 
 
 def check(
-    id: str, title: str, demand: str, fmi2: str, fmi3: str, after: str | None = "run.default"
+    id: str, title: str, demand: str, fmi2: str, fmi3: str, after: str | None = "run.default", fault: str = FAILED
 ) -> Callable[[Callable[[Session, Task], str | None]], Callable[[Session, Task], str | None]]:
     """Register a function as a check; `fmi2` and `fmi3` say where each version has it."""
 
     def registered(function: Callable[[Session, Task], str | None]) -> Callable[[Session, Task], str | None]:
         sections = {"2": f"FMI 2.0.5, {fmi2}", "3": f"FMI 3.0, {fmi3}"}
-        CHECKS[id] = Check(id, title, demand, sections, function, after)
+        CHECKS[id] = Check(id, title, demand, sections, function, after, fault)
         return function
 
     return registered

@@ -5,10 +5,12 @@ from __future__ import annotations
 import ctypes
 import math
 import mmap
+import os
+import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import fmpy
 import numpy as np
@@ -26,6 +28,7 @@ __all__ = [
     "WARNING",
     "Broken",
     "Journal",
+    "Once",
     "Session",
     "Unit",
     "Variable",
@@ -52,8 +55,17 @@ _STATE_2 = {"Deserialize": "DeSerialize"}
 """Names of FMI 2 for functions of the state, which FMI 3 writes otherwise."""
 
 
+_ONCE = "canBeInstantiatedOnlyOncePerProcess is true, and this check takes more than one instance"
+
+Result = TypeVar("Result")
+
+
 class Broken(Exception):
     """A call that has to succeed did not: its name, its status, and what the FMU logged."""
+
+
+class Once(Exception):
+    """An FMU that can be instantiated only once per process would be so twice."""
 
 
 class Journal:
@@ -179,6 +191,7 @@ class Session:
         step = _number(experiment and experiment.stepSize, None) or _number(fixed, None)
         self.step = step or (self.stop - self.start) / 500
         self.varies = self.flag("canHandleVariableCommunicationStepSize")
+        self.once, self.made = self.flag("canBeInstantiatedOnlyOncePerProcess"), 0
 
     def flag(self, *names: str) -> bool:
         """Whether one of these capabilities is declared."""
@@ -209,8 +222,38 @@ class Session:
     def name(self, function: str) -> str:
         return f"fmi{self.version}{function}"
 
+    def apart(self, run: Callable[[], Result]) -> Result:
+        """What a run with an instance of its own gives, which is data: in a copy of this process where the FMU can be
+        instantiated only once in each."""
+        if not self.once:
+            return run()
+        if not hasattr(os, "fork"):
+            raise Once(_ONCE)
+        out, into = os.pipe()
+        if (child := os.fork()) == 0:
+            try:
+                said = True, run()
+            except Exception as error:  # goes on where this process would have gone on with it
+                said = False, error
+            with open(into, "wb") as file:
+                file.write(pickle.dumps(said))
+            os._exit(0)
+        os.close(into)
+        with open(out, "rb") as file:
+            data = file.read()
+        _, status = os.waitpid(child, 0)
+        if status or not data:  # as if it had been this one
+            os._exit(128 + os.WTERMSIG(status) if os.WIFSIGNALED(status) else os.WEXITSTATUS(status))
+        good, found = pickle.loads(data)
+        if not good:
+            raise found
+        return found
+
     def unit(self, name: str = "one", token: str | None = None, logging: bool = True) -> Unit:
-        """A new instance; Broken where there is none."""
+        """A new instance; Broken where there is none, Once where it would be one too many."""
+        self.made += 1
+        if self.once and self.made > 1:
+            raise Once(_ONCE)
         unit = Unit(self, name)
         unit.instantiate(token, logging)
         return unit

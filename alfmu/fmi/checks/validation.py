@@ -16,7 +16,6 @@ from hashlib import new as digest_by
 from pathlib import Path
 from typing import Any
 
-import fmpy
 from fmpy import extract
 from fmpy.model_description import ModelDescription
 from fmpy.validation import validate_fmu
@@ -25,10 +24,10 @@ from ...files import scratch
 from ...model.errors import ExportError, InputError
 from ...model.words import there_is
 from ...result import Result
-from ..drive import checked_archive, checked_folder, description_of
+from ..drive import checked_archive, checked_folder, description_of, missing_library, platforms_of
 from ..records import AGREES, FOLDER, Record, listed, records_in
 from .child import CURRENT, JOURNAL, TASK, all_checks, result_file
-from .registry import FAILED, NOT_APPLICABLE, PASSED, UNJUDGED, Check, Finding
+from .registry import FAILED, NOT_APPLICABLE, NOTED, PASSED, RISKY, UNJUDGED, Check, Finding
 from .unit import Journal
 
 __all__ = ["OTHERS_AGREE", "TIMEOUT", "Report", "examine", "known_checks", "validate"]
@@ -39,7 +38,7 @@ TIMEOUT = 120.0
 OTHERS_AGREE = 1e-3
 """Largest difference [1] from what other tools recorded, which seldom say how good it is."""
 
-_RESULTS = (PASSED, FAILED, NOT_APPLICABLE, UNJUDGED)
+_RESULTS = (PASSED, FAILED, RISKY, NOTED, NOT_APPLICABLE, UNJUDGED)
 
 _DIED = 70
 """Exit code of the process where the checker itself is at fault."""
@@ -59,8 +58,14 @@ class Report:
 
     @property
     def problems(self) -> list[str]:
-        """The failed checks, in sentences."""
-        return [f"{f.id}: {f.detail}" for f in self.findings if f.result == FAILED]
+        """The errors of the standard, in sentences, with where it says so."""
+        return [f"{f.id}: {f.detail} ({f.section})" for f in self.findings if f.result == FAILED]
+
+    @property
+    def judged(self) -> bool:
+        """Whether more checks could be judged than could not, of those that apply."""
+        counts = self.counts()
+        return counts[UNJUDGED] <= sum(counts[each] for each in (PASSED, FAILED, RISKY, NOTED))
 
     def counts(self) -> dict[str, int]:
         """How many checks had each result."""
@@ -75,7 +80,7 @@ class Report:
 def validate(
     path: str | Path, *, static: bool = False, checks: Sequence[str] | None = None, tolerance: float | None = None
 ) -> list[str]:
-    """Problems of an FMU of any tool: an empty list means that none was found.
+    """Errors of an FMU of any tool against the standard: an empty list means that none was found.
 
     Its archive, its description (by fmpy) and the records in it are looked at first. Then its code runs, in a process
     of its own: the recorded runs have to come out again within `tolerance` [1] (1e-6 for FMUs of alfmu, 1e-3 for
@@ -245,13 +250,9 @@ def _library(check: Check, folder: Path, description: ModelDescription) -> Findi
     version, simulation = description.fmiVersion[:1], description.coSimulation
     if simulation is None or version not in "23":
         return check.finding(version, UNJUDGED, "it is no FMU for co-simulation of FMI 2 or 3, and no other is run")
-    platform = fmpy.platform if version == "2" else fmpy.platform_tuple
-    file = folder / "binaries" / platform / f"{simulation.modelIdentifier}{fmpy.sharedLibraryExtension}"
-    there = sorted(each.name for each in (folder / "binaries").glob("*") if any(each.iterdir()))
-    have = f"it has those of {', '.join(there) or 'none'}"
-    if not file.is_file():
-        return check.finding(version, UNJUDGED, f"there is none for {platform}, so that its code cannot run; {have}")
-    return check.finding(version, PASSED, have)
+    if missing := missing_library(folder, description):
+        return check.finding(version, UNJUDGED, f"{missing}, so that its code cannot run")
+    return check.finding(version, PASSED, f"it has those of {', '.join(platforms_of(folder))}")
 
 
 def _related(folder: Path) -> tuple[list[str], str | None]:

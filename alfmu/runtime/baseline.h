@@ -1,0 +1,24 @@
+/* Functions of the C library by the versions that every glibc has: a library that is built here then runs on older systems,
+   too. Newer versions of these differ in errno alone. */
+
+#ifndef ALFMU_BASELINE_H
+#define ALFMU_BASELINE_H
+
+#include <math.h> /* which says what the C library is */
+
+#if defined(__GLIBC__) && defined(__GNUC__)
+#if defined(__x86_64__)
+#define ALFMU_OLD(NAME) __asm__(".symver " #NAME ", " #NAME "@GLIBC_2.2.5");
+#elif defined(__aarch64__)
+#define ALFMU_OLD(NAME) __asm__(".symver " #NAME ", " #NAME "@GLIBC_2.17");
+#endif
+#endif
+
+#if defined(ALFMU_OLD)
+ALFMU_OLD(acos) ALFMU_OLD(acosh) ALFMU_OLD(asin) ALFMU_OLD(asinh) ALFMU_OLD(atan) ALFMU_OLD(atan2) ALFMU_OLD(atanh)
+ALFMU_OLD(cos) ALFMU_OLD(cosh) ALFMU_OLD(erf) ALFMU_OLD(exp) ALFMU_OLD(expm1) ALFMU_OLD(fmod) ALFMU_OLD(hypot)
+ALFMU_OLD(log) ALFMU_OLD(log1p) ALFMU_OLD(pow) ALFMU_OLD(remainder) ALFMU_OLD(sin) ALFMU_OLD(sinh) ALFMU_OLD(tan)
+ALFMU_OLD(tanh)
+#endif
+
+#endif

@@ -1,0 +1,101 @@
+/* The floating-point environment at the border to a host, which may have unmasked traps, or round in another way: inside,
+   nothing traps, and numbers are those of every host. A host that changed nothing pays for a look at two registers. */
+
+#ifndef ALFMU_BORDER_H
+#define ALFMU_BORDER_H
+
+#include <stdint.h>
+
+#if defined(__SSE2__) || defined(_M_X64)
+#include <xmmintrin.h>
+#define ALFMU_SSE 1
+#endif
+
+/* What the host had, where it was not the usual. */
+typedef struct {
+    int changed;
+#if defined(ALFMU_SSE)
+    unsigned sse;
+    unsigned x87[7]; /* as FNSTENV stores it */
+#elif defined(__aarch64__)
+    uint64_t control;
+#endif
+} Border;
+
+#if defined(ALFMU_SSE)
+
+#define USUAL_SSE 0x1f80u  /* all traps masked, to nearest, with subnormal numbers, no flags */
+#define FLAGS_SSE 0x3fu
+#define MASKED_X87 0x3fu
+
+static inline Border border_in(void)
+{
+    Border b = {0, _mm_getcsr(), {0}};
+#if defined(__GNUC__)
+    uint16_t control;
+    __asm__ volatile("fnstcw %0" : "=m"(control));
+    b.changed = (control & MASKED_X87) != MASKED_X87;
+#endif
+    b.changed |= (b.sse & ~FLAGS_SSE) != USUAL_SSE;
+    if (b.changed) {
+#if defined(__GNUC__)
+        __asm__ volatile("fnstenv %0" : "=m"(b.x87) : : "memory"); /* which masks them */
+#endif
+        _mm_setcsr(USUAL_SSE);
+    }
+    return b;
+}
+
+static inline void border_out(const Border *b)
+{
+    if (!b->changed)
+        return;
+#if defined(__GNUC__)
+    __asm__ volatile("fldenv %0" : : "m"(b->x87) : "memory");
+#endif
+    _mm_setcsr(b->sse);
+}
+
+#elif defined(__aarch64__) && defined(__GNUC__)
+
+static inline Border border_in(void)
+{
+    Border b;
+    __asm__ volatile("mrs %0, fpcr" : "=r"(b.control) : : "memory");
+    b.changed = b.control != 0;
+    if (b.changed)
+        __asm__ volatile("msr fpcr, %0" : : "r"((uint64_t)0) : "memory");
+    return b;
+}
+
+static inline void border_out(const Border *b)
+{
+    if (b->changed)
+        __asm__ volatile("msr fpcr, %0" : : "r"(b->control) : "memory");
+}
+
+#else /* WebAssembly has no traps; others are left as they are. */
+
+static inline Border border_in(void)
+{
+    const Border b = {0};
+    return b;
+}
+
+static inline void border_out(const Border *b)
+{
+    (void)b;
+}
+
+#endif
+
+/* What a call gives, made inside. */
+#define INSIDE(TYPE, CALL) \
+    do { \
+        const Border border = border_in(); \
+        TYPE given = (TYPE)(CALL); \
+        border_out(&border); \
+        return given; \
+    } while (0)
+
+#endif
