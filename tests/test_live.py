@@ -570,22 +570,22 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         "    return m\n"
     )
     assert main(["live", "rod.py"]) == 0
-    assert "wrote rod.html" in capsys.readouterr().out
-    text = (tmp_path / "rod.html").read_text()
+    assert "wrote rod_live.html" in capsys.readouterr().out
+    text = (tmp_path / "rod_live.html").read_text()
     assert "A &lt;b&gt;rod&lt;/b&gt; &amp; its &lt;/script&gt; hinge" in text
     assert "</script> hinge" not in text
     assert main(["live", "rod.py"]) == 0
-    assert "replaced rod.html" in capsys.readouterr().out
-    (tmp_path / "rod.html").write_text("mine")
+    assert "replaced rod_live.html" in capsys.readouterr().out
+    (tmp_path / "rod_live.html").write_text("mine")
     assert main(["live", "rod.py"]) == 1
-    assert "rod.html is there and was not written by alfmu live" in capsys.readouterr().err
+    assert "rod_live.html is there and was not written by alfmu live" in capsys.readouterr().err
     assert main(["live", "rod.py", "-o", "rod.txt"]) == 1
     assert "must end in .html" in capsys.readouterr().err
     assert main(["live", "slider_crank", "--set", "l2=0.1"]) == 1
     assert "the loops cannot be closed" in capsys.readouterr().err
     assert main(["live", "slider_crank", "--set", "l9=0.1"]) == 1
     assert "no input or parameter 'l9'" in capsys.readouterr().err
-    assert not (tmp_path / "slider_crank.html").exists()
+    assert not (tmp_path / "slider_crank_live.html").exists()
 
 
 def test_with_few_outputs_the_picture_has_what_it_needs(tmp_path):

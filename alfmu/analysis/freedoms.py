@@ -25,9 +25,9 @@ from ..simulation import Progress, communication_points
 from .branches import STRAIGHT, Way, polished, ways
 from .laws import prescribed
 from .loops import STEP, Loops, plain
-from .situation import Situation, Source, Subject, Vector, source, subject
+from .situation import Situation, Source, Subject, Vector, begun, source, subject
 from .small import independent
-from .states import begun, motion
+from .states import motion
 
 __all__ = ["Branch", "Freedoms", "Group", "SingularPosition", "freedoms", "mobility"]
 

@@ -21,11 +21,13 @@ from ..fmi.recipe import Recipe, of
 from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
 from ..model.motion import COEFFICIENTS
+from ..model.words import there_is
+from ..result import Signal
 from ..runtime import Instance
 from ..runtime.prepare import with_defaults
 from ..runtime.probe import Probe, mobility, row_shares, row_units
 from ..runtime.reuse import derive
-from ..simulation import by_name
+from ..simulation import by_name, signals_of
 
 __all__ = [
     "LEFT_OUT",
@@ -34,6 +36,7 @@ __all__ = [
     "State",
     "Subject",
     "Vector",
+    "begun",
     "situation",
     "situation_of",
     "source",
@@ -280,3 +283,37 @@ def subject(
         raise InputError(f"{name}: the time is {time!r}; it must be a finite number in s")
     found = situation(source(mechanism, parameters), float(time), rubs)
     return replace(found, state=replace(found.state, t=float(time)))
+
+
+def begun(
+    mechanism: Subject,
+    parameters: Mapping[str, float | str],
+    inputs: Mapping[str, Signal],
+    time: float = 0.0,
+    rubs: bool = False,
+) -> Situation:
+    """The situation at a start with inputs as they are at its time [s]; see `subject`."""
+    signals = signals_of(mechanism, inputs)
+    where = subject(mechanism, parameters, time, rubs and not signals)
+    if not signals:
+        return where
+    e = where.equations
+    held, given = e.inputs, {name: signal(where.state.t) for name, signal in signals.items()}
+    moving = {held[x.input + k].name for x in e.followed for k in range(1 + x.derivatives)}
+    elsewhere = [name for name in given if name in moving | {x.name for x in e.switches}]
+    if isinstance(mechanism, Instance):
+        if elsewhere:
+            raise InputError(f"{where.name}: {elsewhere[0]} moves or holds an Instance; set() it there, and step on")
+    elif elsewhere or (rubs and e.frictions):  # The mechanism begins elsewhere, or joints stick where they slid.
+        return subject(mechanism, {**parameters, **given}, time, rubs)
+    return _with_inputs(where, given)
+
+
+def _with_inputs(where: Situation, inputs: Mapping[str, float]) -> Situation:
+    """The same with other inputs."""
+    u, names = where.state.u.copy(), [v.name for v in where.equations.inputs]
+    for name, value in inputs.items():
+        if name not in names:
+            raise InputError(f"{where.name} has no input {name!r}; {there_is(name, names)}")
+        u[names.index(name)] = value
+    return replace(where, state=replace(where.state, u=u))

@@ -80,7 +80,9 @@ def add(command: Command) -> None:
     sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
     sub.epilog = _LIVE
     add_name(sub, "mechanism", "NAME", EITHER_HELP)
-    sub.add_argument("-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME.html here)")
+    sub.add_argument(
+        "-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME_live.html here)"
+    )
     sub.add_argument(
         *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)"
     )
@@ -155,7 +157,7 @@ def _live(chosen: argparse.Namespace) -> None:
 
     recipe = chosen_recipe(chosen, chosen.mechanism).changed(communication_step=chosen.step)
     mechanism = recipe.declared()
-    path = Path(chosen.output or f"{file_name(mechanism.name)}.html")
+    path = Path(chosen.output or f"{file_name(mechanism.name)}_live.html")
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path} cannot hold a page; its name must end in .html")
     if path.exists() and not chosen.output and not written_by_alfmu(path):
