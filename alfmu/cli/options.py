@@ -24,11 +24,9 @@ Command = Callable[[str, Callable[[argparse.Namespace], int | None], str], argpa
 STEP = ("--communication-step", "--step")
 """How the communication step is given: as FMI calls it, or in short."""
 
-NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python, MJCF, SDF or URDF file that declares one"
+NAME_HELP = "a name of `alfmu list`, or a Python, MJCF, SDF or URDF file that declares one"
 
-EITHER_HELP = (
-    "a registered mechanism or recipe (see `alfmu list`), or a Python, MJCF, SDF or URDF file that declares one"
-)
+EITHER_HELP = "a mechanism or recipe of `alfmu list`, or a Python, MJCF, SDF or URDF file that declares one"
 
 
 def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *suffixes: str) -> None:
@@ -36,10 +34,11 @@ def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *
 
     def known(prefix: str, **_: Any) -> list[str]:
         from ..fmi.recipe import GROUP as RECIPES
-        from ..model.registry import GROUP, registered
+        from ..model.registry import known as mechanisms
+        from ..model.registry import registered
         from ..model.sources import LINKAGES
 
-        return registered(GROUP, RECIPES) + _files(prefix, (".py", *LINKAGES, *suffixes))
+        return mechanisms() + registered(RECIPES) + _files(prefix, (".py", *LINKAGES, *suffixes))
 
     sub.add_argument(name, metavar=metavar, help=text).completer = known  # type: ignore[attr-defined]
 

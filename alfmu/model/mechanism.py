@@ -609,6 +609,7 @@ class Mechanism:
         self._symbols: dict[int | None, Symbol] = {key_of(self.time): Symbol("time", "time", "s")}
         self._owned: set[Body | SpatialBody] = {self.ground, self.spatial_ground}
         self._changes: list[tuple[Any, str, Any]] = []
+        self._choices: dict[str, list[str]] = {}
 
     def _as_it_was(self) -> Callable[[], None]:
         """What makes the mechanism again what it is now, for a declaration that is refused halfway."""

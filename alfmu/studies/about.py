@@ -115,7 +115,7 @@ def about(recipe: Recipe, mechanism: Mechanism, everything: Equations) -> About:
     instance.initialize()
     return About(
         mechanism,
-        choices(recipe.mechanism),
+        choices(mechanism),
         everything,
         equations,
         instance.mobility(),
