@@ -27,9 +27,8 @@ def _pages() -> dict[str, tuple[Path, str]]:
     pages = {}
     for path in files:
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.FunctionDef) and isinstance(node.returns, ast.Name):
-                if node.returns.id == "Mechanism":
-                    pages[path.stem.removeprefix("plot_")] = path, node.name
+            if isinstance(node, ast.FunctionDef) and node.returns and ast.unparse(node.returns) == "Mechanism":
+                pages[path.stem.removeprefix("plot_")] = path, node.name
     return pages
 
 

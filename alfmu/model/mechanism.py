@@ -610,6 +610,9 @@ class Mechanism:
         self._owned: set[Body | SpatialBody] = {self.ground, self.spatial_ground}
         self._changes: list[tuple[Any, str, Any]] = []
         self._choices: dict[str, list[str]] = {}
+        self._weighs = False
+        self._points: set[Body] = set()
+        self._told: set[float] = set()
 
     def _as_it_was(self) -> Callable[[], None]:
         """What makes the mechanism again what it is now, for a declaration that is refused halfway."""
@@ -658,7 +661,7 @@ class Mechanism:
         if (low is not None and default < low) or (high is not None and default > high):
             raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{low}, {high}]")
         if unit == "m":
-            perhaps_millimetres(f"{self.name}: the default of {name}", default)
+            self._perhaps_millimetres(f"the default of {name}", default)
         elif unit == "rad":
             perhaps_degrees(f"{self.name}: the default of {name}", default)
         text(f"{self.name}: the description of {name}", description)
@@ -945,18 +948,24 @@ class Mechanism:
         name: str,
         *,
         mass: Scalar,
-        inertia: Scalar = 0.0,
+        inertia: Scalar | None = None,
         center: tuple[Scalar, Scalar] = (0.0, 0.0),
         pose: tuple[Scalar, Scalar, Scalar] | None = None,
     ) -> Body:
         """A rigid body: mass [kg], inertia about its centre of mass [kg.m2], centre of mass in its frame [m].
 
+        Without an inertia it is a point mass; where it turns, a warning asks whether the inertia was forgotten, which
+        `inertia=0.0` answers.
+
         `pose` (x, y, angle) gives the place of the *centre of mass* [m] and the angle of the frame [rad] in ground axes
         (absolute coordinates). A body without one is placed by a joint with a coordinate, or by a weld.
         """
-        mass, inertia = self._mass(name, mass), self._inertia(name, inertia)
+        mass, given = self._mass(name, mass), self._inertia(name, 0.0 if inertia is None else inertia)
         center = self._vector(f"the center of {name}", center, ("m",) * 2, CONSTANT)
-        return self._add(Body(name, mass, inertia, center, pose=self._pose(name, pose)))
+        body = self._add(Body(name, mass, given, center, pose=self._pose(name, pose)))
+        if inertia is None:
+            self._points.add(body)
+        return body
 
     def bar(
         self,
@@ -990,7 +999,8 @@ class Mechanism:
         return Point(*(self._moving("a point", each, "m") for each in (x, y)))
 
     def gravity(self, x: Scalar, y: Scalar, z: Scalar = 0.0) -> None:
-        """The acceleration of gravity [m/s2] in ground axes."""
+        """The acceleration of gravity [m/s2] in ground axes; (0, 0) says that there is none."""
+        self._weighs = True
         self.gravity_vector = self._vector("gravity", (x, y, z), ("m/s2",) * 3, CONSTANT)
 
     def spatial_body(
@@ -2160,7 +2170,7 @@ class Mechanism:
                 if kind:
                     self._no_jumps(f"a point of {user}", x, "m")
             for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
-                perhaps_millimetres(f"{self.name}: {what}", x)
+                self._perhaps_millimetres(what, x)
 
     def _body(self, body: Body | SpatialBody, user: str) -> None:
         if not isinstance(body, Body | SpatialBody):
@@ -2373,8 +2383,15 @@ class Mechanism:
         constant = all(self._symbols[key_of(symbol)].kind in CONSTANT for symbol in symbols_in(length))
         if constant and not (value := self._at_defaults(what, length)) > 0:
             raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
-        perhaps_millimetres(f"{self.name}: {what}", length)
+        self._perhaps_millimetres(what, length)
         return length
+
+    def _perhaps_millimetres(self, what: str, value: Scalar) -> None:
+        """Warn of a length that looks like millimetres: once of each."""
+        if isinstance(value, ca.SX) or abs(value) not in self._told:
+            perhaps_millimetres(f"{self.name}: {what}", value)
+        if not isinstance(value, ca.SX):
+            self._told.add(abs(value))
 
     def _pose(self, name: str, pose: Any) -> tuple[Scalar, Scalar, Scalar] | None:
         if pose is None:

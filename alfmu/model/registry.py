@@ -116,7 +116,9 @@ def choices(mechanism: str | Path | Mechanism) -> dict[str, list[str]]:
 def _in_words(takes: dict[str, tuple[Any, ...]], hints: dict[str, Any]) -> dict[str, list[str]]:
     """The values that options take, or a word for them."""
     words = {int: "whole number", float: "number", str: "text"}
-    return {name: list(map(str, values)) or [words.get(hints.get(name, object), "any")] for name, values in takes.items()}
+    return {
+        name: list(map(str, values)) or [words.get(hints.get(name, object), "any")] for name, values in takes.items()
+    }
 
 
 def _hints(mechanism: str | Path, factory: Factory) -> dict[str, Any]:
@@ -154,8 +156,8 @@ def _factory(mechanism: str | Path) -> Factory:
     there = [f"{name}.py"] if Path(f"{name}.py").is_file() else nearest(name, known())
     said = f"did you mean {in_words(there)}? Use" if there else "use"
     raise InputError(
-        f"there is no mechanism {name!r}; {said} one of {', '.join(mechanisms())}, a name of the gallery (`alfmu list`), "
-        "or the path of a Python file that declares one"
+        f"there is no mechanism {name!r}; {said} one of {', '.join(mechanisms())}, a name of the gallery "
+        "(`alfmu list`), or the path of a Python file that declares one"
     )
 
 
