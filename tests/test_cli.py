@@ -399,7 +399,7 @@ def test_a_shell_completes_commands_options_names_and_files(tmp_path, capsys):
     for name in ("fourth.fmu", "fox.py", "foo.txt"):
         (tmp_path / name).write_text("")
     assert completions("alfmu sim", tmp_path) == ["simulate"]
-    assert completions("alfmu info fo", tmp_path) == ["four_bar", "fox.py"]
+    assert completions("alfmu info fo", tmp_path) == ["four_bar", "four_cylinders", "fox.py"]
     assert completions("alfmu simulate fo", tmp_path) == ["four_bar", "fourth.fmu", "fox.py"]
     assert completions("alfmu simulate four_bar --ker", tmp_path) == ["--kernel"]
     assert completions("alfmu simulate four_bar --kernel or", tmp_path) == ["oracle"]
