@@ -5,6 +5,9 @@ const find = (id) => document.getElementById(id);
 const { variables, interval } = about;
 const place = new Map(about.shown.map((reference, column) => [variables[reference].name, column]));
 
+const EMBEDDED = location.hash === "#embedded"; // in a frame of another page, as a picture that runs
+document.documentElement.toggleAttribute("data-embedded", EMBEDDED);
+
 const AHEAD = 0.05; // s of the clock that rows are asked for before they are shown
 const BUDGET = 20; // ms of work between two answers of the worker, and one communication step at least
 const SLOW = 2500; // ms after which a step is said to take long
@@ -214,8 +217,9 @@ function shape() {
 }
 
 function show(stamp) {
-  const at = present();
   run.changed = false;
+  if (about.picture && !find("picture").clientWidth) return; // in a frame that is hidden, until it has a size
+  const at = present();
   if (at || run.drawn) picture.draw((at || run.drawn).row);
   if (!at) return;
   run.drawn = at;
@@ -358,6 +362,7 @@ const tidy = (x) => (x !== 0 && (Math.abs(x) >= 1e5 || Math.abs(x) < 1e-3) ? x.t
 function makePanels() {
   panels.forEach((panel) => panel.box.remove());
   panels.length = 0;
+  if (EMBEDDED) return;
   about.panels.forEach(({ groups, chosen }) => panels.push(new Panel(groups.map((g) => about.groups[g]), chosen)));
 }
 
