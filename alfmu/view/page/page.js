@@ -169,7 +169,7 @@ let before = 0;
 function tick(stamp) {
   const passed = Math.min(stamp - before, 100) / 1000;
   before = stamp;
-  if (run.playing && run.rows.length && !run.starting) {
+  if (run.playing && run.rows.length && !run.starting && !hidden()) {
     run.now = Math.min(run.now + passed * run.speed, latest());
     pursue();
     run.marks.push([stamp, run.now]);
@@ -186,6 +186,9 @@ function tick(stamp) {
   if (run.changed) show(stamp);
   requestAnimationFrame(tick);
 }
+
+// In a frame that is not shown, nothing moves.
+const hidden = () => EMBEDDED && !find("picture").clientWidth;
 
 const update = () => { run.changed = true; };
 
@@ -218,7 +221,7 @@ function shape() {
 
 function show(stamp) {
   run.changed = false;
-  if (about.picture && !find("picture").clientWidth) return; // in a frame that is hidden, until it has a size
+  if (hidden()) return;
   const at = present();
   if (at || run.drawn) picture.draw((at || run.drawn).row);
   if (!at) return;
