@@ -6,8 +6,10 @@ Every number may be a float or an expression in parameters; poses, forces and ou
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
+import sys
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import copy
@@ -52,7 +54,7 @@ from .relations import (
 from .spatial import RELATIVE, SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, Vector, right_handed
 from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, is_rate, rate_of, unit
-from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
+from .words import LONGEST, Brief, counted, in_words, no_attribute, shown, text, there_is
 
 if TYPE_CHECKING:
     from ..equations.derivation import Kinematics
@@ -463,6 +465,30 @@ class Experiment:
                 raise DeclarationError(f"{name} of an experiment is {value} s; it must be above zero")
 
 
+MEANT = {
+    **dict.fromkeys(("damper", "damping", "spring", "stiffness", "torsion_spring"), "spring_damper"),
+    **dict.fromkeys(("hinge", "pin", "pin_joint", "pivot", "rotational"), "revolute"),
+    **dict.fromkeys(("slider", "slide", "guide", "translational", "linear"), "prismatic"),
+    **dict.fromkeys(("rod", "beam", "link", "segment"), "bar"),
+    **dict.fromkeys(("ball", "ball_joint"), "spherical"),
+    **dict.fromkeys(("motor", "actuator", "actuate"), "drive"),
+    **dict.fromkeys(("fix", "fixed", "rigid", "attach"), "weld"),
+    **dict.fromkeys(("slot", "pin_in_slot"), "point_on_line"),
+    **dict.fromkeys(("contact", "limit", "stop", "bumper"), "end_stop"),
+    **dict.fromkeys(("mass", "rigid_body", "plate"), "body"),
+    **dict.fromkeys(("rope", "cable", "tie_rod"), "distance"),
+    **dict.fromkeys(("sensor", "probe"), "measure"),
+}
+"""Names that other programs have for what a mechanism is made of, and the method of each."""
+
+BOOKKEEPING = (
+    *("closures", "compliant", "declared_at", "drawn_bars", "drawn_joints", "drives", "end_stops", "generalized"),
+    *("gravity_vector", "kinetic", "laws", "loads", "measured", "measured_joints", "measured_springs", "measures_all"),
+    *("moves", "potential", "relations", "releases", "signals", "spatial_loads", "springs", "starts", "ties", "trace"),
+    "watched",
+)
+"""Public names that no user needs: they are not listed, and become private."""
+
 _Part = TypeVar("_Part")
 _Form = TypeVar("_Form", str, bytes)
 _Related = TypeVar("_Related", bound=Relation)
@@ -479,7 +505,11 @@ class _Parts(Generic[_Part]):
     @overload
     def __get__(self, mechanism: Mechanism, owner: type) -> tuple[_Part, ...]: ...
     def __get__(self, mechanism: Mechanism | None, owner: type) -> Self | tuple[_Part, ...]:
-        return self if mechanism is None else tuple(self.of(mechanism))
+        if mechanism is None:
+            return self
+        if self._name in BOOKKEEPING and not sys._getframe(1).f_globals.get("__name__", "").startswith("alfmu."):
+            warnings.warn(f"Mechanism.{self._name} becomes private in the next version", DeprecationWarning, 2)
+        return tuple(self.of(mechanism))
 
     def __set__(self, mechanism: Mechanism, value: Never) -> None:
         raise DeclarationError(
@@ -510,6 +540,9 @@ class Mechanism:
     `ground` is the frame of the ground in the plane, x to the right, y upwards and angles [rad] counter-clockwise;
     `spatial_ground` is that in space; `time` is the symbol of time [s]. Numbers are in SI units: floats, or expressions
     of CasADi in what the methods return.
+
+    What is declared can be read: `parameters`, `coordinates`, `inputs`, `states`, `outputs`, `bodies`, `joints`,
+    `spatial_bodies` and `spatial_joints` are tuples in the order of declaration, `options` are those it was made with.
 
     `sketch` is shown wherever the mechanism is explained; the README beside a mechanism's file is its documentation.
     Its `author` is named in the FMU. Methods raise DeclarationError, with the mechanism and the name, where what they
@@ -589,6 +622,19 @@ class Mechanism:
         sizes["joint"] = len(self.joints) + len(self.spatial_joints)
         said = [counted(size, of) for of, size in sizes.items() if size]
         return f"Mechanism({', '.join([repr(self.name), *said])})"
+
+    def __dir__(self) -> list[str]:
+        return [name for name in super().__dir__() if name not in BOOKKEEPING]
+
+    if not TYPE_CHECKING:  # a checker knows what there is
+
+        def __getattr__(self, name: str) -> Any:
+            raise AttributeError(no_attribute(self, name, MEANT.get(name)))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if inspect.isfunction(getattr(Mechanism, name, None)) and not name.startswith("_"):
+            raise DeclarationError(f"{self.name}: {name} is a method; call it, as m.{name}(...), and do not set it")
+        super().__setattr__(name, value)
 
     def __post_init__(self) -> None:
         self._parts: dict[str, list[Any]] = {}

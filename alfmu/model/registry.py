@@ -234,7 +234,7 @@ def _explained(error: BaseException, file: str, line: int) -> str:
     of_symbols = casadi_function(file, line)
     if isinstance(error, FutureWarning) or (of_symbols and re.search("SX|casadi", said)):
         return f"functions of NumPy and of Python's math are not for symbols; use {of_symbols or 'those of CasADi'}"
-    if isinstance(error, AttributeError | NameError) and error.name:
+    if isinstance(error, AttributeError | NameError) and error.name and "did you mean" not in said:
         names = dir(error.obj) if isinstance(error, AttributeError) else ()
         if meant := nearest(error.name, [name for name in names if not name.startswith("_")]):
             said += f"; did you mean {in_words(meant)}?"
