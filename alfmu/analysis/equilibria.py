@@ -122,9 +122,16 @@ class Equilibrium:
         """Numbers beside the parameters that its place follows from: what locks keep, and signals."""
         return self.situation.p[len(self.situation.equations.parameters) :]
 
+    @property
+    def _units(self) -> dict[str, str]:
+        e = self.situation.equations
+        return {v.name: v.unit for v in (*e.coordinates, *e.states)}
+
     def said(self) -> str:
         """In a line, for readers."""
-        shown = ", ".join(f"{name} = {plain(x)}" for name, x in list(self.coordinates.items())[:_SHOWN])
+        shown = ", ".join(
+            f"{name} = {plain(x, self._units[name])}" for name, x in list(self.coordinates.items())[:_SHOWN]
+        )
         return f"{self.stability}, {shown}"
 
     @property
@@ -229,7 +236,7 @@ class Equilibria(Sequence[Equilibrium]):
             lines += [f"{k + 1:3}  {each.stability}{slowest}{grows_by}{beside}{where}"]
             if each.stability == "not judged":
                 lines += [f"     {each.reason}"]
-            lines += [f"     {text}" for text in _columns({**each.coordinates, **each.states})]
+            lines += [f"     {text}" for text in _columns({**each.coordinates, **each.states}, each._units)]
             lines += ["     held by " + ", ".join(each.held_by)] * bool(each.held_by)
             lines += [f"     balance within {each.residual:.1e} N, N.m"]
         return [*lines, *self.notes]
@@ -245,8 +252,8 @@ _SHOWN = 12
 """Coordinates that a table shows."""
 
 
-def _columns(coordinates: Mapping[str, float]) -> list[str]:
-    texts = [f"{name} = {plain(x)}" for name, x in list(coordinates.items())[:_SHOWN]]
+def _columns(coordinates: Mapping[str, float], units: Mapping[str, str]) -> list[str]:
+    texts = [f"{name} = {plain(x, units[name])}" for name, x in list(coordinates.items())[:_SHOWN]]
     more = [f"and {len(coordinates) - _SHOWN} more"] if len(coordinates) > _SHOWN else []
     each = [*texts, *more]
     return ["  ".join(each[begin : begin + 5]) for begin in range(0, len(each), 5)]

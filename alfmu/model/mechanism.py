@@ -54,7 +54,7 @@ from .relations import (
 from .spatial import RELATIVE, SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, Vector, right_handed
 from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, is_rate, rate_of, unit
-from .words import LONGEST, Brief, counted, in_words, no_attribute, shown, text, there_is
+from .words import LONGEST, Brief, angle, counted, in_words, no_attribute, shown, text, there_is
 
 if TYPE_CHECKING:
     from ..equations.derivation import Kinematics
@@ -1630,7 +1630,7 @@ class Mechanism:
             for x in at.values():
                 if turn and abs(x) >= math.pi:
                     raise DeclarationError(
-                        f"{self.name}: {what} is at {x:g} rad, and the angle of {turn} is known from -pi to pi only"
+                        f"{self.name}: {what} is at {angle(x)}, and the angle of {turn} is known from -pi to pi only"
                     )
         if dissipation is not None and restitution is not None:
             raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
@@ -126,6 +127,11 @@ def some_like(pattern: str, names: Collection[str]) -> str:
     """The same of a pattern that nothing matches: all of a part may have been meant, as of a body by its name."""
     whole = any(name.startswith(f"{pattern}.") for name in names)
     return f"did you mean {pattern}.*?" if whole else there_is(pattern, names)
+
+
+def angle(value: float, digits: int = 3) -> str:
+    """An angle [rad] as a person reads it."""
+    return f"{value:.{digits}g} rad ({math.degrees(value):.{digits}g} degrees)"
 
 
 def in_words(names: Collection[str]) -> str:
