@@ -248,7 +248,7 @@ def mobility(
             "give time or stop_time"
         )
     stop_time = (0.0 if time else found.equations.stop_time) if stop_time is None else stop_time
-    where = begun(mechanism, parameters or {}, inputs or {}, time)
+    where = begun(found, {}, inputs or {}, time)
     if not stop_time:
         return freedoms(where)
     times = communication_points(where.name, stop_time, found.equations.interval)

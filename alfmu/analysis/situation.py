@@ -70,6 +70,10 @@ class Source:
     outputs: Sequence[str] | None = None
     """Patterns of the outputs that a recipe keeps; None for all."""
 
+    @property
+    def name(self) -> str:
+        return self.equations.name
+
     def drawn(self) -> Mechanism:
         """The declaration, for a picture; InputError where the equations alone are known."""
         if self.declared is None:
@@ -78,15 +82,18 @@ class Source:
 
 
 def source(
-    mechanism: str | Path | Mechanism | Recipe | Equations, parameters: Mapping[str, float | str] | None
+    mechanism: str | Path | Mechanism | Recipe | Equations | Source, parameters: Mapping[str, float | str] | None
 ) -> Source:
-    """What a name, a file, a declaration, a recipe or equations stand for, with other defaults.
+    """What a name, a file, a declaration, a recipe or equations stand for, with other defaults; or a source with more.
 
     Raises AlfmuError where a name or a value is at fault.
     """
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
         raise InputError(f"{mechanism}: an FMU does not tell its equations; name the mechanism that it was exported of")
     parameters = by_name(mechanism, "parameters", parameters)
+    if isinstance(mechanism, Source):
+        given = {**mechanism.given, **parameters}
+        return replace(mechanism, equations=with_defaults(mechanism.plain, given), given=given)
     if isinstance(mechanism, Equations):
         return Source(with_defaults(mechanism, parameters), changes(mechanism), None, mechanism, parameters)
     recipe = of(mechanism)
@@ -268,7 +275,10 @@ def _here(equations: Equations, p: Vector, q: Vector) -> Vector:
 
 
 def subject(
-    mechanism: Subject, parameters: Mapping[str, float | str] | None = None, time: float = 0.0, rubs: bool = False
+    mechanism: Subject | Source,
+    parameters: Mapping[str, float | str] | None = None,
+    time: float = 0.0,
+    rubs: bool = False,
 ) -> Situation:
     """The situation of what is analysed, with other defaults, at a time [s] for which loads and laws are taken.
 
@@ -286,7 +296,7 @@ def subject(
 
 
 def begun(
-    mechanism: Subject,
+    mechanism: Subject | Source,
     parameters: Mapping[str, float | str],
     inputs: Mapping[str, Signal],
     time: float = 0.0,

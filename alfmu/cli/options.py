@@ -169,7 +169,8 @@ def chosen_recipe(chosen: argparse.Namespace, name: str) -> Recipe:
 def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
     """The equations of a recipe; what it sets may look like another unit, as what a mechanism declares may."""
     from ..equations.derivation import derive
-    from ..model.checks import perhaps_degrees, perhaps_millimetres
+    from ..model.checks import hint, perhaps_degrees, perhaps_millimetres
+    from ..model.doubts import masses, perhaps_grams
     from ..runtime.prepare import with_defaults
 
     equations = with_defaults(derive(mechanism), recipe.parameters)
@@ -178,6 +179,10 @@ def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
         perhaps_degrees(f"{equations.name}: {v.name}", v.start)
     for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
         perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
+    if any(v.unit == "kg" and v.name in own for v in equations.parameters):
+        values = {v.name: v.start for v in equations.parameters}
+        for message in perhaps_grams(equations.name, masses(mechanism, values)).values():
+            hint(message)
     return equations
 
 
