@@ -91,11 +91,14 @@ class Result:
         """The names, so that `dict(result)` has the columns by name."""
         return self.names
 
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """A column (rows,) by its name, `time` included, or those of a pattern (rows, columns) in their order.
+    def __getitem__(self, name: str | tuple[str, ...] | list[str]) -> NDArray[np.float64]:
+        """A column (rows,) by its name, `time` included, or those of a pattern or of several (rows, columns) in their
+        order.
 
         Raises InputError where nothing is called so, with the nearest names.
         """
+        if not isinstance(name, str):
+            return self.values[:, self._places(name)]
         if name in self.names:
             return self.values[:, self.names.index(name)]
         return self.time if name == "time" else self.values[:, self._places((name,))]
@@ -134,14 +137,15 @@ class Result:
         table.attrs["units"] = dict(self.units)
         return table
 
-    def plot(self, names: Sequence[str] | str | None = None) -> Figure:
-        """A figure of matplotlib over time, of names or patterns such as "link*.angle"; see `alfmu.view.plot.figure`.
+    def plot(self, names: Sequence[str] | str | None = None, *more: str) -> Figure:
+        """A figure of matplotlib over time, of names or patterns such as "link*.angle", in a list or one after the
+        other; see `alfmu.view.plot.figure`.
 
         It shows itself in a notebook, `savefig("run.png")` writes it. Needs `alfmu[plot]`.
         """
         from .view.plot import figure
 
-        return figure(self, [names] if isinstance(names, str) else names)
+        return figure(self, None if names is None else [*([names] if isinstance(names, str) else names), *more])
 
     def animate(self, path: str | Path | None = None, *, fps: float = 25.0, speed: float = 1.0) -> Film | None:
         """A film of the motion, written as `.gif` or `.html`, or without a path one that shows itself in a notebook.

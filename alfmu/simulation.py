@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -16,6 +17,7 @@ from . import oracle
 from .equations import Equations, Variable
 from .equations.specialisation import plain, starting_at
 from .kernel import DEFAULT, KERNELS
+from .model.doubts import no_gravity
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
 from .model.settings import Settings
@@ -57,6 +59,9 @@ HIDDEN, NOTHING = 1e-3, 1e-12
 in a thousand, and a run says so; below the second one the state is round-off."""
 
 _LOGGER = logging.getLogger("alfmu")
+
+_TOLD: set[str] = set()
+"""What was said of mechanisms in this process."""
 
 Progress = Callable[[Iterable[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
@@ -140,7 +145,23 @@ def simulate(
     found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel)
     stop_time = found.stop_time if stop_time is None else stop_time
     step = found.interval if communication_step is None else communication_step
-    return run(found.unit, stop_time, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
+    result = run(found.unit, stop_time, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
+    _tell_what_was_forgotten(found)
+    return result
+
+
+def _tell_what_was_forgotten(of: Prepared) -> None:
+    """Warn of a mechanism without gravity, and of coordinates that nothing determines at the start: once each."""
+    if of.unit.equations.programs.setdefault("told what was forgotten", of) is not of:
+        return
+    said = [no_gravity(of.declared)] if of.declared is not None else []
+    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
+        if free := of.unit.forgotten():
+            said.append(f"{of.unit.name}: {free}")
+    for text in filter(None, said):
+        if text not in _TOLD:
+            _TOLD.add(text)
+            _LOGGER.warning("%s", text)
 
 
 @dataclass(frozen=True)

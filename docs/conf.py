@@ -1,5 +1,6 @@
 """Sphinx: `python -m sphinx -W docs docs/_build` builds the pages, without network."""
 
+import shutil
 import sys
 from datetime import date
 from importlib.metadata import version as version_of
@@ -79,9 +80,19 @@ def _without_gallery(app: Any, document: str, source: list[str]) -> None:
         source[0] = source[0].replace("mechanisms/gallery/index", "mechanisms/index")
 
 
+def _live(app: Any, error: Exception | None) -> None:
+    """The pages that run in frames of the first page stand beside it."""
+    if not error and app.builder.format == "html":
+        for page in (HERE / "made" / "index").glob("*.html"):
+            target = Path(app.outdir) / "_live" / page.name
+            target.parent.mkdir(exist_ok=True)
+            shutil.copy(page, target)
+
+
 def setup(app: Any) -> None:
     """Formulas as MathML, which browsers show by themselves: nothing is fetched."""
     app.connect("autodoc-process-docstring", _escaped)
+    app.connect("build-finished", _live)
     app.connect("source-read", _without_gallery)
     if GALLERY:
         from films import small

@@ -124,6 +124,24 @@ def _read(app: Any, document: str, source: list[str]) -> None:
         page, folder = Path(app.env.doc2path(document)), Path(app.srcdir) / MADE / document
         if wrong := in_folder(page, folder):
             logging.getLogger(__name__).warning(wrong, location=document)
+            _failed(app.env).add(document)
+
+
+def _failed(env: Any) -> set[str]:
+    """Pages that did not run, kept with the environment until they are read again."""
+    return env.__dict__.setdefault("snippets_failed", set())
+
+
+def _merge(app: Any, env: Any, documents: Any, other: Any) -> None:
+    """Take over what another process read."""
+    _failed(env).update(_failed(other) & set(documents))
+
+
+def _end(app: Any, error: Exception | None) -> None:
+    """The build fails where a page did not run, with -W or without."""
+    if failed := sorted(_failed(app.env)) if app.env else []:
+        print(f"pages that did not run: {', '.join(failed)}", file=sys.stderr)
+        app.statuscode = 1
 
 
 def _lenient(app: Any, config: Any) -> None:
@@ -137,6 +155,9 @@ def setup(app: Any) -> dict[str, Any]:
     app.add_config_value("snippets_pages", EVERY, "env", str)
     app.connect("config-inited", _lenient)
     app.connect("source-read", _read)
+    app.connect("env-purge-doc", lambda app, env, document: _failed(env).discard(document))
+    app.connect("env-merge-info", _merge)
+    app.connect("build-finished", _end)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 

@@ -46,9 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "Remake the study of Blajer (2002): Table I, Figure 7, iterations and corrections, accuracy against the "
         "penalty, and the driven four-bar through its singular positions. Writes report.md, CSV files and pictures."
     )
-    chosen = parser("paper", paper.STUDIES, text, "some minutes", "short runs, less than a minute").parse_args(
-        arguments
-    )
+    chosen = parser(
+        "paper", paper.STUDIES, text, "some minutes", "short runs, half a minute on a quiet machine"
+    ).parse_args(arguments)
 
     def make(studies: list[str], command: str) -> None:
         write(chosen.output, paper.QUICK if chosen.quick else paper.USUAL, studies, command)

@@ -22,6 +22,9 @@ from alfmu.cli import main
 
 G = 9.81
 
+HOLD = 2 * G * 0.35 * 0.5
+"""Torque that holds the pendulum 60 degrees from the horizontal [N.m]."""
+
 
 def pendulum(damping: float = 0.05) -> alfmu.Mechanism:
     """A bar of 2 kg and 0.7 m with a torque at its hinge."""
@@ -143,6 +146,21 @@ def test_inputs_and_time_are_held_where_they_are_given():
     m.torque(m.bodies[0], hold * m.time)
     assert alfmu.equilibrium(m, time=1.0).nearest.coordinates["th"] == pytest.approx(-np.pi / 3, abs=1e-12)
     assert len(alfmu.equilibrium(m, time=3.0)) == 0  # more than gravity can balance
+
+
+@pytest.mark.parametrize(
+    ("signal", "time"), [(HOLD, 0.0), (lambda t: t * HOLD, 1.0), (([0.0, 4.0], [0.0, 2 * HOLD]), 2.0)]
+)
+def test_positions_of_rest_take_inputs_as_runs_do(signal, time, tmp_path, capsys):
+    """The torque that holds the bar at -60 degrees, m g l/2 cos, as a number, a function of time and a table."""
+    found = alfmu.equilibrium(pendulum(), inputs={"A.torque": signal}, time=time)
+    assert found.nearest.coordinates["th"] == pytest.approx(-np.pi / 3, abs=1e-12)
+    assert "th = -1.0472 (-60 deg)" in "\n".join(found.lines())
+    with pytest.raises(alfmu.InputError, match=r"has no input 'A.torqe'; did you mean A.torque\?"):
+        alfmu.equilibrium(pendulum(), inputs={"A.torqe": signal})
+    (tmp_path / "inputs.csv").write_text("time,A.torque\n0,0\n4,1\n")
+    assert main(["equilibrium", "five_bar", "--input", str(tmp_path / "inputs.csv"), "--at", "2"]) == 0
+    assert "inputs: A.torque = 0.5, D.torque = 0" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("coordinates", ["joint", "mixed", "absolute"])

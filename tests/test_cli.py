@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import alfmu
-from alfmu.cli import _parser, main
+from alfmu.cli import GROUPS, _parser, main
 from alfmu.cli.options import name_list
 from alfmu.runtime.library import library
 
@@ -399,8 +399,8 @@ def test_a_shell_completes_commands_options_names_and_files(tmp_path, capsys):
     for name in ("fourth.fmu", "fox.py", "foo.txt"):
         (tmp_path / name).write_text("")
     assert completions("alfmu sim", tmp_path) == ["simulate"]
-    assert completions("alfmu info fo", tmp_path) == ["four_bar", "fox.py"]
-    assert completions("alfmu simulate fo", tmp_path) == ["four_bar", "fourth.fmu", "fox.py"]
+    assert completions("alfmu info fo", tmp_path) == ["four_bar", "four_cylinders", "fox.py"]
+    assert completions("alfmu simulate fo", tmp_path) == ["four_bar", "four_cylinders", "fourth.fmu", "fox.py"]
     assert completions("alfmu simulate four_bar --ker", tmp_path) == ["--kernel"]
     assert completions("alfmu simulate four_bar --kernel or", tmp_path) == ["oracle"]
     assert main(["completion", "bash"]) == 0
@@ -420,3 +420,70 @@ def test_options_of_several_names_may_be_given_many_times(here, capsys):
     assert alfmu.Sweep.load("few").plan.measures == kept
     assert main(["simulate", "four_bar", "--stop-time", "0.02", "--lock", "B", "--lock", "C", "-o", "run.csv"]) == 0
     assert {"B.locked", "C.locked"} <= set(alfmu.Result.from_csv("run.csv").names)
+
+
+def test_the_help_has_every_command_in_one_group(capsys):
+    _, commands = _parser()
+    grouped = [name for names in GROUPS.values() for name in names]
+    assert sorted(grouped) == sorted(commands)
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    lines = capsys.readouterr().out.splitlines()
+    named = [line.split()[0] for line in lines if re.match(r" {4}\w", line)]
+    assert named == grouped
+    assert [line.strip() for line in lines if re.fullmatch(r"  \w+", line)] == list(GROUPS)
+
+
+COUNTED = """
+from pathlib import Path
+
+from alfmu import Mechanism
+
+with Path("runs").open("a") as file:
+    file.write("x")
+
+def counted(n: int = 1) -> Mechanism:
+    m = Mechanism("counted")
+    rod = m.bar("rod", mass=2.0, length=1.0)
+    m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", start=0.5, independent=True))
+    return m
+"""
+
+
+@pytest.mark.parametrize("command", ["simulate", "info", "draw", "export", "equilibrium", "linearize", "mobility"])
+def test_a_file_that_declares_a_mechanism_runs_once(here, command):
+    (here / "counted.py").write_text(COUNTED)
+    assert main([command, "counted.py"]) == 0
+    assert (here / "runs").read_text() == "x"
+
+
+def test_a_run_tells_of_gravity_and_of_the_solver_when_it_is_asked(here, capsys):
+    """In half a second from rest the bar falls by an angle that energy and a quadrature give."""
+    fall = COUNTED.replace("counted", "fall").replace("return m", "m.gravity(0, -9.81)\n    return m")
+    (here / "fall.py").write_text(fall)
+    assert main(["simulate", "fall.py", "--stop-time", "0.5"]) == 0
+    out = capsys.readouterr().out.splitlines()
+    (said,) = [line for line in out if line.startswith("gravity")]
+    assert len(out) == 2
+    angle = read(here / "fall.csv")["rod.angle"]
+    varied = 2.0 * 9.81 * 0.5 * np.ptp(np.sin(angle))
+    assert said.startswith(f"gravity: 9.81 m/s2 along -y; its potential varied by {varied:.3g} J (100 % of both), the")
+    assert main(["simulate", "fall.py", "--stop-time", "0.5", "--verbose"]) == 0
+    assert "multiplier iterations" in capsys.readouterr().out
+    assert main(["info", "fall.py"]) == 0
+    assert "gravity: 9.81 m/s2 along -y, 19.6 N on all bodies" in capsys.readouterr().out
+    (here / "fall.py").write_text(fall.replace("-9.81", "9.81"))
+    assert main(["info", "fall.py"]) == 0
+    assert "gravity: 9.81 m/s2 along +y, which is upwards, 19.6 N" in capsys.readouterr().out
+    (here / "counted.py").write_text(COUNTED)
+    for command in ("info", "simulate"):
+        assert main([command, "counted.py"]) == 0
+        assert (
+            "gravity: bodies have masses and no gravity acts; declare it by gravity(0, -9.81)"
+            in capsys.readouterr().out
+        )
+
+
+def test_a_mass_that_is_set_in_grams_is_doubted(here, capsys):
+    assert main(["info", "five_bar", "--set", "m2=500"]) == 0
+    assert "the mass of link2 is 500 kg, 500 times that of any other body; if grams" in capsys.readouterr().err

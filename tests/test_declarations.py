@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 
 import alfmu
+from alfmu import Mechanism
 from alfmu.cli import main
 from alfmu.model.checks import number
-from alfmu.model.errors import AlfmuWarning
+from alfmu.model.errors import AlfmuWarning, DeclarationError
+from alfmu.model.mechanism import BOOKKEEPING
 from alfmu.model.words import nearest, there_is
 
 HEAD = """
@@ -608,3 +610,123 @@ def test_two_coordinates_for_one_motion_are_named_among_many():
     m.body("cart", mass=1.0, pose=(twice + m.coordinate("again", "m"), 0.0, 0.0))
     with pytest.raises(alfmu.AssemblyError, match="the motion along twice, again has no mass and no constraint"):
         alfmu.simulate(m, 0.02, 0.02)
+
+
+# Doubts about a whole declaration ------------------------------------------------------------------------------------
+
+
+def masses(*given: float, inertia: float | None = 0.0) -> Mechanism:
+    """Discs on hinges beside each other."""
+    m = Mechanism("discs")
+    for i, mass in enumerate(given):
+        disc = m.body(f"disc{i}", mass=mass, center=(0.1, 0.0), inertia=inertia)
+        angle = m.coordinate(f"angle{i}", "rad", independent=True)
+        m.revolute(f"hinge{i}", m.ground.at(i, 0), disc.at(0, 0), coordinate=angle)
+    m.gravity(0, -9.81)
+    return m
+
+
+@pytest.mark.parametrize(
+    ("given", "heavy"),
+    [
+        ((500.0, 0.2, 0.05), "disc0 is 500 kg, 2500 times that of any other body; if grams were meant, give 0.5"),
+        ((0.3, 250.0), "disc1 is 250 kg, 833 times that of any other body; if grams were meant, give 0.25"),
+        ((500.0, 200.0, 50.0), ""),  # a machine
+        ((1000.0, 10.0, 1e-3), ""),  # a flywheel, a ram and a light rod
+        ((5.0, 1e-3), ""),  # no more than what a hand lifts
+        ((1e6, 0.1), ""),  # in grams it would be as odd
+        ((500.0,), ""),
+    ],
+)
+def test_a_mass_in_grams_is_doubted(given, heavy, recwarn):
+    m = masses(*given)
+    if not heavy:
+        alfmu.derive(m)
+        assert not recwarn.list
+        return
+    with pytest.warns(AlfmuWarning, match=re.escape(heavy)):
+        alfmu.derive(m)
+
+
+def test_a_body_that_turns_without_an_inertia_is_doubted(recwarn):
+    with pytest.warns(AlfmuWarning, match="disc0 turns and has a mass but no inertia; give inertia="):
+        alfmu.derive(masses(1.0, inertia=None))
+    recwarn.clear()
+    alfmu.derive(masses(1.0, inertia=0.0))
+    m = Mechanism("cart")  # which slides
+    cart = m.body("cart", mass=1.0)
+    m.prismatic("rail", m.ground.at(0, 0), cart.at(0, 0), coordinate=m.coordinate("x", "m", independent=True))
+    m.gravity(0, 0)
+    alfmu.derive(m)
+    assert not recwarn.list
+
+
+def test_a_length_is_doubted_once(recwarn):
+    m = Mechanism("long")
+    rod = m.body("rod", mass=1.0, inertia=1.0)
+    warnings.simplefilter("always", AlfmuWarning)
+    m.revolute("A", m.ground.at(0, 0), rod.at(250.0, 0), coordinate=m.coordinate("th", "rad", independent=True))
+    m.watch("end", rod.at(-250.0, 0))
+    m.watch("tip", rod.at(250.0, 1.0))
+    m.watch("other", rod.at(300.0, 0))
+    assert [str(each.message).partition(" is ")[2] for each in recwarn] == [
+        "250 m; if millimetres were meant, give 0.25",
+        "300 m; if millimetres were meant, give 0.3",
+    ]
+
+
+@pytest.mark.parametrize("gravity", [None, (0, 0), (0, -9.81)])
+def test_a_mechanism_that_leaves_gravity_open_says_so_once(gravity, caplog):
+    m = Mechanism(f"open{gravity is None}{sum(gravity or ())}".replace(".", "_").replace("-", "_"))
+    rod = m.bar("rod", mass=1.0, length=1.0)
+    m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad", start=0.5, independent=True))
+    if gravity is not None:
+        m.gravity(*gravity)
+    for stop in (0.02, 0.04):
+        alfmu.simulate(m, stop)
+    said = "bodies have masses and no gravity acts; declare it by gravity(0, -9.81), or none by gravity(0, 0)"
+    assert caplog.messages == ([f"{m.name}: {said}"] if gravity is None else [])
+
+
+def test_python_tells_of_a_forgotten_independent_as_the_command_line_does(caplog):
+    m = Mechanism("forgotten")
+    rod = m.bar("rod", mass=1.0, length=1.0)
+    m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad", start=0.5))
+    m.gravity(0, -9.81)
+    for stop in (0.02, 0.04):
+        alfmu.simulate(m, stop)
+    (said,) = caplog.messages
+    assert said.startswith("forgotten: no start value determines th: what the guesses say is taken")
+    with pytest.raises(
+        alfmu.InputError, match=r"'start.th': th is not independent.*; declare it with independent=True"
+    ):
+        alfmu.simulate(m, 0.02, parameters={"start.th": 1.0})
+    instance = alfmu.Instance(m)
+    with pytest.raises(alfmu.InputError, match=r"'start.th_rate': th is not independent"):
+        instance.set("start.th_rate", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("line", "meant"),
+    [
+        ("m.damping(A, 0.1)", "Mechanism odd has no 'damping'; did you mean spring_damper?"),
+        ("m.hinge('B')", "Mechanism odd has no 'hinge'; did you mean revolute?"),
+        ("m.revolut('B')", "Mechanism odd has no 'revolut'; did you mean revolute or spatial_revolute?"),
+        ("rod.ends", "Body rod has no 'ends'; did you mean end?"),
+        ("m.gravity = (0, -9.81)", "odd: gravity is a method; call it, as m.gravity(...), and do not set it"),
+    ],
+)
+def test_unknown_attributes_suggest_the_nearest_builder(line, meant):
+    m = Mechanism("odd")
+    names = {"m": m, "rod": m.bar("rod", mass=1.0, length=1.0), "A": None}
+    with pytest.raises((AttributeError, DeclarationError), match=f"^{re.escape(meant)}$"):
+        exec(line, names)
+
+
+def test_bookkeeping_of_a_mechanism_is_not_listed_and_becomes_private():
+    m = Mechanism("odd")
+    listed = {name for name in dir(m) if not name.startswith("_")}
+    assert not listed & set(BOOKKEEPING)
+    assert {"parameters", "coordinates", "bodies", "joints", "revolute", "gravity"} <= listed
+    with pytest.warns(DeprecationWarning, match="closures becomes private in the next version"):
+        assert m.closures == tuple(Mechanism.closures.of(m))

@@ -374,7 +374,7 @@ def test_pendulum_tension(closed_by: str) -> None:
     c, s = np.cos(th), np.sin(th)
     m = alfmu.Mechanism("pendulum")
     if closed_by == "coordinate":
-        bob = m.body("bob", mass=MASS, center=(LENGTH, 0.0))
+        bob = m.body("bob", mass=MASS, inertia=0.0, center=(LENGTH, 0.0))
         m.revolute("pivot", m.ground.at(), bob.at(), coordinate=m.coordinate("th", "rad"))
         q, v = [th], [w]
     elif closed_by == "constraints":
@@ -382,6 +382,7 @@ def test_pendulum_tension(closed_by: str) -> None:
         bob = m.body(
             "bob",
             mass=MASS,
+            inertia=0.0,
             center=(LENGTH, 0.0),
             pose=tuple(m.coordinate(k, u) for k, u in zip("xya", ("m", "m", "rad"), strict=True)),
         )

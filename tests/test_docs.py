@@ -238,6 +238,43 @@ def site(tmp_path_factory) -> Path:
     return folder / "site"
 
 
+def test_a_page_that_does_not_run_fails_the_build_without_w_too(tmp_path):
+    """Until it is mended, also where it is not read again."""
+    shutil.copy(DOCS / "snippets.py", tmp_path)
+    (tmp_path / "conf.py").write_text(
+        "import sys\n\nsys.path.insert(0, '.')\nextensions = ['myst_parser', 'snippets']\n"
+    )
+    page = tmp_path / "index.md"
+    command = [sys.executable, "-m", "sphinx", "-q", ".", "out"]
+
+    def build() -> tuple[int, str]:
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+        return done.returncode, done.stderr
+
+    page.write_text("# A page\n\n```python\nassert 1 == 2\n```\n")
+    for _ in range(2):
+        code, said = build()
+        assert code == 1
+        assert "pages that did not run: index" in said
+    page.write_text("# A page\n")
+    assert build() == (0, "")
+
+
+def test_the_first_page_has_the_lines_of_what_runs_in_it():
+    """Four mechanisms, each in a frame beside its declaration, of some ten lines."""
+    text = (DOCS / "index.md").read_text(encoding="utf-8")
+    framed = re.findall(r'src="_live/(\w+)\.html#embedded"', text)
+    declared = dict(re.findall(r"```python\n# (\w+)\.py\n(.*?)```", text, re.S))
+    assert framed == list(declared)
+    assert len(framed) == 4
+    for name, lines in declared.items():
+        assert f"$ alfmu live {name}.py -o {name}.html\n" in text
+        assert len(lines.strip().splitlines()) - 2 <= 12, name
+        namespace: dict[str, object] = {}
+        exec(lines, namespace)
+        assert getattr(namespace["m"], "name", "") == name
+
+
 def test_the_gallery_lists_an_example_by_its_film(site):
     if not (site / "mechanisms/gallery/index.html").exists():
         pytest.skip("this copy comes without the gallery")

@@ -12,7 +12,7 @@ from alfmu import DeclarationError, InputError, Mechanism, load
 from alfmu.cli import main
 from alfmu.view.drawing import as_data, from_data
 from alfmu.view.picture import COLORS, COLORS_OF_ICON, animate, drawing, geometry, model_png, view_of
-from alfmu.view.surface import WHITE, Text, placed, width_of
+from alfmu.view.surface import PUSHED, WHITE, Text, placed, width_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -167,6 +167,18 @@ def test_labels_keep_apart_from_each_other_and_from_pins():
     assert placed([*texts[3:], Text("far", 400.0, 300.0, 14.0, color)], size)[1] == Text(
         "far", 400.0, 300.0, 14.0, color
     )
+
+
+def test_labels_that_others_push_far_off_are_left_out_of_films():
+    """Of six in one place those stay that are next to it; a label alone stays anyway."""
+    texts = [Text(f"label {i}", 100.0, 100.0, 14.0, "#000000") for i in range(6)]
+    alone = Text("alone", 300.0, 300.0, 14.0, "#000000")
+    every, some = placed([*texts, alone], (640, 480)), placed([*texts, alone], (640, 480), pushed=PUSHED)
+    assert [t.text for t in every] == [*(t.text for t in texts), "alone"]
+    assert set(some) < set(every)
+    assert {t.text for t in some} >= {"alone"}
+    assert 2 <= len(some) - 1 <= 4
+    assert all(abs(t.y - 100.0) <= PUSHED * 0.6 * 15 for t in some if t != alone)
 
 
 # In space -------------------------------------------------------------------------------------------------------------

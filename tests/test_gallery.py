@@ -2,6 +2,7 @@
 
 import ast
 import runpy
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 import alfmu
+from alfmu.cli import main
+from alfmu.model.content import content
 from alfmu.view import picture
 
 matplotlib = pytest.importorskip("matplotlib")
@@ -213,6 +216,28 @@ def test_a_file_has_a_users_length_and_declares_one_mechanism(name: str):
     assert len(declares) == (0 if name in REGISTERED else 1)
 
 
+def registered(function: Callable[[], alfmu.Mechanism]) -> alfmu.Mechanism:
+    """What a function declares, with all that `load` adds."""
+    m, named = function(), alfmu.load(Path(function.__code__.co_filename).stem.removeprefix("plot_"))
+    m.options, m.documentation = named.options, named.documentation
+    return m
+
+
+def test_the_mechanisms_of_the_gallery_are_names(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)  # which declarations do not take
+    assert main(["list"]) == 0
+    listed = capsys.readouterr().out.partition("from the gallery")[2]
+    for name in CHECKS.keys() - REGISTERED:
+        assert f"\n{name} " in listed
+    assert main(["simulate", "windscreen_wiper", "--stop-time", "0.02", "--outputs", "arm1.angle"]) == 0
+    assert main(["draw", "windscreen_wiper"]) == 0
+    assert alfmu.load("bar_clamp", reach=0.1).options == {"reach": 0.1}
+    assert alfmu.simulate("kapitza", 0.01).time[-1] == 0.01
+    assert main(["info", "wiper"]) == 1
+    assert "did you mean windscreen_wiper?" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("name", CHECKS)
 def test_a_file_runs_and_its_check_holds(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -228,6 +253,10 @@ def test_a_file_runs_and_its_check_holds(
     finally:
         pyplot.close("all")
     CHECKS[name](names)
+    if name not in REGISTERED:  # By its name, it is the same mechanism, without the run.
+        (function,) = [f for f in names.values() if getattr(f, "__annotations__", {}).get("return") is alfmu.Mechanism]
+        declared = alfmu.load(name)
+        assert content(declared) == content(registered(function))
     assert capsys.readouterr().out.count("\n") >= 1, "the file says nothing of its check"
     assert [path.name for path in tmp_path.iterdir()] == [f"{name}.gif"]
     result = names["result"]

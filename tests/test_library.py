@@ -160,6 +160,9 @@ def test_a_plot_is_a_figure_of_what_was_asked_for(four_bar):
     assert "force" not in labels
     assert np.array_equal(lines[0].get_xdata(), four_bar.time)
     assert four_bar.plot().axes
+    one, other = four_bar.plot("link1.angle", "A.force.x"), four_bar.plot(["link1.angle", "A.force.x"])
+    assert [len(figure.axes) for figure in (one, other)] == [2, 2]
+    assert [axes.get_ylabel() for axes in one.axes] == [axes.get_ylabel() for axes in other.axes]
 
 
 def test_a_film_shows_itself_in_a_notebook(four_bar, here):

@@ -550,6 +550,50 @@ def test_the_largest_page_is_small(written):
     assert written("flyball_governor").stat().st_size < LARGEST
 
 
+@pytest.mark.parametrize("name", ["gyroscope", "bennett", "flyball_governor"])
+@pytest.mark.parametrize("size", [(1200, 1000), (420, 800)])
+def test_what_moves_in_space_stays_in_the_picture(opened, name, size):
+    """Points of bodies and their shadows, from wherever they are looked at."""
+    page = opened(name, size=size)
+    page.run_to(0.4)
+    page.drawn()
+    out = page.browser.execute_script("""
+      let out = 0;
+      const { row } = run.drawn;
+      for (let k = 0; k < 24; k++) {
+        picture.yaw = k * Math.PI / 12;
+        picture.pitch = [-0.2, 0.38, 1.2][k % 3];
+        picture.fit(row);
+        const floor = picture.upright(picture.low)[2];
+        for (const frame of picture.about.bodies) {
+          for (const p of [[0, 0, 0], ...frame.points.map((p) => p.map((i) => picture.numbers[i]))]) {
+            const place = picture.moved(row, frame, p), foot = [...picture.upright(place)];
+            foot[2] = floor;
+            for (const q of [place, picture.fromUpright(foot)]) {
+              const [x, y] = picture.project(q);
+              out = Math.max(out, -x, -y, x - picture.width, y - picture.height);
+            }
+          }
+        }
+      }
+      return out""")
+    assert out <= 0
+
+
+def test_a_page_in_a_frame_shows_the_picture_alone(written, browser):
+    path = written(*FIXED)
+    browser.get(path.as_uri() + "#embedded")
+    try:
+        shown = "return [...document.querySelectorAll(arguments[0])].map((e) => getComputedStyle(e).display !== 'none')"
+        assert browser.execute_script(shown, "#picture, #play") == [True, True]
+        assert not any(browser.execute_script(shown, "header, footer, #controls, #plots, #readouts"))
+        wait = "return alfmu.state().now > 0.1"
+        assert any(browser.execute_script(wait) or time.sleep(0.1) for _ in range(300))
+        assert browser.execute_script("return document.documentElement.scrollHeight <= innerHeight")
+    finally:
+        browser.get("about:blank")
+
+
 def test_the_same_bytes_for_the_same_mechanism(written, tmp_path):
     path = tmp_path / "again.html"
     assert main(["live", "particle_on_circle", "-o", str(path)]) == 0
@@ -570,22 +614,22 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         "    return m\n"
     )
     assert main(["live", "rod.py"]) == 0
-    assert "wrote rod.html" in capsys.readouterr().out
-    text = (tmp_path / "rod.html").read_text()
+    assert "wrote rod_live.html" in capsys.readouterr().out
+    text = (tmp_path / "rod_live.html").read_text()
     assert "A &lt;b&gt;rod&lt;/b&gt; &amp; its &lt;/script&gt; hinge" in text
     assert "</script> hinge" not in text
     assert main(["live", "rod.py"]) == 0
-    assert "replaced rod.html" in capsys.readouterr().out
-    (tmp_path / "rod.html").write_text("mine")
+    assert "replaced rod_live.html" in capsys.readouterr().out
+    (tmp_path / "rod_live.html").write_text("mine")
     assert main(["live", "rod.py"]) == 1
-    assert "rod.html is there and was not written by alfmu live" in capsys.readouterr().err
+    assert "rod_live.html is there and was not written by alfmu live" in capsys.readouterr().err
     assert main(["live", "rod.py", "-o", "rod.txt"]) == 1
     assert "must end in .html" in capsys.readouterr().err
     assert main(["live", "slider_crank", "--set", "l2=0.1"]) == 1
     assert "the loops cannot be closed" in capsys.readouterr().err
     assert main(["live", "slider_crank", "--set", "l9=0.1"]) == 1
     assert "no input or parameter 'l9'" in capsys.readouterr().err
-    assert not (tmp_path / "slider_crank.html").exists()
+    assert not (tmp_path / "slider_crank_live.html").exists()
 
 
 def test_with_few_outputs_the_picture_has_what_it_needs(tmp_path):

@@ -300,6 +300,18 @@ def test_the_page_draws_its_plots_in_a_browser(written, chromium):
     assert errors(chromium) == []
 
 
+def test_the_page_opens_with_its_picture_and_a_sentence(written):
+    """Prose is behind folds, and no table is without numbers."""
+    body = written.with_name("report.html").read_text().partition("<main")[2]
+    opening = body[: body.index("<details>")]
+    assert opening.index("<p>") < opening.index('<div class="plot"')
+    (sentence,) = re.findall(r"<p>(.*?)</p>", opening, re.S)
+    assert re.match(r"<strong>particle_on_circle</strong>: .* in [\d.]+(e-\d+)? ms\.", sentence)
+    assert "Every run is judged" not in opening
+    for table in re.findall(r"<table>.*?</table>", body, re.S):
+        assert re.search(r"<td[^>]*>-?\d", table), table[:300]
+
+
 def test_no_line_ends_within_a_number_of_a_page():
     page = Page("numbers")
     page.text("| error | note |\n|---|---|\n| 3.2e-14 | some 1e-3 of it |\n")

@@ -21,10 +21,11 @@ from ..files import write
 from ..model.calls import asked
 from ..model.errors import InputError
 from ..model.words import counted
+from ..result import Signal
 from .branches import polished, ways
 from .laws import check_at_rest, driving, held_still
 from .loops import STEP, Loops, WithStates, plain
-from .situation import Situation, Subject, Vector, subject
+from .situation import Situation, Subject, Vector, begun
 from .small import ZERO, Small, small_motions
 
 if TYPE_CHECKING:
@@ -121,9 +122,16 @@ class Equilibrium:
         """Numbers beside the parameters that its place follows from: what locks keep, and signals."""
         return self.situation.p[len(self.situation.equations.parameters) :]
 
+    @property
+    def _units(self) -> dict[str, str]:
+        e = self.situation.equations
+        return {v.name: v.unit for v in (*e.coordinates, *e.states)}
+
     def said(self) -> str:
         """In a line, for readers."""
-        shown = ", ".join(f"{name} = {plain(x)}" for name, x in list(self.coordinates.items())[:_SHOWN])
+        shown = ", ".join(
+            f"{name} = {plain(x, self._units[name])}" for name, x in list(self.coordinates.items())[:_SHOWN]
+        )
         return f"{self.stability}, {shown}"
 
     @property
@@ -228,7 +236,7 @@ class Equilibria(Sequence[Equilibrium]):
             lines += [f"{k + 1:3}  {each.stability}{slowest}{grows_by}{beside}{where}"]
             if each.stability == "not judged":
                 lines += [f"     {each.reason}"]
-            lines += [f"     {text}" for text in _columns({**each.coordinates, **each.states})]
+            lines += [f"     {text}" for text in _columns({**each.coordinates, **each.states}, each._units)]
             lines += ["     held by " + ", ".join(each.held_by)] * bool(each.held_by)
             lines += [f"     balance within {each.residual:.1e} N, N.m"]
         return [*lines, *self.notes]
@@ -244,8 +252,8 @@ _SHOWN = 12
 """Coordinates that a table shows."""
 
 
-def _columns(coordinates: Mapping[str, float]) -> list[str]:
-    texts = [f"{name} = {plain(x)}" for name, x in list(coordinates.items())[:_SHOWN]]
+def _columns(coordinates: Mapping[str, float], units: Mapping[str, str]) -> list[str]:
+    texts = [f"{name} = {plain(x, units[name])}" for name, x in list(coordinates.items())[:_SHOWN]]
     more = [f"and {len(coordinates) - _SHOWN} more"] if len(coordinates) > _SHOWN else []
     each = [*texts, *more]
     return ["  ".join(each[begin : begin + 5]) for begin in range(0, len(each), 5)]
@@ -260,16 +268,18 @@ def equilibrium(
     mechanism: Subject,
     *,
     parameters: Mapping[str, float | str] | None = None,
+    inputs: Mapping[str, Signal] | None = None,
     time: float = 0.0,
     starts: int = STARTS,
 ) -> Equilibria:
     """The positions of rest of a mechanism under its loads and springs, stable or not, the nearest to the start first.
 
     `mechanism` is what `simulate` takes, but no FMU; or an `Instance`, with the values and inputs that it has.
-    `parameters` sets parameters, start values and inputs by name, `time` [s] is the instant for which loads are taken.
-    They are looked for from the start and from `starts` other places, the same each time: on the ways that lead from
-    the start, and, to find other assemblies, anywhere. Redundant constraints, singular positions and massless bodies
-    are no obstacle; where a position is singular, its stability is not judged.
+    `parameters` sets parameters, start values and inputs by name, `inputs` gives inputs over time as `simulate` takes
+    them, `time` [s] is the instant for which loads and inputs are taken. Positions are looked for from the start and
+    from `starts` other places, the same each time: on the ways that lead from the start, and, to find other assemblies,
+    anywhere. Redundant constraints, singular positions and massless bodies are no obstacle; where a position is
+    singular, its stability is not judged.
 
     Inputs that move something are held where they are, and laws of time as they are at that instant. Dry friction is
     left out: positions where it balances the loads lie about those that are found. Further states are at rest, too:
@@ -281,7 +291,7 @@ def equilibrium(
     if isinstance(starts, bool) or not isinstance(starts, int) or starts < 0:
         name = getattr(mechanism, "name", mechanism)
         raise InputError(f"{name}: starts is {starts!r}; it must be a whole number, 0 or above")
-    return equilibria(subject(mechanism, parameters, time), starts)
+    return equilibria(begun(mechanism, parameters or {}, inputs or {}, time), starts)
 
 
 def equilibria(where: Situation, starts: int = STARTS) -> Equilibria:

@@ -25,9 +25,9 @@ from ..simulation import Progress, communication_points
 from .branches import STRAIGHT, Way, polished, ways
 from .laws import prescribed
 from .loops import STEP, Loops, plain
-from .situation import Situation, Source, Subject, Vector, source, subject
+from .situation import Situation, Source, Subject, Vector, begun, source, subject
 from .small import independent
-from .states import begun, motion
+from .states import motion
 
 __all__ = ["Branch", "Freedoms", "Group", "SingularPosition", "freedoms", "mobility"]
 
@@ -248,7 +248,7 @@ def mobility(
             "give time or stop_time"
         )
     stop_time = (0.0 if time else found.equations.stop_time) if stop_time is None else stop_time
-    where = begun(mechanism, parameters or {}, inputs or {}, time)
+    where = begun(found, {}, inputs or {}, time)
     if not stop_time:
         return freedoms(where)
     times = communication_points(where.name, stop_time, found.equations.interval)

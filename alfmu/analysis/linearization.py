@@ -185,7 +185,11 @@ class Linearization:
 
     def lines(self) -> list[str]:
         """A table for readers."""
-        state = ", ".join(f"{name} = {self.values[name] + 0.0:.6g} {self.units[name]}" for name in self.states)
+        state = ", ".join(
+            f"{name} = {self.values[name] + 0.0:.6g} {self.units[name]}"
+            + f" ({math.degrees(self.values[name]):.4g} deg)" * (self.units[name] == "rad" and self.values[name] != 0)
+            for name in self.states
+        )
         how = "at rest" if self.at_rest else "in motion, as if the state stood still"
         lines = [f"{self.mechanism}: linearised at t = {self.time:g} s, {how}", f"state: {state or 'none'}"]
         if self.inputs:

@@ -7,6 +7,7 @@ in these coordinates. Where time is the last coordinate it is in y, and in no mo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
@@ -365,6 +366,8 @@ def _inverses(s: Vector) -> Vector:
     return s / (s**2 + (NOTHING * s.max(initial=0.0)) ** 2 + 1e-300)
 
 
-def plain(x: float) -> str:
-    """A coordinate for readers: what is left of zero by round-off is zero."""
-    return f"{x:.6g}" if abs(x) > 1e-12 else "0"
+def plain(x: float, unit: str = "1") -> str:
+    """A coordinate for readers, angles in degrees too: what is left of zero by round-off is zero."""
+    if abs(x) <= 1e-12:
+        return "0"
+    return f"{x:.6g}" + f" ({math.degrees(x):.4g} deg)" * (unit == "rad")

@@ -21,11 +21,13 @@ from ..fmi.recipe import Recipe, of
 from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
 from ..model.motion import COEFFICIENTS
+from ..model.words import there_is
+from ..result import Signal
 from ..runtime import Instance
 from ..runtime.prepare import with_defaults
 from ..runtime.probe import Probe, mobility, row_shares, row_units
 from ..runtime.reuse import derive
-from ..simulation import by_name
+from ..simulation import by_name, signals_of
 
 __all__ = [
     "LEFT_OUT",
@@ -34,6 +36,7 @@ __all__ = [
     "State",
     "Subject",
     "Vector",
+    "begun",
     "situation",
     "situation_of",
     "source",
@@ -67,6 +70,10 @@ class Source:
     outputs: Sequence[str] | None = None
     """Patterns of the outputs that a recipe keeps; None for all."""
 
+    @property
+    def name(self) -> str:
+        return self.equations.name
+
     def drawn(self) -> Mechanism:
         """The declaration, for a picture; InputError where the equations alone are known."""
         if self.declared is None:
@@ -75,15 +82,18 @@ class Source:
 
 
 def source(
-    mechanism: str | Path | Mechanism | Recipe | Equations, parameters: Mapping[str, float | str] | None
+    mechanism: str | Path | Mechanism | Recipe | Equations | Source, parameters: Mapping[str, float | str] | None
 ) -> Source:
-    """What a name, a file, a declaration, a recipe or equations stand for, with other defaults.
+    """What a name, a file, a declaration, a recipe or equations stand for, with other defaults; or a source with more.
 
     Raises AlfmuError where a name or a value is at fault.
     """
     if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
         raise InputError(f"{mechanism}: an FMU does not tell its equations; name the mechanism that it was exported of")
     parameters = by_name(mechanism, "parameters", parameters)
+    if isinstance(mechanism, Source):
+        given = {**mechanism.given, **parameters}
+        return replace(mechanism, equations=with_defaults(mechanism.plain, given), given=given)
     if isinstance(mechanism, Equations):
         return Source(with_defaults(mechanism, parameters), changes(mechanism), None, mechanism, parameters)
     recipe = of(mechanism)
@@ -265,7 +275,10 @@ def _here(equations: Equations, p: Vector, q: Vector) -> Vector:
 
 
 def subject(
-    mechanism: Subject, parameters: Mapping[str, float | str] | None = None, time: float = 0.0, rubs: bool = False
+    mechanism: Subject | Source,
+    parameters: Mapping[str, float | str] | None = None,
+    time: float = 0.0,
+    rubs: bool = False,
 ) -> Situation:
     """The situation of what is analysed, with other defaults, at a time [s] for which loads and laws are taken.
 
@@ -280,3 +293,37 @@ def subject(
         raise InputError(f"{name}: the time is {time!r}; it must be a finite number in s")
     found = situation(source(mechanism, parameters), float(time), rubs)
     return replace(found, state=replace(found.state, t=float(time)))
+
+
+def begun(
+    mechanism: Subject | Source,
+    parameters: Mapping[str, float | str],
+    inputs: Mapping[str, Signal],
+    time: float = 0.0,
+    rubs: bool = False,
+) -> Situation:
+    """The situation at a start with inputs as they are at its time [s]; see `subject`."""
+    signals = signals_of(mechanism, inputs)
+    where = subject(mechanism, parameters, time, rubs and not signals)
+    if not signals:
+        return where
+    e = where.equations
+    held, given = e.inputs, {name: signal(where.state.t) for name, signal in signals.items()}
+    moving = {held[x.input + k].name for x in e.followed for k in range(1 + x.derivatives)}
+    elsewhere = [name for name in given if name in moving | {x.name for x in e.switches}]
+    if isinstance(mechanism, Instance):
+        if elsewhere:
+            raise InputError(f"{where.name}: {elsewhere[0]} moves or holds an Instance; set() it there, and step on")
+    elif elsewhere or (rubs and e.frictions):  # The mechanism begins elsewhere, or joints stick where they slid.
+        return subject(mechanism, {**parameters, **given}, time, rubs)
+    return _with_inputs(where, given)
+
+
+def _with_inputs(where: Situation, inputs: Mapping[str, float]) -> Situation:
+    """The same with other inputs."""
+    u, names = where.state.u.copy(), [v.name for v in where.equations.inputs]
+    for name, value in inputs.items():
+        if name not in names:
+            raise InputError(f"{where.name} has no input {name!r}; {there_is(name, names)}")
+        u[names.index(name)] = value
+    return replace(where, state=replace(where.state, u=u))

@@ -12,15 +12,15 @@ import numpy as np
 from ..equations import Equations
 from ..kernel import DEFAULT
 from ..model.errors import InputError
-from ..model.words import in_words, there_is
+from ..model.words import in_words
 from ..result import Signal
 from ..runtime import Instance
 from ..runtime.reuse import ready
 from ..simulation import instance, signals_of
 from .equilibria import Equilibrium, equilibria
-from .situation import Situation, Source, Subject, situation_of, source, subject
+from .situation import Situation, Source, Subject, begun, situation_of, source
 
-__all__ = ["PLACES", "begun", "motion", "rest", "states"]
+__all__ = ["PLACES", "motion", "rest", "states"]
 
 PLACES = ("start", "equilibrium")
 """Words that say where a mechanism is looked at."""
@@ -82,30 +82,6 @@ def rest(
     return equilibria(begun(equations, {}, inputs or {})).nearest
 
 
-def begun(
-    mechanism: Subject,
-    parameters: Mapping[str, float | str],
-    inputs: Mapping[str, Signal],
-    time: float = 0.0,
-    rubs: bool = False,
-) -> Situation:
-    """The situation at a start with inputs as they are at its time [s]; see `subject`."""
-    signals = signals_of(mechanism, inputs)
-    where = subject(mechanism, parameters, time, rubs and not signals)
-    if not signals:
-        return where
-    e = where.equations
-    held, given = e.inputs, {name: signal(where.state.t) for name, signal in signals.items()}
-    moving = {held[x.input + k].name for x in e.followed for k in range(1 + x.derivatives)}
-    elsewhere = [name for name in given if name in moving | {x.name for x in e.switches}]
-    if isinstance(mechanism, Instance):
-        if elsewhere:
-            raise InputError(f"{where.name}: {elsewhere[0]} moves or holds an Instance; set() it there, and step on")
-    elif elsewhere or (rubs and e.frictions):  # The mechanism begins elsewhere, or joints stick where they slid.
-        return subject(mechanism, {**parameters, **given}, time, rubs)
-    return _with_inputs(where, given)
-
-
 def _times(mechanism: Any, at: Any) -> list[float]:
     """Instants [s]; InputError where they are none."""
     name = getattr(mechanism, "name", mechanism)
@@ -114,16 +90,6 @@ def _times(mechanism: Any, at: Any) -> list[float]:
         if isinstance(t, (str, bool)) or not isinstance(t, (int, float, np.number)) or not 0 <= t < math.inf:
             raise InputError(f"{name}: at is {t!r}; it must be {', '.join(PLACES)}, or times of 0 s and above")
     return [float(t) for t in times]
-
-
-def _with_inputs(where: Situation, inputs: Mapping[str, float]) -> Situation:
-    """The same with other inputs."""
-    u, names = where.state.u.copy(), [v.name for v in where.equations.inputs]
-    for name, value in inputs.items():
-        if name not in names:
-            raise InputError(f"{where.name} has no input {name!r}; {there_is(name, names)}")
-        u[names.index(name)] = value
-    return replace(where, state=replace(where.state, u=u))
 
 
 def motion(

@@ -22,7 +22,16 @@ from .says import GettingReady, failed, fall_silent, handling, perhaps
 __all__ = ["main", "parser"]
 
 COMMANDS = (looks, fmus, runs, many, fits, systems, analyses, judged, shells)
-"""Modules with commands, in the order of the help; `add` adds them."""
+"""Modules with commands; `add` adds them."""
+
+GROUPS = {
+    "make": ("export", "import"),
+    "look": ("list", "info", "draw", "live", "animate"),
+    "run": ("simulate", "sweep", "fit"),
+    "judge": ("equilibrium", "linearize", "mobility", "validate", "report", "stability"),
+    "connect": ("system", "couple", "completion"),
+}
+"""Commands by what they are for, in the order of the help."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,6 +93,22 @@ def _printed(otherwise: Callable[..., None]) -> Callable[..., None]:
     return show
 
 
+class _Grouped(argparse.HelpFormatter):
+    """Help that lists commands by GROUPS."""
+
+    def _format_action(self, action: argparse.Action) -> str:
+        if not isinstance(action, argparse._SubParsersAction):
+            return super()._format_action(action)
+        self._indent()
+        self._action_max_length += self._indent_increment
+        lines = {each.dest: super(_Grouped, self)._format_action(each) for each in action._get_subactions()}
+        self._dedent()
+        return "\n".join(
+            f"{'':{self._current_indent}}{group}\n{''.join(lines[name] for name in names)}"
+            for group, names in GROUPS.items()
+        )
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser of the command line, from which its page in the documentation is made."""
     return _parser()[0]
@@ -98,6 +123,7 @@ def _parser() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParse
         description="Closed-loop mechanisms as FMUs for co-simulation: export, run, check and watch them.",
         epilog="Exit codes: 0 done, 1 failed or problems found, 2 wrong usage, 3 not judged, 130 interrupted. "
         "See `alfmu COMMAND --help`.",
+        formatter_class=_Grouped,
     )
     parser.add_argument("--version", action="version", version=f"alfmu {version('alfmu')}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)

@@ -12,10 +12,11 @@ from ..model.errors import InputError
 from .options import EITHER_HELP, Command, add_name, add_option, add_set, chosen_recipe, name_list
 from .says import once_written, progress_bar, say
 
-_EQUILIBRIUM = """Inputs and start values are those that --set gives; `alfmu simulate --start equilibrium` begins in the
-nearest stable position that is found. Stability is that of small motions; where it cannot be judged, as at a singular
-position, the reason is shown. Positions that are not found from the places tried may exist. Inputs that move something
-are held, laws of time have to stand still at the time of --at, dry friction is left out."""
+_EQUILIBRIUM = """Inputs are those of --input at the time of --at, or those that --set gives, as start values are;
+`alfmu simulate --start equilibrium` begins in the nearest stable position that is found. Stability is that of small
+motions; where it cannot be judged, as at a singular position, the reason is shown. Positions that are not found from
+the places tried may exist. Inputs that move something are held, laws of time have to stand still at the time of --at,
+dry friction is left out."""
 
 _LINEARIZE = """States are independent coordinates NAME and their rates der(NAME), inputs and outputs have their names
 in FMI. Along a motion the equations are those of the state as if it stood still, laws of time with it. An input that
@@ -33,7 +34,7 @@ def add(command: Command) -> None:
     sub.epilog = _EQUILIBRIUM
     _add_analysis(sub, "FILE.json", "write all that is known of them, outputs and reactions included")
     sub.add_argument(
-        "--at", metavar="S", type=float, default=0.0, help="time in s for which loads are taken (default: 0)"
+        "--at", metavar="S", type=float, default=0.0, help="time in s for which loads and inputs are taken (default: 0)"
     )
     sub.add_argument("--starts", metavar="N", type=int, help="number of places to begin from beside the start")
     sub.add_argument("--draw", metavar="FILE", help="draw the position that a run would begin with (PNG or SVG)")
@@ -48,7 +49,6 @@ def add(command: Command) -> None:
         default="start",
         help="where: at the start (default), at rest, or at times in s of the motion from the start",
     )
-    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
     sub.add_argument(
         "--outputs",
         metavar="PATTERNS",
@@ -79,7 +79,6 @@ def add(command: Command) -> None:
         default=0.0,
         help="time in s for which laws of time give the start",
     )
-    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
 
 
 def _add_analysis(sub: argparse.ArgumentParser, files: str, what: str) -> None:
@@ -87,12 +86,14 @@ def _add_analysis(sub: argparse.ArgumentParser, files: str, what: str) -> None:
     add_name(sub, "mechanism", "NAME", EITHER_HELP)
     sub.add_argument("--json", action="store_true", help="print all of it as JSON, for programs")
     sub.add_argument("-o", "--output", metavar=files, help=what)
+    sub.add_argument("--input", metavar="FILE.csv", help="inputs over time: a column `time` and one for each input")
     add_option(sub)
     add_set(sub)
 
 
 def _equilibrium(chosen: argparse.Namespace) -> None:
     from ..analysis.equilibria import STARTS, check_file, equilibrium
+    from ..result import read_inputs
     from ..view.picture import check_drawing
 
     path, drawn = (Path(x) if x else None for x in (chosen.output, chosen.draw))
@@ -101,7 +102,8 @@ def _equilibrium(chosen: argparse.Namespace) -> None:
     if drawn:
         check_drawing(drawn)
     starts = STARTS if chosen.starts is None else chosen.starts
-    found = equilibrium(chosen_recipe(chosen, chosen.mechanism), time=chosen.at, starts=starts)
+    inputs = read_inputs(chosen.input) if chosen.input else {}
+    found = equilibrium(chosen_recipe(chosen, chosen.mechanism), inputs=inputs, time=chosen.at, starts=starts)
     _analysed(chosen, [found], path, found.save)
     if drawn:
         wrote = once_written(drawn)

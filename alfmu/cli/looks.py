@@ -41,7 +41,7 @@ with."""
 
 def add(command: Command) -> None:
     """Add them to the command line."""
-    command("list", _list, "list the registered mechanisms")
+    command("list", _list, "list the mechanisms that have a name: registered ones, and those of the gallery")
 
     sub = command("info", _info, "show a mechanism: sketch, coordinates, constraints, parameters, inputs, outputs")
     add_name(sub, "mechanism", "NAME", EITHER_HELP)
@@ -80,7 +80,9 @@ def add(command: Command) -> None:
     sub = command("live", _live, "write a page that runs a mechanism in a browser, with sliders, as one file")
     sub.epilog = _LIVE
     add_name(sub, "mechanism", "NAME", EITHER_HELP)
-    sub.add_argument("-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME.html here)")
+    sub.add_argument(
+        "-o", "--output", metavar="PAGE.html", help="where to write the page (default: NAME_live.html here)"
+    )
     sub.add_argument(
         *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the mechanism's own)"
     )
@@ -89,15 +91,24 @@ def add(command: Command) -> None:
 
 def _list(chosen: argparse.Namespace) -> None:
     from ..fmi.recipe import recipes
-    from ..model.registry import choices, load, mechanisms
+    from ..model.registry import choices, known, load, mechanisms
 
-    for name in mechanisms():
-        print(f"{name:20} {load(name).description}")
-        for option, values in choices(name).items():
+    def show(name: str) -> None:
+        mechanism = load(name)
+        print(f"{name:20} {mechanism.description}")
+        for option, values in choices(mechanism).items():
             print(f"{'':20}   --option {option}={'|'.join(values)}")
+
+    own = mechanisms()
+    for name in own:
+        show(name)
     for name, recipe in recipes().items():
         if said := recipe.said():
             print(f"{name:20} FMU of {recipe.mechanism}: {said}")
+    if of_gallery := [name for name in known() if name not in own]:
+        print("\nfrom the gallery of the documentation:")
+        for name in of_gallery:
+            show(name)
 
 
 def _info(chosen: argparse.Namespace) -> None:
@@ -155,7 +166,7 @@ def _live(chosen: argparse.Namespace) -> None:
 
     recipe = chosen_recipe(chosen, chosen.mechanism).changed(communication_step=chosen.step)
     mechanism = recipe.declared()
-    path = Path(chosen.output or f"{file_name(mechanism.name)}.html")
+    path = Path(chosen.output or f"{file_name(mechanism.name)}_live.html")
     if path.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"{path} cannot hold a page; its name must end in .html")
     if path.exists() and not chosen.output and not written_by_alfmu(path):

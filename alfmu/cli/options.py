@@ -24,11 +24,9 @@ Command = Callable[[str, Callable[[argparse.Namespace], int | None], str], argpa
 STEP = ("--communication-step", "--step")
 """How the communication step is given: as FMI calls it, or in short."""
 
-NAME_HELP = "a registered mechanism (see `alfmu list`), or a Python, MJCF, SDF or URDF file that declares one"
+NAME_HELP = "a name of `alfmu list`, or a Python, MJCF, SDF or URDF file that declares one"
 
-EITHER_HELP = (
-    "a registered mechanism or recipe (see `alfmu list`), or a Python, MJCF, SDF or URDF file that declares one"
-)
+EITHER_HELP = "a mechanism or recipe of `alfmu list`, or a Python, MJCF, SDF or URDF file that declares one"
 
 
 def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *suffixes: str) -> None:
@@ -36,10 +34,11 @@ def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *
 
     def known(prefix: str, **_: Any) -> list[str]:
         from ..fmi.recipe import GROUP as RECIPES
-        from ..model.registry import GROUP, registered
+        from ..model.registry import known as mechanisms
+        from ..model.registry import registered
         from ..model.sources import LINKAGES
 
-        return registered(GROUP, RECIPES) + _files(prefix, (".py", *LINKAGES, *suffixes))
+        return mechanisms() + registered(RECIPES) + _files(prefix, (".py", *LINKAGES, *suffixes))
 
     sub.add_argument(name, metavar=metavar, help=text).completer = known  # type: ignore[attr-defined]
 
@@ -170,7 +169,8 @@ def chosen_recipe(chosen: argparse.Namespace, name: str) -> Recipe:
 def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
     """The equations of a recipe; what it sets may look like another unit, as what a mechanism declares may."""
     from ..equations.derivation import derive
-    from ..model.checks import perhaps_degrees, perhaps_millimetres
+    from ..model.checks import hint, perhaps_degrees, perhaps_millimetres
+    from ..model.doubts import masses, perhaps_grams
     from ..runtime.prepare import with_defaults
 
     equations = with_defaults(derive(mechanism), recipe.parameters)
@@ -179,6 +179,10 @@ def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
         perhaps_degrees(f"{equations.name}: {v.name}", v.start)
     for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
         perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
+    if any(v.unit == "kg" and v.name in own for v in equations.parameters):
+        values = {v.name: v.start for v in equations.parameters}
+        for message in perhaps_grams(equations.name, masses(mechanism, values)).values():
+            hint(message)
     return equations
 
 

@@ -68,10 +68,19 @@ def add(command: Command) -> None:
 
 def _simulate(chosen: argparse.Namespace) -> None:
     from ..simulation import run
-    from ..studies.about import notes
+    from ..studies.about import gravity, notes
 
     inputs = given_inputs(chosen)
     unit, own = _unit(chosen, inputs)
+
+    def summary(result: Result) -> list[str]:
+        declared = result.declared
+        if declared is None or not (declared.bodies or declared.spatial_bodies):
+            return notes(unit)
+        own = {p.name for p in declared.parameters}
+        values = {name: float(x) for name, x in result.facts.get("parameters", {}).items() if name in own}
+        return [*notes(unit), gravity(declared, values, result)]
+
     asked = {"stop_time": chosen.stop_time, "communication_step": chosen.step}
     how = {**own, **{name: value for name, value in asked.items() if value is not None}}
     try:
@@ -79,7 +88,7 @@ def _simulate(chosen: argparse.Namespace) -> None:
             chosen,
             unit.name,
             lambda progress: run(unit, **how, inputs=inputs, progress=progress, held_rows=chosen.held_rows),
-            lambda: notes(unit),
+            summary,
         )
     finally:
         if hasattr(unit, "close"):
@@ -90,7 +99,7 @@ def run_and_keep(
     chosen: argparse.Namespace,
     name: str,
     run: Callable[[Callable[..., Iterable[Any]]], Result],
-    notes: Callable[[], Iterable[str]] = tuple,
+    notes: Callable[[Result], Iterable[str]] = lambda result: (),
 ) -> None:
     """Run something with a progress, and keep its rows as a table and a picture: those up to its end if it ends early.
 
@@ -100,7 +109,7 @@ def run_and_keep(
     try:
         with between_steps(progress_bar("simulating")) as progress:
             result = run(progress)
-        said = notes()
+        said = notes(result)
     except (AlfmuError, KeyboardInterrupt) as ended:
         made = getattr(ended, "result", None)
         if made is not None:
@@ -134,6 +143,7 @@ def add_table(sub: argparse.ArgumentParser) -> None:
         help="rows show outputs with the inputs of the step that ends there, as importers record them (fmpy, fmusim); "
         "without it, with the inputs that are set there",
     )
+    sub.add_argument("--verbose", action="store_true", help="also say how much work the solver did, and its errors")
 
 
 def given_inputs(chosen: argparse.Namespace) -> dict[str, Signal]:
@@ -202,7 +212,7 @@ def _keep(chosen: argparse.Namespace, result: Result, table: Path) -> None:
         wrote = once_written(table)
         result.to_csv(table)
         if (c := result.counters) is not None:
-            said += [
+            said += chosen.verbose * [
                 f"{c.steps} steps, {c.evaluations} evaluations, {c.multiplier_iterations} multiplier iterations "
                 f"({c.unconverged} evaluations without convergence), {c.projection_iterations} projections "
                 f"({c.unprojected} steps left above the tolerance)",

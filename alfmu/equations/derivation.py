@@ -29,6 +29,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from ..model.doubts import doubt
 from ..model.errors import AssemblyError, DeclarationError
 from ..model.mechanism import (
     AnyJoint,
@@ -556,6 +557,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "ties_matrix": _still(ca.jacobian(ties, own[0]), n, m.moves),
         **moving,
     }
+    doubt(m, lambda body: m._moves(plain.frame(body).angle) and not _guided(m, body))
     equations = Equations(
         name=m.name,
         description=m.description,
@@ -951,6 +953,12 @@ def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tup
         X += ca.vertsplit(displacements)
         blocks.append(weights)
     return stack(X), ca.diagcat(*blocks)
+
+
+def _guided(m: Mechanism, body: Body) -> bool:
+    """Whether a joint with the ground keeps the angle of a body."""
+    joints = (j for j in m.joints if j.kind in ("prismatic", "weld"))
+    return any({j.first.body, j.second.body} == {m.ground, body} for j in joints)
 
 
 def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,6 +12,7 @@ import numpy as np
 from ..model.errors import InputError
 from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
 from ..model.units import quotient
+from ..model.words import there_is
 from .types import Equations, Variable
 
 __all__ = [
@@ -27,6 +28,7 @@ __all__ = [
     "events",
     "every_event",
     "integrator",
+    "not_there",
     "setting",
     "state_starts",
     "variables_of",
@@ -228,6 +230,15 @@ def _default(settings: Settings, name: str) -> float:
     """A number of the settings; 0 for penalties of each constraint, which are no variable."""
     value = getattr(settings, setting(name))
     return float(value) if np.ndim(value) == 0 else 0.0
+
+
+def not_there(equations: Equations, name: str, names: Collection[str]) -> str:
+    """What to say of a name that is no input or parameter; a coordinate has a start value where it is independent."""
+    said = f"{equations.name} has no input or parameter {name!r}"
+    own = name.removeprefix("start.").removesuffix("_rate")
+    if own in {c.name for c in equations.coordinates} and f"start.{own}" not in names:
+        return f"{said}: {own} is not independent, so its start follows from others; declare it with independent=True"
+    return f"{said}; {there_is(name, names)}"
 
 
 def choices(values: Mapping[str, str]) -> list[Variable]:

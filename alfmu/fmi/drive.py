@@ -273,7 +273,7 @@ class Fmu:
     def declared(self) -> Mechanism | None:
         """The mechanism that it says it is of, where one of that name is installed here; never a file."""
         try:
-            return registry.load(self.mechanism, **self.options) if self.mechanism in registry.mechanisms() else None
+            return registry.load(self.mechanism, **self.options) if self.mechanism in registry.known() else None
         except (AlfmuError, TypeError, ValueError):  # options are what the FMU says
             return None
 

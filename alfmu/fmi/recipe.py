@@ -31,6 +31,9 @@ KINDS = {
 }
 """Kinds of FMUs."""
 
+_MAY_DECLARE = re.compile(rb"recipe|import\s*\(?\s*\*", re.IGNORECASE)
+"""In a file that declares a recipe."""
+
 _OF_A_KIND = ("kernel", "platforms", "fmi")
 """Fields that hold for one kind of FMU alone."""
 
@@ -244,6 +247,8 @@ def load(which: str | Path | Mechanism | Recipe) -> Recipe:
         from ..model.registry import executed
 
         path = Path(str(which))
+        if path.is_file() and not _MAY_DECLARE.search(path.read_bytes()):
+            return Recipe(which)  # without running the file twice
         return _declared(path, executed(path)) or Recipe(which)
     for entry in entry_points(group=GROUP):
         if entry.name == which:

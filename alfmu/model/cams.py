@@ -28,7 +28,7 @@ from scipy.interpolate import CubicSpline
 
 from .errors import DeclarationError
 from .relations import Marker, Mechanism, Places, Reading, Relation, Rim, circle, direction
-from .words import Brief, shown
+from .words import Brief, angle, shown
 
 __all__ = ["Cam", "Curve", "cam", "curve"]
 
@@ -313,7 +313,7 @@ def _check(m: Mechanism, what: str, samples: NDArray[np.float64], outline: bool,
     if not np.isfinite(samples).all() or lengths.min() <= 0:
         at = int(np.argmin(np.where(np.isfinite(lengths), lengths, -math.inf)))
         raise DeclarationError(
-            f"{m.name}: {what} has the {'radius' if outline else 'distance'} {lengths[at]:g} m at {turns[at]:.3g} rad; "
+            f"{m.name}: {what} has the {'radius' if outline else 'distance'} {lengths[at]:g} m at {angle(turns[at])}; "
             "it must be above zero all around"
         )
     if roller is None and not outline:
@@ -322,7 +322,7 @@ def _check(m: Mechanism, what: str, samples: NDArray[np.float64], outline: bool,
         if inner[at] <= 0:
             raise DeclarationError(
                 f"{m.name}: no outline lets a flat face move as {what} says: its radius of curvature would be "
-                f"{inner[at]:.3g} m at {turns[at]:.3g} rad; enlarge the base circle, or make the law smoother"
+                f"{inner[at]:.3g} m at {angle(turns[at])}; enlarge the base circle, or make the law smoother"
             )
         return
     bent = (lengths**2 + 2 * slopes**2 - lengths * bends) / (lengths**2 + slopes**2) ** 1.5
@@ -330,7 +330,7 @@ def _check(m: Mechanism, what: str, samples: NDArray[np.float64], outline: bool,
         at = int(np.argmin(bent))
         if bent[at] <= 0:
             raise DeclarationError(
-                f"{m.name}: the outline of {what} is hollow or straight at {turns[at]:.3g} rad, where a flat face "
+                f"{m.name}: the outline of {what} is hollow or straight at {angle(turns[at])}, where a flat face "
                 "cannot follow it; make it convex, or take a roller"
             )
     elif roller > 0:
@@ -341,5 +341,5 @@ def _check(m: Mechanism, what: str, samples: NDArray[np.float64], outline: bool,
             where = "the outline has a hollow" if outline else "the pitch curve has a bulge"
             raise DeclarationError(
                 f"{m.name}: the roller of {what} has the radius {roller:g} m and {where} of {1 / sharpest:.3g} m at "
-                f"{turns[at]:.3g} rad; take a smaller roller, or make the curve smoother"
+                f"{angle(turns[at])}; take a smaller roller, or make the curve smoother"
             )

@@ -23,6 +23,7 @@ __all__ = [
     "JUMP",
     "JUMPS",
     "casadi_function",
+    "hint",
     "jump_in",
     "may_break",
     "number",
@@ -121,18 +122,18 @@ def perhaps_degrees(what: str, value: float) -> None:
     """Warn of an angle [rad] that looks like degrees."""
     if abs(value) > 2 * math.pi:
         turns = f"{abs(value) / (2 * math.pi):.1f} turns"
-        _hint(f"{what} is {value:g} rad, {turns}; if degrees were meant, give {math.radians(value):.6g}")
+        hint(f"{what} is {value:g} rad, {turns}; if degrees were meant, give {math.radians(value):.6g}")
 
 
 def perhaps_millimetres(what: str, value: float | ca.SX) -> None:
     """Warn of a length [m] that looks like millimetres."""
     if not isinstance(value, ca.SX) and abs(value) > _LONG:
-        _hint(f"{what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
+        hint(f"{what} is {value:g} m; if millimetres were meant, give {value / 1000:g}")
 
 
 def perhaps_an_impact(name: str, what: str, time: float, size: float, unit: str) -> None:
     """Warn of a law whose rate [unit] jumps at a time [s]."""
-    _hint(IMPACT % (name, what, size, unit, time))
+    hint(IMPACT % (name, what, size, unit, time))
 
 
 def may_break(law: ca.SX, time: ca.SX) -> bool:
@@ -181,9 +182,9 @@ def jump_in(law: ca.SX, time: ca.SX, stop: float) -> tuple[float, float] | None:
     return (float(end[0]), float(off(np.array([[begin[0], end[0]]]))[0][0, 0])) if begin.size else None
 
 
-def _hint(message: str) -> None:
-    """Warn of what is allowed and yet looks like a mistake, with the line of the user's code."""
-    file, line = users_line()
+def hint(message: str, place: tuple[str, int] | None = None) -> None:
+    """Warn of what is allowed and yet looks like a mistake, with the file and line of the user's code."""
+    file, line = place or users_line()
     warnings.warn_explicit(message, AlfmuWarning, file, line)
 
 

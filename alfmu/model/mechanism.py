@@ -6,8 +6,10 @@ Every number may be a float or an expression in parameters; poses, forces and ou
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
+import sys
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from copy import copy
@@ -52,7 +54,7 @@ from .relations import (
 from .spatial import RELATIVE, SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, Vector, right_handed
 from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, is_rate, rate_of, unit
-from .words import LONGEST, Brief, counted, in_words, shown, text, there_is
+from .words import LONGEST, Brief, angle, counted, in_words, no_attribute, shown, text, there_is
 
 if TYPE_CHECKING:
     from ..equations.derivation import Kinematics
@@ -463,6 +465,30 @@ class Experiment:
                 raise DeclarationError(f"{name} of an experiment is {value} s; it must be above zero")
 
 
+MEANT = {
+    **dict.fromkeys(("damper", "damping", "spring", "stiffness", "torsion_spring"), "spring_damper"),
+    **dict.fromkeys(("hinge", "pin", "pin_joint", "pivot", "rotational"), "revolute"),
+    **dict.fromkeys(("slider", "slide", "guide", "translational", "linear"), "prismatic"),
+    **dict.fromkeys(("rod", "beam", "link", "segment"), "bar"),
+    **dict.fromkeys(("ball", "ball_joint"), "spherical"),
+    **dict.fromkeys(("motor", "actuator", "actuate"), "drive"),
+    **dict.fromkeys(("fix", "fixed", "rigid", "attach"), "weld"),
+    **dict.fromkeys(("slot", "pin_in_slot"), "point_on_line"),
+    **dict.fromkeys(("contact", "limit", "stop", "bumper"), "end_stop"),
+    **dict.fromkeys(("mass", "rigid_body", "plate"), "body"),
+    **dict.fromkeys(("rope", "cable", "tie_rod"), "distance"),
+    **dict.fromkeys(("sensor", "probe"), "measure"),
+}
+"""Names that other programs have for what a mechanism is made of, and the method of each."""
+
+BOOKKEEPING = (
+    *("closures", "compliant", "declared_at", "drawn_bars", "drawn_joints", "drives", "end_stops", "generalized"),
+    *("gravity_vector", "kinetic", "laws", "loads", "measured", "measured_joints", "measured_springs", "measures_all"),
+    *("moves", "potential", "relations", "releases", "signals", "spatial_loads", "springs", "starts", "ties", "trace"),
+    "watched",
+)
+"""Public names that no user needs: they are not listed, and become private."""
+
 _Part = TypeVar("_Part")
 _Form = TypeVar("_Form", str, bytes)
 _Related = TypeVar("_Related", bound=Relation)
@@ -479,7 +505,11 @@ class _Parts(Generic[_Part]):
     @overload
     def __get__(self, mechanism: Mechanism, owner: type) -> tuple[_Part, ...]: ...
     def __get__(self, mechanism: Mechanism | None, owner: type) -> Self | tuple[_Part, ...]:
-        return self if mechanism is None else tuple(self.of(mechanism))
+        if mechanism is None:
+            return self
+        if self._name in BOOKKEEPING and not sys._getframe(1).f_globals.get("__name__", "").startswith("alfmu."):
+            warnings.warn(f"Mechanism.{self._name} becomes private in the next version", DeprecationWarning, 2)
+        return tuple(self.of(mechanism))
 
     def __set__(self, mechanism: Mechanism, value: Never) -> None:
         raise DeclarationError(
@@ -510,6 +540,9 @@ class Mechanism:
     `ground` is the frame of the ground in the plane, x to the right, y upwards and angles [rad] counter-clockwise;
     `spatial_ground` is that in space; `time` is the symbol of time [s]. Numbers are in SI units: floats, or expressions
     of CasADi in what the methods return.
+
+    What is declared can be read: `parameters`, `coordinates`, `inputs`, `states`, `outputs`, `bodies`, `joints`,
+    `spatial_bodies` and `spatial_joints` are tuples in the order of declaration, `options` are those it was made with.
 
     `sketch` is shown wherever the mechanism is explained; the README beside a mechanism's file is its documentation.
     Its `author` is named in the FMU. Methods raise DeclarationError, with the mechanism and the name, where what they
@@ -590,6 +623,19 @@ class Mechanism:
         said = [counted(size, of) for of, size in sizes.items() if size]
         return f"Mechanism({', '.join([repr(self.name), *said])})"
 
+    def __dir__(self) -> list[str]:
+        return [name for name in super().__dir__() if name not in BOOKKEEPING]
+
+    if not TYPE_CHECKING:  # a checker knows what there is
+
+        def __getattr__(self, name: str) -> Any:
+            raise AttributeError(no_attribute(self, name, MEANT.get(name)))
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if inspect.isfunction(getattr(Mechanism, name, None)) and not name.startswith("_"):
+            raise DeclarationError(f"{self.name}: {name} is a method; call it, as m.{name}(...), and do not set it")
+        super().__setattr__(name, value)
+
     def __post_init__(self) -> None:
         self._parts: dict[str, list[Any]] = {}
         if not re.fullmatch(r"[A-Za-z_]\w*", text("the name of a mechanism", self.name, LONGEST), re.ASCII):
@@ -609,6 +655,10 @@ class Mechanism:
         self._symbols: dict[int | None, Symbol] = {key_of(self.time): Symbol("time", "time", "s")}
         self._owned: set[Body | SpatialBody] = {self.ground, self.spatial_ground}
         self._changes: list[tuple[Any, str, Any]] = []
+        self._choices: dict[str, list[str]] = {}
+        self._weighs = False
+        self._points: set[Body] = set()
+        self._told: set[float] = set()
 
     def _as_it_was(self) -> Callable[[], None]:
         """What makes the mechanism again what it is now, for a declaration that is refused halfway."""
@@ -657,7 +707,7 @@ class Mechanism:
         if (low is not None and default < low) or (high is not None and default > high):
             raise DeclarationError(f"{self.name}: the default {default} of {name} is outside [{low}, {high}]")
         if unit == "m":
-            perhaps_millimetres(f"{self.name}: the default of {name}", default)
+            self._perhaps_millimetres(f"the default of {name}", default)
         elif unit == "rad":
             perhaps_degrees(f"{self.name}: the default of {name}", default)
         text(f"{self.name}: the description of {name}", description)
@@ -944,18 +994,24 @@ class Mechanism:
         name: str,
         *,
         mass: Scalar,
-        inertia: Scalar = 0.0,
+        inertia: Scalar | None = None,
         center: tuple[Scalar, Scalar] = (0.0, 0.0),
         pose: tuple[Scalar, Scalar, Scalar] | None = None,
     ) -> Body:
         """A rigid body: mass [kg], inertia about its centre of mass [kg.m2], centre of mass in its frame [m].
 
+        Without an inertia it is a point mass; where it turns, a warning asks whether the inertia was forgotten, which
+        `inertia=0.0` answers.
+
         `pose` (x, y, angle) gives the place of the *centre of mass* [m] and the angle of the frame [rad] in ground axes
         (absolute coordinates). A body without one is placed by a joint with a coordinate, or by a weld.
         """
-        mass, inertia = self._mass(name, mass), self._inertia(name, inertia)
+        mass, given = self._mass(name, mass), self._inertia(name, 0.0 if inertia is None else inertia)
         center = self._vector(f"the center of {name}", center, ("m",) * 2, CONSTANT)
-        return self._add(Body(name, mass, inertia, center, pose=self._pose(name, pose)))
+        body = self._add(Body(name, mass, given, center, pose=self._pose(name, pose)))
+        if inertia is None:
+            self._points.add(body)
+        return body
 
     def bar(
         self,
@@ -989,7 +1045,8 @@ class Mechanism:
         return Point(*(self._moving("a point", each, "m") for each in (x, y)))
 
     def gravity(self, x: Scalar, y: Scalar, z: Scalar = 0.0) -> None:
-        """The acceleration of gravity [m/s2] in ground axes."""
+        """The acceleration of gravity [m/s2] in ground axes; (0, 0) says that there is none."""
+        self._weighs = True
         self.gravity_vector = self._vector("gravity", (x, y, z), ("m/s2",) * 3, CONSTANT)
 
     def spatial_body(
@@ -1573,7 +1630,7 @@ class Mechanism:
             for x in at.values():
                 if turn and abs(x) >= math.pi:
                     raise DeclarationError(
-                        f"{self.name}: {what} is at {x:g} rad, and the angle of {turn} is known from -pi to pi only"
+                        f"{self.name}: {what} is at {angle(x)}, and the angle of {turn} is known from -pi to pi only"
                     )
         if dissipation is not None and restitution is not None:
             raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")
@@ -2159,7 +2216,7 @@ class Mechanism:
                 if kind:
                     self._no_jumps(f"a point of {user}", x, "m")
             for x in place if marker.body not in (self.ground, self.spatial_ground) else ():
-                perhaps_millimetres(f"{self.name}: {what}", x)
+                self._perhaps_millimetres(what, x)
 
     def _body(self, body: Body | SpatialBody, user: str) -> None:
         if not isinstance(body, Body | SpatialBody):
@@ -2372,8 +2429,15 @@ class Mechanism:
         constant = all(self._symbols[key_of(symbol)].kind in CONSTANT for symbol in symbols_in(length))
         if constant and not (value := self._at_defaults(what, length)) > 0:
             raise DeclarationError(f"{self.name}: {what} is {value:g} m; it must be above zero")
-        perhaps_millimetres(f"{self.name}: {what}", length)
+        self._perhaps_millimetres(what, length)
         return length
+
+    def _perhaps_millimetres(self, what: str, value: Scalar) -> None:
+        """Warn of a length that looks like millimetres: once of each."""
+        if isinstance(value, ca.SX) or abs(value) not in self._told:
+            perhaps_millimetres(f"{self.name}: {what}", value)
+        if not isinstance(value, ca.SX):
+            self._told.add(abs(value))
 
     def _pose(self, name: str, pose: Any) -> tuple[Scalar, Scalar, Scalar] | None:
         if pose is None:

@@ -14,13 +14,14 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
+from . import gallery
 from .checks import casadi_function
 from .errors import AlfmuError, AlfmuWarning, DeclarationError, InputError
 from .mechanism import Mechanism
 from .sources import LINKAGES, is_file
 from .words import in_words, nearest, there_is
 
-__all__ = ["GROUP", "choices", "executed", "load", "mechanisms", "options", "registered"]
+__all__ = ["GROUP", "choices", "executed", "known", "load", "mechanisms", "options", "registered"]
 
 GROUP = "alfmu.mechanisms"
 """Entry-point group in which any package can register functions that return a Mechanism."""
@@ -38,13 +39,19 @@ def mechanisms() -> list[str]:
     return registered(GROUP)
 
 
+def known() -> list[str]:
+    """Names of all mechanisms: those that are registered, then those of the documentation's gallery."""
+    own = mechanisms()
+    return [*own, *(name for name in gallery.names() if name not in own)]
+
+
 def registered(*groups: str) -> list[str]:
     """Names that are registered in groups of entry points, in alphabetical order."""
     return sorted({e.name for group in groups for e in entry_points(group=group)})
 
 
 def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
-    """The mechanism of a registered name, of a Python file or of a file of another program, with its options.
+    """The mechanism of a name (`alfmu list`), of a Python file or of a file of another program, with its options.
 
     A Python file declares one: a function named like the file (or the only one annotated `-> Mechanism`), or a
     `Mechanism` object. MJCF (`.xml`), SDF and URDF files are read as `alfmu.imported` does, with the same options.
@@ -55,7 +62,8 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
             raise InputError(f"{mechanism.name} is declared already and takes no options")
         return mechanism
     factory = _factory(mechanism)
-    takes, hints = options(mechanism), _hints(mechanism, factory)
+    hints = _hints(mechanism, factory)
+    takes = _taken(factory, hints)
     for name, value in chosen.items():
         if name not in takes:
             raise InputError(f"{mechanism} has no option {name!r}; {there_is(name, takes)}")
@@ -73,17 +81,23 @@ def load(mechanism: str | Path | Mechanism, **chosen: Any) -> Mechanism:
     if not isinstance(declared, Mechanism):
         returned = "nothing" if declared is None else f"a {type(declared).__name__}, no Mechanism"
         raise InputError(f"{mechanism}: {factory.__name__}() returns {returned}; end it with `return m`, the mechanism")
+    declared._choices = _in_words(takes, hints)
     declared.options = {**{k: p.default for k, p in parameters.items() if p.kind not in _ANY}, **chosen}
     readme = Path(inspect.getsourcefile(factory) or "").with_name("README.md")
     if readme.is_file() and not is_file(mechanism):
         declared.documentation = readme.read_text(encoding="utf-8")
+    elif not is_file(mechanism) and str(mechanism) in gallery.names():
+        declared.documentation = factory.__globals__["__doc__"]
     return declared
 
 
 def options(mechanism: str | Path) -> dict[str, tuple[Any, ...]]:
     """Options of a mechanism: name -> the values it takes (empty: any)."""
     factory = _factory(mechanism)
-    hints = _hints(mechanism, factory)
+    return _taken(factory, _hints(mechanism, factory))
+
+
+def _taken(factory: Factory, hints: dict[str, Any]) -> dict[str, tuple[Any, ...]]:
     return {
         name: typing.get_args(hints[name]) if typing.get_origin(hints.get(name)) is typing.Literal else ()
         for name in inspect.signature(factory).parameters
@@ -91,14 +105,19 @@ def options(mechanism: str | Path) -> dict[str, tuple[Any, ...]]:
 
 
 def choices(mechanism: str | Path | Mechanism) -> dict[str, list[str]]:
-    """Options of a mechanism: name -> the values it takes, or a word for them; none of one that is declared already."""
+    """Options of a mechanism, also of one that `load` returned: name -> the values it takes, or a word for them."""
     if isinstance(mechanism, Mechanism):
-        return {}
-    hints = _hints(mechanism, _factory(mechanism))
+        return mechanism._choices
+    factory = _factory(mechanism)
+    hints = _hints(mechanism, factory)
+    return _in_words(_taken(factory, hints), hints)
+
+
+def _in_words(takes: dict[str, tuple[Any, ...]], hints: dict[str, Any]) -> dict[str, list[str]]:
+    """The values that options take, or a word for them."""
     words = {int: "whole number", float: "number", str: "text"}
     return {
-        name: list(map(str, values)) or [words.get(hints.get(name, object), "any")]
-        for name, values in options(mechanism).items()
+        name: list(map(str, values)) or [words.get(hints.get(name, object), "any")] for name, values in takes.items()
     }
 
 
@@ -129,14 +148,16 @@ def _factory(mechanism: str | Path) -> Factory:
         if entry.name == str(mechanism):
             return _guarded(mechanism, entry.load)
     name = str(mechanism)
+    if name in gallery.names():
+        return gallery.factory(name)
     if name.endswith((".fmu", ".csv")):
         kind = "an FMU" if name.endswith(".fmu") else "a table"
         raise InputError(f"{name} is {kind}; give the mechanism instead, by its name or as a Python file")
-    there = [f"{name}.py"] if Path(f"{name}.py").is_file() else nearest(name, mechanisms())
+    there = [f"{name}.py"] if Path(f"{name}.py").is_file() else nearest(name, known())
     said = f"did you mean {in_words(there)}? Use" if there else "use"
     raise InputError(
-        f"there is no mechanism {name!r}; {said} one of {', '.join(mechanisms())}, or the path of a Python file "
-        "that declares one"
+        f"there is no mechanism {name!r}; {said} one of {', '.join(mechanisms())}, a name of the gallery "
+        "(`alfmu list`), or the path of a Python file that declares one"
     )
 
 
@@ -213,7 +234,7 @@ def _explained(error: BaseException, file: str, line: int) -> str:
     of_symbols = casadi_function(file, line)
     if isinstance(error, FutureWarning) or (of_symbols and re.search("SX|casadi", said)):
         return f"functions of NumPy and of Python's math are not for symbols; use {of_symbols or 'those of CasADi'}"
-    if isinstance(error, AttributeError | NameError) and error.name:
+    if isinstance(error, AttributeError | NameError) and error.name and "did you mean" not in said:
         names = dir(error.obj) if isinstance(error, AttributeError) else ()
         if meant := nearest(error.name, [name for name in names if not name.startswith("_")]):
             said += f"; did you mean {in_words(meant)}?"

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from .errors import DeclarationError
 
-__all__ = ["LONGEST", "Brief", "counted", "in_words", "nearest", "shown", "some_like", "text", "there_is"]
+__all__ = [
+    "LONGEST",
+    "Brief",
+    "counted",
+    "in_words",
+    "nearest",
+    "no_attribute",
+    "shown",
+    "some_like",
+    "text",
+    "there_is",
+]
 
 LONGEST = 200
 """Most characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
@@ -60,6 +72,11 @@ class Brief:
                 said.append(f"{field.name}={_brief(value)}")
         return f"{type(self).__name__}({', '.join(said)})"
 
+    if not TYPE_CHECKING:  # a checker knows what there is
+
+        def __getattr__(self, name: str) -> Any:
+            raise AttributeError(no_attribute(self, name))
+
 
 def _brief(value: Any) -> str:
     """A value in a `repr`."""
@@ -77,6 +94,15 @@ def _brief(value: Any) -> str:
     if isinstance(value, Brief) and not isinstance(name, str):
         return repr(value)
     return name if isinstance(name, str) else shown(value)
+
+
+def no_attribute(of: object, name: str, meant: str | None = None) -> str:
+    """What to say of an attribute that something does not have; what is `meant` by it may be known."""
+    said = f"{type(of).__name__} {vars(of).get('name', '')}".strip() + f" has no {name!r}"
+    if name.startswith("_"):
+        return said
+    found = [meant] if meant else nearest(name, [each for each in dir(of) if not each.startswith("_")])
+    return said + (f"; did you mean {in_words(found)}?" if found else "")
 
 
 def nearest(name: object, names: Collection[str]) -> list[str]:
@@ -101,6 +127,11 @@ def some_like(pattern: str, names: Collection[str]) -> str:
     """The same of a pattern that nothing matches: all of a part may have been meant, as of a body by its name."""
     whole = any(name.startswith(f"{pattern}.") for name in names)
     return f"did you mean {pattern}.*?" if whole else there_is(pattern, names)
+
+
+def angle(value: float, digits: int = 3) -> str:
+    """An angle [rad] as a person reads it."""
+    return f"{value:.{digits}g} rad ({math.degrees(value):.{digits}g} degrees)"
 
 
 def in_words(names: Collection[str]) -> str:

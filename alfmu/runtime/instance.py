@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..equations import Equations, Mobility, Variable
 from ..equations.evaluation import DENSE
-from ..equations.interface import CHOICES, Choice, Counters, checked, default_settings, setting, variables_of
+from ..equations.interface import CHOICES, Choice, Counters, checked, default_settings, not_there, setting, variables_of
 from ..kernel import DEFAULT
 from ..kernel.kinks import jumps
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
@@ -35,6 +35,9 @@ from .probe import mobility, shared
 from .reuse import derive, ready
 
 __all__ = ["Instance"]
+
+_NAMED = 5
+"""Coordinates that a message names."""
 
 _LOGGER = logging.getLogger("alfmu")
 
@@ -208,7 +211,7 @@ class Instance:
         reference = self._references.get(name)
         if reference is None or reference >= self._scene.first_output:
             names = list(self._references)[: self._scene.first_output]
-            raise InputError(f"{e.name} has no input or parameter {name!r}; {there_is(name, names)}")
+            raise InputError(not_there(e, name, names))
         v = self._variables[name]
         if v.type == "Boolean":
             if value not in (0, 1):
@@ -346,6 +349,16 @@ class Instance:
         _, sizes, rows = np.linalg.svd(np.vstack([ties @ motions.T, np.zeros((found.freedom,) * 2)]))
         moves = np.abs(rows[sizes <= _FREE] @ motions).max(axis=0, initial=0.0)
         return [c.name for c, part in zip(e.coordinates[:n], moves, strict=True) if part > _FREE]
+
+    def forgotten(self) -> str:
+        """What to say of coordinates that nothing determines at the start; empty where there are none."""
+        if not (free := self.undetermined()):
+            return ""
+        named = free if len(free) <= _NAMED + 1 else [*free[:_NAMED], f"{len(free) - _NAMED} more"]
+        return (
+            f"no start value determines {', '.join(named)}: what the guesses say is taken; to set one, give it "
+            "independent=True, or tie() it to a start()"
+        )
 
     def initialize_with(self, inputs: Mapping[str, float]) -> None:
         """Initialise with these inputs."""

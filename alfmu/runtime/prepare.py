@@ -12,7 +12,7 @@ import numpy as np
 
 from ..equations import Equations, Mobility
 from ..equations.evaluation import DENSE, symbols, with_tangents
-from ..equations.interface import CHOICES, checked, default_settings, integrator, setting, variables_of
+from ..equations.interface import CHOICES, checked, default_settings, integrator, not_there, setting, variables_of
 from ..kernel import DEFAULT, KERNELS
 from ..kernel.alternatives import formulations
 from ..kernel.controlled import controlled
@@ -25,7 +25,6 @@ from ..model.content import latest
 from ..model.errors import InputError
 from ..model.making import getting_ready
 from ..model.settings import Settings
-from ..model.words import there_is
 from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
@@ -201,7 +200,7 @@ def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> E
             checked(equations.name, known[name], value)
         elif name not in {s.name for s in equations.switches} | set(CHOICES):
             names = [*(v.name for v in found.causal("input")), *known, *CHOICES]
-            raise InputError(f"{equations.name} has no input or parameter {name!r}; {there_is(name, names)}")
+            raise InputError(not_there(equations, name, names))
     own = {setting(name): value for name, value in values.items() if setting(name) != name}
     Settings(**own).checked(equations.name, equations.l)
     before = default_settings(equations)

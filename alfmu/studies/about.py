@@ -3,23 +3,28 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
+
+import numpy as np
 
 from ..equations import Equations, Mobility, Variable
 from ..equations.interface import default_settings, variables_of
 from ..equations.specialisation import specialised
 from ..fmi.recipe import Recipe
+from ..model.doubts import evaluated, masses, no_gravity
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.registry import choices
 from ..runtime import Instance
 from ..runtime.prepare import decided, prepared
+from ..simulation import Result
 from .cost import cost, described
 
-__all__ = ["About", "about", "in_all", "in_short", "notes"]
+__all__ = ["About", "about", "gravity", "in_all", "in_short", "notes"]
 
 LINES = 20
 """Lines of a mechanism in short, at most."""
@@ -96,6 +101,7 @@ class About:
             "redundant_constraints": size.redundant,
             "motions_at_start": size.freedom_here - e.resting,
             "not_unique": self.shared,
+            "gravity": evaluated(m, list(m.gravity_vector), {v.name: v.start for v in self.everything.parameters}),
             "notes": self.notes,
             **{name: [asdict(v) for v in getattr(self, name)] for name in ("parameters", "inputs", "outputs")},
             "stop_time": e.stop_time,
@@ -115,7 +121,7 @@ def about(recipe: Recipe, mechanism: Mechanism, everything: Equations) -> About:
     instance.initialize()
     return About(
         mechanism,
-        choices(recipe.mechanism),
+        choices(mechanism),
         everything,
         equations,
         instance.mobility(),
@@ -137,12 +143,36 @@ def notes(unit: Any) -> list[str]:
         what = f"{len(moved)} bodies by up to {way:.3g} m" if len(moved) > 1 else f"{name} by {way:.3g} m"
         found.append(f"assembly moved {what} from where the guesses have them{most}")
     with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
-        if free := unit.undetermined():
-            found.append(
-                f"no start value determines {', '.join(free)}: what the guesses say is taken; to set one, give it "
-                "independent=True, or tie() it to a start()"
-            )
+        if forgotten := unit.forgotten():
+            found.append(forgotten)
     return found
+
+
+def gravity(m: Mechanism, values: Mapping[str, float], result: Result | None = None) -> str:
+    """The gravity of a mechanism in a line, at values of its parameters by name: how strong and whereto, and how much
+    its potential varied in a run beside all else that did work, where the result has the places of all bodies."""
+    x, y, z = evaluated(m, list(m.gravity_vector), values)
+    if not (x or y or z):
+        return f"gravity: {no_gravity(m).partition(': ')[2] or 'none'}"
+    along = {axis: size for axis, size in zip("xyz", (x, y, z), strict=True) if size}
+    if len(along) == 1:
+        [(axis, size)] = along.items()
+        said = f"gravity: {abs(size):g} m/s2 along {'-' if size < 0 else '+'}{axis}"
+        said += ", which is upwards" * (axis == "y" and size > 0 and not m.spatial_bodies)
+    else:
+        said = f"gravity: ({x:g}, {y:g}, {z:g}) m/s2"
+    found = masses(m, values)
+    if result is None:
+        return f"{said}, {math.hypot(x, y, z) * sum(found.values()):.3g} N on all bodies"
+    names = {f"{body}.{axis}": -mass * size for body, mass in found.items() for axis, size in along.items()}
+    if not len(result.time) or not {*names, "monitor.work"} <= {*result.names}:
+        return said
+    potential = sum((result[name] * weight for name, weight in names.items()), np.zeros(len(result.time)))
+    varied, work = (float(np.ptp(each)) for each in (potential, result["monitor.work"]))
+    share = f" ({100 * varied / (varied + work):.0f} % of both)" if varied + work > 0 else ""
+    return (
+        f"{said}; its potential varied by {varied:.3g} J{share}, the work of drives, loads and dampers by {work:.3g} J"
+    )
 
 
 def in_short(a: About) -> list[str]:
@@ -158,6 +188,7 @@ def in_short(a: About) -> list[str]:
         _freedom(a),
         *([_fitted("not unique, as redundant constraints share a load", a.shared)] if a.shared else []),
         *_friction(a),
+        *_gravity(a),
         _fitted("parameters", [f"{v.name} = {_start(v)} {v.unit}".removesuffix(" 1") for v in own]),
         _fitted("at the start", [f"{v.name} = {_start(v)} {v.unit}" for v in starts]),
         _fitted("inputs", [f"{v.name} [{v.unit}]" for v in a.inputs]),
@@ -180,6 +211,13 @@ def _friction(a: About) -> list[str]:
     return [_fitted("friction is not unique, nor is the motion, unless compliances settle it", names)] if names else []
 
 
+def _gravity(a: About) -> list[str]:
+    """What is said of gravity where there are bodies."""
+    m = a.mechanism
+    values = {v.name: v.start for v in a.everything.parameters}
+    return [gravity(m, values)] if m.bodies or m.spatial_bodies else []
+
+
 def in_all(a: About) -> list[str]:
     """All of it, in lines."""
     m, e = a.mechanism, a.equations
@@ -193,7 +231,7 @@ def in_all(a: About) -> list[str]:
     if a.shared:
         each = _merged((name,) for name in a.shared)
         lines += [f"not unique, as redundant constraints share a load: {', '.join(text for (text,) in each)}"]
-    lines += _friction(a)
+    lines += _friction(a) + _gravity(a)
     titles = {"parameters and start values": a.parameters, "inputs": a.inputs, "outputs": a.outputs}
     for title, variables in titles.items():
         starts = ["" if title == "outputs" else _start(v) for v in variables]

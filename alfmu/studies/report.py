@@ -662,9 +662,10 @@ def _skipped(studies: Sequence[Study]) -> list[Row]:
 
 def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
     where = shown("Where this was measured", "environment", ("what", "value"), begun.environment)
-    parts = ["# Error against run time", where, paragraph(METHOD)]
+    parts = ["# Error against run time"]
     for study in begun.studies:
         parts += _chapter(study)
+    parts += ["## How it was measured", where, paragraph(METHOD)]
     if any(study.chapters for study in begun.studies):
         parts += ["## The paper's study", paper.settings(begun.studies[0].effort.paper).markdown(), paper.LIMITS]
     parts += ["## Maps of stability", *maps.explained(), "## What did not run"]
@@ -675,11 +676,11 @@ def _markdown(begun: Begun[Study], summary: Sequence[Row]) -> str:
 def _chapter(study: Study) -> Iterator[str]:
     """One mechanism."""
     yield f"## {study.name}"
-    yield study.mechanism.description + "."
+    yield study.mechanism.description + ". Lower and further left is better."
+    yield f"![{OWN}: errors against run time]({study.name}.png)"
     for file in SHOWN:
         yield from _table(study, file)
         if file == "reference":
-            yield f"![{OWN}: errors against run time]({study.name}.png)"
             yield f"![formulations: errors against run time]({study.name}_formulations.png)"
             yield "All runs: `errors.csv`."
     for chapter in study.chapters:
@@ -695,7 +696,7 @@ def _table(study: Study, file: str) -> list[str]:
         rows = [r for r in rows if r["what"].startswith("run time to") or r["result"].startswith("lost")]
     if file == "reference" and "note" in rows[0]:
         columns = ("horizon [s]", "note")
-    return [shown(title, file, columns, rows)] if rows else []
+    return [shown(title, file, columns, rows)] if numbered(rows) or file == "reference" else []
 
 
 SHOWN_ERRORS = (POSITION, REACTION, ENERGY, PHI)
@@ -750,21 +751,61 @@ line, double-click to see it alone; errors far above a motion that is lost lie o
 
 
 def _page(begun: Begun[Study], summary: Sequence[Row]) -> str:
+    """The picture of the first mechanism and a sentence on each, then all else behind folds and in chapters."""
     page = Page("Error against run time")
-    page.text(paragraph(METHOD))
-    page.head(2, "All mechanisms")
     rows = _rivalry(begun.studies)
-    if rows:
-        page.text(paragraph(RIVALRY))
-        columns = list(dict.fromkeys(name for row in rows for name in row))
-        page.text(markdown(columns, [[row.get(x) for x in columns] for row in rows]))
-    page.text(f"**Where the comparison stops being fair.** {paragraph(LIMITS)}", note=True)
+    for study, row in zip(begun.studies, rows, strict=True):
+        page.text(_sentence(study, row))
+    first = begun.studies[:1]
+    for study in first:
+        _against_time(page, study)
+    if numbered(rows):
+        columns = [name for name in dict.fromkeys(x for row in rows for x in row) if any(r.get(name) for r in rows)]
+        page.fold(
+            "All mechanisms, beside other codes",
+            f"{paragraph(RIVALRY)}\n\n{markdown(columns, [[row.get(x) for x in columns] for row in rows])}",
+        )
+    page.fold("How it was measured", paragraph(METHOD))
+    page.fold("Where the comparison stops being fair", paragraph(LIMITS))
     page.fold("Where this was measured", shown("Machine", "environment", ("what", "value"), begun.environment))
     for study in begun.studies:
-        _chapter_of_page(page, study)
+        _chapter_of_page(page, study, study in first)
     page.head(2, "What did not run")
     page.text(markdown(SKIPPED, [[r[x] for x in SKIPPED] for r in summary]) if summary else "All runs were made.")
     return page.html()
+
+
+def _sentence(study: Study, row: Row) -> str:
+    """What the measurements of a mechanism come to."""
+    time = row["its run time [ms]"]
+    if time is not None:
+        which, level = row[fastest(LEVELS[1])], f"{LEVELS[1]:g} m, rad"
+        return f"**{study.name}**: {which} is the fastest to a position error of {level}, in {time:.3g} ms."
+    known = [r for r in study.files["errors"] if r["code"] == "alfmu" and r.get(POSITION) and r.get(TIME)]
+    if not known:
+        return f"**{study.name}**: no run has an error that could be judged."
+    best = min(known, key=lambda r: r[POSITION])
+    how = f"{integrator(best)}, {best['way']}"
+    return (
+        f"**{study.name}**: {how} has the smallest position error, {best[POSITION]:.2g}, in {1e3 * best[TIME]:.3g} ms."
+    )
+
+
+def fastest(level: float) -> str:
+    """The column of what comes below a position error in the least time."""
+    return f"fastest to {level:g} m, rad"
+
+
+def _against_time(page: Page, study: Study) -> None:
+    """The picture of a mechanism that the page is about: errors of all ways to run it, and of other codes."""
+    if any(r["code"] == "alfmu" for r in study.files["errors"]):
+        plotted = against_time(_own(study), SHOWN_ERRORS, TIME, "way", "way", study.floors)
+        page.plot(plotted, " ".join(BY_TIME.format(what=f"formulation {OWN}", lines="ways to run").split()))
+
+
+def numbered(rows: Sequence[Row]) -> bool:
+    """Whether a table of these rows has a number."""
+    return any(isinstance(x, int | float) and not isinstance(x, bool) for row in rows for x in row.values())
 
 
 def _rivalry(studies: Sequence[Study]) -> list[Row]:
@@ -773,7 +814,7 @@ def _rivalry(studies: Sequence[Study]) -> list[Row]:
     for study in studies:
         found = [r for r in study.files["comparisons"] if "run time to" in r["what"] and r["level or step"] == level]
         mine = next((r for r in found if r["its value"]), None)
-        row: Row = {"mechanism": study.name, f"fastest to {level:g} m, rad": mine and mine["alfmu"]}
+        row: Row = {"mechanism": study.name, fastest(level): mine and mine["alfmu"]}
         row["its run time [ms]"] = mine and 1e3 * float(mine["its value"])
         for each in found:
             code = str(each["other"]).split(",")[0]
@@ -783,7 +824,8 @@ def _rivalry(studies: Sequence[Study]) -> list[Row]:
     return rows
 
 
-def _chapter_of_page(page: Page, study: Study) -> None:
+def _chapter_of_page(page: Page, study: Study, opened: bool = False) -> None:
+    """One mechanism; `opened` says that the page began with its picture."""
     name = study.name
     page.head(2, name)
     page.text(study.mechanism.description + ".")
@@ -796,9 +838,9 @@ def _chapter_of_page(page: Page, study: Study) -> None:
                 f"There is no reference, so that constraints and energy alone are judged: {row['note']}.", note=True
             )
     shown_rows = [r for r in study.files["errors"] if r["code"] == "alfmu"]
+    if not opened:
+        _against_time(page, study)
     if shown_rows:
-        plotted = against_time(_own(study), SHOWN_ERRORS, TIME, "way", "way", study.floors)
-        page.plot(plotted, " ".join(BY_TIME.format(what=f"formulation {OWN}", lines="ways to run").split()))
         plotted = against_time(_one_way(study), SHOWN_ERRORS, TIME, "formulation", "method", study.floors)
         way = next(r["way"] for r in shown_rows)
         about = BY_TIME.format(what=f"all formulations in the way {way}", lines="formulations")

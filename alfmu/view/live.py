@@ -497,9 +497,12 @@ def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
     moving = [*points, *dots, *(pin["name"] for pin in pins if pin["columns"])]
     places = np.stack([[looked[f"{name}.{q}"] for q in "xyz"] for name in moving])
     gravity = [abs(x) for x in drawn.values([ca.SX(x) for x in m.gravity_vector], drawn.parameters)]
+    up = int(np.argmax(gravity)) if max(gravity) > 0 else 2
+    low, high = places.min(axis=(0, 2)), places.max(axis=(0, 2))
+    across = np.delete(places - ((low + high) / 2)[:, None], up, axis=1)
     drawn.form = {
         "kind": "space",
-        "up": "xyz"[int(np.argmax(gravity))] if max(gravity) > 0 else "z",
+        "up": "xyz"[up],
         "bodies": [
             {
                 "name": name,
@@ -513,8 +516,9 @@ def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
         "dots": [{"name": dot, "columns": [f"{dot}.{q}" for q in "xyz"]} for dot in dots],
         "pins": pins,
         "bars": bars,
-        "low": places.min(axis=(0, 2)).tolist(),
-        "high": places.max(axis=(0, 2)).tolist(),
+        "low": low.tolist(),
+        "high": high.tolist(),
+        "reach": float(np.hypot(across[:, 0], across[:, 1]).max()),
     }
     return drawn
 

@@ -36,7 +36,7 @@ from .pages import page
 from .plane import View
 from .shapes import Anchor, Shapes, geometry
 from .space import SpaceView
-from .surface import COLORS, FAINT, Raster, Size, Surface, Svg, Text, base_of
+from .surface import COLORS, FAINT, PUSHED, Raster, Size, Surface, Svg, Text, base_of
 
 __all__ = [
     "COLORS",
@@ -105,8 +105,9 @@ def _frame(
     columns: Mapping[str, float],
     trails: Mapping[str, Sequence[Any]],
     caption: str,
+    pushed: float = math.inf,
 ) -> Image.Image:
-    surface = Raster(scene.size)
+    surface = Raster(scene.size, pushed)
     _paint(surface, shapes, scene, columns, trails, caption)
     return surface.image
 
@@ -421,4 +422,4 @@ def _frames(
         now = {name: float(np.interp(t, time, x)) for name, x in columns.items()}
         past = {name: [*columns[name][time < t], now[name]] for name in now}
         trails = {dot: _path(past, shapes, dot) for dot in dots}
-        yield _frame(shapes, scene, now, trails, f"t = {t:.2f} s")
+        yield _frame(shapes, scene, now, trails, f"t = {t:.2f} s", PUSHED)

@@ -512,7 +512,7 @@ def paint(surface: Surface, scene: Scene, poses: Mapping[str, Pose], trails: Map
             x, y = x + dx * clear, y + dy * clear
         texts[label.free].append(Text(label.text, x, y, label.size, label.color))
     pins = [(*pixels(place_of(poses, at)), scene.pin) for at in scene.pins]
-    for text in (*texts[False], *placed(texts[True], scene.size, pins)):
+    for text in (*texts[False], *placed(texts[True], scene.size, pins, surface.pushed)):
         surface.text(text)
 
 

@@ -493,7 +493,7 @@ def paint(surface: Surface, stage: Stage, poses: Mapping[str, Pose], trails: Map
     if unit * lens.scale > 2.2 * base:
         names = list(_texts(stage, poses))
         knots = {lens.one(place_of(poses, p.second)): 1.4 * unit * lens.scale for p in stage.space.pivots}
-        for text in placed(names, stage.size, [(*at, r) for at, r in knots.items()]):
+        for text in placed(names, stage.size, [(*at, r) for at, r in knots.items()], surface.pushed):
             surface.text(text)
 
 

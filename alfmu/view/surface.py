@@ -28,6 +28,10 @@ SAMPLES = 3
 PASSES = 60
 """Passes in which labels push each other apart, at most."""
 
+PUSHED = 2.5
+"""Half sizes of a label that others may push it away in a film; while it would stand further off, it is left out. The
+scripts of pages have the same number."""
+
 FONTS = 'system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 """Fonts of pages and of SVG files."""
 
@@ -61,6 +65,8 @@ class Surface(Protocol):
     """What a picture is painted on."""
 
     size: Size
+    pushed: float
+    """Half sizes of a label that it may be pushed away by others."""
 
     def stroke(self, points: Sequence[Vector], stroke: Stroke) -> None:
         """A stroke through these points in place of its own."""
@@ -72,8 +78,8 @@ class Surface(Protocol):
 class Raster:
     """A surface of pixels, painted larger than it is shown."""
 
-    def __init__(self, size: Size):
-        self.size = size
+    def __init__(self, size: Size, pushed: float = math.inf):
+        self.size, self.pushed = size, pushed
         self._image = Image.new("RGB", (SAMPLES * size[0], SAMPLES * size[1]), BACKGROUND)
         self._pen = ImageDraw.Draw(self._image)
 
@@ -106,6 +112,8 @@ class Raster:
 
 class Svg:
     """A surface that becomes an SVG file."""
+
+    pushed = math.inf
 
     def __init__(self, size: Size, title: str):
         self.size = size
@@ -142,8 +150,11 @@ class Svg:
         self._parts.append(f'<text {place} {font} fill="{text.color}" {rim}>{escape(text.text)}</text>')
 
 
-def placed(texts: Sequence[Text], size: Size, pins: Sequence[tuple[float, float, float]] = ()) -> list[Text]:
-    """Texts about their middles, moved so that none covers another, one of the `pins` (x, y, radius) or the rim.
+def placed(
+    texts: Sequence[Text], size: Size, pins: Sequence[tuple[float, float, float]] = (), pushed: float = math.inf
+) -> list[Text]:
+    """Texts about their middles, moved so that none covers another, one of the `pins` (x, y, radius) or the rim; those
+    that are `pushed` further than so many of their half sizes are left out.
 
     Each pass moves every two that overlap apart along the axis that takes less, half the way each, so that labels of a
     film glide. The scripts of pages have the same rules (`apart`).
@@ -171,7 +182,11 @@ def placed(texts: Sequence[Text], size: Size, pins: Sequence[tuple[float, float,
                 boxes[i][k] = min(max(boxes[i][k], half), max(size[k] - half, half))
         if not moved:
             break
-    return [Text(t.text, x, y, t.size, t.color, t.anchor) for t, (x, y, _, _) in zip(texts, boxes, strict=True)]
+    return [
+        Text(t.text, x, y, t.size, t.color, t.anchor)
+        for t, (x, y, w, h) in zip(texts, boxes, strict=True)
+        if max(abs(x - t.x) / w, abs(y - t.y) / h) <= pushed
+    ]
 
 
 def base_of(size: Size) -> float:

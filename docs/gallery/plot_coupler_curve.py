@@ -42,6 +42,7 @@ def coupler_curve() -> Mechanism:
     m.revolute("D", m.ground.at(BASE, 0), rocker.start, coordinate=swing)
     m.motion(motor, 2 * math.pi * m.time)
     m.watch("P", rod.at(px, py))
+    m.gravity(0, 0)
     return m
 
 

@@ -67,6 +67,7 @@ def engine() -> Mechanism:
         m.drive(bore, -pressure * AREA)
         m.output(f"pressure{i}", pressure + AMBIENT, "Pa", f"pressure in cylinder {i}")
     m.drive(main, -TORQUE)
+    m.gravity(0, 0)
     return m
 
 

@@ -55,6 +55,7 @@ def pantograph() -> Mechanism:
     m.force(inner.end, *ca.vertsplit(hand))
     m.watch("tracer", inner.end)
     m.watch("pen", second.end)
+    m.gravity(0, 0)
     return m
 
 

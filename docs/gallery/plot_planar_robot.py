@@ -65,6 +65,7 @@ def planar_robot() -> Mechanism:
         m.revolute(f"wrist{i}", outer.end, platform.at(PLATFORM * math.cos(corner), PLATFORM * math.sin(corner)))
         m.drive(motor, 3e3 * (goal - shoulder) + 60.0 * (ca.jacobian(goal, m.time) - m.rate(shoulder)))
     m.watch("pen", platform.at(0, 0))
+    m.gravity(0, 0)
     return m
 
 

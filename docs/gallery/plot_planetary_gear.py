@@ -46,6 +46,7 @@ def planetary_gear() -> Mechanism:
     m.measure(output, sun_shaft, ring_shaft)
     m.drive(sun_shaft, FIRM * (m.input("sun.speed", "rad/s", start=30.0) - m.rate(sun_angle)))
     m.drive(ring_shaft, FIRM * (m.input("ring.speed", "rad/s") - m.rate(ring_angle)))
+    m.gravity(0, 0)
     return m
 
 

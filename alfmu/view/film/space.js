@@ -223,8 +223,7 @@ function names() {
   }
   const all = [...found.values()];
   const boxes = all.map(({ text, x, y, size }) => [x, y, ...painter.box(text, size)]);
-  apart(boxes, all.filter((l) => l.joint).map((l) => l.pin), film.size);
-  all.forEach(({ text, size, color }, i) => painter.text(text, boxes[i][0], boxes[i][1], size, color));
+  painter.texts(all, boxes, all.filter((l) => l.joint).map((l) => l.pin), film.size);
 }
 
 function axes() {

@@ -5,6 +5,9 @@ const find = (id) => document.getElementById(id);
 const { variables, interval } = about;
 const place = new Map(about.shown.map((reference, column) => [variables[reference].name, column]));
 
+const EMBEDDED = location.hash === "#embedded"; // in a frame of another page, as a picture that runs
+document.documentElement.toggleAttribute("data-embedded", EMBEDDED);
+
 const AHEAD = 0.05; // s of the clock that rows are asked for before they are shown
 const BUDGET = 20; // ms of work between two answers of the worker, and one communication step at least
 const SLOW = 2500; // ms after which a step is said to take long
@@ -166,7 +169,7 @@ let before = 0;
 function tick(stamp) {
   const passed = Math.min(stamp - before, 100) / 1000;
   before = stamp;
-  if (run.playing && run.rows.length && !run.starting) {
+  if (run.playing && run.rows.length && !run.starting && !hidden()) {
     run.now = Math.min(run.now + passed * run.speed, latest());
     pursue();
     run.marks.push([stamp, run.now]);
@@ -183,6 +186,9 @@ function tick(stamp) {
   if (run.changed) show(stamp);
   requestAnimationFrame(tick);
 }
+
+// In a frame that is not shown, nothing moves.
+const hidden = () => EMBEDDED && !find("picture").clientWidth;
 
 const update = () => { run.changed = true; };
 
@@ -214,8 +220,9 @@ function shape() {
 }
 
 function show(stamp) {
-  const at = present();
   run.changed = false;
+  if (hidden()) return;
+  const at = present();
   if (at || run.drawn) picture.draw((at || run.drawn).row);
   if (!at) return;
   run.drawn = at;
@@ -358,6 +365,7 @@ const tidy = (x) => (x !== 0 && (Math.abs(x) >= 1e5 || Math.abs(x) < 1e-3) ? x.t
 function makePanels() {
   panels.forEach((panel) => panel.box.remove());
   panels.length = 0;
+  if (EMBEDDED) return;
   about.panels.forEach(({ groups, chosen }) => panels.push(new Panel(groups.map((g) => about.groups[g]), chosen)));
 }
 

@@ -420,14 +420,20 @@ function part(at, strokes, angle = 0) { return { at, strokes, angle }; }
 class Space extends Canvas {
   constructor(canvas, about) {
     super(canvas, about);
+    // Right, up and towards the eye, for a vertical axis z; `up` names the axis that is vertical.
+    const turned = { x: (v) => [v[1], v[2], v[0]], y: (v) => [v[2], v[0], v[1]], z: (v) => v };
+    const back = { x: ([a, b, c]) => [c, a, b], y: ([a, b, c]) => [b, c, a], z: (v) => v };
+    this.upright = turned[about.up];
+    this.fromUpright = back[about.up];
     this.home();
     this.frames = Object.fromEntries([...about.bodies, ...about.dots].map((b) => [b.name, b]));
   }
 
   home() {
-    Object.assign(this, { yaw: -0.95, pitch: 0.38, zoom: 1 });
+    Object.assign(this, { yaw: -0.95, pitch: 0.38, zoom: 1, reach: this.about.reach });
     this.low = [...this.about.low];
     this.high = [...this.about.high];
+    this.axis = this.upright(this.low.map((l, k) => (l + this.high[k]) / 2));
   }
 
   refit() { this.home(); }
@@ -462,6 +468,8 @@ class Space extends Canvas {
       this.low[k] = Math.min(this.low[k], p);
       this.high[k] = Math.max(this.high[k], p);
     });
+    const [x, y] = this.upright(point), away = Math.hypot(x - this.axis[0], y - this.axis[1]);
+    if (Number.isFinite(away)) this.reach = Math.max(this.reach, away);
   }
 
   // Place [m] and axis of a joint that is drawn by itself.
@@ -477,23 +485,30 @@ class Space extends Canvas {
         this.widen(this.moved(row, frame, point));
       }
     }
-    this.center = this.low.map((l, k) => (l + this.high[k]) / 2);
-    this.size = Math.max(1e-9, Math.hypot(...this.low.map((l, k) => this.high[k] - l)) / 2) || 1;
+    const [floor, ceiling] = [this.low, this.high].map((p) => this.upright(p)[2]), tall = (ceiling - floor) / 2;
+    this.center = this.fromUpright([this.axis[0], this.axis[1], floor + tall]);
+    this.size = Math.max(1e-9, Math.hypot(this.reach, tall)) || 1;
     this.unit = Math.max(0.6, Math.min(this.width / 640, this.height / 480, 1.1));
-    const cy = Math.cos(this.yaw), sy = Math.sin(this.yaw), cp = Math.cos(this.pitch), sp = Math.sin(this.pitch);
-    // Right, up and towards the eye, for a vertical axis z; `up` names the axis that is vertical.
-    const turned = { x: (v) => [v[1], v[2], v[0]], y: (v) => [v[2], v[0], v[1]], z: (v) => v };
-    const upright = turned[this.about.up], back = { x: ([a, b, c]) => [c, a, b], y: ([a, b, c]) => [b, c, a], z: (v) => v };
-    this.upright = upright;
-    this.fromUpright = back[this.about.up];
-    const focal = 3.2, scale = 0.55 * Math.min(this.width, this.height * 1.15) * this.zoom / this.size;
+    const cy = Math.cos(this.yaw), sy = Math.sin(this.yaw), cp = Math.cos(this.pitch), sp = Math.sin(this.pitch), focal = 3.2;
+    const share = (near) => focal / Math.max(0.2, focal - near / this.size);
+    // All that moves is in a cylinder about the vertical axis, which fits however the picture is turned.
+    let [wide, top, bottom] = [1e-9, 1e-9, -1e-9];
+    for (let i = 0; i < 48; i++) {
+      const deep = this.reach * Math.cos(i * Math.PI / 24), z = i % 2 ? tall : -tall;
+      const near = share(cp * deep + sp * z), up = near * (cp * z - sp * deep);
+      wide = Math.max(wide, near * this.reach * Math.abs(Math.sin(i * Math.PI / 24)));
+      [top, bottom] = [Math.max(top, up), Math.min(bottom, up)];
+    }
+    const room = 30 * this.unit; // for balls and axes of joints
+    const scale = this.zoom * Math.min((this.width / 2 - room) / wide, (this.height - 2 * room) / (top - bottom));
+    const middle = this.height / 2 + scale * (top + bottom) / 2;
     this.scale = scale;
     this.project = (p) => {
-      const [x, y, z] = upright(p.map((v, k) => v - this.center[k]));
+      const [x, y, z] = this.upright(p.map((v, k) => v - this.center[k]));
       const right = cy * y - sy * x, deep = cy * x + sy * y;
       const up = cp * z - sp * deep, near = cp * deep + sp * z;
-      const share = focal / Math.max(0.2, focal - near / this.size);
-      return [this.width / 2 + scale * share * right, this.height / 2 - scale * share * up, near, share];
+      const by = share(near);
+      return [this.width / 2 + scale * by * right, middle - scale * by * up, near, by];
     };
   }
 

@@ -1,6 +1,8 @@
 // What films and live pages share: a painter on a canvas, and labels that keep apart. It paints scenes of the plane as
 // `paint` of plane.py does (`plane.Scene`): strokes in pixels that move with frames {x, y [m], angle [rad]} by name.
 
+const PUSHED = 2.5; // half sizes of a label that others may push it away: the rule of surface.py
+
 class Painter {
   constructor(pen, paper) {
     this.pen = pen;
@@ -57,9 +59,20 @@ class Painter {
     scene.front.forEach((each) => this.part(scene, frames, each));
     const fixed = scene.labels.filter((l) => !l.free), free = scene.labels.filter((l) => l.free);
     const pins = scene.pins.map((at) => [...placed(scene, frames, at), scene.pin]);
-    const boxes = fixed.map((l) => this.label(scene, frames, l));
-    boxes.push(...apart(free.map((l) => this.label(scene, frames, l)), pins, scene.size));
-    [...fixed, ...free].forEach(({ text, size, color }, i) => this.text(text, boxes[i][0], boxes[i][1], size, color));
+    fixed.forEach((l) => this.text(l.text, ...this.label(scene, frames, l).slice(0, 2), l.size, l.color));
+    this.texts(free, free.map((l) => this.label(scene, frames, l)), pins, scene.size);
+  }
+
+  // Texts in boxes that are pushed apart; one that would stand too far off fades.
+  texts(texts, boxes, pins, size) {
+    const wanted = boxes.map((box) => [...box]);
+    apart(boxes, pins, size);
+    texts.forEach(({ text, size, color }, i) => {
+      const [x, y, w, h] = boxes[i], far = Math.max(Math.abs(x - wanted[i][0]) / w, Math.abs(y - wanted[i][1]) / h);
+      this.pen.globalAlpha = Math.max(0, Math.min(1, 2 * (PUSHED - far)));
+      if (far < PUSHED) this.text(text, x, y, size, color);
+    });
+    this.pen.globalAlpha = 1;
   }
 
   part(scene, frames, { at, strokes, angle }) {
