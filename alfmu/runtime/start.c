@@ -741,9 +741,9 @@ static double constant(const Told *row)
    of an angle. Of others it is not known but by the size of their coefficients. */
 static double unit_of(const Told *row)
 {
-    return constant(row) > 0.0          ? constant(row)
-        : row->lengths.squares > 0.0    ? sqrt(2.0) * together(row->lengths)
-        : row->euler.squares > 0.0      ? together(row->euler)
+    return constant(row) > 0.0                        ? constant(row)
+        : row->lengths.squares > 0.0                  ? sqrt(2.0) * together(row->lengths)
+        : together(row->euler) > HARDLY * row->most   ? together(row->euler)
         : row->angular > 0.0            ? row->angular
                                         : row->most;
 }
