@@ -736,16 +736,23 @@ static double constant(const Told *row)
     return row->lengths.count > 0.0 ? row->constant_length : row->constant;
 }
 
+/* Whether some coefficients tell the unit of their row: at a place that closes the loops, those of a slide across the row
+   and of the attitude of a body that carries the whole loop are round-off. */
+static int telling(const Told *row, Sum sum)
+{
+    return together(sum) > HARDLY * row->most;
+}
+
 /* What a row comes to for a unit of displacement, 0 where it has no coefficient: 1 in metres and radians, 1000 in
    millimetres. That is its constant coefficient; otherwise what its lengths come to together, or the constant amplitude
    of an angle. Of others it is not known but by the size of their coefficients. */
 static double unit_of(const Told *row)
 {
-    return constant(row) > 0.0                        ? constant(row)
-        : row->lengths.squares > 0.0                  ? sqrt(2.0) * together(row->lengths)
-        : together(row->euler) > HARDLY * row->most   ? together(row->euler)
-        : row->angular > 0.0            ? row->angular
-                                        : row->most;
+    return constant(row) > 0.0         ? constant(row)
+        : telling(row, row->lengths)   ? sqrt(2.0) * together(row->lengths)
+        : telling(row, row->euler)     ? together(row->euler)
+        : row->angular > 0.0           ? row->angular
+                                       : row->most;
 }
 
 /* Whether two rows are directions of one joint, which are square to each other. */
@@ -810,7 +817,7 @@ void default_penalties(Instance *i, const double *q, double *penalties)
     for (int r = 0; r < s->l; r++) {
         const int declared = s->rows[r].size > 0.0;
         units[r] = declared ? s->rows[r].size : unit_of(told + r);
-        known &= declared || constant(told + r) > 0.0 || told[r].lengths.squares > 0.0 || told[r].angular > 0.0;
+        known &= declared || constant(told + r) > 0.0 || telling(told + r, told[r].lengths) || told[r].angular > 0.0;
         every_angular &= told[r].angular > 0.0 && !declared;
         every_exact &= constant(told + r) > 0.0;
     }
