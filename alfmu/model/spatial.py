@@ -533,6 +533,21 @@ class SpatialJoint(Brief):
             return self._thread(carrier)[0]
         return ca.dot(*self._kept_square(direction, carrier))
 
+    def gap(self, direction: str) -> ca.SX:
+        """The residual, to first order where it is small, but for a joint that is closed far from zero: in metres for
+        lengths, and not zero where directions that should be parallel are opposite."""
+        residual = self.residual(direction)
+        if direction == "length":
+            return ca.norm_2(self.second.place - self.first.place) - self.length
+        if direction == "screw":
+            pitch = self.lead / (2 * math.pi)
+            return pitch * ca.atan2(residual / pitch, ca.dot(self._thread()[1], self.triad()[2]))
+        if direction not in (*_ALIGNED, "rotation3"):
+            return residual
+        k = 0 if direction == "rotation3" else 2
+        along = ca.dot(self.triad()[k], self.triad(second=True)[k])
+        return (2 + _OPPOSITE) / (1 + along + _OPPOSITE) * residual
+
     def reaction(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """Force (3,) and moment (3,) about the joint's point on the second body, on it from the first, in ground axes.
 
@@ -624,6 +639,10 @@ class SpatialFreedom(Brief):
     def wrapped(self) -> bool:
         """Whether the free displacement is an angle known up to whole turns only."""
         return self.joint.is_wrapped(self.which)
+
+
+_OPPOSITE = 1e-6
+"""Share [1]: directions that are opposite to round-off, as a declaration may have them, stay so; others turn."""
 
 
 def _column(vector: Vector) -> ca.SX:

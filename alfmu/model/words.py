@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, fields
@@ -10,7 +11,7 @@ from typing import Any
 
 from .errors import DeclarationError
 
-__all__ = ["LONGEST", "Brief", "counted", "in_words", "nearest", "shown", "some_like", "text", "there_is"]
+__all__ = ["LONGEST", "Brief", "counted", "in_words", "nearest", "quantity", "shown", "some_like", "text", "there_is"]
 
 LONGEST = 200
 """Most characters of a name: a file system has room for 255, of which an FMU's own files take some 30."""
@@ -107,6 +108,12 @@ def in_words(names: Collection[str]) -> str:
     """a, b or c"""
     *most, last = names
     return f"{', '.join(most)} or {last}" if most else last
+
+
+def quantity(value: float, unit: str) -> str:
+    """A value with its unit, an angle in degrees, too."""
+    plain = f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+    return f"{plain} ({math.degrees(value):.4g} deg)" if unit == "rad" else plain
 
 
 def counted(count: int, of: str) -> str:
