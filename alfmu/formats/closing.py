@@ -103,8 +103,11 @@ class Loops:
         self.given = vector([values[name] for name in self.names])
         metres = np.array([c.unit == "m" for c in coordinates])
         rows = np.array(lengths, dtype=bool)
-        arms = np.abs(np.array(self._both(self.given)[1]))[np.ix_(rows, ~metres)]
-        self.size = 2.0 ** np.round(np.log2(arms.max(initial=0.0) or 1.0))
+        gaps, matrix = (np.abs(np.array(found)) for found in self._both(self.given))
+        arm = matrix[np.ix_(rows, ~metres)].max(initial=0.0)
+        if arm <= _RANK * matrix.max(initial=0.0):  # nothing turns a loop: what slides and what is open
+            arm = max(gaps[rows].max(initial=0.0), np.abs(self.given[metres]).max(initial=0.0))
+        self.size = 2.0 ** np.round(np.log2(arm or 1.0))
         """Length [m] of the longest arm on which a loop turns, as a power of two: no digit is lost by it."""
         self.units = np.where(metres, self.size, 1.0)
         self._row_units = np.where(rows, self.size, 1.0)
