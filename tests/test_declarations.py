@@ -355,6 +355,7 @@ def test_a_mass_is_not_negative_later_either():
 HINTS = [
     ('m.coordinate("x", start=30.0, independent=True)', "start.x is 30 rad, 4.8 turns; if degrees .* give 0.523599"),
     ('m.start("x", -90.0)', "start.x is -90 rad"),
+    ('m.coordinate("x", start=-34.0)', "the guess of x is -34 rad, 5.4 turns; if degrees were meant, give -0.593412"),
     ('m.parameter("p", 90.0, "rad")', "the default of p is 90 rad, 14.3 turns; if degrees were meant, give 1.5708"),
     ('m.parameter("p", 500.0, "m")', "the default of p is 500 m; if millimetres were meant, give 0.5"),
     ('m.bar("b", mass=1.0, length=120.0)', "the length of b is 120 m"),
@@ -503,8 +504,9 @@ def test_a_guess_between_two_assemblies_is_warned_of(off, between):
         return
     assert len(said) == 1
     found = re.match(
-        r"pantograph: the guess lies between two assemblies; in the one taken a is (\S+) rad \((\S+) deg\), guessed as (\S+) "
-        r"rad \(\S+ deg\), and in the other, hardly farther from the guess, it is (\S+) rad \(\S+ deg\); give start values",
+        r"pantograph: the guess lies between two assemblies; in the one taken a is (\S+) rad \((\S+) deg\), guessed as "
+        r"(\S+) rad \(\S+ deg\), and in the other, hardly farther from the guess, it is (\S+) rad \(\S+ deg\); give start "
+        r"values",
         said[0],
     )
     a, degrees, guess, other = map(float, found.groups())

@@ -728,6 +728,8 @@ class Mechanism:
             raise DeclarationError(
                 f"{self.name}: only an independent coordinate has a start rate; {name} is not, so add independent=True"
             )
+        elif unit == "rad" and not isinstance(start, ca.SX):
+            perhaps_degrees(f"{self.name}: the guess of {name}", start)
         c = Coordinate(name, symbol, ca.SX.sym(f"{name}_v"), ca.SX.sym(f"{name}_a"), unit, start)
         Mechanism.coordinates.of(self).append(c)
         self._by_symbol[key_of(symbol)] = c

@@ -418,13 +418,15 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
     if (from >= 0)
         away = way(s, guess, other, &most);
     if (direct) {
-        if (away < NEARER * moved)
+        if (away < NEARER * moved) {
+            way(s, q, other, &most);
             say(i, DONE,
                 "%s: the loops closed far from the guess, where %s is %s, guessed as %s, and in a nearer assembly it is %s; "
                 "give start values or guesses closer to the assembly you want",
                 s->name, s->coordinates[most].name, in_unit(s->coordinates[most].unit, q[most], own),
                 in_unit(s->coordinates[most].unit, guess[most], given),
                 in_unit(s->coordinates[most].unit, other[most], theirs));
+        }
         return away < NEARER * moved ? DONE : alone(i, loops, guess, q, &another);
     }
     if (from < 0 && moved == INFINITY)
