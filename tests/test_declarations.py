@@ -505,8 +505,8 @@ def test_a_guess_between_two_assemblies_is_warned_of(off, between):
     assert len(said) == 1
     found = re.match(
         r"pantograph: the guess lies between two assemblies; in the one taken a is (\S+) rad \((\S+) deg\), guessed as "
-        r"(\S+) rad \(\S+ deg\), and in the other, hardly farther from the guess, it is (\S+) rad \(\S+ deg\); give start "
-        r"values",
+        r"(\S+) rad \(\S+ deg\), and in the other, hardly farther from the guess, it is (\S+) rad \(\S+ deg\); give "
+        r"start values",
         said[0],
     )
     a, degrees, guess, other = map(float, found.groups())

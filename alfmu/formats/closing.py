@@ -90,16 +90,19 @@ class Loops:
         coordinates = list(mechanism.coordinates)
         self.names = [c.name for c in coordinates]
         self.driven = {name for name in driven if name in self.names}
-        residuals, lengths = [], []
+        residuals, plain, lengths = [], [], []
         for closing in mechanism.closures:
             if isinstance(closing, SpatialJoint):
                 residuals += [closing.gap(direction) for direction in closing.directions]
+                plain += [closing.residual(direction) for direction in closing.directions]
                 lengths += [not direction.startswith("rotation") for direction in closing.directions]
             elif isinstance(closing, Constraint):
                 residuals.append(closing.expression)
+                plain.append(closing.expression)
                 lengths.append(closing.unit == "m")
         q, phi = ca.vertcat(*(c.q for c in coordinates)), ca.vertcat(*residuals)
         self._both = ca.Function("loops", [q], [phi, ca.jacobian(phi, q)])
+        self._plain = ca.Function("gaps", [q], [ca.vertcat(*plain)])
         self.given = vector([values[name] for name in self.names])
         metres = np.array([c.unit == "m" for c in coordinates])
         rows = np.array(lengths, dtype=bool)
@@ -202,7 +205,7 @@ class Loops:
         beyond = tuple(n for n, v, a, b in zip(self.names, x, self._low, self._high, strict=True) if not a <= v <= b)
         chosen = self._independent(x)
         start = self.given / self.units
-        gap = float(np.abs(self.at(start)[0] * self._row_units).max(initial=0.0))
+        gap = float(np.abs(np.array(self._plain(self.given))).max(initial=0.0))
         # Independent ones keep what is given, to the last digit, where that leads to a place near this one.
         held = np.array([name in chosen for name in self.names])
         from_there = np.where(held, start, x)

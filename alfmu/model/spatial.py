@@ -545,8 +545,11 @@ class SpatialJoint(Brief):
         if direction not in (*_ALIGNED, "rotation3"):
             return residual
         k = 0 if direction == "rotation3" else 2
-        along = ca.dot(self.triad()[k], self.triad(second=True)[k])
-        return (2 + _OPPOSITE) / (1 + along + _OPPOSITE) * residual
+        one, two = self.triad()[k], self.triad(second=True)[k]
+        whole = (
+            ca.sqrt(ca.sumsqr(one) * ca.sumsqr(two)) + _NONE
+        )  # on the way, Euler parameters have other lengths than 1
+        return (2 + _OPPOSITE) * whole / (whole + ca.dot(one, two) + _OPPOSITE * whole) * residual
 
     def reaction(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """Force (3,) and moment (3,) about the joint's point on the second body, on it from the first, in ground axes.
@@ -643,6 +646,10 @@ class SpatialFreedom(Brief):
 
 _OPPOSITE = 1e-6
 """Share [1]: directions that are opposite to round-off, as a declaration may have them, stay so; others turn."""
+
+
+_NONE = 1e-30
+"""A length [1] that is nothing, in place of zero in a quotient."""
 
 
 def _column(vector: Vector) -> ca.SX:
