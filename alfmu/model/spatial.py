@@ -536,19 +536,19 @@ class SpatialJoint(Brief):
     def gap(self, direction: str) -> ca.SX:
         """The residual, to first order where it is small, but for a joint that is closed far from zero: in metres for
         lengths, and not zero where directions that should be parallel are opposite."""
-        residual = self.residual(direction)
+        residual, carrier = self.residual(direction), self.carrier
         if direction == "length":
-            return ca.norm_2(self.second.place - self.first.place) - self.length
+            return ca.norm_2(self.apart) - self.length
         if direction == "screw":
             pitch = self.lead / (2 * math.pi)
-            return pitch * ca.atan2(residual / pitch, ca.dot(self._thread()[1], self.triad()[2]))
+            along = ca.dot(self._thread(carrier)[1], self.triad(carrier=carrier)[2])
+            return pitch * ca.atan2(residual / pitch, along)
         if direction not in (*_ALIGNED, "rotation3"):
             return residual
         k = 0 if direction == "rotation3" else 2
-        one, two = self.triad()[k], self.triad(second=True)[k]
-        whole = (
-            ca.sqrt(ca.sumsqr(one) * ca.sumsqr(two)) + _NONE
-        )  # on the way, Euler parameters have other lengths than 1
+        one, two = self.triad(carrier=carrier)[k], self.triad(True, carrier)[k]
+        # On the way, Euler parameters have other lengths than 1.
+        whole = ca.sqrt(ca.sumsqr(one) * ca.sumsqr(two)) + _NONE
         return (2 + _OPPOSITE) * whole / (whole + ca.dot(one, two) + _OPPOSITE * whole) * residual
 
     def reaction(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
