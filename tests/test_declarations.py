@@ -357,6 +357,7 @@ def test_a_mass_is_not_negative_later_either():
 HINTS = [
     ('m.coordinate("x", start=30.0, independent=True)', "start.x is 30 rad, 4.8 turns; if degrees .* give 0.523599"),
     ('m.start("x", -90.0)', "start.x is -90 rad"),
+    ('m.coordinate("x", start=-34.0)', "the guess of x is -34 rad, 5.4 turns; if degrees were meant, give -0.593412"),
     ('m.parameter("p", 90.0, "rad")', "the default of p is 90 rad, 14.3 turns; if degrees were meant, give 1.5708"),
     ('m.parameter("p", 500.0, "m")', "the default of p is 500 m; if millimetres were meant, give 0.5"),
     ('m.bar("b", mass=1.0, length=120.0)', "the length of b is 120 m"),
@@ -445,7 +446,7 @@ def test_a_loop_that_closes_in_another_configuration_is_warned_of():
     """The joint is above the body: to shift the body by 2 m is a longer way than to turn it."""
     i = alfmu.Instance(hanging(1.0))
     with pytest.warns(
-        AlfmuWarning, match=r"hanging: the loops closed far from the guess .* a nearer .* moved b by 2 m"
+        AlfmuWarning, match=r"hanging: the loops closed far from the guess, .* a nearer .* moved b by 2 m"
     ):
         i.initialize()
     assert i.get("b.z") == pytest.approx(-1.0)
@@ -470,7 +471,7 @@ def test_an_assembly_on_the_other_side_of_the_guess_is_warned_of_where_it_is_the
             assert said == []
             continue
         assert said[0].startswith(
-            "under: the loops closed 2 (m and rad) from the guess, where y is -1 m instead of 1, and"
+            "under: the loops closed where y is -1 m, guessed as 1 m on the other side of zero, and"
         )
 
 
@@ -505,12 +506,13 @@ def test_a_guess_between_two_assemblies_is_warned_of(off, between):
         return
     assert len(said) == 1
     found = re.match(
-        r"pantograph: the guess lies between two assemblies, and the loops closed in one, (\S+) \(m and rad\) from it, "
-        r"where a is (\S+) rad instead of (\S+); another is (\S+) from it, where that is (\S+) rad; give start values",
+        r"pantograph: the guess lies between two assemblies; in the one taken a is (\S+) rad \((\S+) deg\), guessed as "
+        r"(\S+) rad \(\S+ deg\), and in the other, hardly farther from the guess, it is (\S+) rad \(\S+ deg\); give "
+        r"start values",
         said[0],
     )
-    near, a, guess, far, other = map(float, found.groups())
-    assert near < far == pytest.approx(abs(off), abs=0.01)
+    a, degrees, guess, other = map(float, found.groups())
+    assert degrees == pytest.approx(math.degrees(a), rel=1e-3)
     assert guess == pytest.approx(-1.7 + off, abs=1e-4)
     assert math.remainder(other + 1.7, 2 * math.pi) == pytest.approx(0.0, abs=1e-4)
     assert abs(math.remainder(a + 1.7, 2 * math.pi)) > 1.0

@@ -19,7 +19,7 @@ STORED = HERE / "accelerations.json"
 
 MUJOCO = importlib.util.find_spec("mujoco") is not None
 
-MJCF = ["five_bar", "spatial", "coupled", "slider_crank"]
+MJCF = ["five_bar", "spatial", "coupled", "slider_crank", "carried", "biped"]
 
 
 @pytest.mark.skipif(not MUJOCO, reason="MuJoCo is not installed (extra bench)")

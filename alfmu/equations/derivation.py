@@ -215,15 +215,20 @@ class Kinematics:
         return value, turns and any(self.frame(body).wrapped for body in bodies)
 
     def gap(self, closure: Closure, direction: str) -> ca.SX:
-        """The residual in metres, wherever the points are; the same as `residual` but for lengths."""
+        """The residual to first order where it is small; farther off in metres, and not zero half a turn away."""
+        if isinstance(closure, SpatialJoint):
+            return closure.gap(direction)
         if direction == "length":
-            if isinstance(closure, SpatialJoint):
-                return ca.norm_2(closure.second.place - closure.first.place) - closure.length
             square, length = self._apart(closure)
             return ca.sqrt(square + 1e-300) - length
         if isinstance(closure, Motion) and self.locked(closure)[1]:
             beside = self._beside(closure)
             return ca.atan2(ca.sin(beside), ca.cos(beside))
+        if isinstance(closure, Joint) and direction == "rotation":
+            first, second = self.frame(closure.first.body), self.frame(closure.second.body)
+            if first.wrapped or second.wrapped:
+                ex, ey = first.turn(*_cis(closure.angle))
+                return ca.atan2(ex * second.ey - ey * second.ex, ex * second.ex + ey * second.ey)
         return self.residual(closure, direction)
 
     def residual(self, closure: Closure, direction: str) -> ca.SX:

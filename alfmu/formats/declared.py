@@ -10,12 +10,12 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-import casadi as ca
 import numpy as np
 
 from ..model.errors import DeclarationError, InputError
-from ..model.mechanism import Constraint, Mechanism
-from ..model.spatial import SpatialJoint
+from ..model.mechanism import Mechanism
+from ..model.words import quantity
+from .closing import Closed, Loops
 from .linkage import Closure, Coupling, Joint, Link, Linkage, Motor, place
 from .markup import Node
 from .poses import Array, Pose, cleaned, of_quaternion, quaternion, vector
@@ -23,27 +23,17 @@ from .script import Named, Script
 
 __all__ = ["declared", "plain_name"]
 
-_RANK = 1e-9
-"""Singular value of constraints, by the largest, below which one is zero: files give places to some ten digits."""
-
 _LONGEST = 60
 """Characters of a name: with words behind it, a line of Python holds it."""
 
-_BESIDE = 1e-2
-"""Distance [m, rad] of a place beside the start: far from round-off, near on the scale of mechanisms."""
-
-_CORRECTIONS = 12
-"""Corrections that close the loops there: each at least halves a gap near a singular position."""
-
-_GOOD = 0.1
-"""Share of a motion that a driven joint needs, by the largest of all, to be taken as independent before others."""
-
-_HALF = 0.5 + 1e-6
-"""Share of a motion beyond which the first coordinate is taken; off one half, which ratios of gears give, so that
-round-off does not choose."""
-
 _OPEN = 1e-6
 """Gap of a loop at the start [m, rad] that is told: positions in files are rounded to some six digits."""
+
+_FAR = 0.05
+"""Change of a coordinate [rad, mechanism's size] by which loops close that is warned of; some 3 degrees."""
+
+_NAMED = 3
+"""Coordinates that the note of open loops names."""
 
 _PARALLEL = 1e-14
 """Entry of a turn up to which frames are parallel: round-off of some turns one after the other."""
@@ -73,69 +63,53 @@ def plain_name(name: str) -> str:
     return plain if re.match(r"[A-Za-z]", plain) else f"n{plain}"
 
 
-def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str], list[str]]:
-    """The declaration, new names by old ones where they differ, and what there is to tell of the start."""
-    guessed = _Declaring(linkage, description, None)
-    mechanism, told = guessed.script.mechanism, []
+def declared(linkage: Linkage, description: str) -> tuple[Script, dict[str, str], list[str], str]:
+    """The declaration, new names by old ones where they differ, what there is to tell of the start, and to warn of."""
+    guessed = _Declaring(linkage, description)
+    mechanism, told, warned = guessed.script.mechanism, [], ""
     chosen = {c.name for c in mechanism.coordinates}
+    values = guessed.values
     if mechanism.closures:
-        chosen, gap = independent(mechanism, guessed.values, guessed.driven)
+        closed = Loops(mechanism, values, guessed.driven, guessed.given, guessed.limits).close()
+        chosen, values = closed.independent, closed.values
         if not chosen:
             told.append("its loops are rigid here and leave it no motion; a spare constraint or an axis may be askew")
-        if gap > _OPEN:
-            told.append(
-                f"its loops are open by up to {gap:.2g} m or rad in the file; they are closed at the start by moving "
-                "what is not independent"
-            )
-    final = _Declaring(linkage, description, chosen)
-    return final.script, final.renamed, told
+        if closed.gap > _OPEN:
+            told.append(_moved(mechanism, guessed.values, closed))
+            warned = told[-1] * (closed.way > _FAR or closed.left > _OPEN or bool(closed.beyond))
+    final = _Declaring(linkage, description, chosen, values)
+    return final.script, final.renamed, told, warned
 
 
-def independent(mechanism: Mechanism, values: Mapping[str, float], driven: Sequence[str]) -> tuple[set[str], float]:
-    """Coordinates by whose values all others follow, driven ones before others, and how far loops are open [m, rad]."""
-    residuals = []
-    for closing in mechanism.closures:
-        if isinstance(closing, SpatialJoint):
-            residuals += [closing.residual(direction) for direction in closing.directions]
-        elif isinstance(closing, Constraint):
-            residuals.append(closing.expression)
-    q = ca.vertcat(*(c.q for c in mechanism.coordinates))
-    phi = ca.vertcat(*residuals)
-    both = ca.Function("loops", [q], [phi, ca.jacobian(phi, q)])
-
-    def at(place: Array) -> tuple[Array, Array, Array]:
-        """Gaps, their Jacobian and the motions that it leaves (n, freedoms)."""
-        gaps, matrix = (np.array(x) for x in both(place))
-        _, sizes, turned = np.linalg.svd(matrix)
-        return gaps.ravel(), matrix, turned[np.sum(sizes > _RANK * sizes.max(initial=0.0)) :].T
-
-    start = vector([values[c.name] for c in mechanism.coordinates])
-    gaps, _, motions = at(start)
-    # Where a mechanism begins in a singular position, a place beside it tells how many coordinates are independent.
-    beside = start + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
-    for _ in range(_CORRECTIONS):
-        left, matrix, fewer = at(beside)
-        beside = beside - np.linalg.lstsq(matrix, left, rcond=_RANK)[0]
-    if np.abs(left).max(initial=0.0) < _RANK and np.linalg.norm(beside - start) < 10 * _BESIDE:
-        motions = fewer
-    chosen: set[str] = set()
-    names = [c.name for c in mechanism.coordinates]
-    for _ in range(motions.shape[1]):
-        size = np.linalg.norm(motions, axis=1)
-        first = [i for i, name in enumerate(names) if name in driven and size[i] > _GOOD * size.max()]
-        among = first or [i for i in range(len(names)) if size[i] > _HALF * size.max()]
-        i = first[0] if first else among[0]
-        chosen.add(names[i])
-        along = motions[i] / size[i]
-        motions = motions - np.outer(motions @ along, along)
-    return chosen, float(np.abs(gaps).max(initial=0.0))
+def _moved(mechanism: Mechanism, given: Mapping[str, float], closed: Closed) -> str:
+    """How far closing the loops moved coordinates."""
+    said = f"its loops are open by up to {closed.gap:.2g} m or rad in the file"
+    if closed.left > _OPEN:
+        return f"{said}, and were not closed: what is nearest leaves {closed.left:.2g} m or rad"
+    units = {c.name: c.unit for c in mechanism.coordinates}
+    changes = {name: abs(value - given[name]) for name, value in closed.values.items()}
+    most = sorted((name for name, x in changes.items() if x > _OPEN), key=lambda name: -changes[name])
+    parts = [f"{name} by {quantity(closed.values[name] - given[name], units[name])}" for name in most[:_NAMED]]
+    more = f" and {len(most) - _NAMED} more less far" * (len(most) > _NAMED)
+    said += f"; closing them moved {', '.join(parts)}{more}" if parts else "; they are closed at the start"
+    if closed.beyond:
+        said += f"; {', '.join(closed.beyond)} had to leave their limits for it"
+    return said
 
 
 class _Declaring:
-    """One pass: with all coordinates as guesses, or with those that are independent."""
+    """One pass: with all coordinates as guesses, or with those that are independent and where the loops are closed."""
 
-    def __init__(self, linkage: Linkage, description: str, chosen: set[str] | None):
-        self.linkage, self.chosen = linkage, chosen
+    def __init__(
+        self,
+        linkage: Linkage,
+        description: str,
+        chosen: set[str] | None = None,
+        closed: Mapping[str, float] | None = None,
+    ):
+        self.linkage, self.chosen, self.closed = linkage, chosen, closed or {}
+        self.given: set[str] = set()
+        self.limits: dict[str, tuple[float, float]] = {}
         self.taken, self.renamed = set(_AVOIDED), dict[str, str]()
         self.values: dict[str, float] = {}
         self.coordinates: dict[Joint, list[Named]] = {}
@@ -265,14 +239,15 @@ class _Declaring:
 
     def _started(self, name: str, value: float, rate: float, unit: str) -> Named | float:
         """The start of a coordinate that a body makes: a quantity that the user gives where it is independent."""
-        self.values[name] = value
+        self.values[name] = value = self.closed.get(name, value)
+        self.given.add(name)
         if self.chosen is None or name not in self.chosen:
-            return value
+            return float(f"{value:.15g}")
         speed = {"rate": float(f"{rate:.15g}")} if rate else {}
         return self.script.do("start", name, value, unit, **speed, keep=f"{name}_start")
 
     def _coordinate(self, name: str, unit: str, value: float, rate: float) -> Named:
-        self.values[name] = value = float(f"{value:.15g}")
+        self.values[name] = value = float(f"{self.closed.get(name, value):.15g}")
         alone = self.chosen is not None and name in self.chosen
         given: dict[str, float | bool] = {"start": value}
         if alone and rate:
@@ -304,6 +279,10 @@ class _Declaring:
         else:
             entries = zip(words, units, start, rates, strict=True)
             coordinates = [self._coordinate(f"{name}{word}", *entry) for word, *entry in entries]
+            names = [f"{name}{word}" for word in words]
+            self.limits |= dict(zip(names, joint.limits, strict=False))
+            if self.linkage.posed:
+                self.given.update(names)
         self.coordinates[joint] = coordinates
         at = pose.at(joint.point)
         markers = [self.bodies[b].at(self._point(b, at)) for b in (first, second)]

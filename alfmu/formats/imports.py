@@ -36,6 +36,8 @@ class Imported:
     """What is left out and may matter: limits of joints, programs of plugins."""
     notes: tuple[str, ...]
     """What else is worth knowing, such as loops that the file leaves open."""
+    moved: str
+    """What closing the loops moved, where that is far."""
     renamed: dict[str, str]
     """New names by kinds and old names."""
     _source: Callable[[str], str]
@@ -67,6 +69,8 @@ def factory(path: str | Path) -> Callable[..., Mechanism]:
         found = _imported(Path(path), root, dict(options))
         for each in found.warnings:
             warnings.warn(f"{path}: left out, and may matter: {each}", AlfmuWarning, stacklevel=2)
+        if found.moved:
+            warnings.warn(f"{path}: {found.moved}", AlfmuWarning, stacklevel=2)
         return found.mechanism
 
     def mjcf(key: str = "", contacts: Literal["refuse", "leave"] = "refuse", drives: str = "") -> Mechanism:
@@ -113,7 +117,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
     if not linkage.joints:
         root.fail("nothing in it moves: it has no joint with a coordinate")
     title = f"{' '.join(linkage.name.split())[:40]}, imported from {path.name[-40:]} ({called})"
-    script, renamed, told = declared(linkage, title)
+    script, renamed, told, moved = declared(linkage, title)
     left = tuple(_line(what, nodes) for what, nodes in linkage.left_out.items() if nodes)
     warned = tuple(_line(what, nodes) for what, nodes in linkage.warned.items())
     notes = (*(_line(what, nodes) for what, nodes in linkage.noted.items()), *told)
@@ -130,6 +134,7 @@ def _imported(path: Path, root: Node, options: dict[str, Any]) -> Imported:
         left,
         warned,
         notes,
+        moved,
         renamed,
         lambda function: script.text(plain_name(function), doc + "\n" * ("\n" in doc)),
     )

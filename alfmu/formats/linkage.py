@@ -48,6 +48,8 @@ class Joint:
     lead: float = 0.0
     follows: tuple[Joint, float, float] | None = None
     """Another joint, a factor and an offset: its coordinate is factor * other + offset."""
+    limits: tuple[tuple[float, float], ...] = ()
+    """The least and the largest value of its coordinates, where it has them: loops are closed within them."""
 
     def moved(self, values: Sequence[float]) -> Pose:
         """What it does to the link's frame at some values."""
@@ -162,6 +164,8 @@ class Linkage:
     warned: dict[str, list[Node]] = field(default_factory=dict)
     """What acts only where something is reached, and is left out."""
 
+    posed: bool = False
+    """Whether the file gives every coordinate its value, as a keyframe does."""
     noted: dict[str, list[Node]] = field(default_factory=dict)
     """What else is worth knowing."""
 

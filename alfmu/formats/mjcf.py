@@ -390,6 +390,8 @@ class _File:
             not self.settings.off & {"limit", "constraint"}
         ):
             self.linkage.warn("limits of joints", node)
+            if kind in ("hinge", "slide"):
+                joint.limits = ((angle(limits[0]), angle(limits[1])),)
         given.done(
             ("class", "group", "user", "type", "pos", "axis", "ref", "springref", "solreflimit", "solimplimit",
              "solreffriction", "solimpfriction", "margin", "align", "frictionloss", "range", "limited",
@@ -627,6 +629,7 @@ class _File:
         given.done(("name", "time"))
         for joint, (a, b) in zip(self.linkage.joints, sizes, strict=True):
             if positions is not None:
+                self.linkage.posed = True
                 joint.start, positions = tuple(positions[:a]), positions[a:]
                 e = joint.start[-4:]
                 if a > 1 and not any(e):

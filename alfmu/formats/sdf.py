@@ -280,6 +280,7 @@ class _File:
                 for each in ("damping", "stiffness", "rest"):
                     values = details[each]
                     setattr(joint, each, tuple(reversed(values)) if reverse else values)
+                joint.limits = tuple(reversed(details["limits"])) if reverse else tuple(details["limits"])
                 self.made[joint.name] = joint
                 link.joints.append(joint)
                 mimics += [(mimic, joint) for mimic in details["mimic"]]
@@ -407,12 +408,22 @@ def joint_details(linkage: Linkage, node: Node, frame: Pose, axis_in: Callable[[
             child.fail(f"<{child.tag}> of a joint does not map")
         elif child.tag in ("axis", "axis2") and child.tag not in wanted.get(kind, []):
             linkage.leave("axes of joints that have none", child)
-    found: dict = {"frame": frame, "axes": [], "damping": (), "stiffness": (), "rest": (), "lead": 0.0, "mimic": []}
+    found: dict = {
+        "frame": frame,
+        "axes": [],
+        "damping": (),
+        "stiffness": (),
+        "rest": (),
+        "limits": [],
+        "lead": 0.0,
+        "mimic": [],
+    }
     for tag in wanted.get(kind, []):
         axis = node.one(tag)
         if axis is None:
             node.fail(f"it has no <{tag}>; give one")
         found["axes"].append(axis_in(axis))
+        found["limits"].append((-math.inf, math.inf))
         _axis(linkage, axis, found)
     if kind == "universal":
         one, two = found["axes"]
@@ -437,6 +448,7 @@ def _axis(linkage: Linkage, axis: Node, found: dict) -> None:
             low, high, effort, speed = (number(child, each, x) for each, x in _LIMITS.items())
             if min(abs(low), abs(high)) < 1e15 or any(0 <= x < 1e15 for x in (effort, speed)):
                 linkage.warn("limits of joints", child.parent.parent)  # type: ignore[union-attr,list-item]
+            found["limits"][-1] = (low, high) if low < high else (-math.inf, math.inf)
         elif child.tag not in ("xyz", "dynamics", "use_parent_model_frame", "initial_position"):
             child.fail(f"<{child.tag}> of an axis does not map")
     if number(axis, "initial_position", 0.0):

@@ -197,15 +197,18 @@ class _File:
                 f"a joint of type {shown(kind[:40])} does not map; alfmu takes revolute, continuous, prismatic, fixed "
                 "and floating ones"
             )
+        limits: tuple[tuple[float, float], ...] = ()
         for child in node.each():
             if child.tag in ("safety_controller", "calibration"):
                 self.linkage.leave(child.tag, child)
             elif child.tag == "limit" and kind not in ("fixed", "floating"):
                 x = Reading(child)
-                limits = [x.number(each, 0.0) for each in ("lower", "upper", "effort", "velocity")]
+                low, high, effort, speed = (x.number(each, 0.0) for each in ("lower", "upper", "effort", "velocity"))
                 x.done()
-                if kind != "continuous" or any(limits[2:]):
+                if kind != "continuous" or effort or speed:
                     self.linkage.warn("limits of joints", node)
+                if kind != "continuous" and low < high:
+                    limits = ((low, high),)
             elif child.tag not in ("origin", "parent", "child", "axis", "dynamics", "mimic", "limit"):
                 child.fail(f"<{child.tag}> of a joint does not map")
             elif child.tag in _MOVED and kind in ("fixed", "floating"):
@@ -219,7 +222,7 @@ class _File:
         if name in self.joints:
             node.fail(f"there is a joint {shown(name[:60])} already; names are used once")
         axes = () if kind == "floating" else (self._axis(node),)
-        joint = Joint(name, _KINDS[kind], node, np.zeros(3), axes)
+        joint = Joint(name, _KINDS[kind], node, np.zeros(3), axes, limits=limits)
         if kind == "floating":
             at = place(link.parent, {}, {}) @ link.pose
             link.parent, link.pose = None, at

@@ -40,7 +40,7 @@ ALIKE = 10.0
 
 HARDLY = 1e-3
 """hold of constraints on a coordinate over the largest hold [1]: the mass of a coordinate that is held less does not
-scale penalties, as no row has to carry it."""
+scale penalties, as no row has to carry it, and coefficients that are less in a row tell nothing of its unit."""
 
 SAME = 1e-11
 """relative difference of coefficients [1]: coefficients that differ by less at all places beside the start are

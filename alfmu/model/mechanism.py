@@ -778,6 +778,8 @@ class Mechanism:
             raise DeclarationError(
                 f"{self.name}: only an independent coordinate has a start rate; {name} is not, so add independent=True"
             )
+        elif unit == "rad" and not isinstance(start, ca.SX):
+            perhaps_degrees(f"{self.name}: the guess of {name}", start)
         c = Coordinate(name, symbol, ca.SX.sym(f"{name}_v"), ca.SX.sym(f"{name}_a"), unit, start)
         Mechanism.coordinates.of(self).append(c)
         self._by_symbol[key_of(symbol)] = c
@@ -1931,7 +1933,7 @@ class Mechanism:
         else:
             along = self._joint(of)
             name, unit = along.name, self._free(along, "motion()")
-            placed = along.coordinate if isinstance(along, Joint) else None
+            placed = self._displacing(along)
             if placed is not None and not self._moves(placed):
                 raise DeclarationError(
                     f"{self.name}: the coordinate of {name} says already how it moves; leave out one of both"
@@ -1949,6 +1951,19 @@ class Mechanism:
         elif isinstance(coordinate, Coordinate):
             self._begins(coordinate, law)
         Mechanism.closures.of(self).append(Motion(name, along, law, unit, value))
+
+    def _displacing(self, joint: AnyJoint) -> Scalar | None:
+        """What is declared as the free displacement of a joint, if anything: its coordinate, or the angle in the pose
+        of a body that the joint hinges to the ground."""
+        if isinstance(joint, SpatialFreedom):
+            whole, which = joint.joint, joint.which
+            return None if whole.coordinates is None else whole.coordinates[list(whole.freedoms).index(which)]
+        if isinstance(joint, SpatialJoint):
+            return None if joint.coordinates is None else joint.coordinates[0]
+        if joint.coordinate is None and joint.kind == "revolute" and joint.first.body is self.ground:
+            pose = joint.second.body.pose
+            return pose[2] if pose is not None and self._moves(pose[2]) else None
+        return joint.coordinate
 
     def _begins(self, coordinate: Coordinate, law: ca.SX) -> None:
         """A coordinate begins where its motion has it; DeclarationError where it was given another start."""

@@ -533,6 +533,24 @@ class SpatialJoint(Brief):
             return self._thread(carrier)[0]
         return ca.dot(*self._kept_square(direction, carrier))
 
+    def gap(self, direction: str) -> ca.SX:
+        """The residual, to first order where it is small, but for a joint that is closed far from zero: in metres for
+        lengths, and not zero where directions that should be parallel are opposite."""
+        residual, carrier = self.residual(direction), self.carrier
+        if direction == "length":
+            return ca.norm_2(self.apart) - self.length
+        if direction == "screw":
+            pitch = self.lead / (2 * math.pi)
+            along = ca.dot(self._thread(carrier)[1], self.triad(carrier=carrier)[2])
+            return pitch * ca.atan2(residual / pitch, along)
+        if direction not in (*_ALIGNED, "rotation3"):
+            return residual
+        k = 0 if direction == "rotation3" else 2
+        one, two = self.triad(carrier=carrier)[k], self.triad(True, carrier)[k]
+        # On the way, Euler parameters have other lengths than 1.
+        whole = ca.sqrt(ca.sumsqr(one) * ca.sumsqr(two)) + _NONE
+        return (2 + _OPPOSITE) * whole / (whole + ca.dot(one, two) + _OPPOSITE * whole) * residual
+
     def reaction(self, multipliers: dict[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
         """Force (3,) and moment (3,) about the joint's point on the second body, on it from the first, in ground axes.
 
@@ -624,6 +642,14 @@ class SpatialFreedom(Brief):
     def wrapped(self) -> bool:
         """Whether the free displacement is an angle known up to whole turns only."""
         return self.joint.is_wrapped(self.which)
+
+
+_OPPOSITE = 1e-6
+"""Share [1]: directions that are opposite to round-off, as a declaration may have them, stay so; others turn."""
+
+
+_NONE = 1e-30
+"""A length [1] that is nothing, in place of zero in a quotient."""
 
 
 def _column(vector: Vector) -> ca.SX:

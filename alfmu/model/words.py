@@ -18,6 +18,7 @@ __all__ = [
     "in_words",
     "nearest",
     "no_attribute",
+    "quantity",
     "shown",
     "some_like",
     "text",
@@ -138,6 +139,12 @@ def in_words(names: Collection[str]) -> str:
     """a, b or c"""
     *most, last = names
     return f"{', '.join(most)} or {last}" if most else last
+
+
+def quantity(value: float, unit: str) -> str:
+    """A value with its unit, an angle in degrees, too."""
+    plain = f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
+    return f"{plain} ({math.degrees(value):.4g} deg)" if unit == "rad" else plain
 
 
 def counted(count: int, of: str) -> str:

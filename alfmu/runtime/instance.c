@@ -525,7 +525,8 @@ static const char *remedy(const Instance *i)
 {
     return penalty_given(i)
         ? "use solver.penalty 0, which scales it with the masses"
-        : "reduce solver.step_size";
+        : i->flags.initialized ? "reduce solver.step_size"
+                               : "check lengths, masses and start values";
 }
 
 /* FAILED where an evaluation, by what it says of itself, left so much of a given penalty's multiplier iteration that it

@@ -312,9 +312,7 @@ class Instance:
 
         Of what has outputs NAME.x and NAME.y, and NAME.z in space; where nothing has, of coordinates that are lengths.
         """
-        e, p, v = self.equations, self.memory["p"], np.zeros(self.equations.n)
-        s = self.values[len(e.parameters) :][: len(e.starts)]
-        guess = np.array(e.functions["guess"](p, s)).ravel()
+        e, p, v, guess = self.equations, self.memory["p"], np.zeros(self.equations.n), self._guess()
         places = [
             np.array(e.functions["readings"](q, v, v, np.zeros(e.l), np.zeros(e.driven), p, 0.0)).ravel()
             for q in (guess, self._start)
@@ -328,6 +326,19 @@ class Instance:
             changes = zip(e.coordinates, self._start - guess, strict=True)
             square = {c.name: change**2 for c, change in changes if c.unit == "m"}
         return {name: math.sqrt(x) for name, x in sorted(square.items(), key=lambda each: -each[1])}
+
+    def _guess(self) -> NDArray[np.float64]:
+        """Where the assembly began (n,)."""
+        e = self.equations
+        s = self.values[len(e.parameters) :][: len(e.starts)]
+        return np.array(e.functions["guess"](self.memory["p"], s)).ravel()
+
+    @property
+    def turned(self) -> dict[str, float]:
+        """How far the assembly turned each coordinate that is an angle from its guess [rad], the farthest first."""
+        changes = zip(self.equations.coordinates, self._start - self._guess(), strict=True)
+        angles = ((c.name, float(change)) for c, change in changes if c.unit == "rad")
+        return dict(sorted(angles, key=lambda each: -abs(each[1])))
 
     def undetermined(self) -> list[str]:
         """Coordinates that neither constraints nor start values determine, so that they begin at their guess.

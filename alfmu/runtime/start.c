@@ -14,6 +14,7 @@
 typedef struct {
     const unsigned char *held;
     int count; /* of both */
+    int untied; /* whether start values are guesses, too */
     Rows J;
     double *residue, *trial;
 } Loops;
@@ -135,6 +136,10 @@ static void closure_at(Instance *i, Loops *loops, const double *q)
     const double *x[] = {q, field(i, s->p), starts(i)};
     double *y[] = {loops->J.constraints.values, loops->J.ties.values, loops->residue, loops->residue + s->l};
     call(i, s->closure, x, y);
+    if (loops->untied) {
+        memset(loops->residue + s->l, 0, (size_t)s->ties * sizeof *loops->residue);
+        memset(loops->J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *loops->J.ties.values);
+    }
     for (int r = 0; r < s->l; r++)
         loops->residue[r] = loops->held[r] ? loops->residue[r] : 0.0;
     for (int e = 0; e < s->gaps.entries; e++)
@@ -145,7 +150,7 @@ static void closure_at(Instance *i, Loops *loops, const double *q)
 static Loops loops_new(Instance *i, const unsigned char *held)
 {
     const Scene *s = i->scene;
-    Loops loops = {held, s->l + s->ties, {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)}, NULL, NULL};
+    Loops loops = {held, s->l + s->ties, 0, {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)}, NULL, NULL};
     loops.residue = take(i, (size_t)loops.count);
     loops.trial = take(i, (size_t)s->n);
     return loops;
@@ -211,19 +216,26 @@ typedef struct {
     double *q, way;
 } Another;
 
-/* The assembly nearest to the guess among those found from places around it; whether there is one. The nearest one that is
-   not the own is `another`. */
+/* A place beside the guess from which an assembly is looked for, the k-th of them. */
+static void beside(const Scene *s, const double *guess, double size, int k, double *q)
+{
+    for (int c = 0; c < s->n; c++)
+        q[c] = guess[c] + size * (0.2 + 1.3 * k / (TRIES - 1)) * s->normal[k * s->n + c] / sqrt(s->n);
+}
+
+/* The assembly nearest to the guess among those found from places around it, and the number of its place; -1 where there
+   is none. The nearest one that is not the own is `another`. */
 static int nearest(Instance *i, Loops *loops, const double *guess, double size, double *found, Another *another)
 {
     const Scene *s = i->scene;
     const size_t used = i->used;
     double *q = take(i, (size_t)s->n), best = INFINITY;
+    int from = -1;
     const int paused = tape_pause(i, 1);
     another->way = INFINITY;
     for (int k = 0; k < TRIES; k++) {
         double away = 0.0;
-        for (int c = 0; c < s->n; c++)
-            q[c] = guess[c] + size * (0.2 + 1.3 * k / (TRIES - 1)) * s->normal[k * s->n + c] / sqrt(s->n);
+        beside(s, guess, size, k, q);
         followed(i, loops, q);
         if (!closes(i, loops, q))
             continue;
@@ -231,6 +243,7 @@ static int nearest(Instance *i, Loops *loops, const double *guess, double size, 
             away += (q[c] - guess[c]) * (q[c] - guess[c]);
         if (away < best) {
             best = away;
+            from = k;
             memcpy(found, q, (size_t)s->n * sizeof *q);
         }
         away = apart(s, guess, q);
@@ -242,7 +255,7 @@ static int nearest(Instance *i, Loops *loops, const double *guess, double size, 
     }
     tape_pause(i, paused);
     i->used = used;
-    return best < INFINITY;
+    return from;
 }
 
 /* Whether an assembly leads back to itself from a place beside it: start values determine it. */
@@ -310,36 +323,88 @@ static int crossed(const Scene *s, const double *from, const double *to)
     return most;
 }
 
-/* DONE, with a warning where the guess lies between this assembly and another, or the only one is on its other side. */
-static Outcome alone(
-    Instance *i, Loops *loops, const double *guess, const double *q, double moved, const Another *another)
+#define QUANTITY 64 /* characters */
+
+/* A value with its unit, an angle in degrees, too. */
+static const char *in_unit(const char *unit, double value, char *text)
+{
+    if (!strcmp(unit, "rad"))
+        snprintf(text, QUANTITY, "%.6g rad (%.4g deg)", value, value * 90 / QUARTER);
+    else
+        snprintf(text, QUANTITY, strcmp(unit, "1") ? "%.6g %s" : "%.6g", value, unit);
+    return text;
+}
+
+/* DONE, with a warning where the guess is about as near to another assembly, or the only one is on its other side. */
+static Outcome alone(Instance *i, Loops *loops, const double *guess, const double *q, const Another *another)
 {
     const Scene *s = i->scene;
-    const int c = crossed(s, guess, q);
-    int most;
+    char own[QUANTITY], given[QUANTITY], other[QUANTITY];
+    int most, c = crossed(s, guess, q);
     if (another->way < BETWEEN * apart(s, guess, q) && determined(i, loops, q)) {
         way(s, q, another->q, &most);
         say(i, DONE,
-            "%s: the guess lies between two assemblies, and the loops closed in one, %.3g (m and rad) from it, where %s "
-            "is %.6g %s instead of %.6g; another is %.3g from it, where that is %.6g %s; give start values or guesses "
-            "closer to the assembly you want",
-            s->name, moved, s->coordinates[most].name, q[most], s->coordinates[most].unit, guess[most], another->way,
-            another->q[most], s->coordinates[most].unit);
+            "%s: the guess lies between two assemblies; in the one taken %s is %s, guessed as %s, and in the other, hardly "
+            "farther from the guess, it is %s; give start values or guesses closer to the assembly you want",
+            s->name, s->coordinates[most].name, in_unit(s->coordinates[most].unit, q[most], own),
+            in_unit(s->coordinates[most].unit, guess[most], given),
+            in_unit(s->coordinates[most].unit, another->q[most], other));
     } else if (c >= 0)
         say(i, DONE,
-            "%s: the loops closed %.3g (m and rad) from the guess, where %s is %.6g %s instead of %.6g, and no assembly "
-            "was found that is nearer; check lengths and offsets, or give start values or guesses closer to this assembly",
-            s->name, moved, s->coordinates[c].name, q[c], s->coordinates[c].unit, guess[c]);
+            "%s: the loops closed where %s is %s, guessed as %s on the other side of zero, and no nearer assembly was found; "
+            "check lengths and offsets, or give start values or guesses closer to this assembly",
+            s->name, s->coordinates[c].name, in_unit(s->coordinates[c].unit, q[c], own),
+            in_unit(s->coordinates[c].unit, guess[c], given));
     return DONE;
+}
+
+/* The refusal of loops that do not close, with the start values where they do, if anywhere. */
+static Outcome not_closed(Instance *i, Loops *loops, const double *guess, double *q)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n;
+    double *other = take(i, n), most = 0.0;
+    Another another = {q, take(i, n), INFINITY};
+    char label[200], hint[400] = "", own[QUANTITY], given[QUANTITY];
+    int worst = -1, contradict;
+    closure_at(i, loops, q);
+    contradict = largest(loops->residue, s->l) <= ROUGH;
+    gap_label(i, loops, label, sizeof label);
+    if (s->ties && !contradict) { /* Start values that give way, too. */
+        memcpy(other, guess, n * sizeof *other);
+        loops->untied = 1;
+        followed(i, loops, other);
+        if (closes(i, loops, other) || nearest(i, loops, guess, 3.0, other, &another) >= 0) {
+            loops->untied = 0;
+            closure_at(i, loops, other);
+            for (int k = 0; k < s->ties; k++)
+                if (fabs(loops->residue[s->l + k]) > most) {
+                    most = fabs(loops->residue[s->l + k]);
+                    worst = k;
+                }
+        }
+        loops->untied = 0;
+    }
+    if (worst >= 0) {
+        const Variable *start = s->variables + s->own + s->tied[worst];
+        const double value = starts(i)[s->tied[worst]];
+        snprintf(hint, sizeof hint, "; they close where %s is %s instead of %s", start->name,
+            in_unit(start->unit, value + loops->residue[s->l + worst], own), in_unit(start->unit, value, given));
+    }
+    i->used = used;
+    return say(i, FAILED, "%s: %s; the nearest assembly leaves %s; %s%s", s->name,
+        contradict ? "the start values contradict each other" : "the loops cannot be closed", label,
+        s->ties > 1 ? "give fewer or consistent start values" : "check lengths, offsets and start values", hint);
 }
 
 static Outcome positions(Instance *i, Loops *loops, const double *guess, double *q)
 {
     const Scene *s = i->scene;
-    double step, moved, away = INFINITY, *other = take(i, (size_t)s->n);
+    const Mark begin = tape_mark(i);
+    double step, moved, size, away = INFINITY, *other = take(i, (size_t)s->n);
     Another another = {q, take(i, (size_t)s->n), INFINITY};
-    char label[200];
-    int most, found, direct;
+    char own[QUANTITY], given[QUANTITY], theirs[QUANTITY];
+    int most, from, direct;
     i->text[0] = '\0';
     memcpy(q, guess, (size_t)s->n * sizeof *q);
     tape_copy(i, q, guess, (size_t)s->n);
@@ -349,34 +414,37 @@ static Outcome positions(Instance *i, Loops *loops, const double *guess, double 
     if (direct && (moved <= AWAY || s->n > DENSE))
         return DONE;
     /* A long way, or none: is there an assembly nearer to the guess? */
-    found = nearest(i, loops, guess, fmin(moved, 3.0), other, &another);
-    if (found)
+    size = fmin(moved, 3.0);
+    from = nearest(i, loops, guess, size, other, &another);
+    if (from >= 0)
         away = way(s, guess, other, &most);
     if (direct) {
-        if (away < NEARER * moved)
+        if (away < NEARER * moved) {
+            way(s, q, other, &most);
             say(i, DONE,
-                "%s: the loops closed far from the guess (%.3g in m and rad), and a nearer assembly is %.3g from it, where "
-                "%s is %.6g %s instead of %.6g; give start values or guesses closer to the assembly you want",
-                s->name, moved, away, s->coordinates[most].name, other[most], s->coordinates[most].unit, q[most]);
-        return away < NEARER * moved ? DONE : alone(i, loops, guess, q, moved, &another);
+                "%s: the loops closed far from the guess, where %s is %s, guessed as %s, and in a nearer assembly it is %s; "
+                "give start values or guesses closer to the assembly you want",
+                s->name, s->coordinates[most].name, in_unit(s->coordinates[most].unit, q[most], own),
+                in_unit(s->coordinates[most].unit, guess[most], given),
+                in_unit(s->coordinates[most].unit, other[most], theirs));
+        }
+        return away < NEARER * moved ? DONE : alone(i, loops, guess, q, &another);
     }
-    if (!found && moved == INFINITY) {
-        closure_at(i, loops, q);
-        return say(i, FAILED, "%s: %s; the nearest assembly leaves %s; %s", s->name,
-            largest(loops->residue, s->l) <= ROUGH ? "the start values contradict each other"
-                                                   : "the loops cannot be closed",
-            gap_label(i, loops, label, sizeof label),
-            s->ties > 1 ? "give fewer or consistent start values" : "check lengths, offsets and start values");
+    if (from < 0 && moved == INFINITY)
+        return not_closed(i, loops, guess, q);
+    if (from >= 0 && away < 0.99 * moved) { /* From the guess the way leads elsewhere, or nowhere. */
+        tape_cut(i, begin);
+        beside(s, guess, size, from, q);
+        tape_copy(i, q, guess, (size_t)s->n);
+        followed(i, loops, q);
+        way(s, guess, q, &most);
+        return say(i, DONE,
+            "%s: no short way leads from the guess to closed loops; in the nearest assembly found, which is taken, %s is %s, "
+            "guessed as %s; give start values or guesses closer to the assembly you want",
+            s->name, s->coordinates[most].name, in_unit(s->coordinates[most].unit, q[most], own),
+            in_unit(s->coordinates[most].unit, guess[most], given));
     }
-    if (found && away < 0.99 * moved) {
-        closure_at(i, loops, guess);
-        return say(i, FAILED,
-            "%s: the guess leaves %s and leads to an assembly elsewhere than the nearest one, where %s is %.6g %s; "
-            "give start values or guesses closer to the assembly you want",
-            s->name, gap_label(i, loops, label, sizeof label), s->coordinates[most].name, other[most],
-            s->coordinates[most].unit);
-    }
-    return alone(i, loops, guess, q, moved, &another);
+    return alone(i, loops, guess, q, &another);
 }
 
 /* Velocities that keep the loops closed and have the rates of start values, nearest to the guess v; what they leave. */
@@ -737,16 +805,23 @@ static double constant(const Told *row)
     return row->lengths.count > 0.0 ? row->constant_length : row->constant;
 }
 
+/* Whether some coefficients tell the unit of their row: at a place that closes the loops, those of a slide across the row
+   and of the attitude of a body that carries the whole loop are round-off. */
+static int telling(const Told *row, Sum sum)
+{
+    return together(sum) > HARDLY * row->most;
+}
+
 /* What a row comes to for a unit of displacement, 0 where it has no coefficient: 1 in metres and radians, 1000 in
    millimetres. That is its constant coefficient; otherwise what its lengths come to together, or the constant amplitude
    of an angle. Of others it is not known but by the size of their coefficients. */
 static double unit_of(const Told *row)
 {
-    return constant(row) > 0.0          ? constant(row)
-        : row->lengths.squares > 0.0    ? sqrt(2.0) * together(row->lengths)
-        : row->euler.squares > 0.0      ? together(row->euler)
-        : row->angular > 0.0            ? row->angular
-                                        : row->most;
+    return constant(row) > 0.0         ? constant(row)
+        : telling(row, row->lengths)   ? sqrt(2.0) * together(row->lengths)
+        : telling(row, row->euler)     ? together(row->euler)
+        : row->angular > 0.0           ? row->angular
+                                       : row->most;
 }
 
 /* Whether two rows are directions of one joint, which are square to each other. */
@@ -811,7 +886,7 @@ void default_penalties(Instance *i, const double *q, double *penalties)
     for (int r = 0; r < s->l; r++) {
         const int declared = s->rows[r].size > 0.0;
         units[r] = declared ? s->rows[r].size : unit_of(told + r);
-        known &= declared || constant(told + r) > 0.0 || told[r].lengths.squares > 0.0 || told[r].angular > 0.0;
+        known &= declared || constant(told + r) > 0.0 || telling(told + r, told[r].lengths) || told[r].angular > 0.0;
         every_angular &= told[r].angular > 0.0 && !declared;
         every_exact &= constant(told + r) > 0.0;
     }

@@ -19,6 +19,7 @@ from ..model.doubts import evaluated, masses, no_gravity
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..model.registry import choices
+from ..model.words import quantity
 from ..runtime import Instance
 from ..runtime.prepare import decided, prepared
 from ..simulation import Result
@@ -34,6 +35,9 @@ _WIDE = 100
 
 _FEW = 3
 """Outputs of a body or joint up to which they are named and not counted."""
+
+_TURNED = 0.1
+"""Change of an angle [rad] from its guess from which on it is told; some 6 degrees."""
 
 _MOVED = 1e-6
 """Way [m] up to which assembly has left a body where its guess has it."""
@@ -141,7 +145,8 @@ def notes(unit: Any) -> list[str]:
         name, way = next(iter(moved.items()))
         most = f", {name} most" * (len(moved) > 1)
         what = f"{len(moved)} bodies by up to {way:.3g} m" if len(moved) > 1 else f"{name} by {way:.3g} m"
-        found.append(f"assembly moved {what} from where the guesses have them{most}")
+        turned = [f"{each} by {quantity(way, 'rad')}" for each, way in unit.turned.items() if abs(way) > _TURNED][:1]
+        found.append("; ".join([f"assembly moved {what} from where the guesses have them{most}", *turned]))
     with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
         if forgotten := unit.forgotten():
             found.append(forgotten)

@@ -1,0 +1,246 @@
+"""Loops of a file closed before its mechanism is declared: by least squares over all coordinates, within limits.
+
+A file gives values that close its loops to some six digits, or none at all. The place nearest to them that closes the
+loops is looked for by all coordinates, some of which give way more readily than others. At that place, and not before,
+ranks tell which coordinates are independent. These keep what the file gives where the loops close with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from ..model.mechanism import Constraint, Mechanism
+from ..model.spatial import SpatialJoint
+from .poses import Array, vector
+
+__all__ = ["Closed", "Loops"]
+
+_RANK = 1e-9
+"""Singular value of constraints, by the largest, below which one is zero: files give places to some ten digits."""
+
+_BESIDE = 1e-2
+"""Distance [m, rad] of a place beside the closed one: far from round-off, near on the scale of mechanisms."""
+
+_CORRECTIONS = 12
+"""Corrections that close the loops there: each at least halves a gap near a singular position."""
+
+_GOOD = 0.1
+"""Share of a motion that a driven joint needs, by the largest of all, to be taken as independent before others."""
+
+_HALF = 0.5 + 1e-6
+"""Share of a motion beyond which the first coordinate is taken; off one half, which ratios of gears give, so that
+round-off does not choose."""
+
+_CLOSED = 1e-12
+"""Gap [mechanism's size, rad] of loops that are closed: some hundred times round-off."""
+
+_NEARLY = 1e-9
+"""Gap that is accepted where corrections gain no more, as near singular positions and where digits are cut off."""
+
+_LONGEST = 0.3
+"""Longest correction [rad, mechanism's size]: loops are linear enough over it that the place found is a near one."""
+
+_MOST = 200
+"""Corrections: a place takes some ten; near a singular position each gains a factor of two."""
+
+_TRIES = 48
+"""Places around the given one from which a nearer one is looked for, where the first is far or none."""
+
+_FAR = 0.5
+"""Way [rad, mechanism's size] from which on a nearer place is looked for."""
+
+_GIVEN = 0.1
+"""How readily a coordinate gives way whose value the file gives, by one of which it says nothing."""
+
+_DRIVEN = 0.3
+"""The same of a coordinate that is driven."""
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A place that closes the loops, the coordinates that tell it, and how far the given place is from it."""
+
+    values: dict[str, float]
+    independent: set[str]
+    gap: float
+    """Largest gap at the given place [m, rad]."""
+    left: float
+    """Largest gap at this one, above zero where the loops do not close."""
+    way: float
+    """Largest change of a coordinate [rad, mechanism's size]."""
+    beyond: tuple[str, ...]
+    """Coordinates that are outside of their limits, as the loops do not close within them."""
+
+
+class Loops:
+    """The loops of a mechanism as functions of its coordinates, in its own size."""
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        values: Mapping[str, float],
+        driven: Sequence[str],
+        given: Sequence[str],
+        limits: Mapping[str, tuple[float, float]],
+    ):
+        coordinates = list(mechanism.coordinates)
+        self.names = [c.name for c in coordinates]
+        self.driven = {name for name in driven if name in self.names}
+        residuals, plain, lengths = [], [], []
+        for closing in mechanism.closures:
+            if isinstance(closing, SpatialJoint):
+                residuals += [closing.gap(direction) for direction in closing.directions]
+                plain += [closing.residual(direction) for direction in closing.directions]
+                lengths += [not direction.startswith("rotation") for direction in closing.directions]
+            elif isinstance(closing, Constraint):
+                residuals.append(closing.expression)
+                plain.append(closing.expression)
+                lengths.append(closing.unit == "m")
+        q, phi = ca.vertcat(*(c.q for c in coordinates)), ca.vertcat(*residuals)
+        self._both = ca.Function("loops", [q], [phi, ca.jacobian(phi, q)])
+        self._plain = ca.Function("gaps", [q], [ca.vertcat(*plain)])
+        self.given = vector([values[name] for name in self.names])
+        metres = np.array([c.unit == "m" for c in coordinates])
+        rows = np.array(lengths, dtype=bool)
+        gaps, matrix = (np.abs(np.array(found)) for found in self._both(self.given))
+        arm = matrix[np.ix_(rows, ~metres)].max(initial=0.0)
+        if arm <= _RANK * matrix.max(initial=0.0):  # nothing turns a loop: what slides and what is open
+            arm = max(gaps[rows].max(initial=0.0), np.abs(self.given[metres]).max(initial=0.0))
+        self.size = 2.0 ** np.round(np.log2(arm or 1.0))
+        """Length [m] of the longest arm on which a loop turns, as a power of two: no digit is lost by it."""
+        self.units = np.where(metres, self.size, 1.0)
+        self._row_units = np.where(rows, self.size, 1.0)
+        self._ready = np.array(
+            [(_GIVEN if n in given else 1.0) * (_DRIVEN if n in self.driven else 1.0) for n in self.names]
+        )
+        bounds = (
+            np.array([limits.get(name, (-np.inf, np.inf)) for name in self.names]).reshape(-1, 2) / self.units[:, None]
+        )
+        start = self.given / self.units
+        self._low, self._high = np.minimum(bounds[:, 0], start), np.maximum(bounds[:, 1], start)
+
+    def at(self, x: Array) -> tuple[Array, Array]:
+        """Gaps and their Jacobian at coordinates, all in the mechanism's own size."""
+        gaps, matrix = (np.array(found) for found in self._both(x * self.units))
+        return gaps.ravel() / self._row_units, matrix * self.units / self._row_units[:, None]
+
+    def _followed(self, x: Array, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
+        """Corrections of least weighted length until loops are closed or nothing is gained; the gap that is left."""
+        gaps, matrix = self.at(x)
+        for _ in range(_MOST):
+            size = float(np.linalg.norm(gaps))
+            if np.abs(gaps).max(initial=0.0) <= _CLOSED:
+                break
+            free = ready.copy()
+            for _ in range(len(x)):  # what a limit stops gives way no more
+                step = free * np.linalg.lstsq(matrix * free, -gaps, rcond=1e-8)[0]
+                stopped = (free > 0) & (((x <= low) & (step < 0)) | ((x >= high) & (step > 0)))
+                if not stopped.any():
+                    break
+                free[stopped] = 0.0
+            part = min(1.0, _LONGEST / max(np.abs(step).max(initial=0.0), 1e-300))
+            while part > 1e-4:
+                tried = np.clip(x + part * step, low, high)
+                found, there = self.at(tried)
+                if np.linalg.norm(found) < (1 - part / 10) * size:
+                    break
+                part /= 2
+            else:
+                break
+            x, gaps, matrix = tried, found, there
+        return x, float(np.abs(gaps).max(initial=0.0))
+
+    def _near(self, x: Array, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
+        """The nearest closed place, by weights, from a closed one near it: the given values drawn along the motions."""
+        start, best, left = self.given / self.units, x, self._followed(x, ready, low, high)[1]
+        for _ in range(_CORRECTIONS):
+            along = _motions(self.at(best)[1])
+            pull, *_ = np.linalg.lstsq(along / ready[:, None], (start - best) / ready, rcond=_RANK)
+            step = along @ pull
+            step *= min(1.0, _LONGEST / max(np.abs(step).max(initial=0.0), 1e-300))
+            tried, gap = self._followed(np.clip(best + step, low, high), ready, low, high)
+            if gap > _NEARLY or self._way(tried, ready) > (1 - 1e-3) * self._way(best, ready):
+                break
+            best, left = tried, gap
+        return best, left
+
+    def _way(self, x: Array, ready: Array) -> float:
+        return float(np.linalg.norm((x - self.given / self.units) / ready))
+
+    def _closest(self, ready: Array, low: Array, high: Array) -> tuple[Array, float]:
+        """The nearest closed place of those found from the given one and, where that is far, from around it."""
+        start = self.given / self.units
+        best, left = self._followed(start, ready, low, high)
+        far = np.abs(best - start).max(initial=0.0) > _FAR
+        if left <= _NEARLY and not far:
+            return best, left
+        if left <= _NEARLY:
+            best, left = self._near(best, ready, low, high)
+        rng = np.random.default_rng(0)
+        for k in range(_TRIES):
+            beside = start + rng.normal(size=len(start)) * ready / ready.max() * (0.2 + 1.8 * k / (_TRIES - 1))
+            tried, gap = self._followed(np.clip(beside, low, high), ready, low, high)
+            if gap <= _NEARLY:
+                tried, gap = self._near(tried, ready, low, high)
+            if gap <= _NEARLY:
+                better = left > _NEARLY or self._way(tried, ready) < 0.99 * self._way(best, ready)
+            else:
+                better = gap < left
+            if better:
+                best, left = tried, gap
+        return best, left
+
+    def close(self) -> Closed:
+        """The nearest place that closes the loops, within limits if there is one, and what is independent there."""
+        anywhere = np.full(len(self.names), np.inf)
+        x, left = self._closest(self._ready, self._low, self._high)
+        if left > _NEARLY and (np.isfinite(self._low) | np.isfinite(self._high)).any():
+            wide, found = self._closest(self._ready, -anywhere, anywhere)
+            if found <= _NEARLY:
+                x, left = wide, found
+        beyond = tuple(n for n, v, a, b in zip(self.names, x, self._low, self._high, strict=True) if not a <= v <= b)
+        chosen = self._independent(x)
+        start = self.given / self.units
+        gap = float(np.abs(np.array(self._plain(self.given))).max(initial=0.0))
+        # Independent ones keep what is given, to the last digit, where that leads to a place near this one.
+        held = np.array([name in chosen for name in self.names])
+        from_there = np.where(held, start, x)
+        kept, opens = self._followed(from_there, np.where(held, 0.0, 1.0), -anywhere, anywhere)
+        if opens <= _NEARLY and np.abs(kept - x).max(initial=0.0) <= np.abs(x - start).max(initial=0.0) + _NEARLY:
+            x, left = kept, opens
+        if left > _NEARLY:
+            x = start
+        values = dict(zip(self.names, (x * self.units).tolist(), strict=True))
+        return Closed(values, chosen, gap, left, float(np.abs(x - start).max(initial=0.0)), beyond)
+
+    def _independent(self, x: Array) -> set[str]:
+        """Coordinates by whose values all others follow, driven ones before others."""
+        q = x * self.units
+        motions = _motions(np.array(self._both(q)[1]))
+        # Where a mechanism begins in a singular position, a place beside it tells how many coordinates are independent.
+        beside = q + _BESIDE * (motions @ np.linspace(1.0, 2.0, motions.shape[1]))
+        for _ in range(_CORRECTIONS):
+            left, matrix = (np.array(found) for found in self._both(beside))
+            beside = beside - np.linalg.lstsq(matrix, left.ravel(), rcond=_RANK)[0]
+        if np.abs(left).max(initial=0.0) < _RANK and np.linalg.norm(beside - q) < 10 * _BESIDE:
+            motions = _motions(matrix)
+        chosen: set[str] = set()
+        for _ in range(motions.shape[1]):
+            size = np.linalg.norm(motions, axis=1)
+            first = [i for i, name in enumerate(self.names) if name in self.driven and size[i] > _GOOD * size.max()]
+            among = first or [i for i in range(len(self.names)) if size[i] > _HALF * size.max()]
+            i = first[0] if first else among[0]
+            chosen.add(self.names[i])
+            along = motions[i] / size[i]
+            motions = motions - np.outer(motions @ along, along)
+        return chosen
+
+
+def _motions(matrix: Array) -> Array:
+    """The motions (n, freedoms) that constraints leave."""
+    _, sizes, turned = np.linalg.svd(matrix)
+    return turned[np.sum(sizes > _RANK * sizes.max(initial=0.0)) :].T

@@ -1,0 +1,148 @@
+"""Loops that are open where a mechanism is declared or read from a file: closed over all coordinates, and told."""
+
+import warnings
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from oracles.open_linkages import opened
+
+import alfmu
+from alfmu.analysis.situation import situation, source
+from alfmu.formats.closing import Loops
+
+# Random linkages ------------------------------------------------------------------------------------------------------
+
+
+def apart(m: alfmu.Mechanism, q: NDArray) -> float:
+    """The widest gap [m] of points that joints keep together, or difference of directions that they keep parallel."""
+    found = [ca.SX(0)]
+    for joint in m.spatial_joints:
+        if joint.coordinates is None:
+            one, two = joint.triad()[2], joint.triad(second=True)[2]
+            way = joint.second.place - joint.first.place
+            found.append(ca.norm_2(way if joint.kind != "cylindrical" else ca.cross(one, way)))
+            if joint.kind != "spherical":
+                found.append(ca.norm_2(one - two))
+    known = ca.vertcat(*(c.q for c in m.coordinates))
+    return np.array(ca.Function("apart", [known], [ca.vertcat(*found)])(q)).max()
+
+
+@pytest.mark.parametrize("planar", [False, True], ids=["spatial", "planar"])
+def test_random_linkages_close(planar: bool) -> None:
+    """Opened by up to 1 rad and 0.3 of their size: by the start of a run, and by what closes the loops of files."""
+    for seed in range(2 if planar else 6):
+        m = opened(seed, planar)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            assert apart(m, situation(source(m, {})).state.q) < 1e-10
+        guesses = {c.name: float(c.guess) for c in m.coordinates}
+        assert apart(m, np.array(list(guesses.values()))) > 1e-2
+        closed = Loops(m, guesses, [], [], {}).close()
+        assert apart(m, np.array([closed.values[c.name] for c in m.coordinates])) < 1e-9
+
+
+def test_a_hinge_does_not_close_half_a_turn_away() -> None:
+    """Directions that it keeps parallel are opposite there, and their product across vanishes as well."""
+    m = alfmu.Mechanism("lid")
+    box = {"mass": 1.0, "inertia": (1.0, 1.0, 1.0)}
+    lid = m.spatial_body("lid", **box, attitude=(0.2, 0.95, 0.1, 0.2))
+    m.spatial_revolute("H", m.spatial_ground.at(), lid.at(), axis=(0, 0, 1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        e = situation(source(m, {})).state.q[3:]
+    assert e[0] ** 2 + e[3] ** 2 == pytest.approx(1.0, abs=1e-12)  # it turned about z alone, and stands upright
+
+
+# Files ----------------------------------------------------------------------------------------------------------------
+
+ARM = """<link name="{0}"><inertial><origin xyz="0.25 0 0"/><mass value="1"/>
+<inertia ixx="1e-3" iyy="1e-2" izz="1e-2" ixy="0" ixz="0" iyz="0"/></inertial></link>"""
+HINGE = """<joint name="{0}" type="{5}"><parent link="{1}"/><child link="{2}"/><origin xyz="{3} 0 0" rpy="0 0 {4}"/>
+<axis xyz="0 0 1"/>{6}</joint>"""
+LOOP = '<loop_joint name="tip" type="revolute"><link1 link="{}" xyz="{} 0 0" rpy="0 0 0"/>'
+LOOP += '<link2 link="{}" xyz="{} 0 0" rpy="0 0 0"/><axis xyz="0 0 1"/></loop_joint>'
+
+
+def five_bar(limit: str = "") -> str:
+    """Two arms of two links of 0.5 m, both stretched along x from bases 0.4 m apart: their tips are 0.4 m apart."""
+    kind = "revolute" if limit else "continuous"
+    text = '<robot name="pair"><link name="frame"/>' + "".join(map(ARM.format, ("u1", "l1", "u2", "l2")))
+    for k, base in ((1, "0"), (2, "0.4")):
+        text += HINGE.format(f"s{k}", "frame", f"u{k}", base, 0, "continuous", "")
+        text += HINGE.format(f"e{k}", f"u{k}", f"l{k}", "0.5", 0, kind, limit)
+    return text + LOOP.format("l1", 0.5, "l2", 0.5) + "</robot>"
+
+
+def tips(q: dict[str, float]) -> NDArray:
+    """Where the two arms of `five_bar` end."""
+    found = []
+    for k, base in ((1, 0.0), (2, 0.4)):
+        one, two = q[f"s{k}_angle"], q[f"s{k}_angle"] + q[f"e{k}_angle"]
+        found.append([base + 0.5 * (np.cos(one) + np.cos(two)), 0.5 * (np.sin(one) + np.sin(two))])
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("least", "most"), [(None, None), (0.05, 2.5), (-2.5, -0.05)])
+def test_a_file_whose_loop_is_open_at_zero(least: float | None, most: float | None, tmp_path: Path) -> None:
+    """A place that closes it is taken, within the limits of its joints, told, and has two freedoms."""
+    path = tmp_path / "pair.urdf"
+    limit = "" if least is None else f'<limit lower="{least}" upper="{most}" effort="1" velocity="1"/>'
+    path.write_text(five_bar(limit))
+    found = alfmu.imported(path)
+    assert "its loops are open by up to 0.4 m or rad in the file; closing them moved" in found.moved
+    assert found.moved in found.notes
+    given = {s.name: s.value for s in found.mechanism.starts}
+    assert len(given) == 2
+    q = {c.name: given.get(c.name, c.guess) for c in found.mechanism.coordinates}
+    q = {name: float(x) for name, x in q.items()}
+    assert np.ptp(tips(q), axis=0) == pytest.approx(0.0, abs=1e-12)
+    if least is not None:
+        # Zero is outside of the limits, which reach up to it.
+        assert all(min(least, 0) <= q[f"e{k}_angle"] <= max(most, 0) for k in (1, 2))
+    i = alfmu.Instance(found.mechanism)
+    i.initialize()
+    assert (i.mobility().freedom, i.mobility().redundant) == (2, 3)
+    if least is None:
+        with pytest.warns(alfmu.AlfmuWarning, match=r"pair.urdf: its loops are open by up to 0\.4 m"):
+            alfmu.load(str(path))
+
+
+def test_a_keyframe_that_is_open_by_its_digits(tmp_path: Path) -> None:
+    """What is independent keeps its value to the last digit, and nothing is warned of."""
+    path = tmp_path / "four.xml"
+    inertial = '<inertial pos="0 0 -0.1" mass="1" diaginertia="0.01 0.01 0.01"/>'
+    path.write_text(
+        f'<mujoco><compiler angle="radian"/><worldbody><body name="crank">{inertial}<joint name="a" axis="0 1 0"/>'
+        f'<body name="rod" pos="0.3 0 -0.1">{inertial}<joint name="b" axis="0 1 0"/></body></body>'
+        f'<body name="rocker" pos="0.1 0 0">{inertial}<joint name="c" axis="0 1 0"/></body></worldbody>'
+        '<equality><connect body1="rod" body2="rocker" anchor="0 0 -0.4"/></equality>'
+        '<actuator><motor name="u" joint="a"/></actuator>'
+        '<keyframe><key name="near" qpos="0.3 0.1871 0.4366"/></keyframe></mujoco>'
+    )
+    found = alfmu.imported(path, key="near")
+    assert not found.moved
+    (note,) = [each for each in found.notes if "open" in each]
+    assert "closing them moved" in note
+    assert [(s.name, s.value) for s in found.mechanism.starts] == [("a_angle", 0.3)]
+
+
+def test_start_values_that_do_not_close_the_loops_say_where_they_would(tmp_path: Path) -> None:
+    """A crank beyond its reach: the angle up to which its rod reaches is in the message, in degrees, too."""
+    m = alfmu.Mechanism("press")
+    th, rod = m.coordinate("th", "rad", start=1.2, independent=True), m.coordinate("rod", "rad", start=-1.0)
+    x = m.coordinate("x", "m", start=0.2)
+    crank, link = m.bar("crank", mass=1.0, length=0.5), m.bar("link", mass=1.0, length=0.3)
+    slider = m.body("slider", mass=1.0, pose=(x, 0.0, 0.0))
+    m.revolute("A", m.ground.at(), crank.start, coordinate=th)
+    m.revolute("B", crank.end, link.start, coordinate=rod)
+    m.revolute("C", link.end, slider.at())
+    with pytest.raises(
+        alfmu.AssemblyError,
+        match=r"gap of \S+ m at C; .*they close where start.th is (\S+) rad \(.* deg\) instead of 1.2",
+    ) as caught:
+        alfmu.Instance(m).initialize()
+    reached = float(str(caught.value).split("start.th is ")[1].split()[0])
+    assert 0.5 * np.sin(reached) <= 0.3 + 1e-6
