@@ -67,6 +67,15 @@ def test_a_slider_crank_of_any_size_and_mass_moves_alike(coordinates):
         assert np.abs(angles(i, second * times, values) - right).max() <= 3e-9, (length, mass)
 
 
+def test_a_linkage_in_space_of_any_size_moves_alike():
+    i, times, found = unit(alfmu.load("bennett")), np.arange(21) / 10, []
+    for size in (1.0, 1e-5, 1e3):
+        second = size**0.5
+        values = {"a": 0.3 * size, "start.angular_velocity": 3.0 / second, "solver.relative_tolerance": 1e-9}
+        found.append(angles(i, second * times, values, of="hinge1.angle"))
+    assert max(np.abs(each - found[0]).max() for each in found) <= 1e-9
+
+
 def four_bar(bodies: bool) -> Mechanism:
     """Four-bar of torn-off bodies or of points, whose base begins at (o, o); its bars are as long as L has it."""
     m = Mechanism("somewhere")

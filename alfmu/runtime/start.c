@@ -870,7 +870,7 @@ void default_penalties(Instance *i, const double *q, double *penalties)
     tell(s, sizes, amplitudes, told);
     for (int r = 0; r < s->l; r++) {
         const int declared = s->rows[r].size > 0.0;
-        units[r] = declared ? s->rows[r].size : unit_of(told + r);
+        units[r] = declared ? s->rows[r].size * (strcmp(s->rows[r].unit, "m") ? 1.0 : *i->length) : unit_of(told + r);
         known &= declared || constant(told + r) > 0.0 || told[r].lengths.squares > 0.0 || told[r].angular > 0.0;
         every_angular &= told[r].angular > 0.0 && !declared;
         every_exact &= constant(told + r) > 0.0;
