@@ -15,13 +15,13 @@ TIERS = ("quick", "careful", "branch")
 
 SETTINGS = (
     *("alpha", "tolerance", "freedom", "masses", "regular", "nothing", "least_distance", "continues"),
-    *("relative", "absolute", "short", "beside", "stiff"),
+    *("relative", "absolute", "absolute_length", "inverse_length", "short", "beside", "stiff"),
 )
 """What `k` begins with. Degrees of freedom, logarithm of the product of the pivots that masses make, product of all
 pivots below which a position may be singular, margin that is nothing, least distance of places beside a singular
-position, whether to continue on the branch there (`method.singular`); tolerances of a step with error control, and over
-them that of a short step, that of an explicit step on the branch in place of an implicit one, and that of an implicit
-step in place of an explicit one."""
+position, whether to continue on the branch there (`method.singular`); tolerances of a step with error control, the
+second one for lengths, too, one over the length of the mechanism, and over tolerances that of a short step, that of an
+explicit step on the branch in place of an implicit one, and that of an implicit step in place of an explicit one."""
 
 CONTROL = ("step_size", "tier", "method")
 """Largest internal step [s]; first tier (0 quick, 1 careful); what makes the steps (0 the tiers, 1 the method of the

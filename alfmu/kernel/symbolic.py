@@ -441,8 +441,12 @@ class Scene:
 
     def spacing(self, share: float, v: SX, dt: SX) -> SX:
         """S4: distance [s] of places along v; a step may be too short to tell the places apart."""
-        spacing = share * dt
-        return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(ca.mmax(ca.fabs(self._own(v))), _TINY))
+        spacing, units = share * dt, [c.unit for c in self.e.coordinates[: self.e.dependent]]
+        sizes = [
+            x * self.settings.inverse_length if u == "m" else x for u, x in zip(units, ca.vertsplit(v), strict=False)
+        ]
+        fastest = ca.mmax(ca.fabs(ca.vertcat(*sizes)))
+        return ca.fmax(spacing, ca.sqrt(_TOLD * self.settings.nothing) / ca.fmax(fastest, _TINY))
 
     def probed(self, q: SX) -> tuple[SX, ...]:
         """The margin at q, whether a limit may have to be taken there, no spacing yet; also q after a correction (10),
@@ -616,12 +620,14 @@ class Scene:
         return NOISE * math.hypot(*rule.errors[0]) * dt * ca.vertcat(dt * left + EPSILON * ca.fabs(v), left)
 
     def allowed(self, sizes: SX) -> SX:
-        """Tolerance of each entry of q and v of given sizes; whole turns make an angle no less exact."""
+        """Tolerance of each entry of q and v of given sizes; whole turns make an angle no less exact, and a place far
+        from the origin no length."""
         larger = ca.vertsplit(sizes)
         for i, c in enumerate(self.e.coordinates):
-            if c.unit == "rad":
-                larger[i] = ca.fmin(larger[i], 1)
-        return self.settings.absolute + self.settings.relative * ca.vertcat(*larger)
+            if c.unit in ("rad", "m"):
+                larger[i] = ca.fmin(larger[i], 1 if c.unit == "rad" else 1 / self.settings.inverse_length)
+        least = [self.settings.absolute_length if c.unit == "m" else self.settings.absolute for c in self.e.coordinates]
+        return ca.vertcat(*least, *least) + self.settings.relative * ca.vertcat(*larger)
 
     def allowed_states(self, sizes: SX) -> SX:
         """Tolerance of states of given sizes."""
@@ -652,7 +658,7 @@ class Scene:
             trouble += near if plan.quick and not plan.margins else near * self.settings.continues
             near *= self.settings.continues
         if e.l:
-            trouble += 1 - self._closed(known["left"], q, v, plan.quick)
+            trouble += 1 - self._closed(known["left"], q, v, plan.quick, near if plan.branch else None)
         else:
             trouble += 1 - (ca.sumsqr(ca.vertcat(q, v)) < math.inf)
         x = known.get("x", SX(0, 1))
@@ -724,18 +730,26 @@ class Scene:
         """Of coordinates, those in rad."""
         return q[[i for i, c in enumerate(self.e.coordinates) if c.unit == "rad"]]
 
-    def _closed(self, left: SX, q: SX, v: SX, quick: bool) -> SX:
+    def _closed(self, left: SX, q: SX, v: SX, quick: bool, near: SX | None) -> SX:
         """Whether both residues (squared) are within the tolerance, or within round-off.
 
         The digits that turned angles have lost move what C belongs to, so that no v makes its dependent rows vanish. A
-        quick step has too few corrections to find that out.
+        quick step has too few corrections to find that out. Near a singular position q has lost more digits in the
+        direction that C hardly holds: by one over the distance, down to the least that can be told.
         """
         turned = 1.0 if quick else ca.fmax(1, ca.sumsqr(self._angles(q)))
-        return self._within(left[0], q) * self._within(left[1], v, turned)
+        lost = turned if near is None else ca.if_else(near, ca.fmax(turned, 1 / self.settings.nothing), turned)
+        return self._within(left[0], q) * self._within(left[1], v, lost)
 
     def _within(self, residue: SX, x: SX, larger: SX | float = 1.0) -> SX:
         """Whether a residue (squared) of x is within the tolerance, or within round-off, which is so much larger."""
-        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * ca.sumsqr(x))
+        return residue <= ca.fmax(self.settings.tolerance**2, ROUND_OFF**2 * larger * self._squares(x))
+
+    def _squares(self, x: SX) -> SX:
+        """Sum of squares of coordinates or velocities, lengths over that of the mechanism."""
+        lengths = [i for i, c in enumerate(self.e.coordinates) if c.unit == "m"]
+        others = [i for i, c in enumerate(self.e.coordinates) if c.unit != "m"]
+        return ca.sumsqr(x[others]) + self.settings.inverse_length**2 * ca.sumsqr(x[lengths])
 
     def _largest(self, residue: SX) -> SX:
         return ca.mmax(ca.fabs(residue * self.held)) if self.e.l else SX(0)

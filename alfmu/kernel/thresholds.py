@@ -105,6 +105,14 @@ LATER = 0.1
 """time [s]: where places depend on time, those around the start are this much later or earlier, a tenth, a hundredth
 and a thousandth of it too, as laws are fast or slow; the start may be singular whatever the coordinates."""
 
+MOST_RETURNS = 30
+"""number of corrections [1]: so many bring a displaced place back to constraints that hold to second order alone, whose
+gap each of them halves."""
+
+SECOND_ORDER = 0.01
+"""way back over a displacement [1]: a motion along which constraints lead back by more, however short it is, is
+none."""
+
 TORN = 0.3
 """gap that a step leaves over its largest displacement [1]: a step that opens more than this is refused; corrections
 (10) would lead to another assembly."""

@@ -240,7 +240,7 @@ typedef struct Instance {
     /* Parts of them. */
     double *values, *wanted, *on, *kept, *heard, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
-    double *freedom, *masses, *regular, *rank, *largest_penalty;
+    double *freedom, *masses, *regular, *rank, *largest_penalty, *length;
     double *jacobian;      /* of the last communication step */
     double *given;         /* penalties of each constraint, where `flags.given` says so */
     double *counts;        /* COUNTED */
@@ -280,7 +280,8 @@ enum {
     WARNED_OF_CORNER = 32,
     WARNED_OF_PENALTY = 64,
     WARNED_OF_TIME = 128,
-    EVERY_WARNING = 255
+    WARNED_OF_SECOND_ORDER = 256,
+    EVERY_WARNING = 511
 };
 
 Instance *instance_new(const Scene *scene);
@@ -341,6 +342,7 @@ double *field(const Instance *i, int offset);
 double verdict(const Instance *i, int which);
 void constraints_at(
     Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv);
+double largest_of(const Instance *i, const double *x);
 double widest(Instance *i, const double *q, const double *v, int of_velocity, int *row);
 void in_force(const Instance *i, const double *on, unsigned char *held);
 
@@ -371,6 +373,8 @@ Outcome say_jam(Instance *i);
 Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v);
 void set_off(Instance *i, const unsigned char *held, const double *q, double *v);
 Outcome check_masses(Instance *i, const double *q, const unsigned char *held);
+Outcome check_agreement(Instance *i, const unsigned char *held, const double *q, const double *open, const char *per);
+void warn_of_second_order(Instance *i, const unsigned char *held, const double *q);
 void default_penalties(Instance *i, const double *q, double *penalties);
 void know(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
 int rank_here(Instance *i, const double *q, const unsigned char *held);

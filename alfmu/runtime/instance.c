@@ -12,7 +12,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define FORMAT 7
+#define FORMAT 8
 #define MAGIC 0x464d4c41u /* "ALMF" */
 
 /* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
@@ -103,6 +103,7 @@ static size_t divided(Instance *i, double *numbers)
         {&i->regular, 1},
         {&i->rank, 1},
         {&i->largest_penalty, 1},
+        {&i->length, 1},
         {&i->jacobian, s->entries},
         {&i->given, s->l},
         {&i->counts, COUNTED},
@@ -181,6 +182,7 @@ void instance_reset(Instance *i)
     i->stabilisation[0] = ZETA;
     i->stabilisation[1] = OMEGA;
     *i->projection = -1.0;
+    *i->length = 1.0;
     for (int k = 0; k < s->parameters; k++)
         i->values[k] = v[k].start;
     v += s->parameters;
@@ -520,13 +522,26 @@ static const char *or_compliances(const Instance *i, char *text, size_t size)
     return text;
 }
 
+/* Whether a step has been made, so that its length may be at fault. */
+static int moving(const Instance *i)
+{
+    const double *tally = i->m + i->scene->tally;
+    double made = i->counts[PATIENT_STEPS] + tally[TALLY_COVERED];
+    for (int tier = TALLY_QUICK; tier <= TALLY_BRANCH; tier++)
+        made += tally[tier];
+    return made > 0.0;
+}
+
+/* What to do where something is wrong that shorter steps may mend. */
+static const char *shorter(const Instance *i)
+{
+    return moving(i) ? "reduce solver.step_size" : "check forces, dimensions and start values";
+}
+
 /* What to do where a loop ends before it converges. */
 static const char *remedy(const Instance *i)
 {
-    return penalty_given(i)
-        ? "use solver.penalty 0, which scales it with the masses"
-        : i->flags.initialized ? "reduce solver.step_size"
-                               : "check lengths, masses and start values";
+    return penalty_given(i) ? "use solver.penalty 0, which scales it with the masses" : shorter(i);
 }
 
 /* FAILED where an evaluation, by what it says of itself, left so much of a given penalty's multiplier iteration that it
@@ -573,8 +588,7 @@ static Outcome explained(Instance *i, const double *q, const double *v, double t
     memcpy(u + s->inputs, states(i), (size_t)states_of(s) * sizeof *u);
     call(i, s->dynamics, x, y);
     if (!isfinite(largest(M, s->mass.entries)) || !isfinite(largest(F, s->n)) || !isfinite(largest(xi, s->l)))
-        outcome = say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; reduce solver.step_size",
-            s->name, t);
+        outcome = say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; %s", s->name, t, shorter(i));
     else if (!(pivot > 0.0))
         outcome = say(i, FAILED,
             "%s, t = %.6g s: the augmented mass matrix is singular; give the massless body a mass, or hold it by "
@@ -659,6 +673,8 @@ void settle_kernel(Instance *i)
     k[SETTINGS_CONTINUES] = s->l && continues(i);
     k[SETTINGS_RELATIVE] = s->method ? of_step(s->share, s->exponent, relative) : 0.0;
     k[SETTINGS_ABSOLUTE] = s->method ? of_step(s->share, s->exponent, absolute > 0.0 ? absolute : relative) : 0.0;
+    k[SETTINGS_ABSOLUTE_LENGTH] = k[SETTINGS_ABSOLUTE] * *i->length;
+    k[SETTINGS_INVERSE_LENGTH] = 1 / *i->length;
     k[SETTINGS_BESIDE] =
         s->method == 1 ? of_step(s->beside_share, s->beside_exponent, relative) / k[SETTINGS_RELATIVE] : 1.0;
     k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;
@@ -1046,6 +1062,22 @@ static Outcome comply(Instance *i)
                 s->name, s->variables[first + k].name);
 }
 
+/* DONE where constraints agree as well as steps under error control ask for. */
+static Outcome agreed(Instance *i, const unsigned char *held, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, l = (size_t)s->l;
+    double *C = take(i, (size_t)s->constraint.entries), *phi = take(i, l), *cv = take(i, l);
+    Outcome outcome = DONE;
+    constraints_at(i, q, v, NULL, C, phi, cv);
+    if (!closed(i, phi, C, q))
+        outcome = check_agreement(i, held, q, phi, "");
+    if (outcome == DONE && !closed(i, cv, C, v))
+        outcome = check_agreement(i, held, q, cv, "/s");
+    i->used = used;
+    return outcome;
+}
+
 /* The motion begins at q and v; nothing has been counted. */
 static void begin_at(Instance *i, const double *q, const double *v, double time)
 {
@@ -1123,9 +1155,13 @@ static Outcome started(Instance *i)
         outcome = projected(i, q, v);
     if (outcome == DONE)
         outcome = knowledge(i, q, v);
+    if (outcome == DONE && s->l && method(i) == 1)
+        outcome = agreed(i, held, q, v);
     if (outcome != DONE)
         return outcome;
     begin_at(i, q, v, time);
+    if (s->l)
+        warn_of_second_order(i, held, q);
     if (light >= 0)
         warn(i, WARNED_OF_PENALTY,
             "%s: solver.penalty %g is below the mass %g that %s %s holds, so that multipliers may be wrong; use 0, which "
@@ -1207,7 +1243,7 @@ static Outcome check_length(Instance *i, double t)
     int worst = 0, row;
     for (int c = 0; c < dependent(s); c++) {
         const double size = fabs(q[c] - from[c]);
-        moved = fmax(moved, size);
+        moved = fmax(moved, strcmp(s->coordinates[c].unit, "m") ? size : size / *i->length);
         if (!strcmp(s->coordinates[c].unit, "rad") && size > turned) {
             turned = size;
             worst = c;
@@ -1367,6 +1403,29 @@ Outcome watched_step(Instance *i, double start, double dt)
     return outcome;
 }
 
+/* The error of a step of RK4 that led to `whole` in one, and to the state in halves, over the tolerance. Beside a singular
+   position velocities count by their energy: in a direction that C hardly holds they are round-off. */
+static double halves_error(Instance *i, const double *begin, const double *whole, int near)
+{
+    const Scene *s = i->scene;
+    const double *z = i->m + s->z, *k = i->m + s->k, relative = k[SETTINGS_RELATIVE];
+    double found = 0.0, kinetic, other;
+    for (int c = 0; c < s->time; c++) {
+        const char *unit = c < 2 * s->n ? s->coordinates[c % s->n].unit : "";
+        const double size = fmax(fmax(fabs(begin[c]), fabs(z[c])), fabs(whole[c]));
+        const double one = !strcmp(unit, "m") ? *i->length : 1.0, most = *unit && c < s->n && strcmp(unit, "1") ? one : size;
+        const double allowed = (*unit ? k[SETTINGS_ABSOLUTE] * one : 0.0) + relative * fmin(size, most);
+        if (*unit ? !near || c < s->n : c > s->work)
+            found = fmax(found, fabs(z[c] - whole[c]) / (allowed + ROUND_OFF * size + DBL_MIN));
+    }
+    if (near) {
+        energy(i, z + s->n, &kinetic);
+        energy(i, whole + s->n, &other);
+        found = fmax(found, fabs(kinetic - other) / (2.0 * relative * kinetic + DBL_MIN));
+    }
+    return found / 15.0; /* by extrapolation */
+}
+
 /* What is said where the caller of a run ends it within a communication step. */
 static Outcome interrupted(Instance *i)
 {
@@ -1394,6 +1453,63 @@ Outcome plain_step(Instance *i, double start, double dt)
     return outcome;
 }
 
+/* A step of RK4 by loops that stop on convergence, so long that its error is within the tolerance, where the method of the
+   scene cannot go on; beside a singular position round-off can leave more, and then within the tolerance of the run. */
+static Outcome robust_step(Instance *i, double end)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, size = state_length(s) * sizeof(double);
+    double *z = field(i, s->z), *begin = take(i, state_length(s)), *whole = take(i, state_length(s));
+    const double start = *instance_time(i), left = end - start;
+    const int near = field(i, s->after)[s->near] != 0.0;
+    const Mark mark = tape_mark(i);
+    double h = fmin(left, i->values[s->step_size]), error = INFINITY, before;
+    Outcome outcome = FAILED;
+    memcpy(begin, z, size);
+    for (; h >= fmin(GIVEN_UP, left) && i->left > 0 && !ended(i); h *= SHORTENED) {
+        before = error;
+        error = INFINITY;
+        outcome = watched_step(i, start, h);
+        if (outcome == DONE) {
+            memcpy(whole, z, size);
+            memcpy(z, begin, size);
+            tape_cut(i, mark);
+            outcome = watched_step(i, start, h / 2);
+            if (outcome == DONE)
+                outcome = watched_step(i, start + h / 2, h / 2);
+            error = outcome == DONE ? halves_error(i, begin, whole, near) : INFINITY;
+        }
+        if (error <= 1.0 || (error >= before && error * s->share <= 1.0))
+            break;
+        memcpy(z, begin, size);
+        tape_cut(i, mark);
+        outcome = outcome == DONE ? ENDED : outcome; /* It could be made. */
+    }
+    i->used = used;
+    if (outcome == DONE) {
+        i->counts[PATIENT_STEPS] += 2.0;
+        at_time(i, h < left * (1 - ONE_STEP) ? start + h : end);
+        field(i, s->pace)[PACE_DT] = h;
+        field(i, s->pace)[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+        return DONE;
+    }
+    if (i->ended)
+        return interrupted(i);
+    if (i->left <= 0)
+        return too_much(i);
+    if (near && outcome != ENDED)
+        return outcome;
+    if (!moving(i))
+        return say(i, FAILED,
+            "%s, t = %.6g s: the motion cannot begin: accelerations jump here or are not finite, or constraints cannot be kept; "
+            "check forces, laws and constraints at this time%s",
+            s->name, start, or_penalty(i));
+    return say(i, FAILED,
+        "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use smaller "
+        "inputs%s",
+        s->name, start, or_penalty(i));
+}
+
 /* Steps by the method of the scene up to the end of a communication step, or one of them; those of one length take dt. */
 Outcome covered(Instance *i, double end, double dt, int once)
 {
@@ -1419,21 +1535,16 @@ Outcome covered(Instance *i, double end, double dt, int once)
             continue;
         if (i->ended)
             return interrupted(i);
-        if (method(i) == 1 && field(i, s->after)[s->near] != 0.0) {
-            const Outcome outcome = subdivided(i, *time, i->values[s->step_size]);
+        if (method(i) == 1) {
+            const Outcome outcome = robust_step(i, end);
             if (outcome != DONE)
                 return outcome;
+            continue;
         }
-        if (method(i) == 1 && pace[PACE_DT] < GIVEN_UP)
-            return say(i, FAILED,
-                "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use "
-                "smaller inputs%s",
-                s->name, *time, or_penalty(i));
         return say(i, FAILED,
             "%s, t = %.6g s: a step by solver.method %s failed; near singular positions, and where constraints stay open, "
-            "use %s%s",
-            s->name, *time, method_name(i), s->automatic || !strcmp(method_name(i), "explicit") ? "rk4" : "explicit or rk4",
-            or_penalty(i));
+            "use explicit or rk4%s",
+            s->name, *time, method_name(i), or_penalty(i));
     }
     return DONE;
 }
@@ -1801,9 +1912,9 @@ Outcome instance_read(Instance *i)
     if (outcome != DONE)
         return outcome;
     return say(i, FAILED,
-        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs, "
-        "another start or a smaller solver.step_size%s%s",
-        s->name, *instance_time(i), name, unsigned_nan(value), or_penalty(i), or_compliances(i, closer, sizeof closer));
+        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs%s%s%s",
+        s->name, *instance_time(i), name, unsigned_nan(value),
+        moving(i) ? ", another start or a smaller solver.step_size" : " or another start", or_penalty(i), or_compliances(i, closer, sizeof closer));
 }
 
 /* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
@@ -2002,6 +2113,7 @@ static Outcome sound(Instance *i)
         {"a penalty", i->full, s->l},
         {"a unit", i->units, s->l},
         {"a scale", i->scales, s->n},
+        {"a length", i->length, 1},
         {"a compliance", i->compliances, s->compliances},
         {"a lock", i->kept, s->held},
         {"a signal", i->heard, s->followed_count * HEARD},

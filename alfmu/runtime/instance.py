@@ -296,6 +296,7 @@ class Instance:
         if outcome != DONE:
             raise self._failure(outcome, moving=False)
         self._assembled()
+        self._warn()
         self._unit.run_on(True)
 
     def _assembled(self) -> None:

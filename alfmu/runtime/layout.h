@@ -42,7 +42,7 @@
 #define JUMPS "%s: %s jumps by %.6g %s at t = %.6g s, which no rigid mechanism follows; give a law without jumps"
 #define BROKEN "%s: at t = %.6g s %s, its rate or its acceleration is not finite; give a law that is finite there with both, or other parameters"
 #define IMPACT "%s: %s changes its rate by %.6g %s at t = %.6g s, which is an impact whose impulse is in no output; round the law off there, if no impact was meant"
-#define SETTINGS 13
+#define SETTINGS 15
 #define SETTINGS_ALPHA 0
 #define SETTINGS_TOLERANCE 1
 #define SETTINGS_FREEDOM 2
@@ -53,9 +53,11 @@
 #define SETTINGS_CONTINUES 7
 #define SETTINGS_RELATIVE 8
 #define SETTINGS_ABSOLUTE 9
-#define SETTINGS_SHORT 10
-#define SETTINGS_BESIDE 11
-#define SETTINGS_STIFF 12
+#define SETTINGS_ABSOLUTE_LENGTH 10
+#define SETTINGS_INVERSE_LENGTH 11
+#define SETTINGS_SHORT 12
+#define SETTINGS_BESIDE 13
+#define SETTINGS_STIFF 14
 #define CONTROL 3
 #define CONTROL_STEP_SIZE 0
 #define CONTROL_TIER 1
@@ -130,6 +132,8 @@
 #define RANKED 8
 #define FEW_RANKED 2
 #define LATER 0.1
+#define MOST_RETURNS 30
+#define SECOND_ORDER 0.01
 #define TORN 0.3
 #define SHORTEST 6.103515625e-05
 #define SAID 6

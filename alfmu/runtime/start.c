@@ -24,9 +24,29 @@ static const double *starts(const Instance *i)
     return i->values + i->scene->own;
 }
 
+static int metres(const Scene *s, int coordinate)
+{
+    return !strcmp(s->coordinates[coordinate].unit, "m");
+}
+
+static int radians(const Scene *s, int coordinate)
+{
+    return !strcmp(s->coordinates[coordinate].unit, "rad");
+}
+
 Matrix matrix_new(Instance *i, const Pattern *pattern)
 {
     return (Matrix){pattern, take(i, (size_t)pattern->entries)};
+}
+
+/* The largest of coordinates, or of a displacement or a rate of them, lengths over that of the mechanism. */
+double largest_of(const Instance *i, const double *x)
+{
+    const Scene *s = i->scene;
+    double found = 0.0;
+    for (int c = 0; c < s->n; c++)
+        found = fmax(found, fabs(x[c]) / (metres(s, c) ? *i->length : 1.0));
+    return found;
 }
 
 /* y = A x */
@@ -156,10 +176,20 @@ static Loops loops_new(Instance *i, const unsigned char *held)
     return loops;
 }
 
+/* Whether what is left is so small a share of the coordinates, gaps in metres over the length of the mechanism. */
+static int within(const Instance *i, const Loops *loops, const double *q, double share)
+{
+    const Scene *s = i->scene;
+    double found = 0.0;
+    for (int k = 0; k < loops->count; k++)
+        found = fmax(found, fabs(loops->residue[k]) / (k < s->l && !strcmp(s->rows[k].unit, "m") ? *i->length : 1.0));
+    return found <= share * fmax(1.0, largest_of(i, q));
+}
+
 static int closes(Instance *i, Loops *loops, const double *q)
 {
     closure_at(i, loops, q);
-    return largest(loops->residue, loops->count) <= ROUGH * fmax(1.0, largest(q, i->scene->n));
+    return within(i, loops, q, ROUGH);
 }
 
 /* Gauss-Newton steps of least norm from q to where they end; the length of the first one. */
@@ -171,7 +201,7 @@ static double followed(Instance *i, Loops *loops, double *q)
     closure_at(i, loops, q);
     for (int k = 0; k < MOST; k++) {
         double size = norm(loops->residue, loops->count), turned = 1e-300, part;
-        if (largest(loops->residue, loops->count) <= TOLERANCE * fmax(1.0, largest(q, s->n)))
+        if (within(i, loops, q, TOLERANCE))
             break;
         least_multipliers(i, &loops->J, loops->residue, CORRECTIONS, lam, dq);
         if (first < 0.0)
@@ -497,7 +527,7 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
     for (int r = 1; r < loops->count; r++)
         if (fabs(left[r]) > fabs(left[worst]))
             worst = r;
-    if (!(largest(left, loops->count) <= ROUGH * fmax(1.0, largest(v, s->n))))
+    if (!(largest(left, loops->count) <= ROUGH * fmax(1.0, largest_of(i, v))))
         return say(i, FAILED,
             "%s: no motion has the given start rates; %s is missed by %.3g per second; give the rates of fewer "
             "coordinates, or rates that belong together",
@@ -513,7 +543,12 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
         memset(zeros, 0, ((size_t)driven_by(s) + 1) * sizeof *zeros);
         call(i, s->dynamics, x, y);
     }
+    for (int r = 0; r < s->l; r++)
+        weights[r] = loops->held[r] / (!strcmp(s->rows[r].unit, "m") ? *i->length : 1.0);
     weigh_rows(J.constraints, weights);
+    for (int c = 0; c < s->n; c++)
+        for (int e = s->constraint.offsets[c]; metres(s, c) && e < s->constraint.offsets[c + 1]; e++)
+            J.constraints.values[e] *= *i->length;
     memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
     memset(left + l, 0, (size_t)s->ties * sizeof *left);
     for (int r = 0; r < s->l; r++)
@@ -531,7 +566,7 @@ static Outcome rates(Instance *i, Loops *loops, const double *q, double *v)
         return say(i, FAILED,
             "%s: the start is a singular position, and its rates belong to none of the motions possible there (%s "
             "would open by %.3g %s/s2); start a little beside it",
-            s->name, s->rows[worst].name, lost, s->rows[worst].unit);
+            s->name, s->rows[worst].name, lost / weights[worst], s->rows[worst].unit);
     return DONE;
 }
 
@@ -571,6 +606,95 @@ static const char *without_gap(Instance *i, Loops *loops, const double *guess)
     return NULL;
 }
 
+/* S1: displacements to places beside the start, the start first. */
+static const double aside[] = {0.0, ASIDE};
+#define PLACES (int)(sizeof aside / sizeof *aside)
+
+/* A number at several places: at the start, least and largest. */
+typedef struct {
+    double first, least, most;
+} Range;
+
+static void widen(Range *range, double x)
+{
+    if (range->least > range->most)
+        range->first = x;
+    range->least = fmin(range->least, x);
+    range->most = fmax(range->most, x);
+}
+
+static int alike(Range range)
+{
+    return range.most - range.least <= SAME * range.most;
+}
+
+/* Nonzeros of C at several places: as they are, and of angles also with a quarter turn of their own. Those that are
+   round-off everywhere count as zero: a constraint of nothing else would hold by a penalty of its own what it does not. */
+static void coefficients(Instance *i, const double *q, double *M, Range *sizes, Range *amplitudes)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n, entries = (size_t)s->constraint.entries;
+    const int *offsets = s->constraint.offsets;
+    double *C = take(i, entries), *turned = take(i, entries), *own = take(i, entries);
+    double *there = take(i, n), *zeros = take(i, n), most = 1.0;
+    memset(zeros, 0, n * sizeof *zeros);
+    for (size_t e = 0; e < entries; e++)
+        sizes[e] = amplitudes[e] = (Range){0.0, INFINITY, 0.0};
+    for (int k = 0; k < PLACES; k++) {
+        for (int c = 0; c < s->n; c++)
+            there[c] = q[c] + aside[k] * s->normal[c] * (metres(s, c) ? LITTLE : 1.0);
+        constraints_at(i, there, zeros, k ? NULL : M, C, NULL, NULL);
+        memset(own, 0, entries * sizeof *own);
+        for (int c = 0; c < s->n && s->n <= DENSE; c++) {
+            const double kept = there[c];
+            if (!radians(s, c))
+                continue;
+            there[c] += QUARTER;
+            constraints_at(i, there, zeros, NULL, turned, NULL, NULL);
+            memcpy(own + offsets[c], turned + offsets[c], (size_t)(offsets[c + 1] - offsets[c]) * sizeof *own);
+            there[c] = kept;
+        }
+        for (size_t e = 0; e < entries; e++) {
+            widen(sizes + e, fabs(C[e]));
+            widen(amplitudes + e, hypot(C[e], own[e]));
+            most = fmax(most, fabs(C[e]));
+        }
+    }
+    for (size_t e = 0; e < entries; e++)
+        if (amplitudes[e].most <= SAME * most)
+            sizes[e] = amplitudes[e] = (Range){0.0, 0.0, 0.0};
+    i->used = used;
+}
+
+/* What displacements and their rates are measured in: the longest arm by which an angle moves a point, of constraints of
+   lengths alone the radius by which their coefficients turn; 1 m where that is of its size, or nothing tells it. */
+static double own_length(Instance *i, const double *q)
+{
+    const Scene *s = i->scene;
+    const Pattern *p = &s->constraint;
+    const size_t used = i->used, n = (size_t)s->n, entries = (size_t)p->entries;
+    double *C = take(i, entries), *turned = take(i, entries), *there = take(i, n), *zeros = take(i, n);
+    double arm = 0.0, most = 0.0, bend = 0.0, found;
+    Range *sizes = (Range *)take(i, 3 * entries), *amplitudes = (Range *)take(i, 3 * entries);
+    memset(zeros, 0, n * sizeof *zeros);
+    for (int c = 0; c < s->n; c++)
+        there[c] = q[c] + LITTLE * s->normal[c] * metres(s, c);
+    constraints_at(i, q, zeros, NULL, C, NULL, NULL);
+    constraints_at(i, there, zeros, NULL, turned, NULL, NULL);
+    coefficients(i, q, NULL, sizes, amplitudes);
+    for (int c = 0; c < s->n; c++)
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+            if (strcmp(s->rows[p->indices[e]].unit, "m"))
+                continue;
+            arm = fmax(arm, metres(s, c) ? 0.0 : amplitudes[e].most);
+            most = fmax(most, metres(s, c) ? fabs(C[e]) : 0.0);
+            bend = fmax(bend, metres(s, c) ? fabs(turned[e] - C[e]) / LITTLE : 0.0);
+        }
+    found = arm > 0.0 ? arm : most / fmax(bend, 1e-300);
+    i->used = used;
+    return found >= 1e-300 && found < 1e12 && (found < 1 / ALIKE || found > ALIKE) ? found : 1.0;
+}
+
 Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
 {
     const Scene *s = i->scene;
@@ -582,6 +706,7 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     const char *open;
     Outcome outcome;
     taped_call(i, s->guesses, x, y);
+    *i->length = s->l ? own_length(i, guess) : 1.0;
     if (!isfinite(norm(guess, s->n)))
         outcome = say(
             i, FAILED, "%s: the start guess is not finite; check the dimensions and start values", s->name);
@@ -690,76 +815,6 @@ Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
     }
     i->used = used;
     return outcome;
-}
-
-static int metres(const Scene *s, int coordinate)
-{
-    return !strcmp(s->coordinates[coordinate].unit, "m");
-}
-
-static int radians(const Scene *s, int coordinate)
-{
-    return !strcmp(s->coordinates[coordinate].unit, "rad");
-}
-
-/* S1: displacements to places beside the start, the start first. */
-static const double aside[] = {0.0, ASIDE};
-#define PLACES (int)(sizeof aside / sizeof *aside)
-
-/* A number at several places: at the start, least and largest. */
-typedef struct {
-    double first, least, most;
-} Range;
-
-static void widen(Range *range, double x)
-{
-    if (range->least > range->most)
-        range->first = x;
-    range->least = fmin(range->least, x);
-    range->most = fmax(range->most, x);
-}
-
-static int alike(Range range)
-{
-    return range.most - range.least <= SAME * range.most;
-}
-
-/* Nonzeros of C at several places: as they are, and of angles also with a quarter turn of their own. Those that are
-   round-off everywhere count as zero: a constraint of nothing else would hold by a penalty of its own what it does not. */
-static void coefficients(Instance *i, const double *q, double *M, Range *sizes, Range *amplitudes)
-{
-    const Scene *s = i->scene;
-    const size_t used = i->used, n = (size_t)s->n, entries = (size_t)s->constraint.entries;
-    const int *offsets = s->constraint.offsets;
-    double *C = take(i, entries), *turned = take(i, entries), *own = take(i, entries);
-    double *there = take(i, n), *zeros = take(i, n), most = 1.0;
-    memset(zeros, 0, n * sizeof *zeros);
-    for (size_t e = 0; e < entries; e++)
-        sizes[e] = amplitudes[e] = (Range){0.0, INFINITY, 0.0};
-    for (int k = 0; k < PLACES; k++) {
-        for (int c = 0; c < s->n; c++)
-            there[c] = q[c] + aside[k] * s->normal[c] * (metres(s, c) ? LITTLE : 1.0);
-        constraints_at(i, there, zeros, k ? NULL : M, C, NULL, NULL);
-        memset(own, 0, entries * sizeof *own);
-        for (int c = 0; c < s->n && s->n <= DENSE; c++) {
-            const double kept = there[c];
-            if (!radians(s, c))
-                continue;
-            there[c] += QUARTER;
-            constraints_at(i, there, zeros, NULL, turned, NULL, NULL);
-            memcpy(own + offsets[c], turned + offsets[c], (size_t)(offsets[c + 1] - offsets[c]) * sizeof *own);
-            there[c] = kept;
-        }
-        for (size_t e = 0; e < entries; e++) {
-            widen(sizes + e, fabs(C[e]));
-            widen(amplitudes + e, hypot(C[e], own[e]));
-            most = fmax(most, fabs(C[e]));
-        }
-    }
-    for (size_t e = 0; e < entries; e++)
-        if (amplitudes[e].most <= SAME * most)
-            sizes[e] = amplitudes[e] = (Range){0.0, 0.0, 0.0};
-    i->used = used;
 }
 
 /* What some coefficients of a row come to together. */
@@ -881,11 +936,17 @@ void default_penalties(Instance *i, const double *q, double *penalties)
     Told *told = (Told *)take(i, 8 * l);
     int known = 1, every_angular = 1, every_exact = 1;
     coefficients(i, q, M, sizes, amplitudes);
+    for (int c = 0; c < s->n; c++)
+        for (int e = p->offsets[c]; metres(s, c) && e < p->offsets[c + 1]; e++) {
+            Range *each[] = {sizes + e, amplitudes + e};
+            for (int k = 0; k < 2; k++)
+                *each[k] = (Range){each[k]->first * *i->length, each[k]->least * *i->length, each[k]->most * *i->length};
+        }
     memset(told, 0, l * sizeof *told);
     tell(s, sizes, amplitudes, told);
     for (int r = 0; r < s->l; r++) {
         const int declared = s->rows[r].size > 0.0;
-        units[r] = declared ? s->rows[r].size : unit_of(told + r);
+        units[r] = declared ? s->rows[r].size * (strcmp(s->rows[r].unit, "m") ? 1.0 : *i->length) : unit_of(told + r);
         known &= declared || constant(told + r) > 0.0 || telling(told + r, told[r].lengths) || told[r].angular > 0.0;
         every_angular &= told[r].angular > 0.0 && !declared;
         every_exact &= constant(told + r) > 0.0;
@@ -918,7 +979,7 @@ void default_penalties(Instance *i, const double *q, double *penalties)
     for (int c = 0; c < s->n; c++)
         for (int e = m->offsets[c]; held[c] > HARDLY * wide && e < m->offsets[c + 1]; e++)
             if (m->indices[e] == c) {
-                const double size = metres(s, c) ? 1.0 : held[c];
+                const double size = metres(s, c) ? 1 / *i->length : held[c];
                 heaviest = fmax(heaviest, M[e] / (size * size));
             }
     /* The squares of a constraint that is written several times come to that of one: it holds as if written once. */
@@ -1021,7 +1082,7 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
     const Scene *s = i->scene;
     const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l, count = l + (size_t)s->ties;
     const int many = s->n > DENSE, places = many ? FEW_RANKED : RANKED;
-    const double size = 0.3 * fmax(1.0, largest(q, s->n)) / sqrt(s->n);
+    const double size = 0.3 * fmin(fmax(1.0, largest_of(i, q)), ALIKE) / sqrt(s->n);
     const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
     const Matrix C = J.constraints;
     double *phi = take(i, count), *weights = take(i, l), *units = take(i, l), *near = take(i, n), *dq = take(i, n);
@@ -1035,7 +1096,7 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
     }
     for (int k = -1; k < places && !many; k++) { /* Rows in other units are as independent as before. */
         for (int c = 0; c < s->n; c++)
-            near[c] = q[c] + (k < 0 ? 0.0 : size * s->normal[k * s->n + c]);
+            near[c] = q[c] + (k < 0 ? 0.0 : size * (metres(s, c) ? *i->length : 1.0) * s->normal[k * s->n + c]);
         weighted_at(i, near, weights, C, phi);
         for (int e = 0; e < s->constraint.entries; e++)
             units[s->constraint.indices[e]] = fmax(units[s->constraint.indices[e]], fabs(C.values[e]));
@@ -1049,7 +1110,7 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
     memcpy(place, q, n * sizeof *q);
     for (int k = 0; k < places; k++) {
         for (int c = 0; c < s->n; c++)
-            aside[c] = size * s->normal[k * s->n + c];
+            aside[c] = size * (metres(s, c) ? *i->length : 1.0) * s->normal[k * s->n + c];
         if (many) { /* Along the motion: in a long chain any other way leads far from an assembly. */
             double most;
             weighted_at(i, q, weights, C, phi);
@@ -1057,7 +1118,7 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
             least_correction(i, &J, phi, CORRECTIONS, dq);
             for (int c = 0; c < s->n; c++)
                 aside[c] -= dq[c];
-            most = fmax(largest(aside, s->n), 1e-300);
+            most = fmax(largest_of(i, aside), 1e-300);
             for (int c = 0; c < s->n; c++)
                 aside[c] *= 0.3 / most;
         }
@@ -1080,6 +1141,148 @@ static int freedom_near(Instance *i, const double *q, const unsigned char *held,
     }
     i->used = used;
     return s->n - rank;
+}
+
+/* What corrections of first order leave of residues (l) of constraints that are in force. */
+static void incorrigible(Instance *i, const Rows *J, const double *r, double *left)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *dq = take(i, (size_t)s->n);
+    least_correction(i, J, r, CORRECTIONS, dq);
+    all_times(J, dq, left);
+    for (int k = 0; k < s->l; k++)
+        left[k] = r[k] - left[k];
+    i->used = used;
+}
+
+/* How far from a place (n) that is displaced along a motion the constraints lead back, over the displacement. */
+static double led_back(Instance *i, const Rows *J, const double *weights, const double *q, const double *way, double size)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *near = take(i, (size_t)s->n), *dq = take(i, (size_t)s->n), *phi = take(i, (size_t)(s->l + s->ties)), found;
+    memset(phi, 0, (size_t)(s->l + s->ties) * sizeof *phi);
+    for (int c = 0; c < s->n; c++)
+        near[c] = q[c] + size * way[c];
+    for (int pass = 0; pass < MOST_RETURNS; pass++) {
+        weighted_at(i, near, weights, J->constraints, phi);
+        ranked_correction(i, J, phi, dq);
+        for (int c = 0; c < s->n; c++)
+            near[c] -= dq[c];
+    }
+    for (int c = 0; c < s->n; c++)
+        near[c] -= q[c] + size * way[c];
+    found = largest_of(i, near) / size;
+    i->used = used;
+    return found;
+}
+
+/* Joints of the rows that have most of a residue (l). */
+static void list_joints(const Scene *s, const double *residue, char *names, size_t size)
+{
+    int said = 0;
+    for (int r = 0, other; r < s->l; r++) {
+        if (fabs(residue[r]) < 0.1 * largest(residue, s->l))
+            continue;
+        for (other = 0; other < r; other++)
+            if (!strcmp(s->rows[other].name, s->rows[r].name) && fabs(residue[other]) >= 0.1 * largest(residue, s->l))
+                break;
+        if (other == r && said++ < SAID)
+            snprintf(names + strlen(names), size - strlen(names), "%s%.40s", *names ? ", " : "", s->rows[r].name);
+    }
+}
+
+/* Whether redundant constraints (l: those in force) can be judged at q: it is no singular position. */
+static int judges(Instance *i, const unsigned char *held, const double *q)
+{
+    const Scene *s = i->scene;
+    int active = 0;
+    for (int r = 0; r < s->l; r++)
+        active += held[r];
+    return *i->rank < active && s->n <= DENSE && rank_here(i, q, held) == (int)*i->rank;
+}
+
+/* DONE, or which constraints contradict each other: by what corrections of first order leave of |Phi|, or of |Phi-dot|, at a
+   regular position. */
+Outcome check_agreement(Instance *i, const unsigned char *held, const double *q, const double *open, const char *per)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, count = (size_t)(s->l + s->ties);
+    const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    double *weights = take(i, (size_t)s->l), *residue = take(i, count), *left = take(i, count);
+    int row = 0;
+    char names[300] = "";
+    Outcome outcome = DONE;
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    memset(residue, 0, count * sizeof *residue);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = held[r];
+    weighted_at(i, q, weights, J.constraints, left);
+    for (int r = 0; r < s->l; r++)
+        residue[r] = weights[r] * open[r];
+    if (judges(i, held, q)) {
+        incorrigible(i, &J, residue, left);
+        for (int r = 1; r < s->l; r++)
+            if (fabs(left[r]) / i->units[r] > fabs(left[row]) / i->units[row])
+                row = r;
+        list_joints(s, left, names, sizeof names);
+        if (fabs(left[row]) / i->units[row] > i->values[s->tolerance])
+            outcome = say(i, FAILED,
+                "%s: constraints contradict each other: %s cannot be kept together, and %s is missed by %.3g %s%s; make their "
+                "lengths, offsets and laws agree, or leave one of them out",
+                s->name, names, s->rows[row].name, fabs(left[row]), s->rows[row].unit, per);
+    }
+    i->used = used;
+    return outcome;
+}
+
+/* Warns of constraints that stop a motion at every place, but to second order alone: displaced along it they lead back, and
+   no further where the displacement is smaller. */
+void warn_of_second_order(Instance *i, const unsigned char *held, const double *q)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n, count = (size_t)(s->l + s->ties);
+    const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    const Matrix C = matrix_new(i, &s->constraint);
+    double *weights = take(i, (size_t)s->l), *left = take(i, count), *gap = take(i, count), *way = take(i, n), *dq = take(i, n);
+    double size, back = 0.0;
+    char names[300] = "";
+    if (!judges(i, held, q)) {
+        i->used = used;
+        return;
+    }
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    memset(left, 0, count * sizeof *left);
+    memset(gap, 0, count * sizeof *gap);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = held[r];
+    weighted_at(i, q, weights, J.constraints, left);
+    for (int c = 0; c < s->n; c++)
+        way[c] = (metres(s, c) ? *i->length : 1.0) * s->normal[c];
+    times(J.constraints, way, left);
+    ranked_correction(i, &J, left, dq);
+    for (int c = 0; c < s->n; c++)
+        way[c] -= dq[c];
+    size = largest_of(i, way);
+    for (int c = 0; c < s->n; c++)
+        way[c] /= fmax(size, 1e-300);
+    if (size > REGULAR)
+        back = led_back(i, &J, weights, q, way, LITTLE);
+    /* Along a motion the way back shrinks with the square of the displacement. */
+    if (back > SECOND_ORDER && back > 0.5 * led_back(i, &J, weights, q, way, 10 * LITTLE)) {
+        for (int c = 0; c < s->n; c++)
+            dq[c] = q[c] + LITTLE * way[c];
+        weighted_at(i, q, weights, J.constraints, left);
+        weighted_at(i, dq, weights, C, gap);
+        incorrigible(i, &J, gap, left);
+        list_joints(s, left, names, sizeof names);
+        warn(i, WARNED_OF_SECOND_ORDER,
+            "%s: %s stop a motion to second order alone, wherever it is: no force of finite size does, and what loads that motion "
+            "is not to be relied on; change lengths or offsets, or leave out what only this motion needs",
+            s->name, names);
+    }
+    i->used = used;
 }
 
 /* S5: combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at q. */
@@ -1154,7 +1357,7 @@ static int brakes_near(Instance *i, const double *q, const double *v)
         for (int c = 0; c < s->n; c++)
             way[c] = s->normal[c] - dq[c];
     }
-    size = fmax(largest(way, s->n), 1e-300);
+    size = fmax(largest_of(i, way), 1e-300);
     for (int c = 0; c < s->n; c++)
         way[c] /= size;
     for (int a = 0; a < PLACES && !found; a++) {
@@ -1236,12 +1439,12 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
         const double *x[] = {q, there, v, p, k};
         double *y[] = {way, rate};
         for (int c = 0; c < s->n; c++)
-            there[c] = q[c] + s->normal[c];
+            there[c] = q[c] + (metres(s, c) ? *i->length : 1.0) * s->normal[c];
         call(i, s->bring, x, y);
         for (int c = 0; c < s->n; c++)
             way[c] -= q[c];
     }
-    size = fmax(largest(way, s->n), 1e-300);
+    size = fmax(largest_of(i, way), 1e-300);
     for (int c = 0; c < s->n; c++)
         way[c] /= size;
     memcpy(places, q, n * sizeof *q);

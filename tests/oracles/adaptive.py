@@ -110,7 +110,7 @@ class Adaptive:
         self.place(oracle.time, oracle.q, oracle.v, oracle.work, oracle.states)
         self._nominal = np.array([v.nominal for v in oracle.equations.states])
         units = [c.unit for c in oracle.equations.coordinates]
-        self._turning = np.array([unit == "rad" for unit in units] + [False] * len(units))
+        self._bounded = np.array([unit in ("rad", "m") for unit in units] + [False] * len(units))
 
     def cover(self, h: float) -> None:
         """A communication step [s], in steps of solver.step_size where they have a given length."""
@@ -397,9 +397,9 @@ class Adaptive:
         return y[:n], y[n : 2 * n], y[2 * n : 2 * n + len(self.x)]
 
     def _scale(self, y: NDArray, after: NDArray) -> NDArray:
-        """Tolerance of each entry of q, v and x; whole turns do not make an angle any less exact."""
-        sizes, count = np.maximum(np.abs(y), np.abs(after)), len(self._turning)
-        larger = np.where(self._turning, np.minimum(sizes[:count], 1.0), sizes[:count])
+        """Tolerance of each entry of q, v and x; whole turns make an angle no less exact, nor offsets a length."""
+        sizes, count = np.maximum(np.abs(y), np.abs(after)), len(self._bounded)
+        larger = np.where(self._bounded, np.minimum(sizes[:count], 1.0), sizes[:count])
         states = sizes[count : count + len(self.x)]
         return np.concatenate(
             [self.absolute + self.relative * larger, self.absolute * self._nominal + self.relative * states]

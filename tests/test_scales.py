@@ -1,0 +1,222 @@
+"""Mechanisms of any size, mass and place; constraints that hardly agree; runs that come to lie on singular positions.
+
+Right values are those of one equation of motion by DOP853, or in closed form.
+"""
+
+import casadi as ca
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+import alfmu
+from alfmu import Mechanism
+from alfmu.runtime.reuse import ready
+
+STEPS = 30
+SIZES = ((1.0, 1.0), (1e-2, 1e6), (1e-4, 1e-9), (4e-6, 1.0), (1e4, 1e6))
+"""Lengths [m] and masses [kg]."""
+
+
+def unit(mechanism: Mechanism) -> alfmu.Instance:
+    """One instance for many runs."""
+    scene, _ = ready(alfmu.derive(mechanism), {}, None, None, "vm")
+    return alfmu.Instance(scene)
+
+
+def angles(i: alfmu.Instance, times: NDArray, values: dict[str, float], torque: float = 0.0, of: str = "crank.angle"):
+    """The angle at all times, of a run begun anew."""
+    i._unit.reset()
+    for name, value in values.items():
+        i.set(name, value)
+    inputs = ["A.torque"] * bool(torque)
+    found, error = i.run(times, inputs, np.full((len(times), len(inputs)), torque), [of])
+    if error:
+        raise error
+    return found[:, 0]
+
+
+def crank(l1: float, gravity: float, torque: float, start: tuple[float, float], times: NDArray) -> NDArray:
+    """Angle of a slider-crank of masses of 1 kg, a rod of 1 m and a crank of l1; mirrored where both are alike."""
+
+    def rate(t: float, y: NDArray) -> list[float]:
+        s, c = np.sin(y[0]), np.cos(y[0])
+        sp = -l1 * s
+        cp = c if l1 == 1.0 else np.sqrt(1 - sp**2)
+        p1 = -1.0 if l1 == 1.0 else -l1 * c / cp
+        bend = 0.0 if l1 == 1.0 else (l1 * s + sp * p1**2) / cp
+        x = -l1 * s - sp * p1 / 2, -l1 * c - (cp * p1**2 + sp * bend) / 2
+        y2 = l1 * c / 2, -l1 * s / 2
+        x3 = -l1 * s - sp * p1, -l1 * c - (cp * p1**2 + sp * bend)
+        inertia = l1**2 / 3 + x[0] ** 2 + y2[0] ** 2 + p1**2 / 12 + x3[0] ** 2
+        slope = x[0] * x[1] + y2[0] * y2[1] + p1 * bend / 12 + x3[0] * x3[1]
+        return [y[1], (torque - gravity * l1 * c - slope * y[1] ** 2) / inertia]
+
+    return solve_ivp(rate, (0, times[-1]), start, "DOP853", times, rtol=1e-13, atol=1e-13).y[0]
+
+
+@pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
+def test_a_slider_crank_of_any_size_and_mass_moves_alike(coordinates):
+    i = unit(alfmu.load("slider_crank", coordinates=coordinates))
+    times = np.arange(STEPS + 1) / 10
+    right = crank(0.5, 9.81, 0.0, (0.8, 4.0), times)
+    for length, mass in SIZES:
+        second = length**0.5
+        values = {"l1": length / 2, "l2": length, "m1": mass, "m2": mass, "m3": mass, "start.angle": 0.8}
+        values |= {"start.angular_velocity": 4 / second, "solver.relative_tolerance": 1e-9}
+        assert np.abs(angles(i, second * times, values) - right).max() <= 3e-9, (length, mass)
+
+
+def test_a_linkage_in_space_of_any_size_moves_alike():
+    i, times, found = unit(alfmu.load("bennett")), np.arange(21) / 10, []
+    for size in (1.0, 1e-5, 1e3):
+        second = size**0.5
+        values = {"a": 0.3 * size, "start.angular_velocity": 3.0 / second, "solver.relative_tolerance": 1e-9}
+        found.append(angles(i, second * times, values, of="hinge1.angle"))
+    assert max(np.abs(each - found[0]).max() for each in found) <= 1e-9
+
+
+def four_bar(bodies: bool) -> Mechanism:
+    """Four-bar of torn-off bodies or of points, whose base begins at (o, o); its bars are as long as L has it."""
+    m = Mechanism("somewhere")
+    L, o = m.parameter("L", 1.0, "m"), m.parameter("o", 0.0, "m")
+    th = m.start("angle", 0.8, "rad", rate=4.0)
+    A, D = m.ground.at(o, o), m.ground.at(o + 1.2 * L, o)
+    bx, by = o + L / 2 * ca.cos(th), o + L / 2 * ca.sin(th)
+
+    def at(name: str, x: ca.SX, y: ca.SX) -> tuple[ca.SX, ca.SX]:
+        return m.coordinate(f"{name}x", "m", start=x), m.coordinate(f"{name}y", "m", start=y)
+
+    if bodies:
+        a, b, c = (
+            m.bar(name, mass=1.0, length=length, pose=(*at(name, x, y), m.coordinate(f"{name}t", "rad", start=angle)))
+            for name, length, x, y, angle in (
+                ("crank", L / 2, (o + bx) / 2, (o + by) / 2, th),
+                ("b", 0.9 * L, o + 0.65 * L, o + 0.6 * L, 0.6),
+                ("c", L, o + 1.1 * L, o + 0.45 * L, 1.8),
+            )
+        )
+        for name, one, other in (("A", A, a.start), ("B", a.end, b.start), ("C", b.end, c.end), ("D", D, c.start)):
+            m.revolute(name, one, other)
+    else:
+        B, C = m.point(*at("B", bx, by)), m.point(*at("C", o + L, o + 0.9 * L))
+        m.tie(th, ca.atan2((B.y - o) / L, (B.x - o) / L))
+        m.bar("crank", mass=1.0, length=L / 2, between=(A, B))
+        m.bar("b", mass=1.0, length=0.9 * L, between=(B, C))
+        m.bar("c", mass=1.0, length=L, between=(C, D))
+    m.gravity(0.0, -9.81)
+    return m
+
+
+@pytest.mark.parametrize("bodies", [True, False], ids=["bodies", "points"])
+def test_a_place_far_from_the_origin_changes_no_motion(bodies):
+    i = unit(four_bar(bodies))
+    times = np.arange(STEPS + 1) / 10
+    here, there = (angles(i, times, {"o": o, "solver.relative_tolerance": 1e-10}) for o in (0.0, 100.0))
+    assert np.abs(there - here).max() <= 5e-9
+    small = {"L": 1e-4, "start.angle_rate": 400.0, "solver.relative_tolerance": 1e-10}
+    assert np.abs(angles(i, times / 100, small) - here).max() <= 5e-9
+
+
+# Constraints that hardly agree ------------------------------------------------------------------------------------
+
+
+def two_bars(name: str) -> tuple[Mechanism, dict]:
+    """Two parallel bars on the ground, 1 m apart."""
+    m, found = Mechanism(name), {}
+    for k, x in (("A", 0.0), ("D", 1.0)):
+        th = m.coordinate(
+            f"th{k}", "rad", start=0.5, **({"independent": True, "rate": 2.0} if name == "rods" and not x else {})
+        )
+        bar = m.bar(f"bar{k}", mass=1.0, length=1.0)
+        found[k] = m.revolute(k, m.ground.at(x, 0), bar.start, coordinate=th), bar
+    m.gravity(0, -9.81)
+    return m, found
+
+
+def rods(off: float) -> Mechanism:
+    """Two rods between the bars, one of them redundant and a little too long."""
+    m, bars = two_bars("rods")
+    (_, a), (_, b) = bars.values()
+    m.distance("rod1", a.end, b.end, length=1.0)
+    m.distance("rod2", a.at(0.5), b.at(0.5), length=1.0 + off)
+    return m
+
+
+def motors(off: float) -> Mechanism:
+    """Each bar turned by a motor, and a rod between them; one motor is a little too fast."""
+    m, bars = two_bars("motors")
+    (A, a), (D, b) = bars.values()
+    m.distance("rod", a.end, b.end, length=1.0)
+    m.motion(A, 0.5 + 2 * m.time)
+    m.motion(D, 0.5 + (2 + off) * m.time)
+    return m
+
+
+@pytest.mark.parametrize(("make", "named"), [(rods, "rod2"), (motors, "rod")])
+@pytest.mark.parametrize("off", [1e-6, 1e-9, 1e-12])
+def test_constraints_that_contradict_each_other_are_named_at_the_start(make, named, off):
+    with pytest.raises(alfmu.AlfmuError, match=rf"(contradict each other|cannot be closed|no motion).*{named}") as said:
+        alfmu.simulate(make(off), 0.1, 0.02)
+    assert "step" not in str(said.value)
+
+
+@pytest.mark.parametrize("make", [rods, motors])
+def test_constraints_that_agree_within_round_off_run(make):
+    exactly = {"solver.relative_tolerance": 1e-10}
+    there, other = (alfmu.simulate(make(off), 2.0, 0.02, parameters=exactly)["barA.angle"] for off in (1e-13, 0.0))
+    assert np.abs(np.array(there) - np.array(other)).max() <= 1e-9
+
+
+def test_where_error_control_cannot_go_on_rk4_does():
+    """Motors that begin together and are 1e-12 rad apart after some seconds: more than steps may leave open."""
+    i = unit(motors(2.4e-13))
+    times = np.arange(151) / 50
+    assert np.abs(angles(i, times, {}, of="barA.angle") - 0.5 - 2 * times).max() <= 1e-11
+    assert i.counters.patient > 0
+
+
+def test_constraints_that_hold_to_second_order_alone_are_named(caplog):
+    """Two slides on parallel rails, and a rod between them as long as the rails are apart."""
+    m, slides = Mechanism("rails"), []
+    for k, x in (("a", 0.0), ("b", 1.0)):
+        y = m.coordinate(k, "m", start=0.2)
+        body = m.body(f"slide_{k}", mass=1.0, pose=(x, y, 0.0))
+        slides.append(body)
+    m.distance("rod", slides[0].at(0, 0), slides[1].at(0, 0), length=1.0)
+    m.gravity(0, -9.81)
+    i = alfmu.Instance(m)
+    i.initialize()
+    assert "rails: rod stop a motion to second order alone" in caplog.text
+
+
+# Singular positions -----------------------------------------------------------------------------------------------
+
+ENDED = (
+    *((0.6844713720368576, 0.0, 4.0), (-0.7079874108956625, 2.0, 4.0), (-2.936665234018724, 0.0, 8.0)),
+    *((-2.6698728452320317, 2.0, 1.0), (-1.9923070987796339, 2.0, 1.0), (2.9791723304271622, -1.0, 8.0)),
+)
+"""Angles [rad], speeds [rad/s] and torques [N.m] of runs that ended: communication points lie on singular positions."""
+
+
+def test_no_phase_of_a_parallelogram_ends_by_default():
+    """Without gravity its angle is a parabola: 5/3 kg.m2 under a torque."""
+    i, times = unit(alfmu.load("four_bar")), np.arange(126) * 0.02
+    random = np.random.default_rng(3)
+    starts = list(ENDED)
+    for off in 10.0 ** random.uniform(-14, -2, 100):  # a communication point so near to a singular position
+        t, w, torque = times[random.integers(5, 100)], random.choice([0.0, 2.0, -1.0]), random.choice([4.0, 8.0, -3.0])
+        starts.append((random.integers(-3, 4) * np.pi + off - w * t - 0.3 * torque * t**2, w, torque))
+    for angle, w, torque in starts:
+        values = {"g": 0.0, "start.angle": angle, "start.angular_velocity": w}
+        found = angles(i, times, values, torque, "link1.angle")
+        assert np.abs(found - angle - w * times - 0.3 * torque * times**2).max() <= 1e-7, (angle, w, torque)
+
+
+@pytest.mark.parametrize("coordinates", ["joint", "natural"])
+def test_no_phase_of_a_slider_crank_with_equal_links_ends_by_default(coordinates):
+    i, times = unit(alfmu.load("slider_crank", coordinates=coordinates)), np.arange(126) * 0.02
+    for angle in np.random.default_rng(4).uniform(-1.4, 1.4, 30):
+        values = {"g": 0.0, "l1": 1.0, "l2": 1.0, "start.angle": angle}
+        off = angles(i, times, values, 4.0) - crank(1.0, 0.0, 4.0, (angle, 0.0), times)
+        assert np.abs(off).max() <= 1e-7, angle
