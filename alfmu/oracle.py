@@ -477,6 +477,7 @@ class Instance(runtime.Instance):
         c.steps += 1
         c.position_error, c.velocity_error = max(c.position_error, position), max(c.velocity_error, velocity)
         self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.driven, t))
+        self._count_turns(q)
         if self.equations.timed:
             q[-1], v[-1] = t, 1.0
         self.q[:], self.v[:], self.states[:], self.state[self.layout.work], self.time = q, v, x, work[0], t
@@ -565,9 +566,18 @@ class Instance(runtime.Instance):
         """Readings whose computed angles are moved by whole turns to the values nearest to the last ones."""
         names = [v.name for v in self.equations.outputs]
         places = [names.index(name) for name in self.equations.wrapped]
-        y[places] += 2 * np.pi * np.round((self.angles - y[places]) / (2 * np.pi))
-        self.angles[:] = y[places]
+        angles = self.angles[: len(places)]
+        y[places] += 2 * np.pi * np.round((angles - y[places]) / (2 * np.pi))
+        angles[:] = y[places]
         return y
+
+    def _count_turns(self, q: NDArray) -> None:
+        """Angles whose turns count as they are at q (n,): where they were last, for what comes."""
+        e, p = self.equations, self.memory["p"]
+        if e.counted:
+            begin = len(e.parameters) + e.held.index(next(iter(e.counted)))
+            angles = np.array(e.functions["counted"](q, p)).ravel()
+            p[begin : begin + len(angles)] = self.angles[len(e.wrapped) :] = angles
 
     def _watch(self, seen: dict[str, float], left: NDArray) -> None:
         """Keep the largest errors; NaN for what nobody watches."""

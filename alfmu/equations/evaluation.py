@@ -31,6 +31,7 @@ ARGUMENTS = {
         "C": "q p",
         "xi": "q v p",
         "displacements": "q p",
+        "counted": "q p",
         "gaps": "q p",
         "gaps_matrix": "q p",
         "kinetic_energy": "q v p",

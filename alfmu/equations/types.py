@@ -152,6 +152,7 @@ class Equations:
     C(q, p)                          constraint matrix (l, n)                                (2)
     xi(q, v, p)                      constraint-induced accelerations (l,)                   (3)
     displacements(q, p)              what locks keep, m or rad
+    counted(q, p)                    angles whose turns count, rad
     gaps(q, p)                       how far each constraint is open (l,), m or rad          zero where Phi is
     gaps_matrix(q, p)                its derivative (l, n)
     kinetic_energy(q, v, p)          J
@@ -234,8 +235,10 @@ class Equations:
     """Joints with dry friction."""
     held: list[str] = field(default_factory=list)
     """Displacements that locks keep, and what joints with dry friction remember: their values follow the parameters in
-    p, `displacements` computes them. Behind them, where time is a coordinate, the time at which the run began and the
+    p, `displacements` computes them. Behind them angles whose turns count, and where time is a coordinate, the time at which the run began and the
     numbers of signals."""
+    counted: dict[str, int] = field(default_factory=dict)
+    """Angles among `held` whose turns count, as something depends on them, and the start value they begin near."""
     states: Sequence[Variable] = ()
     """Quantities of first-order equations that are integrated with the motion; `start` is their value at the start."""
     resting: bool = False

@@ -119,7 +119,8 @@ COUNTS: dict[str, Number] = {
     "event_count": lambda t: len(events(t.e)),
     "n": lambda t: t.e.n,
     "l": lambda t: t.e.l,
-    "angles": lambda t: len(t.e.wrapped),
+    "angles": lambda t: len(t.e.wrapped) + len(t.e.counted),
+    "counted": lambda t: len(t.e.counted),
     "readings": lambda t: len(t.e.outputs),
     "ties": lambda t: len(t.e.tied),
 }
@@ -454,7 +455,7 @@ class _Table:
         w.integers(row for switch in e.switches for row in switch.rows)
         every = [v.name for v in every_event(e)]
         w.integers(every.index(v.name) for v in events(e))
-        w.integers(e.wrapped.values())
+        w.integers([*e.wrapped.values(), *e.counted.values()])
         w.integers(e.tied)
         for c in e.coordinates:
             w.text(c.name)

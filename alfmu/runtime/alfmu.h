@@ -341,6 +341,7 @@ double widest(Instance *i, const double *q, const double *v, int of_velocity, in
 void in_force(const Instance *i, const double *on, unsigned char *held);
 
 void parameters(Instance *i);
+void count_turns(Instance *i);
 void weigh(Instance *i);
 void settle_kernel(Instance *i);
 Outcome knowledge(Instance *i, const double *q, const double *v);

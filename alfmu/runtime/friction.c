@@ -518,6 +518,7 @@ typedef struct {
 static void back_to(Instance *i, const Kept *kept)
 {
     memcpy(field(i, i->scene->z), kept->state, kept->size);
+    count_turns(i);
     memcpy(field(i, i->scene->pace), kept->pace, kept->count * sizeof *kept->pace);
 }
 

@@ -672,6 +672,16 @@ void settle_kernel(Instance *i)
         hold(i);
 }
 
+/* Angles whose turns count as they are now: where they were last, for what comes. Nothing changes with them but turns. */
+void count_turns(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int behind = s->counted + (s->timed ? 1 + s->followed_count * POLYNOMIAL : 0);
+    if (s->counted)
+        memcpy(field(i, s->p) + s->own + s->held - behind, field(i, s->z) + s->work - s->counted,
+            (size_t)s->counted * sizeof(double));
+}
+
 void parameters(Instance *i)
 {
     const Scene *s = i->scene;
@@ -680,6 +690,7 @@ void parameters(Instance *i)
     memcpy(p + s->own, i->kept, (size_t)s->held * sizeof *p);
     tape_copy(i, p, i->values, (size_t)s->own);
     tape_copy(i, p + s->own, i->kept, (size_t)s->held);
+    count_turns(i);
 }
 
 /* Topology --------------------------------------------------------------------------------------------------------- */
@@ -1043,6 +1054,19 @@ static Outcome comply(Instance *i)
                 s->name, s->variables[first + k].name);
 }
 
+/* Computed angles begin near their start values. */
+static void angles_begin(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *z = field(i, s->z);
+    for (int k = 0; k < s->angles; k++) {
+        const double *angle = s->angle_starts[k] < 0 ? NULL : i->values + s->own + s->angle_starts[k];
+        z[2 * s->n + k] = angle ? *angle : 0.0;
+        if (angle)
+            tape_copy(i, z + 2 * s->n + k, angle, 1);
+    }
+}
+
 /* The motion begins at q and v; nothing has been counted. */
 static void begin_at(Instance *i, const double *q, const double *v, double time)
 {
@@ -1055,12 +1079,7 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     tape_clearing(i, z, state_length(s));
     tape_copy(i, z, q, (size_t)s->n);
     tape_copy(i, z + s->n, v, (size_t)s->n);
-    for (int k = 0; k < s->angles; k++) {
-        const double *angle = s->angle_starts[k] < 0 ? NULL : i->values + s->own + s->angle_starts[k];
-        z[2 * s->n + k] = angle ? *angle : 0.0;
-        if (angle)
-            tape_copy(i, z + 2 * s->n + k, angle, 1);
-    }
+    angles_begin(i);
     memcpy(states(i), first, (size_t)states_of(s) * sizeof *z);
     tape_copy(i, states(i), first, (size_t)states_of(s));
     z[s->time] = time;
@@ -1090,6 +1109,7 @@ static Outcome started(Instance *i)
     Outcome outcome;
     signals_begin(i, time);
     friction_reset(i);
+    angles_begin(i);
     parameters(i);
     for (int k = 0; k < s->switches; k++)
         i->on[k] = i->wanted[k] != 0.0 && !s->switched[k].holds;
@@ -1458,6 +1478,7 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
         at_time(i, start + h);
     } else {
         memcpy(z, begin, size);
+        count_turns(i);
         memcpy(pace, before, count * sizeof *pace);
     }
     return outcome;
@@ -1508,6 +1529,7 @@ static void step_back(Instance *i)
     const Scene *s = i->scene;
     const double *from = i->before;
     memcpy(i->m + s->z, i->m + s->begin, state_length(s) * sizeof *from);
+    count_turns(i);
     memcpy(i->slopes, from, (size_t)(s->inputs + 1) * sizeof *from);
     memcpy(i->m + s->u, from += s->inputs + 1, (size_t)s->inputs * sizeof *from);
     memcpy(i->counts, from += s->inputs, COUNTED * sizeof *from);

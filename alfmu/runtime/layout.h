@@ -182,6 +182,7 @@
     X(n) \
     X(l) \
     X(angles) \
+    X(counted) \
     X(readings) \
     X(ties)
 
@@ -210,6 +211,7 @@
     X(n) \
     X(l) \
     X(angles) \
+    X(counted) \
     X(readings) \
     X(ties) \
     X(step_size) \

@@ -329,7 +329,7 @@ static void followed(Reader *r)
     Followed *made;
     s->followed_count = s->timed ? integer(r) : 0;
     if (r->bad || s->followed_count < 0 || s->followed_count > s->inputs
-        || s->held < s->timed * (1 + s->followed_count * POLYNOMIAL)) {
+        || s->held < s->counted + s->timed * (1 + s->followed_count * POLYNOMIAL)) {
         spoil(r, "%d inputs move something", s->followed_count);
         s->followed_count = 0;
         return;
@@ -1060,6 +1060,8 @@ static void memory(Reader *r)
           {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
     if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS))
         spoil(r, "its memory has %d numbers", s->size);
+    if (s->counted > s->angles || s->counted > s->held)
+        spoil(r, "its angles contradict each other");
     if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->near != s->time + 4)
         spoil(r, "its state contradicts itself");
     if (!between(s->monitor_position, -1, s->outputs - s->event_count)

@@ -39,6 +39,7 @@ void arrive(Instance *i)
     const Scene *s = i->scene;
     memcpy(i->m + s->z, i->m + s->after, state_length(s) * sizeof *i->m);
     tape_copy(i, i->m + s->z, i->m + s->after, state_length(s));
+    count_turns(i);
     if (s->entries)
         jacobian_along(i);
 }
@@ -354,6 +355,7 @@ int communicate(Instance *i, double start, double h, long *made)
     if (*made != steps) {
         tape_cut(i, begun);
         memcpy(z, m + s->begin, state);
+        count_turns(i);
         memcpy(m + s->tally, counted, TALLY * sizeof *m);
         memcpy(m + s->past, i->past_before, past);
         return 0;
