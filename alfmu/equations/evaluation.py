@@ -49,6 +49,7 @@ ARGUMENTS = {
         "Phi_dot": "q v p",
         "motion_power": "q v a lam u p t",
         "laws": "q v p",
+        "instants": "p",
     }.items()
 }
 """What each function of the equations depends on; the last three are there where time is a coordinate."""

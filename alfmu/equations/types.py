@@ -163,6 +163,7 @@ class Equations:
     readings(q, v, a, lam, u, p, t)  everything a user can read, in the order of `outputs`
     rubbing(q, v, a, lam, u, p, t)   of dry friction: multipliers, limits, second rates
     sliding(q, v, p)                 rates of joints with dry friction
+    instants(p)                      times that are declared as events, s
     guess(p, s)                      start of the position assembly (n,)
     guess_rate(p, s, sdot)           its time derivative (n,)
     ties(q, p, s)                    independent quantities minus their start values
@@ -249,6 +250,8 @@ class Equations:
     """Inputs that move something."""
     leaps: Sequence[Leap] = ()
     """Laws of time that may jump, or not be finite."""
+    breaks: list[int] = field(default_factory=list)
+    """Of a scene, levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
     jacobian: Sequence[tuple[str, str]] = ()
     """Entries of the interface Jacobian: names of an output and of the input that it is differentiated by."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)

@@ -86,7 +86,7 @@ HANDED = {
 
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws"),
+    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks"),
     **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions that the runtime calls, by their names in C."""
@@ -123,6 +123,7 @@ COUNTS: dict[str, Number] = {
     "counted": lambda t: len(t.e.counted),
     "readings": lambda t: len(t.e.outputs),
     "ties": lambda t: len(t.e.tied),
+    "break_count": lambda t: len(t.e.breaks),
 }
 """Of what a scene has, each checked when it is loaded."""
 
@@ -267,7 +268,8 @@ def alone(equations: Equations) -> Equations:
     if "alone" not in shared:
         shared["alone"] = _alone(equations)
     own = shared["alone"]
-    return replace(equations, functions=own.functions, signatures=own.signatures, kernel=own.kernel)
+    given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
+    return replace(equations, **given)
 
 
 def _alone(equations: Equations) -> Equations:
@@ -457,6 +459,7 @@ class _Table:
         w.integers(every.index(v.name) for v in events(e))
         w.integers([*e.wrapped.values(), *e.counted.values()])
         w.integers(e.tied)
+        w.integers(e.breaks)
         for c in e.coordinates:
             w.text(c.name)
             w.text(c.unit)

@@ -157,6 +157,7 @@ typedef struct {
     const Row *rows;
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
     const int *tied;         /* start values that are kept */
+    const int *break_levels; /* of what changes its sign where something jumps or bends by itself */
     const double *normal;    /* standard normal numbers, TRIES x n; zero for time */
     int timed;               /* whether time is the last coordinate */
     int followed_count;
@@ -198,6 +199,9 @@ uint32_t check_sum_from(uint32_t sum, const unsigned char *bytes, size_t count);
 
 /* The scene among the resources of an FMU, which the host names by a URI or a path. */
 Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
+
+/* Most times in a communication step at which something jumps or bends by itself. */
+#define MOST_BREAKS 4096
 
 typedef enum {
     DONE,
@@ -249,6 +253,8 @@ typedef struct Instance {
     /* Beside them. */
     double *workspace, *before, *scratch, *registers, *lanes, *spare, *past_before, *kept_before, *dense;
     Flags flags_before;
+    double *breaks;  /* times about which something jumps or bends by itself in this step: just before, just after */
+    int broken;      /* how many */
     double *read_at; /* q, v and inputs where outputs were read last */
     int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
     long shared;     /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
@@ -393,6 +399,8 @@ void run(Instance *i, int program);
 void signals_begin(Instance *i, double time);
 Outcome signals_aim(Instance *i, double start, double h);
 
+Outcome breaks_found(Instance *i, double begin, double end);
+size_t breaks_room(const Scene *s);
 Outcome laws_checked(Instance *i, double end);
 Outcome laws_begun(Instance *i, Outcome outcome);
 size_t laws_room(const Scene *s);

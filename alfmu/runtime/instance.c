@@ -130,13 +130,13 @@ Instance *instance_new(const Scene *s)
     i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
         + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
         + 4 * (size_t)(driven_by(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
-    i->room += laws_room(s);
+    i->room += laws_room(s) + breaks_room(s);
     if (s->frictions) /* What steps up to events remember. */
         i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
             + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + least_norm_work(s->dense, s->dense)
-            + 2 * (size_t)s->n + (size_t)s->inputs,
+            + 2 * (size_t)s->n + (size_t)s->inputs + (s->break_count ? 2 * MOST_BREAKS : 0),
         sizeof *numbers);
     if (!numbers) {
         free(i);
@@ -154,6 +154,7 @@ Instance *instance_new(const Scene *s)
     i->kept_before = i->past_before + s->past_size;
     i->dense = i->kept_before + s->held + s->followed_count * HEARD;
     i->read_at = i->dense + least_norm_work(s->dense, s->dense);
+    i->breaks = i->read_at + 2 * s->n + s->inputs;
     registers_begin(i);
     instance_reset(i);
     return i;
@@ -1433,31 +1434,21 @@ static double internal_steps(const Instance *i, double h)
     return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
 }
 
-/* A communication step that the kernel cannot make in one go: it made so many internal steps, and not the next one; below
-   zero where it has not tried. */
-static Outcome slow_step(Instance *i, double start, double h, long made)
+/* Steps from a time to another between which nothing jumps by itself; RK4 made so many of them in one go, and not the next
+   one, below zero where it has not tried. */
+static Outcome stretch(Instance *i, double start, double end, long made)
 {
     const Scene *s = i->scene;
-    const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
-    double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
-    const double steps = internal_steps(i, h), dt = h / steps;
+    const double h = end - start, steps = internal_steps(i, h), dt = h / steps;
     double done = 0.0;
     Outcome outcome = DONE;
-    memcpy(begin, z, size);
-    memcpy(before, pace, count * sizeof *pace);
-    if (!method(i) || i->flags.brakes) /* Steps go on with other numbers than those that were read with. */
-        i->onward = 0;
     at_time(i, start);
-    if (s->reach >= 0)
-        run(i, s->reach);
     if (s->frictions) {
-        pace[PACE_LAST] = 0.0;
-        outcome = friction_cover(i, start, h, dt);
-        done = steps;
-    } else if (method(i)) {
-        outcome = covered(i, start + h, dt, 0);
-        done = steps;
+        field(i, s->pace)[PACE_LAST] = 0.0;
+        return friction_cover(i, start, h, dt);
     }
+    if (method(i) && !(i->broken && h < LEFT_TO_RK4 * GIVEN_UP))
+        return covered(i, end, dt, 0);
     while (done < steps && outcome == DONE) {
         if (ended(i))
             outcome = interrupted(i);
@@ -1473,6 +1464,42 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
             i->counts[PATIENT_STEPS] += outcome == DONE;
             done += 1.0;
         }
+    }
+    return outcome;
+}
+
+/* The last digits of a time in which something jumps by itself. */
+static void drift(Instance *i, double to)
+{
+    double *q = field(i, i->scene->z), *v = q + i->scene->n;
+    const double dt = to - *instance_time(i);
+    for (int c = 0; c < dependent(i->scene); c++)
+        q[c] += dt * v[c];
+    at_time(i, to);
+}
+
+/* A communication step that the kernel cannot make in one go: it made so many internal steps, and not the next one; below
+   zero where it has not tried. */
+static Outcome slow_step(Instance *i, double start, double h, long made)
+{
+    const Scene *s = i->scene;
+    const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
+    double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
+    double from = start;
+    Outcome outcome = DONE;
+    memcpy(begin, z, size);
+    memcpy(before, pace, count * sizeof *pace);
+    if (!method(i) || i->flags.brakes) /* Steps go on with other numbers than those that were read with. */
+        i->onward = 0;
+    at_time(i, start);
+    if (s->reach >= 0)
+        run(i, s->reach);
+    for (int k = 0; k <= i->broken && outcome == DONE; k++) {
+        const double *about = k < i->broken ? i->breaks + 2 * k : NULL, to = about ? fmin(about[0], start + h) : start + h;
+        if (to > from)
+            outcome = stretch(i, from, to, made);
+        if (about && outcome == DONE)
+            drift(i, from = fmax(from, fmin(about[1], start + h)));
     }
     if (outcome == DONE) {
         at_time(i, start + h);
@@ -1545,7 +1572,7 @@ static Outcome whole_step(Instance *i, double start, double h)
     long made = -1;
     /* Methods beside RK4 may need any number of steps, which the slower way counts; it takes no step back along which
        derivatives were led, either. */
-    if (!i->flags.whole || method(i) || s->frictions || s->entries || !communicate(i, start, h, &made))
+    if (!i->flags.whole || method(i) || s->frictions || s->entries || i->broken || !communicate(i, start, h, &made))
         outcome = slow_step(i, start, h, made);
     if (outcome != DONE)
         return outcome;
@@ -1563,6 +1590,13 @@ static Outcome whole_step(Instance *i, double start, double h)
     return outcome == DONE && s->entries ? jacobian_end(i) : outcome;
 }
 
+/* DONE where what happens by itself up to an end lets a step be made, and when that is. */
+static Outcome looked_ahead(Instance *i, double start, double end)
+{
+    const Outcome outcome = breaks_found(i, start, end);
+    return outcome == DONE ? laws_checked(i, end) : outcome;
+}
+
 /* DONE where a communication step can begin: what the Boolean inputs ask for is in force. Nothing has changed otherwise, but
    that they ask for nothing. */
 Outcome instance_ready(Instance *i, double start, double h)
@@ -1577,7 +1611,7 @@ Outcome instance_ready(Instance *i, double start, double h)
         i->flags.known = 0;
     }
     if (outcome == DONE && !i->flags.pending)
-        return laws_checked(i, start + h);
+        return looked_ahead(i, start, start + h);
     if (outcome != DONE)
         return outcome;
     i->used = 0;
@@ -1585,7 +1619,7 @@ Outcome instance_ready(Instance *i, double start, double h)
     hand_over(i);
     outcome = take_effect(i);
     if (outcome == DONE)
-        outcome = laws_checked(i, start + h);
+        outcome = looked_ahead(i, start, start + h);
     if (outcome != DONE) {
         instance_go_back(i);
         memcpy(i->wanted, i->on, (size_t)i->scene->switches * sizeof *i->on);

@@ -184,7 +184,8 @@
     X(angles) \
     X(counted) \
     X(readings) \
-    X(ties)
+    X(ties) \
+    X(break_count)
 
 #define SCENE_REFERENCES(X) \
     X(step_size) \
@@ -214,6 +215,7 @@
     X(counted) \
     X(readings) \
     X(ties) \
+    X(break_count) \
     X(step_size) \
     X(penalty) \
     X(tolerance) \
@@ -300,6 +302,7 @@
     X(irregular) \
     X(sliding) \
     X(laws) \
+    X(breaks) \
     X(place) \
     X(bring) \
     X(settle) \

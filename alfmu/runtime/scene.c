@@ -832,6 +832,7 @@ static void functions(Reader *r)
     shaped(r, "guesses", s->guesses, 1, 3, 2, P, s->starts, s->starts, n, n);
     shaped(r, "displacements", s->displacements, s->held > 0, 2, 1, n, P, s->held);
     shaped(r, "sliding", s->sliding, s->frictions > 0, 3, 1, n, n, P, s->frictions);
+    shaped(r, "breaks", s->breaks, s->break_count > 0, 4, 1, 1, s->inputs, s->inputs, P, 2 * s->break_count);
     shaped(r, "pivots", s->pivots, l > 0, 3, 4, n, P, K, n, n, n, 1);
     shaped(r, "place", s->place, l > 0, 3, 1, n, P, K, n);
     shaped(r, "bring", s->bring, l > 0, 5, 2, n, n, n, P, K, n, n);
@@ -1120,6 +1121,7 @@ static void body(Reader *r)
     s->event_places = places(r, s->event_count, 0, s->impulses + 1, "the place of an impulse");
     s->angle_starts = places(r, s->angles, -1, s->starts, "the start of an angle");
     s->tied = places(r, s->ties, 0, s->starts, "a start value");
+    s->break_levels = places(r, s->break_count, 0, s->break_count, "a level");
     if (!r->bad)
         names(r);
     s->normal = reals(r, &count);
