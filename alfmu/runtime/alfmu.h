@@ -259,6 +259,7 @@ typedef struct Instance {
     int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
     long shared;     /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
     int within; /* whether the next step goes on in a communication step that began before */
+    int crossings; /* jumps that were crossed by the shortest of steps, since there was a longer one */
     long left;  /* internal steps that this communication step may still take */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
     int (*go_on)(struct Instance *i); /* asked now and then within a run in one call, where there is one; zero ends it */

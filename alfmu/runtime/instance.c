@@ -765,6 +765,16 @@ static void energy_into(Instance *i, const double *v, double *into)
     taped_call(i, s->energy, x, y);
 }
 
+/* What a motion does in an instant is what energies change by, from those at the first of four places. */
+static void worked_at_once(Instance *i, double *energies)
+{
+    double *q = field(i, i->scene->z), *work = q + i->scene->work;
+    const double *from[] = {work, energies + 2, energies}, factors[] = {1.0, 1.0, -1.0};
+    energy_into(i, q + i->scene->n, energies + 2);
+    *work += energies[2] - energies[0];
+    tape_sum(i, work, 3, from, factors);
+}
+
 static const char *method_name(const Instance *i)
 {
     const Scene *s = i->scene;
@@ -824,18 +834,15 @@ static Outcome change(Instance *i, const double *on)
     else
         outcome = check_masses(i, q, held);
     if (outcome == DONE && any) {
-        const double *more[] = {work, energies + 2, energies}, *lost[] = {work, w + s->lost};
-        const double factors[] = {1.0, 1.0, -1.0}, once_less[] = {1.0, -1.0};
+        const double *lost[] = {work, w + s->lost}, factors[] = {1.0, 1.0}, once_less[] = {1.0, -1.0};
         if (s->timed)
             energy_into(i, v, energies);
         run(i, s->impact);
         memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
         tape_copy(i, v, w + s->struck, (size_t)s->n);
-        if (s->timed) { /* What comes into force while it moves does work, too. */
-            energy_into(i, v, energies + 2);
-            *work += energies[2] - energies[0];
-            tape_sum(i, work, 3, more, factors);
-        } else {
+        if (s->timed) /* What comes into force while it moves does work, too. */
+            worked_at_once(i, energies);
+        else {
             *work += -w[s->lost];
             tape_sum(i, work, 2, lost, once_less);
         }
@@ -1468,14 +1475,25 @@ static Outcome stretch(Instance *i, double start, double end, long made)
     return outcome;
 }
 
-/* The last digits of a time in which something jumps by itself. */
-static void drift(Instance *i, double to)
+/* The last digits of a time in which something jumps by itself: an impact, where that is the rate of a law. */
+static Outcome passed(Instance *i, double to)
 {
-    double *q = field(i, i->scene->z), *v = q + i->scene->n;
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *q = field(i, s->z), *v = q + s->n, *energies = take(i, 4);
     const double dt = to - *instance_time(i);
-    for (int c = 0; c < dependent(i->scene); c++)
+    Outcome outcome = DONE;
+    int row;
+    for (int c = 0; c < dependent(s); c++)
         q[c] += dt * v[c];
     at_time(i, to);
+    if (s->timed && s->l && projects(i) && !(widest(i, q, v, 1, &row) <= GROSS)) {
+        energy_into(i, v, energies);
+        outcome = projected(i, q, v);
+        worked_at_once(i, energies);
+    }
+    i->used = used;
+    return outcome;
 }
 
 /* A communication step that the kernel cannot make in one go: it made so many internal steps, and not the next one; below
@@ -1499,7 +1517,7 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
         if (to > from)
             outcome = stretch(i, from, to, made);
         if (about && outcome == DONE)
-            drift(i, from = fmax(from, fmin(about[1], start + h)));
+            outcome = passed(i, from = fmax(from, fmin(about[1], start + h)));
     }
     if (outcome == DONE) {
         at_time(i, start + h);
@@ -1658,7 +1676,7 @@ static Outcome stepped(Instance *i, double start, double h)
         instance_remember(i);
     i->used = 0;
     if (!i->within)
-        i->left = MOST_STEPS;
+        i->left = MOST_STEPS, i->crossings = 0;
     if (!changed)
         remember_step(i);
     i->slopes[0] = start;

@@ -120,15 +120,14 @@ static Outcome say_broken(Instance *i, Outcome outcome, int law, double time)
     return say(i, outcome, BROKEN, i->scene->name, time, i->scene->leaps[law].what);
 }
 
-/* DONE where no law in force breaks from now to an end, or why no step leads there; a rate that jumps is warned of. */
-Outcome laws_checked(Instance *i, double end)
+/* The same between two times. */
+static Outcome checked(Instance *i, double begin, double end)
 {
     const Scene *s = i->scene;
-    const double begin = *instance_time(i);
     const Leap *law;
     Break found;
     int breaks;
-    if (!s->leap_count || apart(i, begin, end, LAW, RATE, &found.size) < 0)
+    if (apart(i, begin, end, LAW, RATE, &found.size) < 0)
         return DONE;
     breaks = first_break(i, begin, end, LAW, &found);
     law = s->leaps + (breaks ? found.law : 0);
@@ -145,6 +144,21 @@ Outcome laws_checked(Instance *i, double end)
             warn(i, WARNED_OF_CORNER, IMPACT, s->name, law->what, found.size, law->rate_unit, found.time);
     }
     return breaks ? say_broken(i, ENDED, found.law, found.time) : DONE;
+}
+
+/* DONE where no law in force breaks from now to an end, or why no step leads there; a rate that jumps is warned of. */
+Outcome laws_checked(Instance *i, double end)
+{
+    double from = *instance_time(i);
+    Outcome outcome = DONE;
+    if (!i->scene->leap_count)
+        return DONE;
+    for (int k = 0; k < 2 * i->broken && outcome == DONE; k++)
+        if (i->breaks[k] > from && i->breaks[k] < end) {
+            outcome = checked(i, from, i->breaks[k]);
+            from = i->breaks[k];
+        }
+    return outcome == DONE ? checked(i, from, end) : outcome;
 }
 
 /* What a start came to; where a law is not finite then, that it is not. Places are those of the start, or the guess where

@@ -260,6 +260,7 @@
     X(time) \
     X(work) \
     X(trouble) \
+    X(change) \
     X(near) \
     X(size) \
     X(workspace) \

@@ -1063,7 +1063,7 @@ static void memory(Reader *r)
         spoil(r, "its memory has %d numbers", s->size);
     if (s->counted > s->angles || s->counted > s->held)
         spoil(r, "its angles contradict each other");
-    if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->near != s->time + 4)
+    if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->change != s->time + 2 || s->near != s->time + 4)
         spoil(r, "its state contradicts itself");
     if (!between(s->monitor_position, -1, s->outputs - s->event_count)
         || !between(s->monitor_velocity, -1, s->outputs - s->event_count)
