@@ -9,6 +9,7 @@ positions, and plastic impacts.
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import math
 from collections.abc import Callable, Iterable
@@ -404,11 +405,16 @@ class Instance(runtime.Instance):
         try:
             self._change(penalty, v)
             self.memory["begin"][:] = self.memory["z"]
-            n = max(1, math.ceil(h / self.settings.step_size * (1 - 1e-12)))
             if self._past:
                 self._past.reach(start, self.inputs)
-            for k in range(n):
-                self._step(start + k * (h / n), h / n)
+            for begin, end in self._stretches(start, start + h):
+                if begin > start:  # the last digits of a time at which something jumps by itself
+                    self.q[:] += (begin - self.time) * self.v
+                    self.time, self._seen = begin, (None, None, None)
+                length = end - begin if (begin, end) != (start, start + h) else h
+                n = max(1, math.ceil(length / self.settings.step_size * (1 - 1e-12)))
+                for k in range(n):
+                    self._step(begin + k * (length / n), length / n)
         except AlfmuError:
             self.restore(before)
             self.counters = counters
@@ -417,6 +423,18 @@ class Instance(runtime.Instance):
         self._step_error = self._scene.library.alfmu_balance(self._unit.address)
         self.counters.run_error = self._counted()["run_error"]
         self._warn()
+
+    def _stretches(self, begin: float, end: float) -> Iterable[tuple[float, float]]:
+        """Times [s] between which nothing jumps by itself, as `alfmu_ready` has found them."""
+        count = self._scene.library.alfmu_breaks(self._unit.address, None)
+        times = (ctypes.c_double * (2 * count))()
+        self._scene.library.alfmu_breaks(self._unit.address, times)
+        for left, right in zip(times[::2], times[1::2], strict=True):
+            if left > begin:
+                yield begin, min(left, end)
+            begin = max(begin, right)
+        if end > begin:
+            yield begin, end
 
     def _step(self, start: float, dt: float) -> None:
         """An internal step; in shorter ones where constraints stay open near a singular position."""

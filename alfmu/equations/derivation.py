@@ -574,6 +574,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "state_rates": _state_rates(m),
         "readings": y,
         **rubs.functions,
+        **({"instants": stack(m.instants)} if m.instants else {}),
         "guess": guess,
         "guess_rate": (ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape))
         + (ca.jacobian(guess, begin) if m.moves else 0),

@@ -549,6 +549,8 @@ class Mechanism:
     """What is closed by constraints, in the order of its rows."""
     signals: ClassVar[_Parts[Signal]] = _Parts()
     """Inputs that move something."""
+    instants: ClassVar[_Parts[Scalar]] = _Parts()
+    """Times at which steps end."""
     laws: ClassVar[_Parts[Law]] = _Parts()
     """What moves something in time and may jump, or not be finite."""
     releases: ClassVar[_Parts[AnyJoint | Constraint | Relation]] = _Parts()
@@ -1837,6 +1839,14 @@ class Mechanism:
         multipliers are of least norm. The motion is that of rigid joints either way.
         """
         self.compliant = True
+
+    def event(self, time: Scalar) -> None:
+        """Let steps end at a time [s]: a number, or an expression in parameters.
+
+        Where forces, laws and rates of states have comparisons, maxima, whole numbers and the like of time and inputs,
+        these times are found by themselves. Declare one where something smooth is so short that steps may pass it.
+        """
+        Mechanism.instants.of(self).append(self._quantity("the time of an event", time, "s", CONSTANT))
 
     # Changing topology ------------------------------------------------------------------------------------------
 

@@ -1,9 +1,8 @@
 /* Times at which forces, laws of motion or rates of states jump or bend by themselves, looked for over each communication
    step before it is made: steps end there.
 
-   Something smooth changes its sign at each of them. Where between two times its change is what a rule of Gauss makes of its
-   rates, it is smooth enough for a cubic through both ends to tell how often it does; elsewhere both halves are looked at.
-   What depends on something that jumps itself is looked at between the jumps of that, level by level. */
+   Something smooth changes its sign at each of them. Where between two times it is as a cubic through both ends, that tells
+   how often it does; elsewhere both halves are looked at. What depends on something that jumps itself is looked at between the jumps of that, level by level. */
 
 #include <float.h>
 #include <math.h>
@@ -14,8 +13,8 @@
 /* Halves of halves of a step. */
 #define DEPTH 48
 
-/* Change that rates do not explain, over sizes: what has less is smooth enough. */
-#define EXPLAINED 1e-6
+/* What is off a cubic by less, over sizes, is as this. */
+#define EXPLAINED 1e-4
 
 /* Extremum over the largest value: one that is as near zero is looked at itself. */
 #define TOUCHING 0.01
@@ -23,12 +22,15 @@
 /* Last digits of a time between which something changes its sign. */
 #define DIGITS 4
 
+/* Doublings of the last digits of a time over which something may be zero about its change of sign. */
+#define FLAT 24
+
 /* Chords, more than a change of sign of finite numbers takes. */
 #define MOST_PASSES 300
 
+/* Where cubics are looked at: at no part of a way that a wave divides it in. */
 #define POINTS 3
-static const double points[POINTS] = {0.1127016653792583, 0.5, 0.8872983346207417};
-static const double weights[POINTS] = {5.0 / 18, 8.0 / 18, 5.0 / 18};
+static const double points[POINTS] = {0.1127016653792583, 0.4393201, 0.8172983346207417};
 
 size_t breaks_room(const Scene *s)
 {
@@ -86,6 +88,22 @@ static void asked(Instance *i, int which, double time, Bracket *b)
     i->used = used;
 }
 
+/* The first time from one on, in a direction, at which it is not zero to the last digit, and as far beyond, where round-off
+   moves it no more. */
+static double beyond(Instance *i, int which, double time, double way)
+{
+    const size_t used = i->used;
+    double *now = take(i, 2 * (size_t)i->scene->break_count), step = digit(time);
+    double to = time;
+    values_at(i, to, now);
+    for (int pass = 0; pass < FLAT && now[which] == 0.0; pass++, step *= 2) {
+        to += way * step;
+        values_at(i, to, now);
+    }
+    i->used = used;
+    return to + (to - time);
+}
+
 /* Where one of them changes its sign between two times at which it has different ones: by chords, each with a look beyond,
    and by halves in between. */
 static int narrowed(Instance *i, int which, double low, double high, double at_low, double at_high)
@@ -102,47 +120,56 @@ static int narrowed(Instance *i, int which, double low, double high, double at_l
         if (t > b.low && t < b.high)
             asked(i, which, t, &b);
     }
-    return add(i, b.low, b.high);
+    return add(i, beyond(i, which, b.low, -1.0), beyond(i, which, b.high, 1.0));
 }
 
-/* Where the cubic through both ends of one of them has an extremum on the way to zero, as a part of the way; below zero where
-   it has none. */
-static double turns_at(double before, double after, double slope, double end)
+/* The cubic through both ends of a way. */
+typedef struct {
+    double value, slope, square, cube;
+} Cubic;
+
+static Cubic through(double before, double after, double slope, double end)
 {
-    const double change = after - before, square = 3 * change - 2 * slope - end, cube = slope + end - 2 * change;
-    const double root = sqrt(fmax(square * square - 3 * cube * slope, 0.0));
-    double x;
-    if (!(before > 0.0 ? slope < 0.0 && end > 0.0 : slope > 0.0 && end < 0.0))
-        return -1.0;
-    x = -slope / (square + (slope < 0.0 ? root : -root));
-    if (!(x > 0.0 && x < 1.0))
-        return -1.0;
-    return fabs(before + x * (slope + x * (square + x * cube))) <= TOUCHING * fmax(fabs(before), fabs(after))
-            || (before + x * (slope + x * (square + x * cube)) > 0.0) != (before > 0.0)
-        ? x
-        : -1.0;
+    const double change = after - before;
+    const Cubic c = {before, slope, 3 * change - 2 * slope - end, slope + end - 2 * change};
+    return c;
 }
 
-/* Whether the changes of all of a level between two times are those of their rates. */
+static double cubic_at(Cubic c, double x)
+{
+    return c.value + x * (c.slope + x * (c.square + x * c.cube));
+}
+
+/* Where on the way it turns round as near zero as is worth a look, or beyond it; below zero where it does not. */
+static double turns_at(Cubic c, double after, double end)
+{
+    const double root = sqrt(fmax(c.square * c.square - 3 * c.cube * c.slope, 0.0));
+    double x, there;
+    if (!(c.value > 0.0 ? c.slope < 0.0 && end > 0.0 : c.slope > 0.0 && end < 0.0))
+        return -1.0;
+    x = -c.slope / (c.square + (c.slope < 0.0 ? root : -root));
+    there = cubic_at(c, x);
+    if (!(x > 0.0 && x < 1.0) || ((there > 0.0) == (c.value > 0.0) && fabs(there) > TOUCHING * fmax(fabs(c.value), fabs(after))))
+        return -1.0;
+    return x;
+}
+
+/* Whether all of a level are as cubics through both ends of a way. */
 static int smooth(Instance *i, int level, double a, double b, const double *first, const double *last)
 {
     const Scene *s = i->scene;
     const size_t used = i->used, count = (size_t)s->break_count;
-    double *change = take(i, count), *size = take(i, count), *now = take(i, 2 * count);
+    double *now = take(i, 2 * count);
     int all = 1;
-    for (size_t k = 0; k < count; k++) {
-        change[k] = last[k] - first[k];
-        size[k] = fabs(last[k]) + fabs(first[k]);
-    }
-    for (int each = 0; each < POINTS; each++) {
+    for (int each = 0; each < POINTS && all; each++) {
         values_at(i, a + points[each] * (b - a), now);
         for (size_t k = 0; k < count; k++) {
-            change[k] -= weights[each] * (b - a) * now[count + k];
-            size[k] += fabs(weights[each] * (b - a) * now[count + k]);
+            const double slope = (b - a) * first[count + k], end = (b - a) * last[count + k];
+            const double off = now[k] - cubic_at(through(first[k], last[k], slope, end), points[each]);
+            all &= s->break_levels[k] != level
+                || !(fabs(off) > EXPLAINED * (fabs(first[k]) + fabs(last[k]) + fabs(slope) + fabs(end)));
         }
     }
-    for (size_t k = 0; k < count; k++)
-        all &= s->break_levels[k] != level || !(fabs(change[k]) > EXPLAINED * size[k]);
     i->used = used;
     return all;
 }
@@ -171,14 +198,16 @@ static int looked(Instance *i, int level, double a, double b)
             continue;
         }
         for (int k = 0; k < s->break_count && enough; k++) {
-            double x;
+            double x, slope, stop;
             if (s->break_levels[k] != level || !(isfinite(first[k]) && isfinite(end[k])))
                 continue;
             if ((first[k] > 0.0) != (end[k] > 0.0)) {
                 enough = narrowed(i, k, a, b, first[k], end[k]);
                 continue;
             }
-            x = turns_at(first[k], end[k], first[count + (size_t)k] * (b - a), end[count + (size_t)k] * (b - a));
+            slope = (b - a) * first[count + (size_t)k];
+            stop = (b - a) * end[count + (size_t)k];
+            x = turns_at(through(first[k], end[k], slope, stop), end[k], stop);
             if (x < 0.0)
                 continue;
             x = a + x * (b - a);

@@ -1487,6 +1487,7 @@ static Outcome passed(Instance *i, double to)
     for (int c = 0; c < dependent(s); c++)
         q[c] += dt * v[c];
     at_time(i, to);
+    i->onward = 0; /* What was read is of before. */
     if (s->timed && s->l && projects(i) && !(widest(i, q, v, 1, &row) <= GROSS)) {
         energy_into(i, v, energies);
         outcome = projected(i, q, v);
