@@ -271,6 +271,8 @@ class Counters:
     """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
     run_error: float = 0.0
     """The same at communication points, over the largest kinetic energy or work so far [1]."""
+    drift: float = 0.0
+    """How far places have come off by that, where no work is done: an estimate [rad or m]."""
 
 
 def checked(name: str, v: Variable, value: object) -> None:

@@ -42,6 +42,7 @@ enum {
     STEP_ERROR,   /* what the last communication step changed of the balance, over that */
     RUN_ERROR,    /* largest balance over it */
     AT_REST,      /* what communication steps at rest left, which is round-off of work and no part of the balance [J] */
+    DRIFT,        /* how far the motion is off by what the balance makes of rates, where no work is done [rad or m] */
     COUNTED
 };
 
@@ -284,7 +285,8 @@ enum {
     WARNED_OF_IMPACT = 16,
     WARNED_OF_CORNER = 32,
     WARNED_OF_PENALTY = 64,
-    EVERY_WARNING = 127
+    WARNED_OF_DRIFT = 128,
+    EVERY_WARNING = 255
 };
 
 Instance *instance_new(const Scene *scene);

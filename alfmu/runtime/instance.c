@@ -1004,6 +1004,25 @@ static int rested(Instance *i, double kinetic)
     return !s->timed || kinetic <= kinetic_energy_at(i, SLOW_MOTION);
 }
 
+/* Where no work is done, a balance that is off by a part of the energy puts rates off by half of that, so that the place
+   comes off by as much of the way. */
+static void drifts(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *now = field(i, s->z), *begin = field(i, s->begin), h = now[s->time] - begin[s->time];
+    double *c = i->counts, rate = 0.0;
+    if (now[s->work] != 0.0)
+        return;
+    for (int k = 0; k < dependent(s); k++)
+        rate = fmax(rate, (fabs(now[s->n + k]) + fabs(begin[s->n + k])) / 2);
+    c[DRIFT] += c[BALANCE] / c[ENERGY_SCALE] / 2 * rate * h;
+    if (fabs(c[DRIFT]) > UNBALANCED)
+        warn(i, WARNED_OF_DRIFT,
+            "%s, t = %.6g s: by the drift of its energy the motion has come off by some %.1g rad (or m), and it comes off more and "
+            "more; %s, and judge the run by one with --check",
+            s->name, now[s->time], fabs(c[DRIFT]), method(i) == 1 ? "take a smaller solver.relative_tolerance" : "take shorter steps");
+}
+
 /* The balance of energies after a communication step, where anybody reads of it. */
 void instance_balance(Instance *i)
 {
@@ -1022,6 +1041,7 @@ void instance_balance(Instance *i)
     c[STEP_ERROR] = fabs(off - c[BALANCE]) / c[ENERGY_SCALE];
     c[BALANCE] = off;
     c[RUN_ERROR] = fmax(c[RUN_ERROR], fabs(off) / c[ENERGY_SCALE]);
+    drifts(i);
     if (!(c[RUN_ERROR] <= UNBALANCED))
         warn(i, WARNED_OF_BALANCE,
             "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
