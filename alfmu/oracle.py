@@ -74,6 +74,9 @@ class Instance(runtime.Instance):
         if self.equations.jacobian:
             first = "/".join(self.equations.jacobian[0])
             raise InputError(f"{self.name}: the oracle has no derivatives over a step, as {first}; use kernel vm")
+        if self.equations.peaks:
+            first = next(iter(self.equations.peaks))
+            raise InputError(f"{self.name}: the oracle has no peaks within a step, as of {first}; use kernel vm")
         super().initialize()
         self.counters, self._step_error = Counters(), 0.0
         self._unfinished, self._told = 0.0, False

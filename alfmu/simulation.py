@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from . import oracle
 from .equations import Equations, Variable
-from .equations.specialisation import plain, starting_at
+from .equations.specialisation import starting_at, without_steps
 from .kernel import DEFAULT, KERNELS
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
@@ -232,7 +232,7 @@ def prepare(
         facts |= {"mechanism": str(recipe), "options": declared.options}
     kernel = kernel or DEFAULT
     if not jacobian:
-        outputs = None if outputs is None else plain(outputs)
+        outputs = None if outputs is None else without_steps(outputs)
         equations = replace(equations, jacobian=()) if equations.jacobian else equations
     if freeze is not None:
         freeze = [name for name in freeze if name not in kept]

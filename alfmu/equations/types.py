@@ -254,6 +254,8 @@ class Equations:
     """Of a scene, levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
     jacobian: Sequence[tuple[str, str]] = ()
     """Entries of the interface Jacobian: names of an output and of the input that it is differentiated by."""
+    peaks: dict[str, list[str]] = field(default_factory=dict)
+    """Of what the largest magnitude within a communication step is asked for, and the outputs that it consists of."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""

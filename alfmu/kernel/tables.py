@@ -123,6 +123,7 @@ COUNTS: dict[str, Number] = {
     "counted": lambda t: len(t.e.counted),
     "readings": lambda t: len(t.e.outputs),
     "ties": lambda t: len(t.e.tied),
+    "peaks": lambda t: len(t.e.peaks),
     "break_count": lambda t: len(t.e.breaks),
 }
 """Of what a scene has, each checked when it is loaded."""
@@ -455,8 +456,12 @@ class _Table:
             w.integer(each.slip)
             w.integer(each.output in (e.shared or ()))
         w.integers(row for switch in e.switches for row in switch.rows)
-        every = [v.name for v in every_event(e)]
-        w.integers(every.index(v.name) for v in events(e))
+        # Behind impulses is the energy lost, whether or not there is any, and behind that are peaks.
+        places = {v.name: i + (v.of_step and not e.switches) for i, v in enumerate(every_event(e))}
+        w.integers(places[v.name] for v in events(e))
+        outputs = {v.name: i for i, v in enumerate(e.outputs)}
+        parts = [[*(outputs[name] for name in each), -1, -1][:3] for each in e.peaks.values()]
+        w.integers(part for each in parts for part in each)
         w.integers([*e.wrapped.values(), *e.counted.values()])
         w.integers(e.tied)
         w.integers(e.breaks)

@@ -158,6 +158,7 @@ typedef struct {
     const Row *rows;
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
     const int *tied;         /* start values that are kept */
+    const int *peak_parts;   /* readings that each peak is the magnitude of, -1 for none */
     const int *break_levels; /* of what changes its sign where something jumps or bends by itself */
     const double *normal;    /* standard normal numbers, TRIES x n; zero for time */
     int timed;               /* whether time is the last coordinate */
@@ -245,6 +246,7 @@ typedef struct Instance {
     double *values, *wanted, *on, *kept, *heard, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty;
+    double *peaks;         /* largest magnitudes within the last communication step, and what they are found with */
     double *jacobian;      /* of the last communication step */
     double *given;         /* penalties of each constraint, where `flags.given` says so */
     double *counts;        /* COUNTED */
@@ -407,6 +409,14 @@ size_t breaks_room(const Scene *s);
 Outcome laws_checked(Instance *i, double end);
 Outcome laws_begun(Instance *i, Outcome outcome);
 size_t laws_room(const Scene *s);
+
+/* Peaks (peaks.c). */
+size_t peaks_length(const Scene *s);
+size_t peaks_room(const Scene *s);
+void peaks_begin(Instance *i);
+void peaks_broken(Instance *i);
+void peaks_along(Instance *i, const double *begin);
+int read_away(Instance *i);
 
 void arrive(Instance *i);
 long advance(Instance *i, long steps, double dt);

@@ -102,6 +102,7 @@ static size_t divided(Instance *i, double *numbers)
         {&i->regular, 1},
         {&i->rank, 1},
         {&i->largest_penalty, 1},
+        {&i->peaks, (int)peaks_length(s)},
         {&i->jacobian, s->entries},
         {&i->given, s->l},
         {&i->counts, COUNTED},
@@ -130,9 +131,9 @@ Instance *instance_new(const Scene *s)
     i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
         + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
         + 4 * (size_t)(driven_by(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
-    i->room += laws_room(s) + breaks_room(s);
+    i->room += laws_room(s) + breaks_room(s) + peaks_room(s);
     if (s->frictions) /* What steps up to events remember. */
-        i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s);
+        i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s) + peaks_length(s);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
             + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + least_norm_work(s->dense, s->dense)
@@ -380,7 +381,9 @@ static inline const double *place_of_value(const Instance *i, int reference)
     if (output >= s->outputs)
         return i->jacobian + (output - s->outputs);
     if (event >= 0)
-        return s->event_places[event] < s->impulses ? i->impulses + s->event_places[event] : i->lost;
+        return s->event_places[event] < s->impulses ? i->impulses + s->event_places[event]
+            : s->event_places[event] == s->impulses ? i->lost
+                                                    : i->peaks + (s->event_places[event] - s->impulses - 1);
     if (output >= 0)
         return i->m + s->seen + output;
     if (reference < s->parameters)
@@ -891,6 +894,7 @@ static Outcome take_effect(Instance *i)
     const Scene *s = i->scene;
     const size_t used = i->used;
     Outcome outcome;
+    peaks_broken(i);
     if (s->held) {
         double *displacements = take(i, (size_t)s->held);
         const double *x[] = {field(i, s->z), field(i, s->p)};
@@ -1113,6 +1117,7 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     z[s->time] = time;
     memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
     memset(i->jacobian, 0, (size_t)s->entries * sizeof *i->jacobian);
+    memset(i->peaks, 0, peaks_length(s) * sizeof *i->peaks);
     *i->lost = 0.0;
     memset(field(i, s->pace), 0, PACE * sizeof(double));
     field(i, s->pace)[0] = FIRST_STEP;
@@ -1508,6 +1513,7 @@ static Outcome passed(Instance *i, double to)
         q[c] += dt * v[c];
     at_time(i, to);
     i->onward = 0; /* What was read is of before. */
+    peaks_broken(i);
     if (s->timed && s->l && projects(i) && !(widest(i, q, v, 1, &row) <= GROSS)) {
         energy_into(i, v, energies);
         outcome = projected(i, q, v);
@@ -1702,6 +1708,8 @@ static Outcome stepped(Instance *i, double start, double h)
         remember_step(i);
     i->slopes[0] = start;
     hand_over(i);
+    if (s->peaks && !i->within)
+        peaks_begin(i);
     outcome = whole_step(i, start, h);
     if (outcome != DONE && changed)
         instance_go_back(i);
@@ -1796,6 +1804,15 @@ static Outcome read_patiently(Instance *i)
     if (s->monitor_iterations >= 0 && i->iterations > 0)
         i->m[s->seen + s->monitor_iterations] = i->iterations;
     return outcome;
+}
+
+/* Whether what can be read here has been read, away from any pole. */
+int read_away(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (!(i->flags.fast && read_quickly(i)))
+        run(i, instant_by(s, formulation(i)));
+    return all_finite(i) && verdict(i, SEEN_NEAR) == 0.0;
 }
 
 Outcome instance_read(Instance *i)
@@ -2040,6 +2057,7 @@ static Outcome sound(Instance *i)
         {"an impulse", i->impulses, s->impulses},
         {"energy lost", i->lost, 1},
         {"a derivative of the last step", i->jacobian, s->entries},
+        {"a peak", i->peaks, (int)peaks_length(s)},
         {"a step size", control, 1},
         {"a past input", field(i, s->past), s->past_size},
     };

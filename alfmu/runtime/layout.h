@@ -185,6 +185,7 @@
     X(counted) \
     X(readings) \
     X(ties) \
+    X(peaks) \
     X(break_count)
 
 #define SCENE_REFERENCES(X) \
@@ -215,6 +216,7 @@
     X(counted) \
     X(readings) \
     X(ties) \
+    X(peaks) \
     X(break_count) \
     X(step_size) \
     X(penalty) \

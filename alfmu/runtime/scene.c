@@ -1118,7 +1118,8 @@ static void body(Reader *r)
     switches(r);
     frictions(r);
     s->impulse_rows = places(r, s->impulses, 0, s->l, "a row of an impulse");
-    s->event_places = places(r, s->event_count, 0, s->impulses + 1, "the place of an impulse");
+    s->event_places = places(r, s->event_count, 0, s->impulses + 1 + s->peaks, "the place of an impulse");
+    s->peak_parts = places(r, 3 * s->peaks, -1, s->readings, "a part of a peak");
     s->angle_starts = places(r, s->angles, -1, s->starts, "the start of an angle");
     s->tied = places(r, s->ties, 0, s->starts, "a start value");
     s->break_levels = places(r, s->break_count, 0, s->break_count, "a level");

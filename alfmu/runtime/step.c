@@ -45,11 +45,18 @@ static int read_near(const Instance *i)
 void arrive(Instance *i)
 {
     const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *begin = s->peaks ? take(i, state_length(s)) : NULL;
+    if (begin)
+        memcpy(begin, i->m + s->z, state_length(s) * sizeof *begin);
     memcpy(i->m + s->z, i->m + s->after, state_length(s) * sizeof *i->m);
     tape_copy(i, i->m + s->z, i->m + s->after, state_length(s));
     count_turns(i);
     if (s->entries)
         jacobian_along(i);
+    if (begin)
+        peaks_along(i, begin);
+    i->used = used;
 }
 
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
