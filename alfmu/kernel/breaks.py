@@ -43,7 +43,8 @@ def breaks(e: Equations) -> tuple[ca.Function, list[int]] | None:
     known["u"][:inputs], known["p"], known["t"] = u.nz[:].elements(), p.nz[:].elements(), [t]
     if e.timed:
         known["q"][-1], known["v"][-1] = t, SX(1)
-    names = ["dynamics", *["constraints"] * e.timed, *["state_rates"] * bool(e.states), *["rubbing"] * bool(e.frictions)]
+    asked = {"constraints": e.timed, "state_rates": e.states, "rubbing": e.frictions, "readings": e.peaks}
+    names = ["dynamics", *(name for name, there in asked.items() if there)]
     found: dict[str, tuple[SX, int]] = {}
     for name in names:
         letters = _LETTERS.get(name) or ARGUMENTS[name]
