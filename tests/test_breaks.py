@@ -51,7 +51,9 @@ def test_pulses_are_where_they_were_declared():
     def torque(m: Mechanism) -> ca.SX:
         t, begin = m.time, m.parameter("begin", 0.7, "s")
         train = ca.if_else(ca.fmod(t, 0.01) < 0.001, 2.0, 0.0)  # 0.2 N.m in the mean
-        within = ca.if_else(ca.logic_and(t > begin, t < begin + 0.25), ca.if_else(ca.fmod(t, 0.05) < 0.01, 1.0, 0.0), 0.0)
+        within = ca.if_else(
+            ca.logic_and(t > begin, t < begin + 0.25), ca.if_else(ca.fmod(t, 0.05) < 0.01, 1.0, 0.0), 0.0
+        )
         waves = ca.if_else(ca.sin(2 * ca.pi * 5 * t) > 0.999, 3.0, 0.0)
         table = ca.pw_const(t, ca.DM([0.25, 0.5, 0.75]), ca.DM([0.0, 1.0, -2.0, 0.5]))
         steps = 0.1 * ca.floor(4 * t)

@@ -1,5 +1,7 @@
 """Largest magnitudes of outputs within communication steps, in every way to run."""
 
+from itertools import pairwise
+
 import casadi as ca
 import fmpy
 import numpy as np
@@ -23,7 +25,7 @@ def pendulum() -> Mechanism:
 
 
 def carried(time: np.ndarray) -> np.ndarray:
-    """Force on its hinge: 5/2 of the weight along the bar as it has fallen, 1/4 across; angles by elliptic functions."""
+    """Force on its hinge: 5/2 of the weight along the bar as it has fallen, 1/4 across; by elliptic functions."""
     sn, *_ = ellipj(np.sqrt(1.5 * WEIGHT) * time + ellipk(0.5), 0.5)
     angle = 2 * np.arcsin(np.sqrt(0.5) * sn) - np.pi / 2
     return WEIGHT * np.hypot(2.5 * np.sin(angle), np.cos(angle) / 4)
@@ -31,7 +33,7 @@ def carried(time: np.ndarray) -> np.ndarray:
 
 def largest(times: np.ndarray) -> np.ndarray:
     """The same, the largest in each step between times."""
-    return np.array([carried(np.linspace(a, b, 2001)).max() for a, b in zip(times[:-1], times[1:], strict=True)])
+    return np.array([carried(np.linspace(a, b, 2001)).max() for a, b in pairwise(times)])
 
 
 @pytest.mark.parametrize("step", [0.02, 0.3, 2.0])
@@ -61,7 +63,9 @@ def test_a_pulse_between_points_has_a_peak():
 
 def test_near_a_pole_it_is_what_is_finite():
     """The reaction of a driven four-bar has a pole where its links are aligned; beside it, it is as large as it is."""
-    r = alfmu.simulate("four_bar", 2.0, 0.02, outputs=["A.force.x", "A.force.y", "A.force.peak"], inputs={"A.torque": 4.0})
+    r = alfmu.simulate(
+        "four_bar", 2.0, 0.02, outputs=["A.force.x", "A.force.y", "A.force.peak"], inputs={"A.torque": 4.0}
+    )
     assert np.isfinite(r["A.force.peak"]).all()
     at_points = np.hypot(r["A.force.x"], r["A.force.y"])
     assert (r["A.force.peak"][1:] >= at_points[1:] * (1 - 1e-6)).mean() > 0.9
@@ -97,13 +101,20 @@ def test_what_joints_with_dry_friction_carry():
     coarse = alfmu.simulate(m, 4.0, 0.5, outputs=ASKED)
     fine = alfmu.simulate(m, 4.0, 0.001)
     force = np.hypot(fine["A.force.x"], fine["A.force.y"])
-    within = [force[(fine.time >= a) & (fine.time <= b)].max() for a, b in zip(coarse.time, coarse.time[1:], strict=False)]
+    within = [
+        force[(fine.time >= a) & (fine.time <= b)].max() for a, b in zip(coarse.time, coarse.time[1:], strict=False)
+    ]
     assert coarse["A.force.peak"][1:] == pytest.approx(within, rel=5e-3)
 
 
 def test_they_are_asked_for_by_name_alone():
     assert "A.force.peak" not in alfmu.simulate(pendulum(), 0.1, 0.1, outputs=["*"])
-    assert alfmu.simulate(pendulum(), 0.1, 0.1, outputs=["bar.v?.peak"]).names == ("bar.vx", "bar.vy", "bar.vx.peak", "bar.vy.peak")
+    assert alfmu.simulate(pendulum(), 0.1, 0.1, outputs=["bar.v?.peak"]).names == (
+        "bar.vx",
+        "bar.vy",
+        "bar.vx.peak",
+        "bar.vy.peak",
+    )
     with pytest.raises(alfmu.InputError, match=r"has no output 'A.moment.peak'"):
         alfmu.simulate(pendulum(), 0.1, 0.1, outputs=["A.moment.peak"])
     with pytest.raises(alfmu.InputError, match="the oracle has no peaks within a step"):

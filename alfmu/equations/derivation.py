@@ -684,9 +684,7 @@ def _with_time(M: ca.SX, d: ca.SX, f: ca.SX, C: ca.SX, w: ca.SX) -> tuple[ca.SX,
     )
 
 
-def _counted(
-    m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX]
-) -> dict[str, tuple[ca.SX, ca.SX]]:
+def _counted(m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX]) -> dict[str, tuple[ca.SX, ca.SX]]:
     """Angles whose turns a run counts, as something depends on them: by name where each was last, and the angle."""
     known = {f"{body.name}.angle": (body.near, kinematics.frame(body).counted) for body in _carried(m)}
     for joint in m.spatial_joints:

@@ -131,8 +131,8 @@ BALANCE = {"monitor.energy", "monitor.work", "monitor.step_error"}
 
 
 def events(equations: Equations) -> list[Variable]:
-    """What is reported of impacts: the last impulse of each constraint that can be switched, the energy lost so far; and
-    peaks."""
+    """What is reported of impacts, the last impulse of each constraint that can be switched and the energy lost so far;
+    and peaks."""
     return [v for v in every_event(equations) if v.name not in equations.monitors]
 
 

@@ -236,8 +236,8 @@ class Equations:
     """Joints with dry friction."""
     held: list[str] = field(default_factory=list)
     """Displacements that locks keep, and what joints with dry friction remember: their values follow the parameters in
-    p, `displacements` computes them. Behind them angles whose turns count, and where time is a coordinate, the time at which the run began and the
-    numbers of signals."""
+    p, `displacements` computes them. Behind them angles whose turns count; and where time is a coordinate, the time at
+    which the run began and the numbers of signals."""
     counted: dict[str, int] = field(default_factory=dict)
     """Angles among `held` whose turns count, as something depends on them, and the start value they begin near."""
     states: Sequence[Variable] = ()

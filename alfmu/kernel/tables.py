@@ -158,7 +158,10 @@ NUMBERS: dict[str, Number] = {
     **{name: partial(lambda name, t: t.layout.fields[name][0], name) for name in FIELDS},
     "past_size": lambda t: t.layout.fields["past"][1],
     "seen_size": lambda t: t.layout.fields["seen"][1],
-    **{name: partial(lambda name, t: getattr(t.layout, name), name) for name in ("time", "work", "trouble", "change", "near")},
+    **{
+        name: partial(lambda name, t: getattr(t.layout, name), name)
+        for name in ("time", "work", "trouble", "change", "near")
+    },
     "size": lambda t: t.layout.size,
     # What a scene does not hand on has a place at the beginning, which has room for it.
     "workspace": lambda t: max(
