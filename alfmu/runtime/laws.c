@@ -15,7 +15,8 @@
 /* Length of an instant [s, or of the time itself]: a law that changes within it jumps. */
 #define INSTANT 1e-12
 
-/* Length of what is looked at about a jump, over an instant: times that a jump falls on have half of it on either side. */
+/* Length of what is looked at before a jump, over an instant, and a third of that behind it: times that a jump falls on have
+   half of it on either side, and no point of the rule is near it. */
 #define ABOUT 8
 
 /* Laws, their rates, and the rates of these. */
@@ -101,7 +102,7 @@ static int first_break(Instance *i, double begin, double end, int order, Break *
             top--;
         } else if (b - a <= instant || top + 1 == DEPTH) {
             if (isfinite(found->size)) {
-                const int law = apart(i, a - ABOUT * instant, b + ABOUT * instant, order, order, &found->size);
+                const int law = apart(i, a - ABOUT * instant, b + 3 * ABOUT * instant, order, order, &found->size);
                 found->law = law < 0 ? found->law : law;
             }
             found->time = b;
