@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import alfmu
-from alfmu import Mechanism
+from alfmu import Mechanism, parts
 from alfmu.model.mechanism import Body, Joint
 from alfmu.model.spatial import SpatialBody, SpatialJoint
 
@@ -138,6 +138,18 @@ def test_derivatives_follow_the_turns():
     assert along["bar.angle", "k"][-1] == pytest.approx(wanted, rel=1e-5)
     back = alfmu.gradient(natural(hinged), "bar.angle", ["k"], **given)
     assert back["k"] == pytest.approx(wanted, rel=1e-5)
+
+
+def test_a_rotor_behind_a_gearbox_counts_them():
+    """Its angle jumped by the ratio times a turn."""
+
+    def hinged(m: Mechanism, bar: Body, hinge: Joint) -> None:
+        given = {"voltage": 1.0, "resistance": 0.5, "inductance": 0.01, "constant": 0.1, "inertia": 1e-3}
+        parts.dc_motor(m, "motor", hinge, gearbox=parts.Gearbox(ratio=2.5), **given)
+
+    r = alfmu.simulate(natural(hinged), 2.0, 0.05, parameters=TIGHT)
+    assert np.ptp(r["bar.angle"]) > 2 * np.pi
+    assert r["motor.rotor.angle"] == pytest.approx(2.5 * r["bar.angle"], abs=1e-12)
 
 
 def test_what_needs_no_turns_carries_none():
