@@ -151,8 +151,8 @@ def simulate(
         found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel)
         stop = found.stop_time if stop_time is None else stop_time
         step = found.interval if communication_step is None else communication_step
-        known = {"parameters": found.left, "facts": found.facts, "declared": found.declared}
-        return found.unit, run(found.unit, stop, step, **known, **how)
+        result = run(found.unit, stop, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
+        return found.unit, result
 
     unit, result = made(given)
     if not check:
@@ -261,8 +261,9 @@ def _simulate_fmu(
     if check:
         with Fmu(path) as fmu:
             setting, value = finer(fmu.name, {**fmu.starts(), **parameters})
-        each = [parameters, {**parameters, setting: value}]
-        return checked(*(_simulate_fmu(path, stop_time, communication_step, x, how) for x in each), setting, value)
+        result = _simulate_fmu(path, stop_time, communication_step, parameters, how)
+        other = _simulate_fmu(path, stop_time, communication_step, {**parameters, setting: value}, how)
+        return checked(result, other, setting, value)
     with Fmu(path) as fmu:
         step = fmu.interval if communication_step is None else communication_step
         facts = fmu.facts(parameters)
