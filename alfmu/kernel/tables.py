@@ -57,7 +57,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 17
+VERSION = 18
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
