@@ -9,6 +9,7 @@ positions, and plastic impacts.
 
 from __future__ import annotations
 
+import ctypes
 import logging
 import math
 from collections.abc import Callable, Iterable
@@ -73,6 +74,9 @@ class Instance(runtime.Instance):
         if self.equations.jacobian:
             first = "/".join(self.equations.jacobian[0])
             raise InputError(f"{self.name}: the oracle has no derivatives over a step, as {first}; use kernel vm")
+        if self.equations.peaks:
+            first = next(iter(self.equations.peaks))
+            raise InputError(f"{self.name}: the oracle has no peaks within a step, as of {first}; use kernel vm")
         super().initialize()
         self.counters, self._step_error = Counters(), 0.0
         self._unfinished, self._told = 0.0, False
@@ -404,11 +408,16 @@ class Instance(runtime.Instance):
         try:
             self._change(penalty, v)
             self.memory["begin"][:] = self.memory["z"]
-            n = max(1, math.ceil(h / self.settings.step_size * (1 - 1e-12)))
             if self._past:
                 self._past.reach(start, self.inputs)
-            for k in range(n):
-                self._step(start + k * (h / n), h / n)
+            for begin, end in self._stretches(start, start + h):
+                if begin > start:  # the last digits of a time at which something jumps by itself
+                    self.q[:] += (begin - self.time) * self.v
+                    self.time, self._seen = begin, (None, None, None)
+                length = end - begin if (begin, end) != (start, start + h) else h
+                n = max(1, math.ceil(length / self.settings.step_size * (1 - 1e-12)))
+                for k in range(n):
+                    self._step(begin + k * (length / n), length / n)
         except AlfmuError:
             self.restore(before)
             self.counters = counters
@@ -417,6 +426,18 @@ class Instance(runtime.Instance):
         self._step_error = self._scene.library.alfmu_balance(self._unit.address)
         self.counters.run_error = self._counted()["run_error"]
         self._warn()
+
+    def _stretches(self, begin: float, end: float) -> Iterable[tuple[float, float]]:
+        """Times [s] between which nothing jumps by itself, as `alfmu_ready` has found them."""
+        count = self._scene.library.alfmu_breaks(self._unit.address, None)
+        times = (ctypes.c_double * (2 * count))()
+        self._scene.library.alfmu_breaks(self._unit.address, times)
+        for left, right in zip(times[::2], times[1::2], strict=True):
+            if left > begin:
+                yield begin, min(left, end)
+            begin = max(begin, right)
+        if end > begin:
+            yield begin, end
 
     def _step(self, start: float, dt: float) -> None:
         """An internal step; in shorter ones where constraints stay open near a singular position."""
@@ -477,6 +498,7 @@ class Instance(runtime.Instance):
         c.steps += 1
         c.position_error, c.velocity_error = max(c.position_error, position), max(c.velocity_error, velocity)
         self._unwrap(self.readings(q, v, np.zeros(n), np.zeros(self.equations.l), self.driven, t))
+        self._count_turns(q)
         if self.equations.timed:
             q[-1], v[-1] = t, 1.0
         self.q[:], self.v[:], self.states[:], self.state[self.layout.work], self.time = q, v, x, work[0], t
@@ -565,9 +587,18 @@ class Instance(runtime.Instance):
         """Readings whose computed angles are moved by whole turns to the values nearest to the last ones."""
         names = [v.name for v in self.equations.outputs]
         places = [names.index(name) for name in self.equations.wrapped]
-        y[places] += 2 * np.pi * np.round((self.angles - y[places]) / (2 * np.pi))
-        self.angles[:] = y[places]
+        angles = self.angles[: len(places)]
+        y[places] += 2 * np.pi * np.round((angles - y[places]) / (2 * np.pi))
+        angles[:] = y[places]
         return y
+
+    def _count_turns(self, q: NDArray) -> None:
+        """Angles whose turns count as they are at q (n,): where they were last, for what comes."""
+        e, p = self.equations, self.memory["p"]
+        if e.counted:
+            begin = len(e.parameters) + e.held.index(next(iter(e.counted)))
+            angles = np.array(e.functions["counted"](q, p)).ravel()
+            p[begin : begin + len(angles)] = self.angles[len(e.wrapped) :] = angles
 
     def _watch(self, seen: dict[str, float], left: NDArray) -> None:
         """Keep the largest errors; NaN for what nobody watches."""

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-__all__ = ["Film", "Result", "Signal", "facts_beside", "facts_in", "read_inputs"]
+__all__ = ["Check", "Film", "Result", "Signal", "facts_beside", "facts_in", "read_inputs"]
 
 Table = Sequence[float] | NDArray[Any]
 
@@ -42,6 +42,54 @@ Signal = float | Callable[[float], float] | tuple[Table, Table]
 
 _ROWS = 25
 """Rows of the table that a notebook shows."""
+
+
+OFF = 1e-3
+"""Error of a place over 1 rad, or over the largest length of a run [1], from which on it is warned of."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """How far the places of a run are from those of one with a finer setting, an estimate of its error."""
+
+    setting: str
+    """The number of the solver that was finer."""
+    value: float
+    errors: Mapping[str, float]
+    """Largest difference of each column [in its unit]: of angles and lengths, of all where there are none."""
+    worst: str
+    """The column that is off most, angles over 1 rad, all else over the largest number in that unit."""
+    unit: str
+    share: float
+    """How far that is off by this measure."""
+    since: float | None
+    """The first time [s] at which it is off by more than `OFF`; None where it never is."""
+
+    @classmethod
+    def of(cls, result: Result, finer: Result, setting: str, value: float) -> Check:
+        """What two runs with the same communication points differ by."""
+        places = [name for name in result.names if result.units.get(name) in ("rad", "m")] or list(result.names)
+        largest: dict[str, float] = {"rad": 1.0}
+        for name in (x for x in places if result.units[x] != "rad"):
+            unit, size = result.units[name], float(np.abs(result[name]).max(initial=0.0))
+            largest[unit] = max(largest.get(unit, 0.0), size)
+        off = {name: np.abs(result[name] - finer[name]) for name in places}
+        shares = {name: x / (largest[result.units[name]] or 1.0) for name, x in off.items()}
+        worst = max(shares, key=lambda name: float(shares[name].max()))
+        late = np.flatnonzero(shares[worst] > OFF)
+        return cls(
+            setting,
+            value,
+            {name: float(x.max()) for name, x in off.items()},
+            worst,
+            result.units[worst],
+            float(shares[worst].max()),
+            float(result.time[late[0]]) if late.size else None,
+        )
+
+    def __str__(self) -> str:
+        error = f"{self.worst} is off by {self.errors[self.worst]:.2g} {self.unit} at most"
+        return f"{error}, by a run with {self.setting} {self.value:g}"
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -68,6 +116,8 @@ class Result:
     """What was run: `mechanism`, `options` and `parameters`; of a table from a file, all that stands beside it."""
     declared: Mechanism | None = None
     """The mechanism, where it is known and not only its drawing."""
+    check: Check | None = None
+    """How far it is from a run with a finer setting, where that was asked for."""
     _ran: str | None = field(default=None, init=False)
     """What it declared at the run."""
 

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 from . import oracle
 from .equations import Equations, Variable
-from .equations.specialisation import plain, starting_at
+from .equations.specialisation import starting_at, without_steps
 from .kernel import DEFAULT, KERNELS
 from .model.doubts import no_gravity
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
-from .model.settings import Settings
+from .model.settings import FIXED, Settings
 from .model.words import shown
-from .result import Result, Signal, read_inputs
+from .result import OFF, Check, Result, Signal, read_inputs
 from .runtime import Instance
 from .runtime.prepare import prepared, with_defaults
 from .runtime.reuse import derive, ready
@@ -37,13 +37,16 @@ __all__ = [
     "Result",
     "Unit",
     "by_name",
+    "checked",
     "communication_points",
+    "finer",
     "instance",
     "names_in",
     "prepare",
     "prepared",
     "read_inputs",
     "run",
+    "settings_of",
     "signals_of",
     "simulate",
     "table_of",
@@ -96,6 +99,7 @@ def simulate(
     freeze: Sequence[str] | None = None,
     kernel: str | None = None,
     held_rows: bool = False,
+    check: bool = False,
     progress: Progress = iter,
 ) -> Result:
     """Run a mechanism from 0 to `stop_time` [s] with communication steps of `communication_step` [s].
@@ -119,6 +123,9 @@ def simulate(
     are set at its communication point; with `held_rows` those with the inputs of the step that ends there, as importers
     record them (fmpy, fmusim). Motions are the same.
 
+    With `check` it is run again with a hundredth of the tolerance, or half the steps where they have one length, and
+    `Result.check` tells how far off it is; a warning says where that passes a thousandth.
+
     Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
     that has begun, the exception's `result` has the rows up to then.
     """
@@ -131,6 +138,8 @@ def simulate(
             )
         from .systems.system import System
 
+        if check:
+            raise InputError(f"{mechanism}: connected systems are not checked; check each component")
         system = System.load(mechanism)
         more: dict[str, Any] = {"inputs": inputs, "parameters": given, "held_rows": held_rows, "progress": progress}
         return system.simulate(stop_time, communication_step, **more)
@@ -141,13 +150,21 @@ def simulate(
                 f"{mechanism}: outputs, frozen parameters, the kernel and the start of an FMU are fixed when it is "
                 "exported; give them to alfmu.export()"
             )
-        return _simulate_fmu(mechanism, stop_time, communication_step, given, how)
-    found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel)
-    stop_time = found.stop_time if stop_time is None else stop_time
-    step = found.interval if communication_step is None else communication_step
-    result = run(found.unit, stop_time, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
-    _tell_what_was_forgotten(found)
-    return result
+        return _simulate_fmu(mechanism, stop_time, communication_step, given, how, check)
+
+    def made(given: dict[str, float | str]) -> tuple[Instance, Result]:
+        found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel)
+        stop = found.stop_time if stop_time is None else stop_time
+        step = found.interval if communication_step is None else communication_step
+        result = run(found.unit, stop, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
+        _tell_what_was_forgotten(found)
+        return found.unit, result
+
+    unit, result = made(given)
+    if not check:
+        return result
+    setting, value = finer(unit.name, settings_of(unit))
+    return checked(result, made({**given, setting: value})[1], setting, value)
 
 
 def _tell_what_was_forgotten(of: Prepared) -> None:
@@ -162,6 +179,34 @@ def _tell_what_was_forgotten(of: Prepared) -> None:
         if text not in _TOLD:
             _TOLD.add(text)
             _LOGGER.warning("%s", text)
+
+
+def settings_of(unit: Instance) -> dict[str, float | str]:
+    """What a run that checks another one asks."""
+    return {name: unit.get(name) for name in ("solver.method", *FINER)}
+
+
+FINER = {"solver.relative_tolerance": 0.01, "solver.step_size": 0.5}
+"""What a run that checks another one makes of its settings [1]: of the tolerance, or of the length of all steps."""
+
+
+def finer(name: str, known: Mapping[str, float | str]) -> tuple[str, float]:
+    """The number of the solver that a run takes which checks another one with these; InputError where there is none."""
+    setting = list(FINER)[known.get("solver.method") in FIXED]
+    if setting not in known:
+        raise InputError(f"{name} has no {setting}, which a run that checks another one changes; FMUs of alfmu have it")
+    return setting, FINER[setting] * float(known[setting])
+
+
+def checked(result: Result, other: Result, setting: str, value: float) -> Result:
+    """A result with how far it is from one with a finer setting; a warning where that is much."""
+    check = Check.of(result, other, setting, value)
+    if check.since is not None:
+        _LOGGER.warning(
+            "%s: %s, and by more than a part of %g from t = %.3g s on; take a smaller %s",
+            *(result.mechanism, check, OFF, check.since, setting),
+        )
+    return replace(result, check=check)
 
 
 @dataclass(frozen=True)
@@ -207,7 +252,7 @@ def prepare(
         facts |= {"mechanism": str(recipe), "options": declared.options}
     kernel = kernel or DEFAULT
     if not jacobian:
-        outputs = None if outputs is None else plain(outputs)
+        outputs = None if outputs is None else without_steps(outputs)
         equations = replace(equations, jacobian=()) if equations.jacobian else equations
     if freeze is not None:
         freeze = [name for name in freeze if name not in kept]
@@ -228,10 +273,17 @@ def _simulate_fmu(
     communication_step: float | None,
     parameters: dict[str, float | str],
     how: dict[str, Any],
+    check: bool = False,
 ) -> Result:
     """Run an FMU as `simulate` does."""
     from .fmi.drive import Fmu
 
+    if check:
+        with Fmu(path) as fmu:
+            setting, value = finer(fmu.name, {**fmu.starts(), **parameters})
+        result = _simulate_fmu(path, stop_time, communication_step, parameters, how)
+        other = _simulate_fmu(path, stop_time, communication_step, {**parameters, setting: value}, how)
+        return checked(result, other, setting, value)
     with Fmu(path) as fmu:
         step = fmu.interval if communication_step is None else communication_step
         facts = fmu.facts(parameters)

@@ -58,6 +58,7 @@ GOOD: dict[str, Callable[[SimpleNamespace], dict[str, Any]]] = {
     "watch": lambda x: {"name": "n", "marker": x.arm.end},
     "trace": lambda x: {"name": "n", "marker": x.arm.end},
     "measure": lambda x: {},
+    "event": lambda x: {"time": 1.0},
     "measured_joints": lambda x: {},
     "measured_springs": lambda x: {},
     "body": lambda x: {"name": "n", "mass": 1.0},

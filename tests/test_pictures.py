@@ -488,7 +488,7 @@ def test_a_plot_has_few_panels_of_what_moves():
     assert list(panels) == ["angle [rad]", "position [m]", "force [N]", "error [m, rad; per s]"]
     assert drawn.get_suptitle() == "five bar"
     assert panels["error [m, rad; per s]"].get_yscale() == "log"
-    assert panels["error [m, rad; per s]"].get_xlabel() == "time [s]"
+    assert panels["error [m, rad; per s]"].get_xlabel() == "time [s]; forces at points of 0.02 s"
     (line,) = panels["angle [rad]"].get_lines()  # links 2 and 4 never turn, links 1 and 3 turn alike
     assert line.get_label() == "link1.angle = link3.angle"
     np.testing.assert_array_equal(line.get_ydata(), result["link1.angle"])
@@ -637,3 +637,15 @@ alfmu.view.plot.figure(alfmu.simulate("five_bar", 0.1))
 assert "matplotlib.pyplot" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_pole_is_a_gap_and_an_arrow():
+    """A driven four-bar that starts with its links aligned has one there, of which a table has the finite part."""
+    result = simulate("four_bar", 1.0, 0.02, inputs={"A.torque": 4.0})
+    poles = result["monitor.singular"] == 2
+    assert poles.any()
+    axes = panels_of(figure(result, ["A.force.x", "link1.angle"]))["force [N]"]
+    line, arrows = axes.get_lines()
+    np.testing.assert_array_equal(np.isnan(line.get_ydata()), poles)
+    np.testing.assert_array_equal(arrows.get_xdata(), result.time[poles])
+    assert set(arrows.get_ydata()) == {1.0}  # at the upper edge of the panel

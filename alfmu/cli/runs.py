@@ -45,6 +45,12 @@ def add(command: Command) -> None:
         *STEP, dest="step", type=float, metavar="S", help="communication step in s (default: the unit's own)"
     )
     add_start(sub)
+    sub.add_argument(
+        "--check",
+        action="store_true",
+        help="run it again with a hundredth of the tolerance (half the steps, where they have one length), and say how "
+        "far off it is",
+    )
     add_table(sub)
     add_kernel(sub)
     add_scene(sub)
@@ -82,17 +88,36 @@ def _simulate(chosen: argparse.Namespace) -> None:
         return [*notes(unit), gravity(declared, values, result)]
 
     asked = {"stop_time": chosen.stop_time, "communication_step": chosen.step}
-    how = {**own, **{name: value for name, value in asked.items() if value is not None}}
+    how = {name: value for name, value in asked.items() if value is not None}
+    how = {**how, "inputs": inputs, "held_rows": chosen.held_rows}
+
+    def made(progress: Callable[..., Iterable[Any]]) -> Result:
+        result = run(unit, **{**own, **how}, progress=progress)
+        return _checked(chosen, unit, result, {**how, "progress": progress}) if chosen.check else result
+
     try:
-        run_and_keep(
-            chosen,
-            unit.name,
-            lambda progress: run(unit, **how, inputs=inputs, progress=progress, held_rows=chosen.held_rows),
-            summary,
-        )
+        run_and_keep(chosen, unit.name, made, summary)
     finally:
-        if hasattr(unit, "close"):
-            unit.close()
+        _close(unit)
+
+
+def _close(unit: Any) -> None:
+    if hasattr(unit, "close"):
+        unit.close()
+
+
+def _checked(chosen: argparse.Namespace, unit: Any, result: Result, how: Mapping[str, Any]) -> Result:
+    """The result with how far it is from a run with a finer setting."""
+    from ..simulation import checked, finer, run, settings_of
+
+    known = {**unit.starts(), **dict(chosen.set)} if chosen.unit.endswith(".fmu") else settings_of(unit)
+    setting, value = finer(unit.name, known)
+    again = argparse.Namespace(**{**vars(chosen), "set": [*chosen.set, (setting, value)]})
+    other, own = _unit(again, how["inputs"])
+    try:
+        return checked(result, run(other, **{**own, **how}), setting, value)
+    finally:
+        _close(other)
 
 
 def run_and_keep(
@@ -223,6 +248,7 @@ def _keep(chosen: argparse.Namespace, result: Result, table: Path) -> None:
 
             if c.run_error > UNBALANCED:
                 said += [f"WARNING: off by {c.run_error:.2g} of the energy of the motion, as warned of above"]
+        said += [str(result.check)] if result.check else []
         said += [f"{wrote} ({len(result.time)} rows up to {result.time[-1]:g} s, {len(result.names) + 1} columns)"]
         if chosen.plot:
             from ..view.plot import plot

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 
@@ -51,7 +51,7 @@ from ..model.mechanism import (
     symbolic,
 )
 from ..model.relations import Relation
-from ..model.spatial import SpatialFreedom, SpatialJoint, SpatialMarker
+from ..model.spatial import SpatialFreedom, SpatialJoint, SpatialMarker, with_turns
 from ..model.stops import EndStop
 from ..model.units import rate_of
 from . import space
@@ -79,6 +79,13 @@ class Frame:
     angle: ca.SX
     wrapped: bool = False
     """Whether the angle is known up to whole turns only."""
+    turned: ca.SX | None = None
+    """The angle with its turns, where it is not."""
+
+    @property
+    def counted(self) -> ca.SX:
+        """The angle with its turns, which a run counts where places tell it up to whole turns only."""
+        return self.angle if self.turned is None else self.turned
 
     def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
         """A vector of the body's frame in ground axes."""
@@ -186,6 +193,16 @@ class Kinematics:
         (x1, y1), (x2, y2) = self.place(joint.first), self.place(joint.second)
         ux, uy, _, _ = self.axes(joint)
         return ux * (x2 - x1) + uy * (y2 - y1)
+
+    def counted(self, joint: AnyJoint) -> ca.SX:
+        """The free displacement, an angle with its turns: for what depends on how far it is."""
+        if isinstance(joint, SpatialFreedom):
+            return joint.joint.counted(joint.which)
+        if isinstance(joint, SpatialJoint):
+            return joint.counted(next(iter(joint.freedoms)))
+        if joint.kind == "revolute":
+            return self.frame(joint.second.body).counted - self.frame(joint.first.body).counted
+        return self.free(joint)
 
     def distance(self, between: tuple[AnyMarker, AnyMarker]) -> ca.SX:
         if isinstance(between[0], SpatialMarker):
@@ -338,7 +355,7 @@ class Kinematics:
     def _between(self, body: Body) -> Frame:
         x, y, dx, dy = self._span(body)
         ex, ey = dx / body.length, dy / body.length
-        return Frame(x, y, (0.0, 0.0), ex, ey, ca.atan2(ey, ex), wrapped=True)
+        return Frame(x, y, (0.0, 0.0), ex, ey, ca.atan2(ey, ex), True, with_turns(ey, ex, body.near))
 
     def _by_joint(self, body: Body, joint: Joint) -> Frame:
         e = self.eps.get(joint, {})
@@ -375,7 +392,7 @@ class Kinematics:
         if "normal" in e:
             _, _, nx, ny = self.axes(joint)
             dx, dy = dx + nx * e["normal"], dy + ny * e["normal"]
-        return Frame(x + dx, y + dy, (joint.second.x, joint.second.y), moved.ex, moved.ey, moved.angle, frame.wrapped)
+        return replace(moved, x=x + dx, y=y + dy, local=(joint.second.x, joint.second.y))
 
 
 def derive(mechanism: Mechanism) -> Equations:
@@ -406,8 +423,6 @@ def derive(mechanism: Mechanism) -> Equations:
     kept = [("time", begin), *(("signal", x) for signal in m.signals for x in signal.numbers)] if m.moves else []
     inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])
     u = ca.vertcat(inputs, x)
-    remembered = [x.value for x in locks] + [x.slip for x in frictions] + [x for _, x in kept]
-    p = stack([x.symbol for x in m.parameters] + remembered)
     s = stack([x.symbol for x in m.starts])
 
     plain = Kinematics(m)
@@ -530,11 +545,15 @@ def derive(mechanism: Mechanism) -> Equations:
     instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
 
-    guess = _guess(m, coordinates, begin)
+    guess = _without_turns(m, _guess(m, coordinates, begin))
     sdot = ca.SX.sym("sdot", len(m.starts))
     tied, ties = _ties(m)
     passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if u.numel() else f_applied
 
+    counted = _counted(m, plain, [y, M, d, f, Phi, C, xi, V, T, _state_rates(m), *rubs.functions.values()])
+    nears = [near for near, _ in counted.values()]
+    remembered = [*(x.value for x in locks), *(x.slip for x in frictions), *nears, *(x for _, x in kept)]
+    p = stack([x.symbol for x in m.parameters] + remembered)
     symbols = {"q": q, "v": v, "a": a, "lam": lam, "u": u, "p": p, "t": t, "s": s, "sdot": sdot}
     expressions = {
         "M": M,
@@ -544,8 +563,14 @@ def derive(mechanism: Mechanism) -> Equations:
         "C": C,
         "xi": xi,
         "displacements": stack(
-            [*(plain.locked(lock)[0] for lock in locks), *(x.slip for x in frictions), *(0.0 for _ in kept)]
+            [
+                *(plain.locked(lock)[0] for lock in locks),
+                *(x.slip for x in frictions),
+                *(angle for _, angle in counted.values()),
+                *(0.0 for _ in kept),
+            ]
         ),
+        **({"counted": stack([angle for _, angle in counted.values()])} if counted else {}),
         "gaps": gaps,
         "gaps_matrix": _still(ca.jacobian(gaps, own[0]) + slipping, n, m.moves),
         "kinetic_energy": T,
@@ -555,6 +580,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "state_rates": _state_rates(m),
         "readings": y,
         **rubs.functions,
+        **({"instants": stack(m.instants)} if m.instants else {}),
         "guess": guess,
         "guess_rate": (ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape))
         + (ca.jacobian(guess, begin) if m.moves else 0),
@@ -588,7 +614,13 @@ def derive(mechanism: Mechanism) -> Equations:
         compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
         frictions=rubs.frictions,
-        held=[*(lock.name for lock in locks), *(f"{x.name}.slip" for x in frictions), *(name for name, _ in kept)],
+        held=[
+            *(lock.name for lock in locks),
+            *(f"{x.name}.slip" for x in frictions),
+            *counted,
+            *(name for name, _ in kept),
+        ],
+        counted={name: _tied_start(m, angle) for name, (_, angle) in counted.items()},
         timed=m.moves,
         followed=_followed(m),
         leaps=_leaps(m, closures),
@@ -657,6 +689,29 @@ def _with_time(M: ca.SX, d: ca.SX, f: ca.SX, C: ca.SX, w: ca.SX) -> tuple[ca.SX,
         ca.vertcat(*ca.vertsplit(f)[:n], 0),
         ca.horzcat(C, ca.SX(C.shape[0], 1)),
     )
+
+
+def _counted(m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX]) -> dict[str, tuple[ca.SX, ca.SX]]:
+    """Angles whose turns a run counts, as something depends on them: by name where each was last, and the angle."""
+    known = {f"{body.name}.angle": (body.near, kinematics.frame(body).counted) for body in _carried(m)}
+    for joint in m.spatial_joints:
+        for which in (x for x in joint.freedoms if joint.is_wrapped(x)):
+            known[f"{joint.name}.{which}"] = joint.near(which), joint.counted(which)
+    if not known:
+        return {}
+    used = {key_of(symbol) for symbol in ca.symvar(ca.veccat(*expressions))}
+    return {name: (near, angle) for name, (near, angle) in known.items() if key_of(near) in used}
+
+
+def _carried(m: Mechanism) -> list[Body]:
+    """Bodies that two points place."""
+    return [body for body in m.bodies if body.between is not None]
+
+
+def _without_turns(m: Mechanism, x: ca.SX) -> ca.SX:
+    """An expression with angles as they are before a run has counted their turns."""
+    nears = [body.near for body in _carried(m)]
+    return ca.substitute(x, stack(nears), ca.SX.zeros(len(nears))) if nears else x
 
 
 def _still(matrix: ca.SX, n: int, moves: bool) -> ca.SX:
@@ -984,21 +1039,12 @@ def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
 
 
 def _elongation(kinematics: Kinematics, between: AnyJoint | tuple[AnyMarker, AnyMarker]) -> ca.SX:
-    return kinematics.free(between) if isinstance(between, AnyJoint) else kinematics.distance(between)
+    return kinematics.counted(between) if isinstance(between, AnyJoint) else kinematics.distance(between)
 
 
 def _limited(kinematics: Kinematics, stop: EndStop) -> ca.SX:
     """The displacement that a stop limits."""
-    if isinstance(stop.of, ca.SX):
-        return stop.of
-    if isinstance(stop.of, Joint) and stop.unit == "rad":
-        for body in (stop.of.first.body, stop.of.second.body):
-            if kinematics.frame(body).wrapped:
-                raise DeclarationError(
-                    f"{kinematics.mechanism.name}: end stop {stop.name} needs the angle of {body.name}, which is known "
-                    "within a turn only, as two points place it; place it by a pose, or by a joint with a coordinate"
-                )
-    return _elongation(kinematics, stop.of)
+    return stop.of if isinstance(stop.of, ca.SX) else _elongation(kinematics, stop.of)
 
 
 def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
@@ -1006,7 +1052,8 @@ def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
     paths: list[Scalar] = [kinematics.free(drive.joint) for drive in m.drives]
     for load in m.loads:
         paths += [*kinematics.place(load.at), kinematics.frame(load.at.body).angle]
-    paths += [_elongation(kinematics, s.between) for s in m.springs if not symbolic(s.damping).is_zero()]
+    dampers = (s.between for s in m.springs if not symbolic(s.damping).is_zero())
+    paths += [kinematics.free(x) if isinstance(x, AnyJoint) else kinematics.distance(x) for x in dampers]
     return paths + [_limited(kinematics, stop) for stop in m.end_stops]
 
 
@@ -1188,7 +1235,7 @@ def _ties(m: Mechanism) -> tuple[list[int], ca.SX]:
     place = {key_of(x.symbol): i for i, x in enumerate(m.starts)}
     for symbol, expression in m.ties:
         i = place[key_of(symbol)]
-        difference = expression - symbol
+        difference = _without_turns(m, expression - symbol)
         if m.starts[i].unit == "rad" and not expression.is_symbolic():
             difference = ca.atan2(ca.sin(difference), ca.cos(difference))
         tied.append(i)
@@ -1199,7 +1246,7 @@ def _ties(m: Mechanism) -> tuple[list[int], ca.SX]:
 def _tied_start(m: Mechanism, angle: ca.SX) -> int:
     """The start quantity near which a computed angle begins, -1 where there is none."""
     for symbol, expression in m.ties:
-        if (expression - angle).is_zero() or ca.is_equal(expression, angle, 12):
+        if (expression - angle).is_zero() or ca.is_equal(_without_turns(m, expression), _without_turns(m, angle), 12):
             return next(k for k, x in enumerate(m.starts) if key_of(x.symbol) == key_of(symbol))
     return -1
 
@@ -1220,7 +1267,7 @@ def _turned(base: Frame, by: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
     by = symbolic(by)
     angle = base.angle + by
     if base.wrapped:
-        return Frame(ca.SX(0), ca.SX(0), local, *base.turn(*_cis(by)), angle, wrapped=True)
+        return Frame(ca.SX(0), ca.SX(0), local, *base.turn(*_cis(by)), angle, True, base.counted + by)
     return Frame(ca.SX(0), ca.SX(0), local, *_cis(angle), angle)
 
 

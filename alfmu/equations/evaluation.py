@@ -42,6 +42,7 @@ ARGUMENTS = {
         "C": "q p",
         "xi": "q v p",
         "displacements": "q p",
+        "counted": "q p",
         "gaps": "q p",
         "gaps_matrix": "q p",
         "kinetic_energy": "q v p",
@@ -59,6 +60,7 @@ ARGUMENTS = {
         "Phi_dot": "q v p",
         "motion_power": "q v a lam u p t",
         "laws": "q v p",
+        "instants": "p",
     }.items()
 }
 """What each function of the equations depends on; the last three are there where time is a coordinate."""

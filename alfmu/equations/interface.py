@@ -133,7 +133,8 @@ BALANCE = {"monitor.energy", "monitor.work", "monitor.step_error"}
 
 
 def events(equations: Equations) -> list[Variable]:
-    """What is reported of impacts: the last impulse of each constraint that can be switched, the energy lost so far."""
+    """What is reported of impacts, the last impulse of each constraint that can be switched and the energy lost so far;
+    and peaks."""
     return [v for v in every_event(equations) if v.name not in equations.monitors]
 
 
@@ -146,7 +147,15 @@ def every_event(e: Equations) -> list[Variable]:
         found.append(Variable(name, "N.m.s" if row.unit == "rad" else "N.s", description=text))
     if e.switches:
         found.append(Variable("monitor.energy_lost", "J", description="kinetic energy that impacts took so far"))
+    units = {v.name: v.unit for v in e.outputs}
+    for name, parts in e.peaks.items():
+        text = f"largest magnitude of {name} within the last communication step; 0 before the first step"
+        found.append(Variable(f"{name}{PEAK}", units[parts[0]], description=text, of_step=True))
     return found
+
+
+PEAK = ".peak"
+"""Behind the name of an output, or of a vector of outputs, that of its peak."""
 
 
 @dataclass(frozen=True)
@@ -282,6 +291,8 @@ class Counters:
     """Largest |energy - energy at the start - work of inputs, loads and dampers| at an output [J]."""
     run_error: float = 0.0
     """The same at communication points, over the largest kinetic energy or work so far [1]."""
+    drift: float = 0.0
+    """How far places have come off by that, where no work is done: an estimate [rad or m]."""
 
 
 def checked(name: str, v: Variable, value: object) -> None:

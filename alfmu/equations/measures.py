@@ -23,6 +23,7 @@ class Displacements(Protocol):
     """Displacements of joints and springs: `derivation.Kinematics`."""
 
     def free(self, joint: AnyJoint) -> ca.SX: ...
+    def counted(self, joint: AnyJoint) -> ca.SX: ...
     def distance(self, between: tuple[AnyMarker, AnyMarker]) -> ca.SX: ...
 
 
@@ -51,7 +52,7 @@ def measures(
     for name, spring in m.measured_springs():
         between = spring.between
         joint_unit = "rad" if isinstance(between, AnyJoint) and between.kind != "prismatic" else "m"
-        x = places.free(between) if isinstance(between, AnyJoint) else places.distance(between)
+        x = places.counted(between) if isinstance(between, AnyJoint) else places.distance(between)
         rate = ca.jtimes(x, q, v)
         effort = spring.stiffness * (x - spring.rest) + spring.damping * rate
         what = "torque" if joint_unit == "rad" else "force"

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from ..model.errors import InputError
 from ..model.words import some_like, there_is
 from .evaluation import ARGUMENTS, evaluable, shared, symbols, with_functions
-from .interface import BALANCE, MONITORS, events
+from .interface import BALANCE, MONITORS, PEAK, events
 from .types import Equations
 
-__all__ = ["plain", "specialised", "starting_at"]
+__all__ = ["plain", "specialised", "starting_at", "without_steps"]
 
 
 ALL = "all"
@@ -35,7 +35,8 @@ def specialised(
 
     `outputs` are names or patterns such as `link*.angle`; nothing is computed for the others. One such as
     `link*.angle/A.torque` asks for entries of the interface Jacobian, which no other pattern matches, and for the
-    outputs that they are of. `freeze` are parameters of the mechanism that become constants at their defaults,
+    outputs that they are of; one such as `A.force.peak` for the largest magnitude of an output, or of a vector of them,
+    within each communication step. `freeze` are parameters of the mechanism that become constants at their defaults,
     `["all"]` for every one. None leaves everything in but the interface Jacobian. Raises InputError where a pattern
     matches no output, or a name is no parameter.
     """
@@ -80,6 +81,11 @@ def plain(outputs: Iterable[str]) -> list[str]:
     return [pattern.partition("/")[0] for pattern in ([outputs] if isinstance(outputs, str) else outputs)]
 
 
+def without_steps(outputs: Iterable[str]) -> list[str]:
+    """The same, with the outputs in place of peaks, too."""
+    return [f"{x.removesuffix(PEAK)}*" if x.endswith(PEAK) else x for x in plain(outputs)]
+
+
 def _entries(e: Equations, pattern: str) -> set[tuple[str, str]]:
     """Entries of the interface Jacobian that a pattern such as `link*.angle/A.torque` asks for; others ask for none."""
     output, by, wanted = pattern.partition("/")
@@ -101,10 +107,15 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     entries, patterns = set().union(*(_entries(e, each) for each in asked)), plain(asked)
     names = [o.name for o in e.outputs]
     monitors = [m.name for m in (*MONITORS, *events(e)) if m.name not in e.monitors]
+    peaks = {**e.peaks}
+    for pattern in (each.removesuffix(PEAK) for each in patterns if each.endswith(PEAK)):
+        peaks |= {name: parts for name, parts in _magnitudes(e).items() if _matches(name, [pattern])}
+    monitors += [f"{name}{PEAK}" for name in peaks]
     for pattern in patterns:
         if not any(_matches(name, [pattern]) for name in [*names, *monitors]):
             raise InputError(f"{e.name} has no output {pattern!r}; {some_like(pattern, [*names, *monitors])}")
-    kept = [i for i, name in enumerate(names) if _matches(name, patterns)]
+    needed = {name for parts in peaks.values() for name in parts}
+    kept = [i for i, name in enumerate(names) if name in needed or _matches(name, patterns)]
     x = symbols(e)
     arguments = [x[letter] for letter in ARGUMENTS["readings"]]
     readings = shared("readings", arguments, [e.readings(*arguments)[kept]])
@@ -115,13 +126,24 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
             # Work is integrated for the balance of energy.
             works=e.works and bool(BALANCE - {*e.monitors, *monitors}),
             outputs=[e.outputs[i] for i in kept],
-            wrapped={name: start for name, start in e.wrapped.items() if _matches(name, patterns)},
+            wrapped={name: at for name, at in e.wrapped.items() if name in needed or _matches(name, patterns)},
+            peaks=peaks,
             monitors=[*e.monitors, *monitors],
             jacobian=[(y, u.name) for y in names for u in e.inputs if (y, u.name) in entries],
             functions={**_equations(e), "readings": readings},
             **_UNTRACED,
         )
     )
+
+
+def _magnitudes(e: Equations) -> dict[str, list[str]]:
+    """What can have a peak, and the outputs that it consists of: each output, and vectors of them."""
+    found = {v.name: [v.name] for v in e.outputs}
+    for name in found.copy():
+        base, _, axis = name.rpartition(".")
+        if axis in ("x", "y", "z"):
+            found.setdefault(base, []).append(name)
+    return found
 
 
 def _frozen(equations: Equations, names: Sequence[str]) -> Equations:

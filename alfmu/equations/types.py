@@ -152,6 +152,7 @@ class Equations:
     C(q, p)                          constraint matrix (l, n)                                (2)
     xi(q, v, p)                      constraint-induced accelerations (l,)                   (3)
     displacements(q, p)              what locks keep, m or rad
+    counted(q, p)                    angles whose turns count, rad
     gaps(q, p)                       how far each constraint is open (l,), m or rad          zero where Phi is
     gaps_matrix(q, p)                its derivative (l, n)
     kinetic_energy(q, v, p)          J
@@ -162,6 +163,7 @@ class Equations:
     readings(q, v, a, lam, u, p, t)  everything a user can read, in the order of `outputs`
     rubbing(q, v, a, lam, u, p, t)   of dry friction: multipliers, limits, second rates
     sliding(q, v, p)                 rates of joints with dry friction
+    instants(p)                      times that are declared as events, s
     guess(p, s)                      start of the position assembly (n,)
     guess_rate(p, s, sdot)           its time derivative (n,)
     ties(q, p, s)                    independent quantities minus their start values
@@ -234,8 +236,10 @@ class Equations:
     """Joints with dry friction."""
     held: list[str] = field(default_factory=list)
     """Displacements that locks keep, and what joints with dry friction remember: their values follow the parameters in
-    p, `displacements` computes them. Behind them, where time is a coordinate, the time at which the run began and the
-    numbers of signals."""
+    p, `displacements` computes them. Behind them angles whose turns count; and where time is a coordinate, the time at
+    which the run began and the numbers of signals."""
+    counted: dict[str, int] = field(default_factory=dict)
+    """Angles among `held` whose turns count, as something depends on them, and the start value they begin near."""
     states: Sequence[Variable] = ()
     """Quantities of first-order equations that are integrated with the motion; `start` is their value at the start."""
     resting: bool = False
@@ -246,8 +250,12 @@ class Equations:
     """Inputs that move something."""
     leaps: Sequence[Leap] = ()
     """Laws of time that may jump, or not be finite."""
+    breaks: list[int] = field(default_factory=list)
+    """Of a scene, levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
     jacobian: Sequence[tuple[str, str]] = ()
     """Entries of the interface Jacobian: names of an output and of the input that it is differentiated by."""
+    peaks: dict[str, list[str]] = field(default_factory=dict)
+    """Of what the largest magnitude within a communication step is asked for, and the outputs that it consists of."""
     functions: dict[str, ca.Function] = field(default_factory=dict, repr=False)
     signatures: dict[str, Signature] = field(default_factory=dict, repr=False)
     """Sizes of the functions that run with numbers."""

@@ -265,6 +265,10 @@ class Fmu:
         """Parameters that are numbers."""
         return [_variable(v) for v in self._of("parameter") if _KINDS.get(v.type) in _NUMBERS]
 
+    def starts(self) -> dict[str, str]:
+        """Defaults of all parameters, as the description has them."""
+        return {v.name: v.start for v in self._of("parameter") if v.start is not None}
+
     def facts(self, parameters: Mapping[str, float | str]) -> dict[str, Any]:
         """What a result of it says of what was run, with these parameters."""
         known = {**self.parameters, **parameters}

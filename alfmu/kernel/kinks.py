@@ -55,9 +55,10 @@ def kinks(f: ca.Function, arguments: list[SX], along: SX) -> SX:
 
 
 def kinks_of_rates(equations: Equations, x: Mapping[str, SX]) -> SX:
-    """What changes its sign where accelerations, or rates of states, have a kink, by the symbols x."""
+    """What changes its sign where accelerations, or rates of states, have a kink, by the symbols x; those that come by
+    themselves in time are left out, as steps end there (`kernel.breaks`)."""
     known = [x[name] for name in "qvupt"]
-    along = ca.vertcat(*(x[name] for name in "qvut"))
+    along = ca.vertcat(*(x[name][: equations.dependent] for name in "qv"), x["u"])
     names = ["dynamics", *["state_rates"] * bool(equations.states)]
     return ca.vertcat(*(kinks(equations.functions[name], known, along) for name in names))
 

@@ -71,11 +71,11 @@ class Layout:
     """Where things stand in the one array of doubles of an instance; every name maps to (offset, length).
 
     ========  ==========================================================================================
-    z         state: q, v, unwrapped angles, work, states x, time, and from the last step: trouble (number of
-              checks that failed), change (of accelerations in the last iteration, squared over their size; of a step
-              with error control its error over the tolerance), pivot
-              (smallest of the augmented mass over alpha), near (stages too near a singular position; in a
-              step on the branch those in which a limit was taken)
+    z         state: q, v, unwrapped angles (those that are read, those that count), work, states x, time, and from the
+              last step: trouble (number of checks that failed), change (of accelerations in the last iteration,
+              squared over their size; of a step with error control its error over the tolerance), pivot (smallest
+              of the augmented mass over alpha), near (stages too near a singular position; in a step on the branch
+              those in which a limit was taken)
     after     the state after a step under way
     begin     the state before a communication step under way
     u, p, k   inputs; parameters; SETTINGS, the penalty of each constraint over alpha, one over the unit of each
@@ -97,7 +97,7 @@ class Layout:
         e = equations
         self.n: int = e.n
         self.l: int = e.l
-        self.angles: int = len(e.wrapped)
+        self.angles: int = len(e.wrapped) + len(e.counted)
         self.work: int = 2 * e.n + self.angles
         self.states: int = self.work + 1
         self.time: int = self.states + len(e.states)

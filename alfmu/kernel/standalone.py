@@ -26,6 +26,7 @@ from ..method.formulations import CORRECTIONS
 from ..method.singular import DOUBLINGS
 from . import rubbing
 from .alternatives import OWN, Alternatives, alternatives
+from .breaks import breaks
 from .form import Call, Choice, Plan, Program, Routine, called, rewritten
 from .memory import SEEN
 from .symbolic import MATRICES, ROUND_OFF, Watch, lengths_of
@@ -84,7 +85,10 @@ def standalone(equations: Equations) -> Equations:
         kernel["sensitivity"] = tracer.sensitivity(plan)
         if "limit" in e.kernel:
             kernel["limit_sensitivity"] = tracer.limit_sensitivity(plan)
-    return replace(with_functions(e, tracer.functions), kernel=kernel)
+    found = breaks(e)
+    if found is not None:
+        tracer.functions["breaks"] = found[0]
+    return replace(with_functions(e, tracer.functions), kernel=kernel, breaks=found[1] if found else [])
 
 
 def beginning(equations: Equations) -> Equations:

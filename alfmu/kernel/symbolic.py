@@ -667,6 +667,8 @@ class Scene:
         trouble += 1 - (ca.sumsqr(self._angles(q - z[: e.n])) <= TURN**2)
         change = known.get("error", sum(x.change for x in evaluations) / (evaluations[0].size + _TINY))
         angles = self._unwrapped(q, z[2 * e.n : layout.work])
+        if e.counted:
+            angles = ca.vertcat(angles, e.functions["counted"](q, self.p))
         arrival = known["arrival"] if "arrival" in known else z[layout.time] + known["dt"]
         if e.timed:
             q, v = ca.vertcat(self._own(q), arrival), ca.vertcat(self._own(v), 1)
@@ -715,14 +717,14 @@ class Scene:
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
 
     def _unwrapped(self, q: SX, near: SX) -> SX:
-        """Computed angles moved by whole turns to the values nearest to `near`."""
+        """Computed angles moved by whole turns to the values nearest to those that `near` begins with."""
         e = self.e
         if not e.wrapped:
             return SX(0, 1)
         s, names = symbols(e), {o.name: i for i, o in enumerate(e.outputs)}
         readings = e.readings(q, s["v"], s["a"], s["lam"], s["u"], self.p, s["t"])
         raw = readings[[names[name] for name in e.wrapped]]
-        return raw + 2 * ca.pi * ca.floor((near - raw) / (2 * ca.pi) + 0.5)
+        return raw + 2 * ca.pi * ca.floor((near[: len(e.wrapped)] - raw) / (2 * ca.pi) + 0.5)
 
     # Residues and factors ------------------------------------------------------------------------------------------
 

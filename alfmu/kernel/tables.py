@@ -58,7 +58,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 17
+VERSION = 18
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -87,7 +87,7 @@ HANDED = {
 
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws"),
+    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks"),
     **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions that the runtime calls, by their names in C."""
@@ -120,9 +120,12 @@ COUNTS: dict[str, Number] = {
     "event_count": lambda t: len(events(t.e)),
     "n": lambda t: t.e.n,
     "l": lambda t: t.e.l,
-    "angles": lambda t: len(t.e.wrapped),
+    "angles": lambda t: len(t.e.wrapped) + len(t.e.counted),
+    "counted": lambda t: len(t.e.counted),
     "readings": lambda t: len(t.e.outputs),
     "ties": lambda t: len(t.e.tied),
+    "peaks": lambda t: len(t.e.peaks),
+    "break_count": lambda t: len(t.e.breaks),
 }
 """Of what a scene has, each checked when it is loaded."""
 
@@ -156,7 +159,10 @@ NUMBERS: dict[str, Number] = {
     **{name: partial(lambda name, t: t.layout.fields[name][0], name) for name in FIELDS},
     "past_size": lambda t: t.layout.fields["past"][1],
     "seen_size": lambda t: t.layout.fields["seen"][1],
-    **{name: partial(lambda name, t: getattr(t.layout, name), name) for name in ("time", "work", "trouble", "near")},
+    **{
+        name: partial(lambda name, t: getattr(t.layout, name), name)
+        for name in ("time", "work", "trouble", "change", "near")
+    },
     "size": lambda t: t.layout.size,
     # What a scene does not hand on has a place at the beginning, which has room for it.
     "workspace": lambda t: max(
@@ -267,7 +273,8 @@ def alone(equations: Equations) -> Equations:
     if "alone" not in shared:
         shared["alone"] = _alone(equations)
     own = shared["alone"]
-    return replace(equations, functions=own.functions, signatures=own.signatures, kernel=own.kernel)
+    given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
+    return replace(equations, **given)
 
 
 def _alone(equations: Equations) -> Equations:
@@ -454,10 +461,15 @@ class _Table:
             w.integer(each.slip)
             w.integer(each.output in (e.shared or ()))
         w.integers(row for switch in e.switches for row in switch.rows)
-        every = [v.name for v in every_event(e)]
-        w.integers(every.index(v.name) for v in events(e))
-        w.integers(e.wrapped.values())
+        # Behind impulses is the energy lost, whether or not there is any, and behind that are peaks.
+        places = {v.name: i + (v.of_step and not e.switches) for i, v in enumerate(every_event(e))}
+        w.integers(places[v.name] for v in events(e))
+        outputs = {v.name: i for i, v in enumerate(e.outputs)}
+        parts = [[*(outputs[name] for name in each), -1, -1][:3] for each in e.peaks.values()]
+        w.integers(part for each in parts for part in each)
+        w.integers([*e.wrapped.values(), *e.counted.values()])
         w.integers(e.tied)
+        w.integers(e.breaks)
         for c in e.coordinates:
             w.text(c.name)
             w.text(c.unit)

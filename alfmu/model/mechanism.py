@@ -54,7 +54,7 @@ from .relations import (
 from .spatial import RELATIVE, SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, Vector, right_handed
 from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, is_rate, rate_of, unit
-from .words import LONGEST, Brief, angle, counted, in_words, no_attribute, shown, text, there_is
+from .words import LONGEST, Brief, counted, in_words, no_attribute, shown, text, there_is
 
 if TYPE_CHECKING:
     from ..equations.derivation import Kinematics
@@ -228,14 +228,16 @@ class Body(Brief):
 
     def __post_init__(self) -> None:
         self._mechanism: Mechanism | None = None
+        self.near: ca.SX = ca.SX.sym(f"{self.name}.near")
+        """Where its angle was last, which tells its turns where two points place it."""
 
     @property
     def angle(self) -> ca.SX:
         """The angle [rad] of its frame in ground axes, as an expression in coordinates and parameters.
 
-        Of a bar between two points it is known within a turn. Raises DeclarationError where nothing places it yet.
+        Of a bar between two points a run counts the turns. Raises DeclarationError where nothing places it yet.
         """
-        return self._places().frame(self).angle
+        return self._places().frame(self).counted
 
     def _places(self) -> Kinematics:
         """Where all bodies of its mechanism are, as it is declared by now."""
@@ -580,6 +582,8 @@ class Mechanism:
     """What is closed by constraints, in the order of its rows."""
     signals: ClassVar[_Parts[Signal]] = _Parts()
     """Inputs that move something."""
+    instants: ClassVar[_Parts[Scalar]] = _Parts()
+    """Times at which steps end."""
     laws: ClassVar[_Parts[Law]] = _Parts()
     """What moves something in time and may jump, or not be finite."""
     releases: ClassVar[_Parts[AnyJoint | Constraint | Relation]] = _Parts()
@@ -1039,6 +1043,7 @@ class Mechanism:
         body = Body(name, mass, mass * length**2 / 12, (length / 2, 0.0), length, self._pose(name, pose), between)
         self._add(body)
         if between is not None:
+            self._stands_for(body.near, "coordinates", f"the angle of {name}", "rad")
             Mechanism.closures.of(self).append(Rigidity(body))
         return body
 
@@ -1546,8 +1551,7 @@ class Mechanism:
         """A linear spring-damper: torsional on a revolute joint, along the guide on a prismatic one, or between points.
 
         stiffness [N.m/rad or N/m], damping [N.m.s/rad or N.s/m], rest angle or length [rad or m]. Points may belong to
-        bodies in space. Where constraints close a spatial hinge, its angle is known within a turn, so that its spring
-        should stay within one.
+        bodies in space. Angles count whole turns, however bodies are placed.
         With a `name` its elongation and force are outputs (see `measure`).
         """
         if isinstance(between, AnyJoint):
@@ -1628,12 +1632,6 @@ class Mechanism:
                     f"{self.name}: {what} has the upper limit {at['upper']:g} and the lower limit "
                     f"{at['lower']:g}; the upper one must be above"
                 )
-            turn = of.name if isinstance(of, SpatialJoint | SpatialFreedom) and of.wrapped else ""
-            for x in at.values():
-                if turn and abs(x) >= math.pi:
-                    raise DeclarationError(
-                        f"{self.name}: {what} is at {angle(x)}, and the angle of {turn} is known from -pi to pi only"
-                    )
         if dissipation is not None and restitution is not None:
             raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")
         effort = f"{EFFORTS[along]}/{along}"
@@ -1901,6 +1899,14 @@ class Mechanism:
         """
         self.compliant = True
 
+    def event(self, time: Scalar) -> None:
+        """Let steps end at a time [s]: a number, or an expression in parameters.
+
+        Where forces, laws and rates of states have comparisons, maxima, whole numbers and the like of time and inputs,
+        these times are found by themselves. Declare one where something smooth is so short that steps may pass it.
+        """
+        Mechanism.instants.of(self).append(self._quantity("the time of an event", time, "s", CONSTANT))
+
     # Changing topology ------------------------------------------------------------------------------------------
 
     def lock(self, of: AnyJoint | str) -> None:
@@ -2137,6 +2143,8 @@ class Mechanism:
             raise DeclarationError(f"{self.name}: joint {joint.name} ends on the ground; name the ground first")
         if joint.coordinates is None:
             Mechanism.closures.of(self).append(joint)
+            for which in (x for x in joint.freedoms if joint.is_wrapped(x)):
+                self._stands_for(joint.near(which), "coordinates", f"the {which} of {joint.name}", "rad")
         else:
             if second.is_placed:
                 by, other = "seven coordinates of its own", "declare the body with relative=True, or "

@@ -39,6 +39,7 @@ __all__ = [
     "angular_velocity",
     "product",
     "rotation",
+    "with_turns",
 ]
 
 Scalar = float | ca.SX
@@ -492,6 +493,16 @@ class SpatialJoint(Brief):
             return ca.SX(self._coordinate(which))
         return self._measured(which)
 
+    def near(self, which: str) -> ca.SX:
+        """Where an angle was last that the places of both bodies tell, which tells its turns."""
+        return self.__dict__.setdefault("_near", {}).setdefault(which, ca.SX.sym(f"{self.name}.{which}.near"))
+
+    def counted(self, which: str) -> ca.SX:
+        """One of the free displacements, an angle with its turns."""
+        if not self.is_wrapped(which):
+            return self.displacement(which)
+        return with_turns(*self._arms(which), self.near(which))
+
     def _measured(self, which: str) -> ca.SX:
         """The displacement as the places of both bodies tell it, an angle within a turn; the same object each time."""
         kept = self.__dict__.setdefault("_kept", {})
@@ -500,12 +511,15 @@ class SpatialJoint(Brief):
         return kept[which]
 
     def _from_places(self, which: str) -> ca.SX:
-        carrier = self.carrier
-        normal, other, axis = self.triad(carrier=carrier)
-        if which == "angle":
-            turned = self.triad(True, carrier)[0]
-            return ca.atan2(ca.dot(other, turned), ca.dot(normal, turned))
-        if self.kind == "universal":
+        if self.freedoms[which] == "rad":
+            return ca.atan2(*self._arms(which))
+        normal, other, axis = self.triad(carrier=self.carrier)
+        along = {"position": axis, "position1": normal, "position2": other}[which]
+        return ca.dot(along, self.apart)
+
+    def _arms(self, which: str) -> tuple[ca.SX, ca.SX]:
+        """Sine and cosine of an angle, times one length."""
+        if which != "angle":
             # With u1 on the first body, u2 on the second: R1 u1, R1 u2, R1 (u1 x u2), or these of R2.
             one, two = map(_unit, self.axes)
             body, across, on_other = (
@@ -514,9 +528,11 @@ class SpatialJoint(Brief):
                 else (self.second.body, one, self.first.body.rotation @ _column(one))
             )
             both = body.rotation @ _column(_cross(one, two))
-            return ca.atan2(ca.dot(on_other, both), ca.dot(on_other, body.rotation @ _column(across)))
-        along = {"position": axis, "position1": normal, "position2": other}[which]
-        return ca.dot(along, self.apart)
+            return ca.dot(on_other, both), ca.dot(on_other, body.rotation @ _column(across))
+        carrier = self.carrier
+        normal, other, _ = self.triad(carrier=carrier)
+        turned = self.triad(True, carrier)[0]
+        return ca.dot(other, turned), ca.dot(normal, turned)
 
     def residual(self, direction: str) -> ca.SX:
         """What the joint keeps at zero along one direction, in m or (for a small misalignment) rad."""
@@ -650,6 +666,15 @@ _OPPOSITE = 1e-6
 
 _NONE = 1e-30
 """A length [1] that is nothing, in place of zero in a quotient."""
+
+
+def with_turns(sine: ca.SX, cosine: ca.SX, near: ca.SX) -> ca.SX:
+    """The angle of a sine and a cosine, times one length, that is within half a turn of where it was last [rad].
+
+    Without jumps, and atan2 alone where it was at zero.
+    """
+    c, s = ca.cos(near), ca.sin(near)
+    return near + ca.atan2(sine * c - cosine * s, cosine * c + sine * s)
 
 
 def _column(vector: Vector) -> ca.SX:

@@ -64,7 +64,7 @@ def mounted(
             m.spring_damper(joint, damping=ratio**2 * damping)
         return
     J = named(m, part, "inertia", inertia, "kg.m2", f"inertia of the {body}", minimum=0.0)
-    turned = ratio * Kinematics(m).free(joint)
+    turned = ratio * Kinematics(m).counted(joint)
     bearing: Joint | SpatialJoint
     if isinstance(joint, SpatialJoint):
         disc = m.spatial_body(label(part, body), mass=0.0, inertia=(J / 2, J / 2, J), relative=True)

@@ -43,6 +43,7 @@ enum {
     STEP_ERROR,   /* what the last communication step changed of the balance, over that */
     RUN_ERROR,    /* largest balance over it */
     AT_REST,      /* what communication steps at rest left, which is round-off of work and no part of the balance [J] */
+    DRIFT,        /* how far the motion is off by what the balance makes of rates, where no work is done [rad or m] */
     COUNTED
 };
 
@@ -158,6 +159,8 @@ typedef struct {
     const Row *rows;
     const int *angle_starts; /* start value that each computed angle begins near, -1 for none */
     const int *tied;         /* start values that are kept */
+    const int *peak_parts;   /* readings that each peak is the magnitude of, -1 for none */
+    const int *break_levels; /* of what changes its sign where something jumps or bends by itself */
     const double *normal;    /* standard normal numbers, TRIES x n; zero for time */
     int timed;               /* whether time is the last coordinate */
     int followed_count;
@@ -200,6 +203,9 @@ uint32_t check_sum_from(uint32_t sum, const unsigned char *bytes, size_t count);
 /* The scene among the resources of an FMU, which the host names by a URI or a path. */
 Scene *scene_of_fmu(const char *resources, char *why, size_t why_size);
 
+/* Most times in a communication step at which something jumps or bends by itself. */
+#define MOST_BREAKS 4096
+
 typedef enum {
     DONE,
     REFUSED, /* a value or a call; nothing has changed */
@@ -241,6 +247,7 @@ typedef struct Instance {
     double *values, *wanted, *on, *kept, *heard, *impulses, *lost, *slopes;
     double *penalty, *full, *units, *scales, *compliances;
     double *freedom, *masses, *regular, *rank, *largest_penalty, *length;
+    double *peaks;         /* largest magnitudes within the last communication step, and what they are found with */
     double *jacobian;      /* of the last communication step */
     double *given;         /* penalties of each constraint, where `flags.given` says so */
     double *counts;        /* COUNTED */
@@ -250,10 +257,13 @@ typedef struct Instance {
     /* Beside them. */
     double *workspace, *before, *scratch, *registers, *lanes, *spare, *past_before, *kept_before, *dense;
     Flags flags_before;
+    double *breaks;  /* times about which something jumps or bends by itself in this step: just before, just after */
+    int broken;      /* how many */
     double *read_at; /* q, v and inputs where outputs were read last */
     int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
     long shared;     /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
     int within; /* whether the next step goes on in a communication step that began before */
+    int crossings; /* jumps that were crossed by the shortest of steps, since there was a longer one */
     long left;  /* internal steps that this communication step may still take */
     double stop; /* time [s] past which the host does not step, as it said; INFINITY where it said none */
     int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
@@ -281,7 +291,8 @@ enum {
     WARNED_OF_PENALTY = 64,
     WARNED_OF_TIME = 128,
     WARNED_OF_SECOND_ORDER = 256,
-    EVERY_WARNING = 511
+    WARNED_OF_DRIFT = 512,
+    EVERY_WARNING = 1023
 };
 
 Instance *instance_new(const Scene *scene);
@@ -347,6 +358,7 @@ double widest(Instance *i, const double *q, const double *v, int of_velocity, in
 void in_force(const Instance *i, const double *on, unsigned char *held);
 
 void parameters(Instance *i);
+void count_turns(Instance *i);
 void weigh(Instance *i);
 void settle_kernel(Instance *i);
 Outcome knowledge(Instance *i, const double *q, const double *v);
@@ -402,9 +414,19 @@ void run(Instance *i, int program);
 void signals_begin(Instance *i, double time);
 Outcome signals_aim(Instance *i, double start, double h);
 
+Outcome breaks_found(Instance *i, double begin, double end);
+size_t breaks_room(const Scene *s);
 Outcome laws_checked(Instance *i, double end);
 Outcome laws_begun(Instance *i, Outcome outcome);
 size_t laws_room(const Scene *s);
+
+/* Peaks (peaks.c). */
+size_t peaks_length(const Scene *s);
+size_t peaks_room(const Scene *s);
+void peaks_begin(Instance *i);
+void peaks_broken(Instance *i);
+void peaks_along(Instance *i, const double *begin);
+int read_away(Instance *i);
 
 void arrive(Instance *i);
 long advance(Instance *i, long steps, double dt);

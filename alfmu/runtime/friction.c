@@ -505,13 +505,15 @@ static Outcome moved(Instance *i, double end, double dt, int all)
 }
 
 typedef struct {
-    double *state, *pace; /* before the step */
+    double *state, *pace, *peaks; /* before the step */
     size_t size, count;
 } Kept;
 
 static void back_to(Instance *i, const Kept *kept)
 {
     memcpy(field(i, i->scene->z), kept->state, kept->size);
+    count_turns(i);
+    memcpy(i->peaks, kept->peaks, peaks_length(i->scene) * sizeof *i->peaks);
     memcpy(field(i, i->scene->pace), kept->pace, kept->count * sizeof *kept->pace);
 }
 
@@ -576,7 +578,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
     double *bend_before = take(i, count), *bend_after = take(i, count), within = INFINITY;
     const int looks = method(i) != 0; /* Steps of RK4 are as short as the user wants them. */
     unsigned char *meets = (unsigned char *)take(i, count);
-    Kept kept = {take(i, state_length(s)), take(i, past), state_length(s) * sizeof(double), past};
+    Kept kept = {take(i, state_length(s)), take(i, past), take(i, peaks_length(s)), state_length(s) * sizeof(double), past};
     int at_once = 0;
     Outcome outcome = friction_checked(i);
     while (outcome == DONE && *time < end) {
@@ -590,6 +592,7 @@ Outcome friction_cover(Instance *i, double start, double h, double dt)
         within = INFINITY;
         memcpy(kept.state, field(i, s->z), kept.size);
         memcpy(kept.pace, field(i, s->pace), past * sizeof(double));
+        memcpy(kept.peaks, i->peaks, peaks_length(s) * sizeof(double));
         rooms(i, before);
         if (looks && sticks(i) < (int)count)
             bends(i, bend_before);

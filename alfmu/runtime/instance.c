@@ -104,6 +104,7 @@ static size_t divided(Instance *i, double *numbers)
         {&i->rank, 1},
         {&i->largest_penalty, 1},
         {&i->length, 1},
+        {&i->peaks, (int)peaks_length(s)},
         {&i->jacobian, s->entries},
         {&i->given, s->l},
         {&i->counts, COUNTED},
@@ -132,13 +133,13 @@ Instance *instance_new(const Scene *s)
     i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
         + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
         + 4 * (size_t)(driven_by(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
-    i->room += laws_room(s);
+    i->room += laws_room(s) + breaks_room(s) + peaks_room(s);
     if (s->frictions) /* What steps up to events remember. */
-        i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s);
+        i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s) + peaks_length(s);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */
     numbers = calloc(2 * i->count + (size_t)s->workspace + i->room + (size_t)s->registers
             + LANES * ((size_t)s->lane_registers + 1) + (size_t)s->spare + (size_t)s->past_size + (size_t)(s->held + s->followed_count * HEARD) + least_norm_work(s->dense, s->dense)
-            + 2 * (size_t)s->n + (size_t)s->inputs,
+            + 2 * (size_t)s->n + (size_t)s->inputs + (s->break_count ? 2 * MOST_BREAKS : 0),
         sizeof *numbers);
     if (!numbers) {
         free(i);
@@ -156,6 +157,7 @@ Instance *instance_new(const Scene *s)
     i->kept_before = i->past_before + s->past_size;
     i->dense = i->kept_before + s->held + s->followed_count * HEARD;
     i->read_at = i->dense + least_norm_work(s->dense, s->dense);
+    i->breaks = i->read_at + 2 * s->n + s->inputs;
     registers_begin(i);
     instance_reset(i);
     return i;
@@ -383,7 +385,9 @@ static inline const double *place_of_value(const Instance *i, int reference)
     if (output >= s->outputs)
         return i->jacobian + (output - s->outputs);
     if (event >= 0)
-        return s->event_places[event] < s->impulses ? i->impulses + s->event_places[event] : i->lost;
+        return s->event_places[event] < s->impulses ? i->impulses + s->event_places[event]
+            : s->event_places[event] == s->impulses ? i->lost
+                                                    : i->peaks + (s->event_places[event] - s->impulses - 1);
     if (output >= 0)
         return i->m + s->seen + output;
     if (reference < s->parameters)
@@ -691,6 +695,16 @@ void settle_kernel(Instance *i)
         hold(i);
 }
 
+/* Angles whose turns count as they are now: where they were last, for what comes. Nothing changes with them but turns. */
+void count_turns(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int behind = s->counted + (s->timed ? 1 + s->followed_count * POLYNOMIAL : 0);
+    if (s->counted)
+        memcpy(field(i, s->p) + s->own + s->held - behind, field(i, s->z) + s->work - s->counted,
+            (size_t)s->counted * sizeof(double));
+}
+
 void parameters(Instance *i)
 {
     const Scene *s = i->scene;
@@ -699,6 +713,7 @@ void parameters(Instance *i)
     memcpy(p + s->own, i->kept, (size_t)s->held * sizeof *p);
     tape_copy(i, p, i->values, (size_t)s->own);
     tape_copy(i, p + s->own, i->kept, (size_t)s->held);
+    count_turns(i);
 }
 
 /* Topology --------------------------------------------------------------------------------------------------------- */
@@ -772,6 +787,16 @@ static void energy_into(Instance *i, const double *v, double *into)
     taped_call(i, s->energy, x, y);
 }
 
+/* What a motion does in an instant is what energies change by, from those at the first of four places. */
+static void worked_at_once(Instance *i, double *energies)
+{
+    double *q = field(i, i->scene->z), *work = q + i->scene->work;
+    const double *from[] = {work, energies + 2, energies}, factors[] = {1.0, 1.0, -1.0};
+    energy_into(i, q + i->scene->n, energies + 2);
+    *work += energies[2] - energies[0];
+    tape_sum(i, work, 3, from, factors);
+}
+
 static const char *method_name(const Instance *i)
 {
     const Scene *s = i->scene;
@@ -831,18 +856,15 @@ static Outcome change(Instance *i, const double *on)
     else
         outcome = check_masses(i, q, held);
     if (outcome == DONE && any) {
-        const double *more[] = {work, energies + 2, energies}, *lost[] = {work, w + s->lost};
-        const double factors[] = {1.0, 1.0, -1.0}, once_less[] = {1.0, -1.0};
+        const double *lost[] = {work, w + s->lost}, factors[] = {1.0, 1.0}, once_less[] = {1.0, -1.0};
         if (s->timed)
             energy_into(i, v, energies);
         run(i, s->impact);
         memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
         tape_copy(i, v, w + s->struck, (size_t)s->n);
-        if (s->timed) { /* What comes into force while it moves does work, too. */
-            energy_into(i, v, energies + 2);
-            *work += energies[2] - energies[0];
-            tape_sum(i, work, 3, more, factors);
-        } else {
+        if (s->timed) /* What comes into force while it moves does work, too. */
+            worked_at_once(i, energies);
+        else {
             *work += -w[s->lost];
             tape_sum(i, work, 2, lost, once_less);
         }
@@ -891,6 +913,7 @@ static Outcome take_effect(Instance *i)
     const Scene *s = i->scene;
     const size_t used = i->used;
     Outcome outcome;
+    peaks_broken(i);
     if (s->held) {
         double *displacements = take(i, (size_t)s->held);
         const double *x[] = {field(i, s->z), field(i, s->p)};
@@ -1004,6 +1027,25 @@ static int rested(Instance *i, double kinetic)
     return !s->timed || kinetic <= kinetic_energy_at(i, SLOW_MOTION);
 }
 
+/* Where no work is done, a balance that is off by a part of the energy puts rates off by half of that, so that the place
+   comes off by as much of the way. */
+static void drifts(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *now = field(i, s->z), *begin = field(i, s->begin), h = now[s->time] - begin[s->time];
+    double *c = i->counts, rate = 0.0;
+    if (now[s->work] != 0.0)
+        return;
+    for (int k = 0; k < dependent(s); k++)
+        rate = fmax(rate, (fabs(now[s->n + k]) + fabs(begin[s->n + k])) / 2);
+    c[DRIFT] += c[BALANCE] / c[ENERGY_SCALE] / 2 * rate * h;
+    if (fabs(c[DRIFT]) > UNBALANCED)
+        warn(i, WARNED_OF_DRIFT,
+            "%s, t = %.6g s: by the drift of its energy the motion has come off by some %.1g rad (or m), and it comes off more and "
+            "more; %s, and judge the run by one with --check",
+            s->name, now[s->time], fabs(c[DRIFT]), method(i) == 1 ? "take a smaller solver.relative_tolerance" : "take shorter steps");
+}
+
 /* The balance of energies after a communication step, where anybody reads of it. */
 void instance_balance(Instance *i)
 {
@@ -1022,6 +1064,7 @@ void instance_balance(Instance *i)
     c[STEP_ERROR] = fabs(off - c[BALANCE]) / c[ENERGY_SCALE];
     c[BALANCE] = off;
     c[RUN_ERROR] = fmax(c[RUN_ERROR], fabs(off) / c[ENERGY_SCALE]);
+    drifts(i);
     if (!(c[RUN_ERROR] <= UNBALANCED))
         warn(i, WARNED_OF_BALANCE,
             "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
@@ -1078,6 +1121,19 @@ static Outcome agreed(Instance *i, const unsigned char *held, const double *q, c
     return outcome;
 }
 
+/* Computed angles begin near their start values. */
+static void angles_begin(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *z = field(i, s->z);
+    for (int k = 0; k < s->angles; k++) {
+        const double *angle = s->angle_starts[k] < 0 ? NULL : i->values + s->own + s->angle_starts[k];
+        z[2 * s->n + k] = angle ? *angle : 0.0;
+        if (angle)
+            tape_copy(i, z + 2 * s->n + k, angle, 1);
+    }
+}
+
 /* The motion begins at q and v; nothing has been counted. */
 static void begin_at(Instance *i, const double *q, const double *v, double time)
 {
@@ -1090,17 +1146,13 @@ static void begin_at(Instance *i, const double *q, const double *v, double time)
     tape_clearing(i, z, state_length(s));
     tape_copy(i, z, q, (size_t)s->n);
     tape_copy(i, z + s->n, v, (size_t)s->n);
-    for (int k = 0; k < s->angles; k++) {
-        const double *angle = s->angle_starts[k] < 0 ? NULL : i->values + s->own + s->angle_starts[k];
-        z[2 * s->n + k] = angle ? *angle : 0.0;
-        if (angle)
-            tape_copy(i, z + 2 * s->n + k, angle, 1);
-    }
+    angles_begin(i);
     memcpy(states(i), first, (size_t)states_of(s) * sizeof *z);
     tape_copy(i, states(i), first, (size_t)states_of(s));
     z[s->time] = time;
     memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
     memset(i->jacobian, 0, (size_t)s->entries * sizeof *i->jacobian);
+    memset(i->peaks, 0, peaks_length(s) * sizeof *i->peaks);
     *i->lost = 0.0;
     memset(field(i, s->pace), 0, PACE * sizeof(double));
     field(i, s->pace)[0] = FIRST_STEP;
@@ -1125,6 +1177,7 @@ static Outcome started(Instance *i)
     Outcome outcome;
     signals_begin(i, time);
     friction_reset(i);
+    angles_begin(i);
     parameters(i);
     for (int k = 0; k < s->switches; k++)
         i->on[k] = i->wanted[k] != 0.0 && !s->switched[k].holds;
@@ -1555,31 +1608,21 @@ static double internal_steps(const Instance *i, double h)
     return fmax(1.0, ceil(h / i->values[i->scene->step_size] * (1 - 1e-12)));
 }
 
-/* A communication step that the kernel cannot make in one go: it made so many internal steps, and not the next one; below
-   zero where it has not tried. */
-static Outcome slow_step(Instance *i, double start, double h, long made)
+/* Steps from a time to another between which nothing jumps by itself; RK4 made so many of them in one go, and not the next
+   one, below zero where it has not tried. */
+static Outcome stretch(Instance *i, double start, double end, long made)
 {
     const Scene *s = i->scene;
-    const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
-    double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
-    const double steps = internal_steps(i, h), dt = h / steps;
+    const double h = end - start, steps = internal_steps(i, h), dt = h / steps;
     double done = 0.0;
     Outcome outcome = DONE;
-    memcpy(begin, z, size);
-    memcpy(before, pace, count * sizeof *pace);
-    if (!method(i) || i->flags.brakes) /* Steps go on with other numbers than those that were read with. */
-        i->onward = 0;
     at_time(i, start);
-    if (s->reach >= 0)
-        run(i, s->reach);
     if (s->frictions) {
-        pace[PACE_LAST] = 0.0;
-        outcome = friction_cover(i, start, h, dt);
-        done = steps;
-    } else if (method(i)) {
-        outcome = covered(i, start + h, dt, 0);
-        done = steps;
+        field(i, s->pace)[PACE_LAST] = 0.0;
+        return friction_cover(i, start, h, dt);
     }
+    if (method(i) && !(i->broken && h < LEFT_TO_RK4 * GIVEN_UP))
+        return covered(i, end, dt, 0);
     while (done < steps && outcome == DONE) {
         if (ended(i))
             outcome = interrupted(i);
@@ -1596,10 +1639,60 @@ static Outcome slow_step(Instance *i, double start, double h, long made)
             done += 1.0;
         }
     }
+    return outcome;
+}
+
+/* The last digits of a time in which something jumps by itself: an impact, where that is the rate of a law. */
+static Outcome passed(Instance *i, double to)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *q = field(i, s->z), *v = q + s->n, *energies = take(i, 4);
+    const double dt = to - *instance_time(i);
+    Outcome outcome = DONE;
+    int row;
+    for (int c = 0; c < dependent(s); c++)
+        q[c] += dt * v[c];
+    at_time(i, to);
+    i->onward = 0; /* What was read is of before. */
+    peaks_broken(i);
+    if (s->timed && s->l && projects(i) && !(widest(i, q, v, 1, &row) <= GROSS)) {
+        energy_into(i, v, energies);
+        outcome = projected(i, q, v);
+        worked_at_once(i, energies);
+    }
+    i->used = used;
+    return outcome;
+}
+
+/* A communication step that the kernel cannot make in one go: it made so many internal steps, and not the next one; below
+   zero where it has not tried. */
+static Outcome slow_step(Instance *i, double start, double h, long made)
+{
+    const Scene *s = i->scene;
+    const size_t size = state_length(s) * sizeof(double), count = (size_t)(s->past + s->past_size - s->pace);
+    double *z = field(i, s->z), *begin = field(i, s->begin), *pace = field(i, s->pace), *before = take(i, count);
+    double from = start;
+    Outcome outcome = DONE;
+    memcpy(begin, z, size);
+    memcpy(before, pace, count * sizeof *pace);
+    if (!method(i) || i->flags.brakes) /* Steps go on with other numbers than those that were read with. */
+        i->onward = 0;
+    at_time(i, start);
+    if (s->reach >= 0)
+        run(i, s->reach);
+    for (int k = 0; k <= i->broken && outcome == DONE; k++) {
+        const double *about = k < i->broken ? i->breaks + 2 * k : NULL, to = about ? fmin(about[0], start + h) : start + h;
+        if (to > from)
+            outcome = stretch(i, from, to, made);
+        if (about && outcome == DONE)
+            outcome = passed(i, from = fmax(from, fmin(about[1], start + h)));
+    }
     if (outcome == DONE) {
         at_time(i, start + h);
     } else {
         memcpy(z, begin, size);
+        count_turns(i);
         memcpy(pace, before, count * sizeof *pace);
     }
     return outcome;
@@ -1682,6 +1775,7 @@ static void step_back(Instance *i)
     const Scene *s = i->scene;
     const double *from = i->before;
     memcpy(i->m + s->z, i->m + s->begin, state_length(s) * sizeof *from);
+    count_turns(i);
     memcpy(i->slopes, from, (size_t)(s->inputs + 1) * sizeof *from);
     memcpy(i->m + s->u, from += s->inputs + 1, (size_t)s->inputs * sizeof *from);
     memcpy(i->counts, from += s->inputs, COUNTED * sizeof *from);
@@ -1697,7 +1791,7 @@ static Outcome whole_step(Instance *i, double start, double h)
     long made = -1;
     /* Methods beside RK4 may need any number of steps, which the slower way counts; it takes no step back along which
        derivatives were led, either. */
-    if (!i->flags.whole || method(i) || s->frictions || s->entries || !communicate(i, start, h, &made))
+    if (!i->flags.whole || method(i) || s->frictions || s->entries || i->broken || !communicate(i, start, h, &made))
         outcome = slow_step(i, start, h, made);
     if (outcome != DONE)
         return outcome;
@@ -1715,6 +1809,13 @@ static Outcome whole_step(Instance *i, double start, double h)
     return outcome == DONE && s->entries ? jacobian_end(i) : outcome;
 }
 
+/* DONE where what happens by itself up to an end lets a step be made, and when that is. */
+static Outcome looked_ahead(Instance *i, double start, double end)
+{
+    const Outcome outcome = breaks_found(i, start, end);
+    return outcome == DONE ? laws_checked(i, end) : outcome;
+}
+
 /* DONE where a communication step can begin: what the Boolean inputs ask for is in force. Nothing has changed otherwise, but
    that they ask for nothing. */
 Outcome instance_ready(Instance *i, double start, double h)
@@ -1729,7 +1830,7 @@ Outcome instance_ready(Instance *i, double start, double h)
         i->flags.known = 0;
     }
     if (outcome == DONE && !i->flags.pending)
-        return laws_checked(i, start + h);
+        return looked_ahead(i, start, start + h);
     if (outcome != DONE)
         return outcome;
     i->used = 0;
@@ -1737,7 +1838,7 @@ Outcome instance_ready(Instance *i, double start, double h)
     hand_over(i);
     outcome = take_effect(i);
     if (outcome == DONE)
-        outcome = laws_checked(i, start + h);
+        outcome = looked_ahead(i, start, start + h);
     if (outcome != DONE) {
         instance_go_back(i);
         memcpy(i->wanted, i->on, (size_t)i->scene->switches * sizeof *i->on);
@@ -1776,11 +1877,13 @@ static Outcome stepped(Instance *i, double start, double h)
         instance_remember(i);
     i->used = 0;
     if (!i->within)
-        i->left = MOST_STEPS;
+        i->left = MOST_STEPS, i->crossings = 0;
     if (!changed)
         remember_step(i);
     i->slopes[0] = start;
     hand_over(i);
+    if (s->peaks && !i->within)
+        peaks_begin(i);
     outcome = whole_step(i, start, h);
     if (outcome != DONE && changed)
         instance_go_back(i);
@@ -1875,6 +1978,15 @@ static Outcome read_patiently(Instance *i)
     if (s->monitor_iterations >= 0 && i->iterations > 0)
         i->m[s->seen + s->monitor_iterations] = i->iterations;
     return outcome;
+}
+
+/* Whether what can be read here has been read, away from any pole. */
+int read_away(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (!(i->flags.fast && read_quickly(i)))
+        run(i, instant_by(s, formulation(i)));
+    return all_finite(i) && verdict(i, SEEN_NEAR) == 0.0;
 }
 
 Outcome instance_read(Instance *i)
@@ -2120,6 +2232,7 @@ static Outcome sound(Instance *i)
         {"an impulse", i->impulses, s->impulses},
         {"energy lost", i->lost, 1},
         {"a derivative of the last step", i->jacobian, s->entries},
+        {"a peak", i->peaks, (int)peaks_length(s)},
         {"a step size", control, 1},
         {"a past input", field(i, s->past), s->past_size},
     };

@@ -46,7 +46,7 @@ _FREE = 1e-7
 
 _COUNTED = (
     *("patient_steps", "reads", "quick_reads", "unconverged", "position_error", "velocity_error", "acceleration_error"),
-    *("energy_error", "energy_start", "balance", "energy_scale", "step_error", "run_error", "at_rest"),
+    *("energy_error", "energy_start", "balance", "energy_scale", "step_error", "run_error", "at_rest", "drift"),
 )
 """What the library counts beside the tally of the kernel, in its order."""
 
@@ -513,9 +513,9 @@ class Instance:
         counted, tally = self._counted(), dict(zip(TALLY, self.memory["tally"].astype(int).tolist(), strict=True))
         kernel, c = self.equations.kernel, Counters()
         covered, refused, beside = (tally[name] for name in ("covered", "refused", "beside"))
-        errors = ("position_error", "velocity_error", "acceleration_error", "energy_error", "run_error")
+        errors = ("position_error", "velocity_error", "acceleration_error", "energy_error", "run_error", "drift")
         for name in errors:
-            setattr(c, name, float(counted[name]))
+            setattr(c, name, abs(float(counted[name])))
         patient = int(counted["patient_steps"])
         for tier, made in (*((tier, tally[tier]) for tier in TIERS), ("careful", patient)):
             if made:

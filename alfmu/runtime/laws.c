@@ -15,7 +15,8 @@
 /* Length of an instant [s, or of the time itself]: a law that changes within it jumps. */
 #define INSTANT 1e-12
 
-/* Length of what is looked at about a jump, over an instant: times that a jump falls on have half of it on either side. */
+/* Length of what is looked at before a jump, over an instant, and a third of that behind it: times that a jump falls on have
+   half of it on either side, and no point of the rule is near it. */
 #define ABOUT 8
 
 /* Laws, their rates, and the rates of these. */
@@ -101,7 +102,7 @@ static int first_break(Instance *i, double begin, double end, int order, Break *
             top--;
         } else if (b - a <= instant || top + 1 == DEPTH) {
             if (isfinite(found->size)) {
-                const int law = apart(i, a - ABOUT * instant, b + ABOUT * instant, order, order, &found->size);
+                const int law = apart(i, a - ABOUT * instant, b + 3 * ABOUT * instant, order, order, &found->size);
                 found->law = law < 0 ? found->law : law;
             }
             found->time = b;
@@ -120,15 +121,14 @@ static Outcome say_broken(Instance *i, Outcome outcome, int law, double time)
     return say(i, outcome, BROKEN, i->scene->name, time, i->scene->leaps[law].what);
 }
 
-/* DONE where no law in force breaks from now to an end, or why no step leads there; a rate that jumps is warned of. */
-Outcome laws_checked(Instance *i, double end)
+/* The same between two times. */
+static Outcome checked(Instance *i, double begin, double end)
 {
     const Scene *s = i->scene;
-    const double begin = *instance_time(i);
     const Leap *law;
     Break found;
     int breaks;
-    if (!s->leap_count || apart(i, begin, end, LAW, RATE, &found.size) < 0)
+    if (apart(i, begin, end, LAW, RATE, &found.size) < 0)
         return DONE;
     breaks = first_break(i, begin, end, LAW, &found);
     law = s->leaps + (breaks ? found.law : 0);
@@ -145,6 +145,21 @@ Outcome laws_checked(Instance *i, double end)
             warn(i, WARNED_OF_CORNER, IMPACT, s->name, law->what, found.size, law->rate_unit, found.time);
     }
     return breaks ? say_broken(i, ENDED, found.law, found.time) : DONE;
+}
+
+/* DONE where no law in force breaks from now to an end, or why no step leads there; a rate that jumps is warned of. */
+Outcome laws_checked(Instance *i, double end)
+{
+    double from = *instance_time(i);
+    Outcome outcome = DONE;
+    if (!i->scene->leap_count)
+        return DONE;
+    for (int k = 0; k < 2 * i->broken && outcome == DONE; k++)
+        if (i->breaks[k] > from && i->breaks[k] < end) {
+            outcome = checked(i, from, i->breaks[k]);
+            from = i->breaks[k];
+        }
+    return outcome == DONE ? checked(i, from, end) : outcome;
 }
 
 /* What a start came to; where a law is not finite then, that it is not. Places are those of the start, or the guess where

@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 17
+#define SCENE_VERSION 18
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -187,8 +187,11 @@
     X(n) \
     X(l) \
     X(angles) \
+    X(counted) \
     X(readings) \
-    X(ties)
+    X(ties) \
+    X(peaks) \
+    X(break_count)
 
 #define SCENE_REFERENCES(X) \
     X(step_size) \
@@ -215,8 +218,11 @@
     X(n) \
     X(l) \
     X(angles) \
+    X(counted) \
     X(readings) \
     X(ties) \
+    X(peaks) \
+    X(break_count) \
     X(step_size) \
     X(penalty) \
     X(tolerance) \
@@ -261,6 +267,7 @@
     X(time) \
     X(work) \
     X(trouble) \
+    X(change) \
     X(near) \
     X(size) \
     X(workspace) \
@@ -303,6 +310,7 @@
     X(irregular) \
     X(sliding) \
     X(laws) \
+    X(breaks) \
     X(place) \
     X(bring) \
     X(settle) \

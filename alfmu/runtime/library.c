@@ -168,6 +168,14 @@ API int alfmu_ready(Instance *i, double start, double h)
     INSIDE(int, instance_ready(i, start, h));
 }
 
+/* How often something jumps by itself in that step, and the times just before and just after each where there is room. */
+API int alfmu_breaks(const Instance *i, double *times)
+{
+    if (times)
+        memcpy(times, i->breaks, 2 * (size_t)i->broken * sizeof *times);
+    return i->broken;
+}
+
 API int alfmu_step(Instance *i, double start, double h)
 {
     INSIDE(int, instance_step(i, start, h));

@@ -74,6 +74,7 @@ _SIGNATURES = {
     "initialized": (c_int, c_void_p),
     "initialize": (c_int, c_void_p),
     "ready": (c_int, c_void_p, c_double, c_double),
+    "breaks": (c_int, c_void_p, c_void_p),
     "step": (c_int, c_void_p, c_double, c_double),
     "python_step": (c_void_p, c_void_p),
     "read": (c_int, c_void_p, c_void_p),

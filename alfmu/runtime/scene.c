@@ -329,7 +329,7 @@ static void followed(Reader *r)
     Followed *made;
     s->followed_count = s->timed ? integer(r) : 0;
     if (r->bad || s->followed_count < 0 || s->followed_count > s->inputs
-        || s->held < s->timed * (1 + s->followed_count * POLYNOMIAL)) {
+        || s->held < s->counted + s->timed * (1 + s->followed_count * POLYNOMIAL)) {
         spoil(r, "%d inputs move something", s->followed_count);
         s->followed_count = 0;
         return;
@@ -832,6 +832,7 @@ static void functions(Reader *r)
     shaped(r, "guesses", s->guesses, 1, 3, 2, P, s->starts, s->starts, n, n);
     shaped(r, "displacements", s->displacements, s->held > 0, 2, 1, n, P, s->held);
     shaped(r, "sliding", s->sliding, s->frictions > 0, 3, 1, n, n, P, s->frictions);
+    shaped(r, "breaks", s->breaks, s->break_count > 0, 4, 1, 1, s->inputs, s->inputs, P, 2 * s->break_count);
     shaped(r, "pivots", s->pivots, l > 0, 3, 4, n, P, K, n, n, n, 1);
     shaped(r, "place", s->place, l > 0, 3, 1, n, P, K, n);
     shaped(r, "bring", s->bring, l > 0, 5, 2, n, n, n, P, K, n, n);
@@ -1060,7 +1061,9 @@ static void memory(Reader *r)
           {s->struck, s->n}, {s->impulse, s->l}, {s->lost, 1}, {s->read_watch, WATCH}, {s->grip, 3 * s->frictions + 2}};
     if (!between(s->size, 1, MOST_NUMBERS) || !between(s->workspace, 0, MOST_NUMBERS))
         spoil(r, "its memory has %d numbers", s->size);
-    if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->near != s->time + 4)
+    if (s->counted > s->angles || s->counted > s->held)
+        spoil(r, "its angles contradict each other");
+    if (s->work != 2 * s->n + s->angles || s->trouble != s->time + 1 || s->change != s->time + 2 || s->near != s->time + 4)
         spoil(r, "its state contradicts itself");
     if (!between(s->monitor_position, -1, s->outputs - s->event_count)
         || !between(s->monitor_velocity, -1, s->outputs - s->event_count)
@@ -1115,9 +1118,11 @@ static void body(Reader *r)
     switches(r);
     frictions(r);
     s->impulse_rows = places(r, s->impulses, 0, s->l, "a row of an impulse");
-    s->event_places = places(r, s->event_count, 0, s->impulses + 1, "the place of an impulse");
+    s->event_places = places(r, s->event_count, 0, s->impulses + 1 + s->peaks, "the place of an impulse");
+    s->peak_parts = places(r, 3 * s->peaks, -1, s->readings, "a part of a peak");
     s->angle_starts = places(r, s->angles, -1, s->starts, "the start of an angle");
     s->tied = places(r, s->ties, 0, s->starts, "a start value");
+    s->break_levels = places(r, s->break_count, 0, s->break_count, "a level");
     if (!r->bad)
         names(r);
     s->normal = reals(r, &count);

@@ -1,5 +1,6 @@
 /* The tiers of a step and what makes a communication step of them. */
 
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -8,6 +9,13 @@
 
 /* Internal steps from one question to the next, whether a run goes on. */
 #define LOOK 64
+
+/* Last digits of a time that a step takes at least. */
+#define LAST_DIGITS 16
+
+/* Jumps by the motion that are crossed by steps as short as may be, before a step that is so many times as long. */
+#define CROSSINGS 4
+#define AWAY_FROM_IT 1e3
 
 /* Whether the caller of a run has ended it. */
 int ended(Instance *i)
@@ -37,10 +45,18 @@ static int read_near(const Instance *i)
 void arrive(Instance *i)
 {
     const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *begin = s->peaks ? take(i, state_length(s)) : NULL;
+    if (begin)
+        memcpy(begin, i->m + s->z, state_length(s) * sizeof *begin);
     memcpy(i->m + s->z, i->m + s->after, state_length(s) * sizeof *i->m);
     tape_copy(i, i->m + s->z, i->m + s->after, state_length(s));
+    count_turns(i);
     if (s->entries)
         jacobian_along(i);
+    if (begin)
+        peaks_along(i, begin);
+    i->used = used;
 }
 
 /* Internal steps until one cannot be made, each by the first tier that can make it; returns how many were. */
@@ -275,6 +291,51 @@ static void try_step(Instance *i)
     beside_it(i);
 }
 
+/* The shortest step that a method with error control may make here. */
+static double shortest(const Instance *i)
+{
+    return fmax(GIVEN_UP, LAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
+}
+
+/* Steps go on from a jump that was crossed. */
+static void crossed(Instance *i, double least)
+{
+    double *pace = i->m + i->scene->pace;
+    i->crossings++;
+    pace[PACE_DT] = LONGER * least;
+    pace[PACE_BEFORE] = LEAST_BEFORE;
+    pace[PACE_REFUSED] = pace[PACE_LAST] = 0.0;
+}
+
+/* Whether a step is as short as it may be and yet has too large an error, as where something jumps by the motion: it is
+   taken, as the error is that jump over no time. Where this happens again and again there is another cause. */
+static int crosses(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *pace = m + s->pace;
+    const double least = shortest(i), tried = m[s->after + s->time] - m[s->z + s->time];
+    if (pace[PACE_FIXED] != 0.0 || !(pace[PACE_DT] < least) || !isfinite(m[s->after + s->change]))
+        return 0;
+    if (tried > 2.0 * least) {
+        pace[PACE_DT] = least;
+        return 0;
+    }
+    if (i->crossings == CROSSINGS)
+        return 0;
+    crossed(i, least);
+    return 1;
+}
+
+/* The same where an implicit step does not even converge, however short it is: RK4 makes it. */
+static int crosses_by_rk4(Instance *i)
+{
+    const double least = shortest(i), left = i->m[i->scene->pace + PACE_END] - i->m[i->scene->z + i->scene->time];
+    if (i->crossings == CROSSINGS || i->m[i->scene->pace + PACE_FIXED] != 0.0 || advance(i, 1, fmin(least, left)) != 1)
+        return 0;
+    crossed(i, least);
+    return 1;
+}
+
 /* Steps by the method of the scene up to an end, or so many tries; 0 where one could not be judged. */
 int cover(Instance *i, double end, long tries)
 {
@@ -297,6 +358,8 @@ int cover(Instance *i, double end, long tries)
                 stuck = 0;
             }
             stuck += after[s->near] != 0.0;
+            if (shorter < GIVEN_UP && after[s->near] == 0.0 && crosses_by_rk4(i))
+                continue;
             if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP || stuck == STUCK) {
                 /* Near a singular position it is not the length of the step that is wrong. */
                 pace[PACE_DT] = after[s->near] != 0.0 ? judged : fmin(pace[PACE_DT], shorter);
@@ -315,7 +378,9 @@ int cover(Instance *i, double end, long tries)
                 "and the motion goes on at that",
                 s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share / NOISE,
                 i->values[s->relative_tolerance]);
-        if (pace[PACE_ACCEPTED] != 0.0) {
+        if (pace[PACE_ACCEPTED] != 0.0 && m[s->after + s->time] - m[s->z + s->time] > AWAY_FROM_IT * shortest(i))
+            i->crossings = 0;
+        if (pace[PACE_ACCEPTED] != 0.0 || crosses(i)) {
             /* Steps that are refused regain nothing: short ones and those of the method would take turns for ever. */
             if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
                 pace[PACE_OTHER_DT] *= REGAINED;
@@ -352,6 +417,7 @@ int communicate(Instance *i, double start, double h, long *made)
     if (*made != steps) {
         tape_cut(i, begun);
         memcpy(z, m + s->begin, state);
+        count_turns(i);
         memcpy(m + s->tally, counted, TALLY * sizeof *m);
         memcpy(m + s->past, i->past_before, past);
         return 0;

@@ -150,7 +150,9 @@ def _shows(data: Mapping[str, Any]) -> str:
         for kind, unit in (("force", "N"), ("moment", "N·m"))
         if kind in kinds
     ]
-    return _SHOWS.format(boxes="\n      ".join(html), scale=", ".join(scale))
+    steps = np.diff(data["time"])
+    points = f" at points of {steps.max():.3g} s" if scale and steps.size else ""
+    return _SHOWS.format(boxes="\n      ".join(html), scale=", ".join(scale) + points)
 
 
 def _largest(arrow: Any, columns: Mapping[str, NDArray[np.float64]]) -> float:

@@ -78,6 +78,12 @@ ERRORS = ("monitor.position_error", "monitor.velocity_error", "monitor.step_erro
 _PART = re.compile(r"(?P<whole>.*\.(?:force|moment))\.[xyz]\Z")
 """Components of reactions."""
 
+_REACTION = re.compile(r"\.(force|moment)(\.[xyz])?\|?\Z|\Amultiplier\[")
+"""What may have a pole at a singular position."""
+
+POLE = 2
+"""`monitor.singular` where reactions grow without bound."""
+
 
 @dataclass(frozen=True)
 class _Line:
@@ -148,7 +154,11 @@ def figure(result: Result, names: Sequence[str] | None = None) -> Figure:
     grid = drawn.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     for axes, panel in zip(grid, panels, strict=True):
         _draw(axes, result, panel)
-    grid[-1].set_xlabel("time [s]", fontsize=9)
+    steps = np.diff(result.time)
+    if steps.size and any(_REACTION.search(name) for panel in panels for line in panel.lines for name in line.names):
+        grid[-1].set_xlabel(f"time [s]; forces at points of {steps.max():.3g} s", fontsize=9)
+    else:
+        grid[-1].set_xlabel("time [s]", fontsize=9)
     drawn.align_ylabels()
     if caption:
         drawn.supxlabel(textwrap.fill(caption, 118), x=0.01, ha="left", fontsize=7, color="#66727f")
@@ -309,7 +319,13 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
             style |= {"marker": MARKERS[i % len(MARKERS)], "markersize": 3.5, "markevery": (0.02 + 0.023 * i, 0.14)}
         if logarithmic:  # mostly round-off, whose points no line connects
             style |= {"linestyle": "", "marker": ".", "markersize": 2.5}
-        axes.plot(result.time, line.values, label=line.label, linewidth=1.5, **style)
+        poles = _poles(result, line)
+        shown = np.where(poles, np.nan, line.values) if poles.any() else line.values
+        drawn = axes.plot(result.time, shown, label=line.label, linewidth=1.5, **style)
+        if poles.any():  # it goes beyond any scale there: an arrow, and a gap in the line
+            top = np.ones(int(poles.sum()))
+            arrow = {"marker": "^", "linestyle": "", "markersize": 4, "color": drawn[0].get_color()}
+            axes.plot(result.time[poles], top, transform=axes.get_xaxis_transform(), clip_on=False, **arrow)
     if logarithmic:
         axes.set_yscale("log", nonpositive="mask")
         axes.set_ylim(bottom=max(axes.get_ylim()[0], ROUNDING))
@@ -325,6 +341,12 @@ def _draw(axes: Axes, result: Result, panel: _Panel) -> None:
     place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.04), "borderaxespad": 0.0}
     scale = 3 if logarithmic else 1
     axes.legend(**place, frameon=False, fontsize=7.5, handlelength=2.6, labelspacing=0.35, markerscale=scale)
+
+
+def _poles(result: Result, line: _Line) -> NDArray[np.bool_]:
+    """Rows (rows,) at which a line has no finite value, though a finite part of it stands there."""
+    may = "monitor.singular" in result.names and any(_REACTION.search(name) for name in line.names)
+    return result["monitor.singular"] == POLE if may else np.zeros(len(result.time), bool)
 
 
 def _runs_close(values: NDArray[np.float64], others: NDArray[np.float64], reach: float) -> bool:

@@ -1,0 +1,82 @@
+"""What is said of the error of a whole run: its drift of energy, and a run with a finer setting."""
+
+import logging
+
+import numpy as np
+import pytest
+from scipy.special import ellipj, ellipk
+
+import alfmu
+from alfmu import Mechanism
+from alfmu.cli.__main__ import main
+
+
+def pendulum(damping: float = 0.0) -> Mechanism:
+    """A bar that begins horizontally at rest."""
+    m = Mechanism("pendulum")
+    bar = m.bar("bar", mass=1.0, length=1.0)
+    hinge = m.revolute("A", m.ground.at(0, 0), bar.start, coordinate=m.coordinate("th", "rad", independent=True))
+    m.gravity(0, -9.81)
+    if damping:
+        m.spring_damper(hinge, damping=damping)
+    return m
+
+
+def swung(time: np.ndarray) -> np.ndarray:
+    """Its angle, by elliptic functions."""
+    k = 0.5  # sin^2 of half the amplitude, a right angle
+    sn, *_ = ellipj(np.sqrt(1.5 * 9.81) * time + ellipk(k), k)
+    return 2 * np.arcsin(np.sqrt(k) * sn) - np.pi / 2
+
+
+def test_a_run_says_how_far_off_it_is(caplog):
+    """A long run came off by 1e-2 rad in 1e3 s, and by a radian in 1e4 s, without a word."""
+    r = alfmu.simulate(pendulum(), 1000.0, 10.0, check=True)
+    error = np.abs(r["bar.angle"] - swung(r.time)).max()
+    assert error > 1e-3
+    assert r.check.worst == "bar.angle"
+    assert r.check.share == r.check.errors["bar.angle"] == pytest.approx(error, rel=0.05)
+    assert r.check.since == pytest.approx(r.time[np.abs(r["bar.angle"] - swung(r.time)) > 1e-3][0], abs=10.0)
+    assert r.counters.drift == pytest.approx(error, rel=0.6)
+    assert "by the drift of its energy the motion has come off by some 0.001 rad" in caplog.text
+    assert "bar.angle is off by 0.01 rad at most, by a run with solver.relative_tolerance 1e-08" in caplog.text
+
+
+def test_what_stays_within_it_says_nothing(caplog):
+    for damping, stop in ((0.0, 100.0), (0.05, 1000.0)):
+        caplog.clear()
+        r = alfmu.simulate(pendulum(damping), stop, 1.0, check=True)
+        assert r.check.since is None
+        assert r.check.share < 1e-3
+        assert not caplog.records
+
+
+def test_steps_of_one_length_are_halved():
+    r = alfmu.simulate(pendulum(), 10.0, 1.0, parameters={"solver.method": "rk4"}, check=True)
+    error = np.abs(r["bar.angle"] - swung(r.time)).max()
+    assert r.check.setting == "solver.step_size"
+    assert r.check.share == pytest.approx(error, rel=0.2)
+
+
+@pytest.mark.parametrize("kind", ["python", "native"])
+def test_fmus_are_checked(kind, tmp_path, capsys, caplog):
+    """From Python, and by the command line."""
+    path = alfmu.export(pendulum(), tmp_path / "pendulum.fmu", kind=kind)
+    r = alfmu.simulate(path, 400.0, 10.0, check=True)
+    error = np.abs(r["bar.angle"] - swung(r.time)).max()
+    assert r.check.share == pytest.approx(error, rel=0.05)
+    caplog.set_level(logging.WARNING)
+    wanted = ["--stop-time", "400", "--step", "10", "-o", str(tmp_path / "run.csv")]
+    assert main(["simulate", str(path), "--check", *wanted]) == 0
+    assert f"{r.check}" in capsys.readouterr().out
+
+
+def test_the_command_line_checks_mechanisms(tmp_path, capsys):
+    wanted = ["--set", "solver.relative_tolerance=1e-4", "--stop-time", "2", "-o", str(tmp_path / "run.csv")]
+    assert main(["simulate", "slider_crank", "--check", *wanted]) == 0
+    assert "at most, by a run with solver.relative_tolerance 1e-06" in capsys.readouterr().out
+
+
+def test_systems_are_not_checked():
+    with pytest.raises(alfmu.InputError, match=r"connected systems are not checked"):
+        alfmu.simulate("drive.toml", check=True)

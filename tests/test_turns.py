@@ -1,0 +1,158 @@
+"""Angles that places tell up to whole turns: what depends on them counts the turns, in every way to run."""
+
+from collections.abc import Callable
+
+import casadi as ca
+import fmpy
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import alfmu
+from alfmu import Mechanism, parts
+from alfmu.model.mechanism import Body, Joint
+from alfmu.model.spatial import SpatialBody, SpatialJoint
+
+INERTIA, STIFFNESS, START, RATE = 1 / 3, 2.0, 0.5, 14.0
+TIMES = np.linspace(0.0, 4.0, 41)
+TIGHT = {"solver.relative_tolerance": 1e-10}
+
+
+def natural(hinged: Callable[[Mechanism, Body, Joint], None]) -> Mechanism:
+    """A bar of 1 m and 1 kg between the ground and a point, and what acts on its hinge."""
+    m = Mechanism("natural")
+    a = m.start("a", START, "rad", rate=RATE)
+    x, y = m.coordinate("x", "m", start=ca.cos(a)), m.coordinate("y", "m", start=ca.sin(a))
+    bar = m.bar("bar", mass=1.0, length=1.0, between=(m.ground.at(0, 0), m.point(x, y)))
+    m.tie(a, bar.angle)
+    hinged(m, bar, m.revolute("A", m.ground.at(0, 0), bar.start))
+    return m
+
+
+def spatial(hinged: Callable[[Mechanism, SpatialBody, SpatialJoint], None]) -> Mechanism:
+    """The same bar in absolute coordinates in space, whose hinge constraints close."""
+    m = Mechanism("spatial")
+    a = m.start("a", START, "rad", rate=RATE)
+    place, turn = (ca.cos(a) / 2, ca.sin(a) / 2, 0.0), (ca.cos(a / 2), 0.0, 0.0, ca.sin(a / 2))
+    bar = m.spatial_body("bar", mass=1.0, inertia=(1e-3, 1 / 12, 1 / 12), position=place, attitude=turn)
+    hinge = m.spatial_revolute("A", m.spatial_ground.at(), bar.at(-0.5), axis=(0, 0, 1))
+    m.tie(a, hinge.free)
+    hinged(m, bar, hinge)
+    return m
+
+
+def moved(torque: Callable[[float, float], float], start: float = START) -> np.ndarray:
+    """Angles (41,) of the bar on the one equation of its hinge."""
+
+    def rate(t: float, y: np.ndarray) -> list[float]:
+        return [y[1], torque(y[0], y[1]) / INERTIA]
+
+    found = solve_ivp(rate, (0, 4.0), [start, RATE], "DOP853", TIMES, rtol=1e-12, atol=1e-12, max_step=0.01)
+    return found.y[0]
+
+
+def sprung(m: Mechanism, body: object, hinge: object) -> None:
+    m.spring_damper(hinge, stiffness=STIFFNESS, damping=0.1, name="spring")
+
+
+@pytest.mark.parametrize("made", [natural, spatial])
+def test_a_torsion_spring_counts_turns(made):
+    """Its torque jumped by STIFFNESS times a turn wherever the angle passed pi."""
+    exact = moved(lambda angle, rate: -STIFFNESS * angle - 0.1 * rate)
+    assert np.ptp(exact) > 2 * np.pi
+    r = alfmu.simulate(made(sprung), 4.0, 0.1, parameters=TIGHT)
+    angle = "bar.angle" if made is natural else "A.angle"
+    assert np.abs(r[angle] - exact).max() < 1e-8
+    assert np.abs(r["spring.elongation"] - exact).max() < 1e-8
+    assert r.counters.energy_error < 1e-8
+
+
+@pytest.mark.parametrize("settings", [{"kernel": "oracle"}, {"kernel": "vm"}, {"kernel": "compiled"}])
+def test_every_kernel_counts_them(settings):
+    exact = moved(lambda angle, rate: -STIFFNESS * angle - 0.1 * rate)[:11]
+    rk4 = {"solver.method": "rk4", "solver.step_size": 0.0025}
+    r = alfmu.simulate(natural(sprung), 1.0, 0.1, parameters=rk4, **settings)
+    assert np.abs(r["bar.angle"] - exact).max() < 1e-5
+
+
+@pytest.mark.parametrize(("kind", "fmi"), [("python", 2), ("native", 2), ("native", 3)])
+def test_every_kind_of_fmu_counts_them(kind, fmi, tmp_path):
+    made = alfmu.simulate(natural(sprung), 4.0, 0.1)
+    path = alfmu.export(natural(sprung), tmp_path / "natural.fmu", kind=kind, fmi=fmi)
+    found = fmpy.simulate_fmu(str(path), stop_time=4.0, output_interval=0.1, output=["bar.angle"])
+    assert np.array_equal(found["bar.angle"], made["bar.angle"])
+
+
+def test_a_stop_and_a_law_beyond_pi():
+    """A stop at 1.5 turns, and a torque that the angle itself tells."""
+
+    def hinged(m: Mechanism, bar: Body, hinge: Joint) -> None:
+        m.end_stop("stop", hinge, upper=3 * np.pi, stiffness=500.0, onset=0.1)
+        m.drive(hinge, -0.3 * bar.angle)
+
+    def torque(angle: float, rate: float) -> float:
+        deep = max(angle - 3 * np.pi, 0.0)
+        z = min(deep / 0.1, 1.0)
+        return -0.3 * angle - 500.0 * (0.1 * (2.5 * z**4 - 3 * z**5 + z**6) + max(deep - 0.1, 0.0))
+
+    exact = moved(torque)
+    assert exact.max() > 3 * np.pi
+    r = alfmu.simulate(natural(hinged), 4.0, 0.1, parameters=TIGHT)
+    assert np.abs(r["bar.angle"] - exact).max() < 1e-6
+    assert r["stop.penetration"].max() > 0.0
+
+
+def test_turns_begin_at_the_start_value_and_come_back_with_the_state():
+    """A turn ahead the spring is wound up by it; a state that is restored has the turns of its time."""
+    exact = moved(lambda angle, rate: -STIFFNESS * angle - 0.1 * rate, START + 2 * np.pi)
+    unit = alfmu.Instance(alfmu.derive(natural(sprung)))
+    unit.set("solver.relative_tolerance", 1e-10)
+    unit.set("start.a", START + 2 * np.pi)
+    unit.initialize()
+    states = []
+    for k in range(20):
+        states.append((unit.save(), unit.get("bar.angle")))
+        unit.step(0.1)
+        assert unit.get("bar.angle") == pytest.approx(exact[k + 1], abs=1e-8)
+    at_end = unit.get("bar.angle")
+    for k in (3, 11, 0):
+        unit.restore(states[k][0])
+        assert unit.get("bar.angle") == states[k][1]
+        for _ in range(20 - k):
+            unit.step(0.1)
+        assert unit.get("bar.angle") == at_end
+
+
+def test_derivatives_follow_the_turns():
+    """In both directions, against a difference of exact motions."""
+
+    def last(stiffness: float) -> float:
+        return moved(lambda angle, rate: -stiffness * angle)[20]
+
+    def hinged(m: Mechanism, bar: Body, hinge: Joint) -> None:
+        m.spring_damper(hinge, stiffness=m.parameter("k", STIFFNESS, "N.m/rad"))
+
+    wanted = (last(STIFFNESS + 1e-4) - last(STIFFNESS - 1e-4)) / 2e-4
+    given = {"stop_time": 2.0, "communication_step": 0.1, "parameters": TIGHT}
+    along = alfmu.derivatives(natural(hinged), ["k"], outputs=["bar.angle"], **given)
+    assert along["bar.angle", "k"][-1] == pytest.approx(wanted, rel=1e-5)
+    back = alfmu.gradient(natural(hinged), "bar.angle", ["k"], **given)
+    assert back["k"] == pytest.approx(wanted, rel=1e-5)
+
+
+def test_a_rotor_behind_a_gearbox_counts_them():
+    """Its angle jumped by the ratio times a turn."""
+
+    def hinged(m: Mechanism, bar: Body, hinge: Joint) -> None:
+        given = {"voltage": 1.0, "resistance": 0.5, "inductance": 0.01, "constant": 0.1, "inertia": 1e-3}
+        parts.dc_motor(m, "motor", hinge, gearbox=parts.Gearbox(ratio=2.5), **given)
+
+    r = alfmu.simulate(natural(hinged), 2.0, 0.05, parameters=TIGHT)
+    assert np.ptp(r["bar.angle"]) > 2 * np.pi
+    assert r["motor.rotor.angle"] == pytest.approx(2.5 * r["bar.angle"], abs=1e-12)
+
+
+def test_what_needs_no_turns_carries_none():
+    e = alfmu.derive(natural(lambda m, bar, hinge: m.drive(hinge, 1.0)))
+    assert not e.counted
+    assert not e.held
