@@ -48,6 +48,19 @@ SHARES = 6
 _SHARED = 1e-12
 """Last change of these shares, over what they are."""
 
+HELD_SHARES = 1e8
+"""What keeps C' lam as it is over what joints carry, where these share a load; a pass gains as much."""
+
+LIGHT = 1e-8
+"""Largest mass over penalties where shares are told by more passes; each gains as much."""
+
+LOADED = 3
+"""Passes by which joints share a load where it is read."""
+
+EASE = 1e-6
+"""Share of what joints carry that is added to it in the factors of such a pass: multipliers that no joint carries leave a
+pivot that round-off of HELD_SHARES does not hide."""
+
 _LEFT = 2.0**-50
 """Last change of what multipliers of least norm are made of, over what it is."""
 
@@ -101,7 +114,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
         "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
         "q qz ql qn v vz vl vn a al an da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
         "round_off read_a": n,
-        "lam laml lamn dlam dlaml force Phi Cv stabilised least_norm": l,
+        "lam laml lamn dlam dlaml load loadl dload dloadl force Phi Cv stabilised least_norm": l,
         "du inputs": inputs,
         "past": memory_size(inputs),
         "soft": found["k"],
@@ -397,6 +410,47 @@ class Scene:
         lam = ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
         return lam + rubbing if self.e.frictions else lam
 
+    def light(self, M: SX) -> SX:
+        """M made so small beside penalties that few passes are enough, whatever penalty is given."""
+        return M * ca.fmin(1, LIGHT / ca.fmax(ca.mmax(ca.diag(M)), _TINY))
+
+    def carried(self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED) -> SX:
+        """lam that acts alike with the least that joints carry; not finite where the passes were too few."""
+        e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, []
+        held = SX.ones(e.l) if self.kind == "plain" else self.held
+
+        def slope(lam: SX) -> SX:
+            return e.shares(q, v, a, lam, u, self.p, t)
+
+        P = ca.sparsify(ca.jacobian(slope(x), x))
+        carried = ca.diag(P).sparsity().row()
+        P = ca.diag(held) @ P @ ca.diag(held) + ca.diag(1 - held)
+        C = ca.sparsify(ca.diag(held) @ C)
+        sizes = ca.vertcat(*(P[i, i] if i in carried else SX(1) for i in range(e.l)))
+        columns = ca.densify(ca.sum1(C**2 / ca.repmat(sizes, 1, e.n)).T)
+        weights = ca.diag(ca.if_else(columns > 0, HELD_SHARES / columns, 0))
+
+        def done(change: SX, value: SX) -> bool:
+            last[:] = [
+                ca.sumsqr(change),
+                ca.sumsqr(value) + ca.sumsqr(physical) + ca.sumsqr(slope(0 * x) / sizes) + _TINY,
+            ]
+            return False
+
+        eased = P + EASE * ca.diag(sizes)
+        d = method.shared_again(P, held * slope(physical), C, weights, self._inverse, eased, passes, done)
+        # Each of m passes gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
+        found = last[0] <= _SHARED ** (2 * (passes - 1) / passes) * last[1]
+        return lam + self.scale * ca.if_else(found, d, math.nan)
+
+    def _inverse(self, K: SX) -> method.Solve:
+        """What solves with a matrix (l, l)."""
+        order = K.sparsity().amd()
+        K = ca.sparsify(K)[order, order]
+        D, L = self._factors_of(K)
+        inverse, upper, back = _once(1 / D), L + SX.eye(K.size1()), np.argsort(order).tolist()
+        return lambda b: ca.solve(upper, inverse * ca.solve(upper.T, b[order]))[back]
+
     # Singular positions --------------------------------------------------------------------------------------------
 
     def margin(self, pivots: SX) -> tuple[SX, SX]:
@@ -501,15 +555,17 @@ class Scene:
 
     def limits(self, *found: SX) -> tuple[SX, ...]:
         """Limits of a, lam and watch from those at the places and the watch here, and whether lam has one (1) or a pole
-        (2): `branch.with_pole`."""
+        (2): `branch.with_pole`. Behind them those of the loads of joints, where these are at the places."""
         *found, watch = found
-        count = len(branch.READ_MEAN)
-        a, lam, watches = (
-            dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
+        count, l = len(branch.READ_MEAN), self.e.l
+        a, lam, watches, *loads = (
+            dict(zip(branch.READ_MEAN, found[i : i + count], strict=True)) for i in range(0, len(found), count)
         )
+        for load in loads:
+            lam = {k: ca.vertcat(x, load[k]) for k, x in lam.items()}
         near, far = (ca.fabs(lam[k] - lam[-k]) for k in (1, 2))
         largest, steepest = {k: x[0] for k, x in lam.items()}, near[0]
-        for i in range(1, self.e.l):
+        for i in range(1, near.numel()):
             more = near[i] > steepest
             largest = {k: ca.if_else(more, lam[k][i], x) for k, x in largest.items()}
             steepest = ca.fmax(steepest, near[i])
@@ -522,7 +578,8 @@ class Scene:
             *(pole * passed * (n > f) for n, f in zip(ca.vertsplit(near), ca.vertsplit(far), strict=True))
         )
         said = _worst([Watch.of(x) for x in watches.values()], SX(0), Watch.of(watch).margin)
-        return branch.mean(a), ca.if_else(chosen, through, branch.mean(lam)), said, 1 + pole
+        limit = ca.if_else(chosen, through, branch.mean(lam))
+        return branch.mean(a), limit[:l], said, 1 + pole, *(limit[l:] for _ in loads)
 
     # Projections (10) and the end of a step ------------------------------------------------------------------------
 
@@ -664,17 +721,20 @@ class Scene:
         lam: SX | None = None,
         watch: SX | None = None,
         singular: SX | float = 0.0,
+        load: SX | None = None,
         limit: float | None = None,
     ) -> SX:
         """What a user can read, monitors, and `memory.SEEN`; without a, lam and watch where nobody reads of them.
 
-        `limit` is that of `unconverged`.
+        `load` is lam as joints carry it, where that is another one; `limit` is that of `unconverged`.
         """
         e, p, layout = self.e, self.p, Layout(self.e)
         q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
         if watch is None:
             a, lam = self._at_rest()
-        readings = e.readings(q, v, a, lam / self.scale, self.given(z, u), p, t)
+        readings = self.told(
+            e.readings(q, v, a, (lam if load is None else load) / self.scale, self.given(z, u), p, t), lam
+        )
         names = {o.name: i for i, o in enumerate(e.outputs)}
         for name, angle in zip(e.wrapped, ca.vertsplit(self._unwrapped(q, angles)), strict=False):
             readings[names[name]] = angle
@@ -692,6 +752,14 @@ class Scene:
         if e.l:
             near = self.settings.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
+
+    def told(self, readings: SX, lam: SX) -> SX:
+        """Readings with these multipliers, which are not those of the loads of joints."""
+        place = {o.name: i for i, o in enumerate(self.e.outputs)}
+        for i, x in enumerate(ca.vertsplit(lam) if self.e.l else ()):
+            if (name := f"multiplier[{i + 1}]") in place:
+                readings[place[name]] = x / self.scale
+        return readings
 
     def _unwrapped(self, q: SX, near: SX) -> SX:
         """Computed angles moved by whole turns to the values nearest to `near`."""
@@ -778,6 +846,10 @@ class Scene:
         H = H[order, order]
         if self.e.n > DENSE:
             return ca.ldl(H, False)[:2]
+        return self._factors_of(H)
+
+    def _factors_of(self, H: SX) -> tuple[SX, SX]:
+        """The same of a matrix in the order of its rows."""
         pattern = *H.sparsity().colind(), *H.sparsity().row()
         if pattern not in self._factorisations:
             self._factorisations[pattern] = _factorisation(H.sparsity())

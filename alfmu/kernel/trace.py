@@ -23,7 +23,7 @@ import casadi as ca
 from casadi import SX
 
 from ..equations import Equations, Mobility
-from ..equations.evaluation import DENSE, EVALUATED, shared, symbols, with_functions
+from ..equations.evaluation import ARGUMENTS, DENSE, EVALUATED, shared, symbols, with_functions
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.inputs import KEPT, extrapolated, reached
@@ -229,10 +229,13 @@ class Tracer:
             calls("seen", "z u p k", "seen", lambda z, u: calls.scene.seen(plan, z, u))
             return Program(calls.steps, plan)
         self._unpacked(calls)
-        self.evaluation(calls, "0", {"u": self.here(calls)})
+        u = self.here(calls)
+        self.evaluation(calls, "0", {"u": u})
+        found = "a0 lam0 watch0 singular"
         if redundant:
             self._least(calls, "lam0")
-        self._seen(calls, "a0 lam0 watch0")
+            found += self._carry(calls, f"t0 q0 v0 {u}", "0")
+        self._seen(calls, found)
         return Program(calls.steps, plan)
 
     def limit(self, plan: Plan, redundant: bool) -> Program:
@@ -240,16 +243,19 @@ class Tracer:
         calls, count = Calls(self, plan), range(len(branch.READ_MEAN))
         places = [f"place{j}" for j in count]
         self._unpacked_limit(calls)
-        u = self.here(calls)
+        u, load = self.here(calls), ""
         self._read_places(calls, places)
         for j in count:
             self._beside(calls, places[j], str(j), u)
             if redundant:
                 self._least(calls, f"lam{j}")
+                load = self._carry(calls, f"tz q0 v0 {u}", str(j))
         self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"}, 1)
-        found = [f"{name}{j}" for name in ("a", "lam", "watch") for j in count]
-        calls("limits", spaced(found, "watchl"), "al laml watchl singular", calls.scene.limits)
-        self._seen(calls, "al laml watchl")
+        names = ("a", "lam", "watch", *["load"] * bool(load))
+        found = [f"{name}{j}" for name in names for j in count]
+        load = " loadl" * bool(load)
+        calls("limits", spaced(found, "watchl"), "al laml watchl singular" + load, calls.scene.limits)
+        self._seen(calls, "al laml watchl singular" + load)
         return Program(calls.steps, plan)
 
     # What programs are made of -------------------------------------------------------------------------------------
@@ -319,8 +325,34 @@ class Tracer:
         else:
             calls("least", f"k C D L {lam}", lam, calls.scene.least)
 
+    def _carry(self, calls: Calls, known: str, i: str) -> str:
+        """Multipliers by which joints carry the least, with i in their name, where a reader sees others than those of
+        least norm; their name behind a space. `known` are time, q, v and inputs."""
+        if not self.loaded:
+            return ""
+        calls("carry", f"{known} p k C a{i} lam{i}", f"load{i}", calls.scene.carried)
+        return f" load{i}"
+
+    @cached_property
+    def loaded(self) -> bool:
+        """Whether outputs show what joints carry of a load that redundant constraints share, and multipliers of least
+        norm do not tell it."""
+        e, x = self.e, symbols(self.e)
+        if e.compliances or not e.l:
+            return False
+        told = [not o.name.startswith("multiplier[") for o in e.outputs]
+        if e.shared is None or e.changes:
+            y = e.readings(*(x[letter] for letter in ARGUMENTS["readings"]))
+            seen = ca.which_depends(y, x["lam"], 1, True)
+        else:
+            seen = [o.name in e.shared for o in e.outputs]
+        if not any(a and b for a, b in zip(told, seen, strict=True)):
+            return False
+        slope = e.shares(*(x[letter] for letter in ARGUMENTS["shares"]))
+        return e.uneven or not ca.simplify(slope - x["lam"]).is_zero()
+
     def _seen(self, calls: Calls, found: str) -> None:
-        calls("seen", f"z u p k C xi {found} singular", "seen", lambda *x: calls.scene.seen(calls.plan, *x))
+        calls("seen", f"z u p k C xi {found}", "seen", lambda *x: calls.scene.seen(calls.plan, *x))
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
         """S2 to S4: a, power, watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.

@@ -25,6 +25,7 @@ __all__ = [
     "project",
     "project_residual",
     "residual",
+    "shared_again",
     "stabilised",
     "stiffness",
 ]
@@ -103,6 +104,19 @@ def minimum_norm_of_joints(
     C = C - share @ E
     lam = minimum_norm(C, alpha, inverse(C), lam + share.T @ lam, most, done)
     return lam - share.T @ lam
+
+
+def shared_again(
+    P: Array, g: Array, C: Array, alpha: Array, inverse: Callable[[Array], Solve], eased: Array, most: int, done: Done
+) -> Array:
+    """The change of lam that acts like none and makes what joints carry least: d' P d / 2 + g' d with C' d = 0.
+
+    This is (8) with P (l, l) for the masses, -g for the forces and C' for the constraints, whose penalties are alpha
+    (n, n). `eased` (l, l) is P, or a little more where that holds no multipliers; `inverse` gives what solves.
+    """
+    nothing = 0 * g
+    solve = inverse(augmented_mass(eased, C.T, alpha))
+    return residual(P, -g, C.T, C.T @ nothing, alpha, solve, nothing, C.T @ nothing, most, done)[0]
 
 
 def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: float, omega: float) -> Array:
