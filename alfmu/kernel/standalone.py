@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
 from casadi import SX
 
 from ..equations import Equations
@@ -28,7 +29,7 @@ from . import rubbing
 from .alternatives import OWN, Alternatives, alternatives
 from .form import Call, Choice, Plan, Program, Routine, called, rewritten
 from .memory import SEEN
-from .symbolic import MATRICES, ROUND_OFF, SHARES, Watch, lengths_of
+from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, SHARES, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
 
 __all__ = ["READ", "beginning", "passed", "standalone"]
@@ -120,10 +121,6 @@ READ = ("read_a", "read_power", "read_watch")
 would begin with."""
 
 
-PATIENT_LOADED = 16
-"""Passes by which joints share a load near a singular position: each gains HELD_SHARES times the square of the distance."""
-
-
 class _Patient(Alternatives):
     """Programs with loops that stop on convergence; `most` is a number of the instance."""
 
@@ -131,7 +128,7 @@ class _Patient(Alternatives):
         super().__init__(equations)
         used = {name for program in equations.kernel.values() for name in called(program)}
         self.functions, self.shapes = {name: equations.functions[name] for name in used}, {}
-        self.redundant = any(name in ("least", "distribute") for name in self.functions)
+        self.redundant = any(name in ("least", "distribute", "carry") for name in self.functions)
 
     # Programs ------------------------------------------------------------------------------------------------------
 
@@ -174,8 +171,7 @@ class _Patient(Alternatives):
         calls.made += careful.made
         known = "z u p k C xi a0 lam0 watch0 singular"
         if self.redundant:
-            Tracer._least(self, calls, "lam0")
-            known += Tracer._carry(self, calls, "t0 q0 v0 u", "0")
+            Tracer._share(self, calls, "t0 q0 v0 u", "a0 lam0")
         calls("seen_quickly", known, "seen", lambda *x: calls.scene.seen(plan, *x, limit=ROUND_OFF))
         return Program(calls.steps, plan)
 
@@ -235,7 +231,7 @@ class _Patient(Alternatives):
         u = self.here(calls)
         self.evaluation(calls, "0", {"u": u})
         if self.redundant:
-            self._least(calls, "lam0")
+            self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
         rubbing.told(calls, f"t0 q0 v0 {u}", "a0", "lam0")
         return Program(calls.steps)
 
@@ -245,8 +241,8 @@ class _Patient(Alternatives):
         self._unpacked(calls)
         u = self.here(calls)
         self.evaluation(calls, "0", {"u": u})
-        load = self._forced(calls, "t0", "0", u)
-        self._changed(calls, "a0 lam0 da0 dlam0", load)
+        self._forced(calls, "t0", "0", u)
+        self._changed(calls, "a0 lam0 da0 dlam0")
         return Program(calls.steps)
 
     def limit_sensitivity(self, plan: Plan) -> Program:
@@ -258,41 +254,29 @@ class _Patient(Alternatives):
         self._read_places(calls, [f"place{j}" for j in range(count)])
         for j in range(count):
             self._beside(calls, f"place{j}", str(j), u)
-            load = self._forced(calls, "tz", str(j), u)
+            self._forced(calls, "tz", str(j), u)
         self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
-
-        kinds = spaced("a lam", "load" * bool(load)).split()
-        groups = len(kinds)
-        n = self.e.n
+        calls("here", "qz vz", "q0 v0", lambda q, v: (q, v))
+        self._forced(calls, "tz", "l", u)
+        sizes = [self.e.n, self.e.l]
 
         def derived(*known: SX) -> tuple[SX, ...]:
-            values, watches, changes = (
-                known[: groups * count],
-                known[groups * count : (groups + 1) * count + 1],
-                known[-groups * count :],
-            )
-            a, lam, _, _, *load = scene.limits(*values[: 2 * count], *watches[:-1], *values[2 * count :], watches[-1])
-            found = ca.vertcat(a, lam, *load)
-            change = ca.jtimes(found, ca.vertcat(*values), ca.vertcat(*changes))
-            return (
-                a,
-                lam,
-                *load,
-                *ca.vertsplit(change, [0, n, *range(n + scene.e.l, found.numel() + 1, max(scene.e.l, 1))]),
-            )
+            values, watches = known[: 2 * count], known[2 * count : 3 * count]
+            here, changes = known[3 * count : 3 * count + 3], known[3 * count + 3 :]
+            found = scene.limits(*values, *watches, *here)[:2]
+            change = ca.jtimes(ca.vertcat(*found), ca.vertcat(*values, *here[:2]), ca.vertcat(*changes))
+            return *found, *ca.vertsplit(change, np.cumsum([0, *sizes]).tolist())
 
         values, watches, changes = (
-            [f"{name}{j}" for name in names for j in range(count)]
-            for names in (kinds, ["watch"], [f"d{name}" for name in kinds])
+            [f"{name}{j}" for name in names.split() for j in range(count)] for names in ("a lam", "watch", "da dlam")
         )
-        results = spaced([f"{name}l" for name in kinds], [f"d{name}l" for name in kinds])
-        calls("limit_change", spaced(values, watches, "watchl", changes), results, derived)
-        self._changed(calls, "al laml dal dlaml", " loadl dloadl" * bool(load))
+        known = spaced(values, watches, "al laml watchl", changes, "dal dlaml")
+        calls("limit_change", known, "al laml dal dlaml", derived)
+        self._changed(calls, "al laml dal dlaml")
         return Program(calls.steps)
 
-    def _forced(self, calls: Calls, time: str, i: str, given: str) -> str:
-        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam of least norm. Names of loads of joints
-        and their changes behind a space, where these are others.
+    def _forced(self, calls: Calls, time: str, i: str, given: str) -> None:
+        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam as joints carry it.
 
         `given` is the name of the inputs, and of the states behind them, which stay as they are.
         """
@@ -302,38 +286,33 @@ class _Patient(Alternatives):
             F = ca.jtimes(scene.terms(t, q, v, u)[2], u, ca.vertcat(du, SX(len(e.states), 1)))
             return F, *(SX(size, 1) for size in (e.l, e.n, e.l, len(Watch._fields)))
 
+        def carried(t: SX, q: SX, v: SX, u: SX, du: SX, C: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
+            both = scene.carried(t, q, v, u, C, a, lam, PATIENT_LOADED)
+            return ca.jtimes(both, ca.vertcat(a, lam, u), ca.vertcat(da, dlam, du, SX(len(e.states), 1)))
+
+        known = f"{time} q0 v0 {given}"
         if self.redundant:
-            self._least(calls, f"lam{i}")
-        calls("forced", f"{time} q0 v0 {given} p k du", f"F xi da{i} dlam{i} dwatch", forces)
+            self._share(calls, known, f"a{i} lam{i}")
+        calls("forced", f"{known} p k du", f"F xi da{i} dlam{i} dwatch", forces)
         if e.l:
             self._iterate(calls, f"da{i}", f"dlam{i}", "dwatch")
         else:  # One solution is exact.
             self._iterate_once(calls, f"da{i}", f"dlam{i}", "dwatch")
-        if not self.redundant:
-            return ""
-        self._least(calls, f"dlam{i}")
-        if not (load := self._carry(calls, f"{time} q0 v0 {given}", i)):
-            return ""
+        if self.redundant and self.loaded:
+            calls("bear_change", f"{known} p k du C a{i} lam{i} da{i} dlam{i}", f"dlam{i}", carried)
+        elif self.redundant:
+            self._least(calls, f"dlam{i}")
 
-        def change(t: SX, q: SX, v: SX, u: SX, du: SX, C: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
-            carried, forces = scene.carried(t, q, v, u, C, a, lam, PATIENT_LOADED), ca.vertcat(du, SX(len(e.states), 1))
-            return ca.jtimes(carried, ca.vertcat(a, lam, u), ca.vertcat(da, dlam, forces))
-
-        calls("bear_change", f"{time} q0 v0 {given} p k du C a{i} lam{i} da{i} dlam{i}", f"dload{i}", change)
-        return f"{load} dload{i}"
-
-    def _changed(self, calls: Calls, found: str, load: str = "") -> None:
+    def _changed(self, calls: Calls, found: str) -> None:
         """The changes of outputs."""
         e, scene = self.e, calls.scene
 
-        def reading(z: SX, u: SX, du: SX, a: SX, lam: SX, da: SX, dlam: SX, *load: SX) -> SX:
+        def reading(z: SX, u: SX, du: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
             t, q, v = self._position(z)
-            carried, change = load or (lam, dlam)
-            y = e.readings(q, v, a, carried / scene.scale, scene.given(z, u), scene.p, t)
-            dy = ca.jtimes(y, ca.vertcat(a, carried, u), ca.vertcat(da, change, du))
-            return scene.told(dy, dlam) if load else dy
+            y = e.readings(q, v, a, lam / scene.scale, scene.given(z, u), scene.p, t)
+            return ca.jtimes(y, ca.vertcat(a, lam, u), ca.vertcat(da, dlam, du))
 
-        calls("sensitivity", f"z u p k du {found}{load}", "dy", reading)
+        calls("sensitivity", f"z u p k du {found}", "dy", reading)
 
     def pivots(self, plan: Plan) -> None:
         """S1, S2: traces pivots of H over their scales, its diagonal, the weights of C in each column, the margin."""
@@ -442,13 +421,17 @@ class _Patient(Alternatives):
         passes = CORRECTIONS if self.e.compliances or self.e.lengths else SHARES
         calls("share", f"k M C {lam}", lam, lambda M, C, lam: scene.distributed(scene.light(M), C, lam, passes))
 
-    def _carry(self, calls: Calls, known: str, i: str) -> str:
+    def _share(self, calls: Calls, known: str, found: str) -> None:
         """By more passes, which are enough near singular positions too."""
         if not self.loaded:
-            return ""
-        carried = calls.scene.carried
-        calls("bear", f"{known} p k C a{i} lam{i}", f"load{i}", lambda *x: carried(*x, PATIENT_LOADED))
-        return f" load{i}"
+            super()._share(calls, known, found)
+            return
+        if self.formulation != OWN:
+            own = calls.inside()
+            self.by(OWN)._share(own, known, found)
+            calls.choice("projects", own)
+            return
+        self._bear(calls, known, found)
 
 
 def _made(program: Program) -> Iterator[str]:

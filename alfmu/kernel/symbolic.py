@@ -28,7 +28,7 @@ from ..method.stepping import NOISE, Explicit
 from .form import Plan
 from .memory import PACE, SETTINGS, TURN, Layout
 
-__all__ = ["MATRICES", "MONITORED", "ROUND_OFF", "Scene", "Watch", "lengths_of"]
+__all__ = ["MATRICES", "MONITORED", "PATIENT_LOADED", "ROUND_OFF", "SHARES", "Scene", "Watch", "lengths_of"]
 
 MATRICES = ("M", "C", "F", "xi", "D", "L")
 """What an evaluation hands on, by the nonzeros: the terms of (4) and (3), and the factors of H."""
@@ -48,18 +48,11 @@ SHARES = 6
 _SHARED = 1e-12
 """Last change of these shares, over what they are."""
 
-HELD_SHARES = 1e8
-"""What keeps C' lam as it is over what joints carry, where these share a load; a pass gains as much."""
-
-LIGHT = 1e-8
-"""Largest mass over penalties where shares are told by more passes; each gains as much."""
-
 LOADED = 3
 """Passes by which joints share a load where it is read."""
 
-EASE = 1e-6
-"""Share of what joints carry that is added to it in the factors of such a pass: multipliers that no joint carries leave a
-pivot that round-off of HELD_SHARES does not hide."""
+PATIENT_LOADED = 8
+"""The same near a singular position: each gains HELD_SHARES times the distance squared."""
 
 _LEFT = 2.0**-50
 """Last change of what multipliers of least norm are made of, over what it is."""
@@ -114,7 +107,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
         "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
         "q qz ql qn v vz vl vn a al an da dal place placed acceleration guess dq dv change w after_w dx least_z": n,
         "round_off read_a": n,
-        "lam laml lamn dlam dlaml load loadl dload dloadl force Phi Cv stabilised least_norm": l,
+        "lam laml lamn dlam dlaml force Phi Cv stabilised least_norm": l,
         "du inputs": inputs,
         "past": memory_size(inputs),
         "soft": found["k"],
@@ -412,10 +405,13 @@ class Scene:
 
     def light(self, M: SX) -> SX:
         """M made so small beside penalties that few passes are enough, whatever penalty is given."""
-        return M * ca.fmin(1, LIGHT / ca.fmax(ca.mmax(ca.diag(M)), _TINY))
+        return M * ca.fmin(1, method.LIGHT / ca.fmax(ca.mmax(ca.diag(M)), _TINY))
 
     def carried(self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED) -> SX:
-        """lam that acts alike with the least that joints carry; not finite where the passes were too few."""
+        """lam that acts alike with the least that joints carry; not finite where the passes were too few.
+
+        docs/theory/redundancy.md has what this is, `method.formulations.shared_again` how it is found.
+        """
         e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, []
         held = SX.ones(e.l) if self.kind == "plain" else self.held
 
@@ -428,16 +424,14 @@ class Scene:
         C = ca.sparsify(ca.diag(held) @ C)
         sizes = ca.vertcat(*(P[i, i] if i in carried else SX(1) for i in range(e.l)))
         columns = ca.densify(ca.sum1(C**2 / ca.repmat(sizes, 1, e.n)).T)
-        weights = ca.diag(ca.if_else(columns > 0, HELD_SHARES / columns, 0))
+        weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES / columns, 0))
 
         def done(change: SX, value: SX) -> bool:
-            last[:] = [
-                ca.sumsqr(change),
-                ca.sumsqr(value) + ca.sumsqr(physical) + ca.sumsqr(slope(0 * x) / sizes) + _TINY,
-            ]
+            size = ca.sumsqr(value) + ca.sumsqr(physical) + ca.sumsqr(slope(0 * x) / sizes)
+            last[:] = [ca.sumsqr(change), size + _TINY]
             return False
 
-        eased = P + EASE * ca.diag(sizes)
+        eased = P + method.EASE * ca.diag(sizes)
         d = method.shared_again(P, held * slope(physical), C, weights, self._inverse, eased, passes, done)
         # Each of m passes gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
         found = last[0] <= _SHARED ** (2 * (passes - 1) / passes) * last[1]
@@ -554,32 +548,33 @@ class Scene:
         return [q + k * spacing * v for k in branch.READ_MEAN]
 
     def limits(self, *found: SX) -> tuple[SX, ...]:
-        """Limits of a, lam and watch from those at the places and the watch here, and whether lam has one (1) or a pole
-        (2): `branch.with_pole`. Behind them those of the loads of joints, where these are at the places."""
-        *found, watch = found
-        count, l = len(branch.READ_MEAN), self.e.l
-        a, lam, watches, *loads = (
-            dict(zip(branch.READ_MEAN, found[i : i + count], strict=True)) for i in range(0, len(found), count)
+        """a, lam and watch from those at the places and, last, those here; whether lam has a limit (1) or a pole (2).
+
+        Limits are taken where they are more exact than what is found here: `branch.with_pole`.
+        """
+        *found, here, lam_here, watch = found
+        count = len(branch.READ_MEAN)
+        a, lam, watches = (
+            dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
         )
-        for load in loads:
-            lam = {k: ca.vertcat(x, load[k]) for k, x in lam.items()}
-        near, far = (ca.fabs(lam[k] - lam[-k]) for k in (1, 2))
-        largest, steepest = {k: x[0] for k, x in lam.items()}, near[0]
-        for i in range(1, near.numel()):
-            more = near[i] > steepest
-            largest = {k: ca.if_else(more, lam[k][i], x) for k, x in largest.items()}
-            steepest = ca.fmax(steepest, near[i])
-        inverse = {k: 1 / x for k, x in largest.items()}
-        zero = branch.mean(inverse)
-        pole = steepest > ca.mmax(far)
-        passed = ca.fabs(zero) > branch.POLE_ZERO * ca.mmax(ca.fabs(ca.vertcat(*inverse.values())))
-        through = branch.mean({k: x * inverse[k] for k, x in lam.items()}) / zero
-        chosen = ca.vertcat(
-            *(pole * passed * (n > f) for n, f in zip(ca.vertsplit(near), ca.vertsplit(far), strict=True))
-        )
-        said = _worst([Watch.of(x) for x in watches.values()], SX(0), Watch.of(watch).margin)
-        limit = ca.if_else(chosen, through, branch.mean(lam))
-        return branch.mean(a), limit[:l], said, 1 + pole, *(limit[l:] for _ in loads)
+        margin = Watch.of(watch).margin
+        (limit, pole), (rough, _) = self._with_pole(lam), self._with_pole(branch.fewer(lam))
+        direct = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(lam_here)) < ca.mmax(ca.fabs(limit - rough))
+        said = _worst([Watch.of(x) for x in watches.values()], SX(0), margin)
+        limits = branch.mean(a), limit
+        return *(ca.if_else(direct, x, y) for x, y in zip((here, lam_here), limits, strict=True)), said, 1 + pole
+
+    def _with_pole(self, values: dict[int, SX]) -> tuple[SX, SX]:
+        """`branch.with_pole`."""
+        limit, first, second = map(ca.densify, branch.pole(values))
+        least = branch.POLE_SEEN * ca.mmax(ca.fabs(ca.vertcat(*values.values())))
+        steepest, at = first[0], second[0]
+        for i in range(1, self.e.l):
+            more = ca.fabs(first[i]) > ca.fabs(steepest)
+            steepest, at = ca.if_else(more, first[i], steepest), ca.if_else(more, second[i], at)
+        pole = ca.logic_and(ca.fabs(steepest) > least, ca.fabs(at) < ca.fabs(steepest))
+        beside = ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
+        return limit - ca.if_else(beside * (ca.fabs(first) > least), first * (steepest / at), 0), pole
 
     # Projections (10) and the end of a step ------------------------------------------------------------------------
 
@@ -721,20 +716,17 @@ class Scene:
         lam: SX | None = None,
         watch: SX | None = None,
         singular: SX | float = 0.0,
-        load: SX | None = None,
         limit: float | None = None,
     ) -> SX:
         """What a user can read, monitors, and `memory.SEEN`; without a, lam and watch where nobody reads of them.
 
-        `load` is lam as joints carry it, where that is another one; `limit` is that of `unconverged`.
+        `limit` is that of `unconverged`.
         """
         e, p, layout = self.e, self.p, Layout(self.e)
         q, v, angles, t = z[: e.n], z[e.n : 2 * e.n], z[2 * e.n : layout.work], z[layout.time]
         if watch is None:
             a, lam = self._at_rest()
-        readings = self.told(
-            e.readings(q, v, a, (lam if load is None else load) / self.scale, self.given(z, u), p, t), lam
-        )
+        readings = e.readings(q, v, a, lam / self.scale, self.given(z, u), p, t)
         names = {o.name: i for i, o in enumerate(e.outputs)}
         for name, angle in zip(e.wrapped, ca.vertsplit(self._unwrapped(q, angles)), strict=False):
             readings[names[name]] = angle
@@ -752,14 +744,6 @@ class Scene:
         if e.l:
             near = self.settings.continues * (1 - (seen.margin > (branch.READ_ZONE * branch.READ_DISTANCE) ** 2))
         return ca.vertcat(readings, *monitors, self._largest(C @ a - xi), near, trouble)
-
-    def told(self, readings: SX, lam: SX) -> SX:
-        """Readings with these multipliers, which are not those of the loads of joints."""
-        place = {o.name: i for i, o in enumerate(self.e.outputs)}
-        for i, x in enumerate(ca.vertsplit(lam) if self.e.l else ()):
-            if (name := f"multiplier[{i + 1}]") in place:
-                readings[place[name]] = x / self.scale
-        return readings
 
     def _unwrapped(self, q: SX, near: SX) -> SX:
         """Computed angles moved by whole turns to the values nearest to `near`."""

@@ -33,7 +33,7 @@ from . import rubbing
 from .form import Call, Choice, Loop, Plan, Program, Step, Steps, called
 from .kinks import kinks_of_rates
 from .memory import GROSS, TIERS, Layout
-from .symbolic import MATRICES, Scene, Watch, lengths_of
+from .symbolic import MATRICES, PATIENT_LOADED, Scene, Watch, lengths_of
 
 __all__ = ["CAREFUL", "NO_NAMES", "Calls", "Tracer", "spaced", "traced", "untraced"]
 
@@ -231,11 +231,9 @@ class Tracer:
         self._unpacked(calls)
         u = self.here(calls)
         self.evaluation(calls, "0", {"u": u})
-        found = "a0 lam0 watch0 singular"
         if redundant:
-            self._least(calls, "lam0")
-            found += self._carry(calls, f"t0 q0 v0 {u}", "0")
-        self._seen(calls, found)
+            self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
+        self._seen(calls, "a0 lam0 watch0")
         return Program(calls.steps, plan)
 
     def limit(self, plan: Plan, redundant: bool) -> Program:
@@ -243,20 +241,23 @@ class Tracer:
         calls, count = Calls(self, plan), range(len(branch.READ_MEAN))
         places = [f"place{j}" for j in count]
         self._unpacked_limit(calls)
-        u, load = self.here(calls), ""
+        u = self.here(calls)
         self._read_places(calls, places)
         for j in count:
             self._beside(calls, places[j], str(j), u)
             if redundant:
-                self._least(calls, f"lam{j}")
-                load = self._carry(calls, f"tz q0 v0 {u}", str(j))
-        self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"}, 1)
-        names = ("a", "lam", "watch", *["load"] * bool(load))
-        found = [f"{name}{j}" for name in names for j in count]
-        load = " loadl" * bool(load)
-        calls("limits", spaced(found, "watchl"), "al laml watchl singular" + load, calls.scene.limits)
-        self._seen(calls, "al laml watchl singular" + load)
+                self._share(calls, f"tz q0 v0 {u}", f"a{j} lam{j}")
+        self._here(calls, u, redundant)
+        found = [f"{name}{j}" for name in ("a", "lam", "watch") for j in count]
+        calls("limits", spaced(found, "al laml watchl"), "al laml watchl singular", calls.scene.limits)
+        self._seen(calls, "al laml watchl")
         return Program(calls.steps, plan)
+
+    def _here(self, calls: Calls, u: str, redundant: bool) -> None:
+        """The evaluation where limits are read, too."""
+        self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
+        if redundant:
+            (self._bear if self.loaded else self._share)(calls, f"tz qz vz {u}", "al laml")
 
     # What programs are made of -------------------------------------------------------------------------------------
 
@@ -325,34 +326,31 @@ class Tracer:
         else:
             calls("least", f"k C D L {lam}", lam, calls.scene.least)
 
-    def _carry(self, calls: Calls, known: str, i: str) -> str:
-        """Multipliers by which joints carry the least, with i in their name, where a reader sees others than those of
-        least norm; their name behind a space. `known` are time, q, v and inputs."""
-        if not self.loaded:
-            return ""
-        calls("carry", f"{known} p k C a{i} lam{i}", f"load{i}", calls.scene.carried)
-        return f" load{i}"
+    def _share(self, calls: Calls, known: str, found: str) -> None:
+        """Multipliers as joints carry them in place of those found last; `known` are names of time, q, v and inputs,
+        `found` those of a and lam."""
+        _, lam = found.split()
+        if self.loaded:
+            calls("carry", f"{known} p k C {found}", lam, calls.scene.carried)
+        else:
+            self._least(calls, lam)
+
+    def _bear(self, calls: Calls, known: str, found: str) -> None:
+        """The same by more passes, which are enough near singular positions."""
+        carried = calls.scene.carried
+        calls("bear", f"{known} p k C {found}", found.split()[1], lambda *x: carried(*x, PATIENT_LOADED))
 
     @cached_property
     def loaded(self) -> bool:
-        """Whether outputs show what joints carry of a load that redundant constraints share, and multipliers of least
-        norm do not tell it."""
+        """Whether joints share a load, so that what they carry is seen, and least norm of the rows alone is another."""
         e, x = self.e, symbols(self.e)
-        if e.compliances or not e.l:
-            return False
-        told = [not o.name.startswith("multiplier[") for o in e.outputs]
-        if e.shared is None or e.changes:
-            y = e.readings(*(x[letter] for letter in ARGUMENTS["readings"]))
-            seen = ca.which_depends(y, x["lam"], 1, True)
-        else:
-            seen = [o.name in e.shared for o in e.outputs]
-        if not any(a and b for a, b in zip(told, seen, strict=True)):
+        if e.compliances or not (e.changes or e.shared or e.shared is None):
             return False
         slope = e.shares(*(x[letter] for letter in ARGUMENTS["shares"]))
         return e.uneven or not ca.simplify(slope - x["lam"]).is_zero()
 
     def _seen(self, calls: Calls, found: str) -> None:
-        calls("seen", f"z u p k C xi {found}", "seen", lambda *x: calls.scene.seen(calls.plan, *x))
+        calls("seen", f"z u p k C xi {found} singular", "seen", lambda *x: calls.scene.seen(calls.plan, *x))
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
         """S2 to S4: a, power, watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.

@@ -15,6 +15,9 @@ from typing import Any
 
 __all__ = [
     "CORRECTIONS",
+    "EASE",
+    "HELD_SHARES",
+    "LIGHT",
     "augmented_mass",
     "classic",
     "dae",
@@ -32,6 +35,18 @@ __all__ = [
 
 CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
+
+LIGHT = 1e-8
+"""largest mass over the largest penalty [1]: multipliers of least norm are found with masses no larger than this, so
+that each pass gains as much, whatever penalty is given."""
+
+HELD_SHARES = 1e9
+"""what keeps C' lam as it is over what joints carry, where these share a load [1]: a pass gains as much at a regular
+position, and less by the distance squared beside a singular one."""
+
+EASE = 1e-6
+"""what is added to the factors of such a pass, over what joints carry [1]: multipliers that no joint carries leave a
+pivot that round-off of HELD_SHARES does not hide."""
 
 Array = Any
 Solve = Callable[[Array], Array]
