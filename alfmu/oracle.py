@@ -584,7 +584,8 @@ class Instance(runtime.Instance):
                 # At the position itself more multipliers act alike than on the branch.
                 loads = {k: self.carried(*places[k], *x[:2]) for k, x in found.items()}
                 (limit, pole), (rough, _) = branch.with_pole(loads), branch.with_pole(branch.fewer(loads))
-                if not branch.direct_error(margin, EPS) * np.abs(lam).max() < np.abs(limit - rough).max():
+                lost = branch.direct_error(margin, EPS) * np.abs(limit).max()
+                if margin <= self.nothing or not lost < np.abs(limit - rough).max():
                     a, lam = branch.mean({k: x[0] for k, x in found.items()}), limit
                     _, C, _, xi = self.dynamics(q, v, u, t)
                     left = C @ a - xi

@@ -559,7 +559,8 @@ class Scene:
         )
         margin = Watch.of(watch).margin
         (limit, pole), (rough, _) = self._with_pole(lam), self._with_pole(branch.fewer(lam))
-        direct = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(lam_here)) < ca.mmax(ca.fabs(limit - rough))
+        lost = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(limit))
+        direct = ca.logic_and(margin > self.settings.nothing, lost < ca.mmax(ca.fabs(limit - rough)))
         said = _worst([Watch.of(x) for x in watches.values()], SX(0), margin)
         limits = branch.mean(a), limit
         return *(ca.if_else(direct, x, y) for x, y in zip((here, lam_here), limits, strict=True)), said, 1 + pole
