@@ -270,7 +270,7 @@ class _Patient(Alternatives):
         values, watches, changes = (
             [f"{name}{j}" for name in names.split() for j in range(count)] for names in ("a lam", "watch", "da dlam")
         )
-        known = spaced(values, watches, "al laml watchl", changes, "dal dlaml")
+        known = spaced("k", values, watches, "al laml watchl", changes, "dal dlaml")
         calls("limit_change", known, "al laml dal dlaml", derived)
         self._changed(calls, "al laml dal dlaml")
         return Program(calls.steps)

@@ -249,7 +249,7 @@ class Tracer:
                 self._share(calls, f"tz q0 v0 {u}", f"a{j} lam{j}")
         self._here(calls, u, redundant)
         found = [f"{name}{j}" for name in ("a", "lam", "watch") for j in count]
-        calls("limits", spaced(found, "al laml watchl"), "al laml watchl singular", calls.scene.limits)
+        calls("limits", spaced("k", found, "al laml watchl"), "al laml watchl singular", calls.scene.limits)
         self._seen(calls, "al laml watchl")
         return Program(calls.steps, plan)
 
