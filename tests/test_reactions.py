@@ -382,16 +382,16 @@ def with_motors(coordinates: str) -> alfmu.Mechanism:
     return m
 
 
-def without(name: str):
+def of_the_catalogue(name: str):
     return lambda coordinates: alfmu.load(name, coordinates=coordinates)
 
 
 SETS = {
     "equal motors": (with_motors, ("mixed", "joint"), {"start.angular_velocity": 3.0}),
     "motors": (with_motors, ("mixed", "joint"), {"m3": 2.5, "start.angular_velocity": 3.0}),
-    "five_bar": (without("five_bar"), ("mixed", "joint"), {"m1": 2.0, "A.torque": 5.0, "D.torque": -2.0}),
-    "n_four_bar": (without("n_four_bar"), ("natural", "absolute"), {}),
-    "slider_crank": (without("slider_crank"), COORDINATES, {}),
+    "five_bar": (of_the_catalogue("five_bar"), ("mixed", "joint"), {"m1": 2.0, "A.torque": 5.0, "D.torque": -2.0}),
+    "n_four_bar": (of_the_catalogue("n_four_bar"), ("natural", "absolute"), {}),
+    "slider_crank": (of_the_catalogue("slider_crank"), COORDINATES, {}),
 }
 
 
