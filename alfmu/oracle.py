@@ -206,7 +206,12 @@ class Instance(runtime.Instance):
         a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
         if not converged:
             self._unfinished = max(self._unfinished, left)
-        return a, _least_norm(C, self.alpha, solve, lam), used, converged
+        return a, self._least_norm(M, C, lam), used, converged
+
+    def _least_norm(self, M: NDArray, C: NDArray, lam: NDArray) -> NDArray:
+        """lam of least norm, until another pass would change round-off alone."""
+        solve = self.inverse(method.augmented_mass(self._light(M, self.alpha), C, self.alpha))
+        return method.minimum_norm(C, self.alpha, solve, lam, CORRECTIONS, _unchanged)
 
     def _check_converged(self, t: float) -> None:
         """What multiplier iterations left since this was asked last: told once, StepError where it is too much.
@@ -230,16 +235,36 @@ class Instance(runtime.Instance):
             _LOGGER.warning("%s", self._error(StepError, t, measured, remedy))
             self._told = True
 
-    def minimum_norm(self, q: NDArray, v: NDArray, lam: NDArray) -> NDArray:
-        """Multipliers that act like lam (l,): of least norm, or as joints of the given compliances share them."""
+    @staticmethod
+    def _light(M: NDArray, alpha: NDArray) -> NDArray:
+        """M made small beside penalties, where there are any."""
+        ratio = method.LIGHT * alpha.max(initial=0.0) / max(M.diagonal().max(initial=0.0), TINY)
+        return M * min(1.0, ratio or 1.0)
+
+    def carried(self, q: NDArray, v: NDArray, a: NDArray, lam: NDArray) -> NDArray:
+        """Multipliers that act like lam (l,) with the least that joints carry, or as the given compliances share it."""
+        e, l = self.equations, len(lam)
         M, C, _, _ = self.constraints(q, v)
-        alpha = np.diag(self.stiffnesses if self.equations.compliances else self.penalty)
-        lengths = np.diag(self.active * np.isin(np.arange(len(lam)), self.equations.lengths))
+        held = np.diag(self.active.astype(float))
+        if e.compliances:
+            alpha, lengths = np.diag(self.stiffnesses), held * np.isin(np.arange(l), e.lengths)
 
-        def inverse(C: NDArray) -> method.Solve:
-            return self.inverse(method.augmented_mass(M, C, alpha))
+            def inverse(C: NDArray) -> method.Solve:
+                return self.inverse(method.augmented_mass(self._light(M, alpha), C, alpha))
 
-        return method.minimum_norm_of_joints(C, alpha, lengths, inverse, lam, CORRECTIONS, _unchanged)
+            return method.minimum_norm_of_joints(C, alpha, lengths, inverse, lam, CORRECTIONS, _unchanged)
+
+        def slope(lam: NDArray) -> NDArray:
+            return np.array(e.functions["shares"](q, v, a, lam, self.driven, self.memory["p"], self.time)).ravel()
+
+        C, nothing = held @ C, slope(np.zeros(l))
+        P = held @ np.reshape([slope(unit) - nothing for unit in np.eye(l)], (l, l)).T @ held + np.eye(l) - held
+        sizes = np.where(P.diagonal() > EPS, P.diagonal(), 1.0)
+        columns = (C**2 / sizes[:, None]).sum(axis=0)
+        beside = np.maximum(columns, self.scales / self.memory["k"][0])  # which a column of round-off is nothing
+        weights = np.diag(np.divide(method.HELD_SHARES, beside, out=np.zeros_like(columns), where=columns > 0))
+        eased = P + method.EASE * np.diag(sizes)
+        return lam + method.shared_again(P, held @ slope(lam), C, weights, self.inverse, eased, CORRECTIONS, _unchanged)
 
     def impact(self, q: NDArray, v: NDArray) -> NDArray:
         """v (n,) after a plastic impact, which keeps the constraints: M dv + C' impulse = 0, C dv = -C v."""
@@ -565,23 +590,30 @@ class Instance(runtime.Instance):
 
     @np.errstate(all="ignore")
     def _now(self) -> tuple[NDArray, NDArray, int, NDArray, int]:
-        """What `accelerations` returns here, lam of least norm, and whether it is a limit.
+        """What `accelerations` returns here, lam as joints carry it, and whether it is a limit.
 
         The last result is 0 where it is not; where it is, 1 where lam has a limit, 2 where it has a pole, of which the
         finite part is given at the position itself.
         """
         q, v, u, t = self.q, self.v, self.driven, self.time
-        if self.continues and self.margin(q)[1] ** 0.5 < branch.READ_ZONE * branch.READ_DISTANCE:
+        margin = self.margin(q)[1]
+        near = self.continues and margin**0.5 < branch.READ_ZONE * branch.READ_DISTANCE
+        a, lam, used, left = self.accelerations(q, v, u, t)
+        lam = self.carried(q, v, a, lam) if self.settings.projects else lam
+        if near:
             _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
             with suppress(OpenError, ZeroDivisionError):  # The motion may end before the places: then as it is here.
                 places, found = self._beside(q, v, u, t, spacing * branch.READ_DISTANCE / rate, branch.READ_MEAN)
-                a = branch.mean({k: x[0] for k, x in found.items()})
                 # At the position itself more multipliers act alike than on the branch.
-                lam, pole = branch.with_pole({k: self.minimum_norm(*places[k], x[1]) for k, x in found.items()})
-                _, C, _, xi = self.dynamics(q, v, u, t)
-                return a, lam, max(x[2] for x in found.values()), C @ a - xi, 1 + pole
-        a, lam, used, left = self.accelerations(q, v, u, t)
-        return a, self.minimum_norm(q, v, lam) if self.settings.projects else lam, used, left, 0
+                loads = {k: self.carried(*places[k], *x[:2]) for k, x in found.items()}
+                (limit, pole), (rough, _) = branch.with_pole(loads), branch.with_pole(branch.fewer(loads))
+                lost = branch.direct_error(margin, EPS) * np.abs(limit).max()
+                if margin <= self.nothing or not lost < np.abs(limit - rough).max():
+                    a, lam = branch.mean({k: x[0] for k, x in found.items()}), limit
+                    _, C, _, xi = self.dynamics(q, v, u, t)
+                    left = C @ a - xi
+                return a, lam, max(x[2] for x in found.values()), left, 1 + pole
+        return a, lam, used, left, 0
 
     def _unwrap(self, y: NDArray) -> NDArray:
         """Readings whose computed angles are moved by whole turns to the values nearest to the last ones."""
@@ -623,11 +655,6 @@ class Instance(runtime.Instance):
         self, kind: type[AlfmuError], t: float, measured: str, remedy: str = "reduce solver.step_size"
     ) -> AlfmuError:
         return kind(f"{self.name}, t = {t:.6g} s: {measured}; {remedy}")
-
-
-def _least_norm(C: NDArray, alpha: NDArray, solve: method.Solve, lam: NDArray) -> NDArray:
-    """lam of least norm, until another pass would change round-off alone."""
-    return method.minimum_norm(C, alpha, solve, lam, CORRECTIONS, _unchanged)
 
 
 def _unchanged(change: NDArray, value: NDArray) -> bool:

@@ -9,6 +9,7 @@ from oracles.particle import table
 from scenes import derived, readings, started
 
 from alfmu.method import formulations as method
+from alfmu.studies.paper import QUICK, table_1
 
 M, RHO, V, FX, FY = Fraction(3), Fraction(1, 2), Fraction(7, 5), Fraction(11, 4), Fraction(-2)
 ALPHAS = [Fraction(10**2), Fraction(10**4), Fraction(10**6), Fraction(10**9)]
@@ -71,3 +72,13 @@ def test_limits_and_rate() -> None:
     r = readings(started(derived("particle_on_circle"), {"m": 3.0, "rho": 0.5, "force.x": 2.75}))
     assert r["particle.ax"] == pytest.approx(-0.5, rel=1e-14)
     assert r["multiplier[1]"] == pytest.approx(2.75 + 1.5, rel=1e-14)
+
+
+@pytest.mark.parametrize("i", [1, 2, 3])
+def test_the_table_of_the_study_is_exact_where_the_penalty_is_the_mass(i: int) -> None:
+    """Half of what is lacking is left by each iteration, and 2^-21 of the multipliers once was by taking off their
+    redundant part."""
+    iterates = table_1(QUICK).tables[1].rows
+    row = next(x for x in iterates if x["alpha / m"] == 1.0 and x["iterations"] == i)
+    assert row["multiplier [N], computed"] == pytest.approx(41.0 * (1 - 0.5**i), rel=1e-15)
+    assert row["ax [m/s2], computed"] == pytest.approx(-18.0 + 20.5 * 0.5**i, rel=1e-15)

@@ -324,16 +324,22 @@ def test_bounded_reactions_are_given_up_to_the_singular_position(kernel, name, l
 
 
 @each_kernel
-@pytest.mark.parametrize("distance", [1e-5, 1e-4, 1e-3, 3e-3])
-def test_a_pole_is_flagged_and_its_value_given(kernel, distance):
-    """A torque cannot pass through aligned links: forces along them grow like 1 / sin th, those across are bounded."""
-    i = started(scene("four_bar", kernel), {"start.angle": distance, "A.torque": TORQUE})
-    exact = FOUR_BAR.forces(distance, 2.0, (TORQUE, 0.0))
+@pytest.mark.parametrize("torque", [TORQUE, -0.05], ids=["pole", "crosses zero beside"])
+@pytest.mark.parametrize("distance", [1e-6, 1e-5, 1e-4, 1e-3, 3e-3, 5.5e-3, 0.02])
+def test_a_pole_is_flagged_and_its_value_given(kernel, distance, torque):
+    """A torque cannot pass through aligned links: forces along them grow like 1 / sin th, those across are bounded.
+
+    Where the pole is weak they cross zero among the places from which a value is taken: 19 N for 162 N once.
+    """
+    i = started(scene("four_bar", kernel), {"start.angle": distance, "A.torque": torque})
+    exact = FOUR_BAR.forces(distance, 2.0, (torque, 0.0))
     r = readings(i)
-    assert r["monitor.singular"] == 2
-    assert r["B.force.x"] == pytest.approx(exact["B.force.x"], rel=1e-2)
-    assert r["multiplier[2]"] == pytest.approx(exact["multiplier[2]"], abs=1e-4)
-    assert r["link1.angular_acceleration"] == pytest.approx(float(FOUR_BAR.acceleration(distance, TORQUE)), rel=1e-8)
+    assert r["monitor.singular"] == 2 * (distance < 0.006)
+    # The place of the pole is known to some 1e-11 rad, beside a weak one to some 1e-9 rad.
+    lost = {TORQUE: 2e-11, -0.05: 2e-9}[torque] / distance
+    assert r["B.force.x"] == pytest.approx(exact["B.force.x"], rel=lost + 1e-12)
+    assert r["multiplier[2]"] == pytest.approx(exact["multiplier[2]"], abs=1e-10)
+    assert r["link1.angular_acceleration"] == pytest.approx(float(FOUR_BAR.acceleration(distance, torque)), rel=1e-8)
 
 
 def test_a_pole_at_the_position_itself_gives_the_finite_part():

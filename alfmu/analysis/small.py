@@ -8,7 +8,7 @@ are
     S' M S dz'' = S' (dR - M (da - S dz'')),  R = f - d - M a - C' lam
 
 so that constraints of any rank and massless bodies are no obstacle, and the multipliers drop out. Their changes, which
-outputs may show, are those of least norm: W lam = C y with weights W of the rows, as the runtime reads them.
+outputs may show, are those by which joints carry the least, as the runtime reads them: what makes it least is C y.
 
 Where laws of time or signals s move something, C v + Phi_t and xi have their rates, and time stands still: dq = S dz +
 Q ds with C Q = -Phi_s, and so on for rates and accelerations. Dry friction of joints that slide has multipliers of its
@@ -164,53 +164,66 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
             f"{where.name}: a motion of {', '.join(e.coordinates[i].name for i in z)} has no mass here; give a mass to "
             "what moves"
         )
-    # Multipliers of least norm: W lam = C y.
-    lengths = np.isin(np.flatnonzero(held), e.lengths)
-    weights = np.where(lengths, 0.0, 1 / (where.shares[held] * units**2))
-    weights /= weights.max(initial=0.0) or 1.0
+    # What makes the loads of joints least, or weighs them by compliances, is g = C y: linear in lam, a and the state.
+    nothing = np.zeros(e.l)
+    if not left.size or e.compliances:
+        lengths = np.isin(np.arange(e.l), e.lengths)
+        weights = np.divide(1.0, where.shares, out=np.zeros(e.l), where=held & ~lengths)
+        by = [np.zeros((e.l, size)) for size in (n, n, n)] + [np.diag(weights), np.zeros((e.l, len(s.u)))]
+        begun = np.zeros(e.l)
+    else:
+        by = where.change("shares", s, a=np.zeros(n), lam=nothing)
+        begun = where.value("shares", s, a=np.zeros(n), lam=nothing)
+    g_a, g_lam = by[2][held] / units[:, None], by[3][held] / units[:, None]
+    W = g_lam[:, held] / units
 
-    def shared(lam: Matrix, more: Matrix | float = 0.0) -> Matrix:
+    def shared(lam: Matrix, more: Matrix) -> Matrix:
         """Multipliers that act like lam, with U' (W lam) = U' more for the rows U that are redundant."""
         if not left.size:
             return lam
-        wanted = left.T @ (more - weights.reshape(-1, *[1] * (lam.ndim - 1)) * lam)
-        return lam + left @ np.linalg.solve(left.T @ (weights[:, None] * left), wanted)
+        return lam + left @ np.linalg.lstsq(left.T @ W @ left, left.T @ (more - W @ lam), rcond=None)[0]
 
-    def answered(force: Matrix, right: Matrix, more: Matrix | float = 0.0) -> tuple[Matrix, Matrix, Matrix]:
-        """Accelerations of z and of q, and multipliers (l, ...), that forces (n, ...) and C a = right make."""
+    def answered(force: Matrix, right: Matrix, more: Matrix) -> tuple[Matrix, Matrix, Matrix]:
+        """Accelerations of z and of q, and multipliers (l, ...), that forces (n, ...) and C a = right make; `more` is
+        what g lacks without them."""
         asked = followed(right)
         moved = np.linalg.solve(mass, S.T @ (force - M @ asked)) if freedom else np.zeros((0, *force.shape[1:]))
         a = asked + S @ moved
         lam = np.zeros((e.l, *force.shape[1:]))
-        lam[held] = (shared(inverse.T @ (force - M @ a), more).T / units).T
+        lam[held] = (shared(inverse.T @ (force - M @ a), more - g_a @ a).T / units).T
         return moved, a, lam
 
     slides = [x.row for x in e.frictions if where.rubs and not held[x.row]]
     pushed = -where.value("C", s)[slides].T
-    by_mu = answered(pushed, np.zeros((len(units), len(slides))))
+    by_mu = answered(pushed, np.zeros((len(units), len(slides))), -g_lam[:, slides])
     by_mu[2][slides] += np.eye(len(slides))
-    acceleration, a, full = answered(F, xi)
+    acceleration, a, full = answered(F, xi, -begun[held] / units)
     if slides:
         mu = _rubbed(where, (a, full), by_mu)
         acceleration, a, full = (x + y @ mu for x, y in zip((acceleration, a, full), by_mu, strict=True))
-    lam = full[held] * units
     Rq, Rv, Xq, Xv = where.change("tangents", s, a=a, lam=full)
     Ru, Xu = where.change("inputs", s, a=a, lam=full)
     (turned,) = where.change("turning", s)
     Xq, Xv, Xu, turned = (x[held] / units[:, None] for x in (Xq, Xv, Xu, turned))
     T = followed(-turned @ S)
     _check(where, C @ T + turned @ S, turned @ S)
-    (turned_y,) = where.change("turned", s, w=inverse @ (weights * lam))
-    turned_y = turned_y[held] / units[:, None]
+    g = g_a @ a + g_lam @ full + begun[held] / units
+    (turned_y,) = where.change("turned", s, w=inverse @ g)
+    if left.size and not e.compliances:
+        by = where.change("shares", s, a=a, lam=full)
+    g_q, g_v, g_u = (x[held] / units[:, None] for x in (by[0], by[1], by[4]))
+    g_q = g_q - turned_y[held] / units[:, None]
     Yq, Yv, Ya, Ylam, Yu = where.change("readings", s, a=a, lam=full)
     Lq, Lv, La, Llam, Lu, Ls = _laws(where, a, full, slides)
     Gq, Gv, Gu = where.change("rates", s)
 
-    def changed(dq: Matrix, dv: Matrix, R: Matrix, X: Matrix, y: Matrix, law: Matrix) -> tuple[Matrix, Matrix]:
-        """Changes of the acceleration of z and of the outputs with dq, dv, and with what R, X, outputs and laws of
-        friction change by themselves."""
+    def changed(
+        dq: Matrix, dv: Matrix, R: Matrix, X: Matrix, y: Matrix, law: Matrix, g: Matrix
+    ) -> tuple[Matrix, Matrix]:
+        """Changes of the acceleration of z and of the outputs with dq, dv, and with what R, X, outputs, laws of
+        friction and g change by themselves."""
         right = Xq @ dq + Xv @ dv + X
-        found = answered(Rq @ dq + Rv @ dv + R, right, turned_y @ dq)
+        found = answered(Rq @ dq + Rv @ dv + R, right, -(g_q @ dq + g_v @ dv + g))
         _check(where, C @ found[1] - right, right)
         if slides:
             asked = Lq @ dq + Lv @ dv + law + La @ found[1] + Llam @ found[2]
@@ -222,11 +235,11 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
     def none(rows: int) -> Matrix:
         return np.zeros((rows, 1))
 
-    alone = none(n), none(len(units)), none(len(e.outputs)), none(len(slides))
+    alone = none(n), none(len(units)), none(len(e.outputs)), none(len(slides)), none(len(units))
     P, by_z = changed(S, T, *alone)
     Q, by_rate = changed(np.zeros_like(S), S, *alone)
     still = np.zeros((n, len(s.u)))
-    B, by_u = changed(still, still, Ru, Xu, Yu, Lu)
+    B, by_u = changed(still, still, Ru, Xu, Yu, Lu, g_u)
     inputs, given = len(e.inputs), driving(where)
     X, U, by_x, by_u = B[:, inputs:], B[:, :inputs], by_u[:, inputs:], by_u[:, :inputs]
     G = np.hstack([Gq @ S + Gv @ T, Gv @ S, Gu[:, inputs:]])
@@ -234,14 +247,15 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
         np.hstack([each, np.zeros((len(each), len(given) - inputs))]) for each in (U, Gu[:, :inputs], by_u)
     )
     if e.followed:
-        places, rates, Rs, Xs, Ys, Gs = where.change("signals", s, a=a, lam=full)
+        places, rates, Rs, Xs, Ys, Gs, shares = where.change("signals", s, a=a, lam=full)
+        shares = shares[held] / units[:, None] if left.size and not e.compliances else np.zeros_like(Xs[held])
         places, rates, Xs = (x[held] / units[:, None] for x in (places, rates, Xs))
         dq = followed(-places)
         _check_driven(where, C @ dq + places, given)
         turn = rates + turned @ dq
         dv = followed(-turn)
         _check(where, C @ dv + turn, turn)
-        by_signal = (*changed(dq, dv, Rs, Xs, Ys, Ls), Gq @ dq + Gv @ dv + Gs)
+        by_signal = (*changed(dq, dv, Rs, Xs, Ys, Ls, shares), Gq @ dq + Gv @ dv + Gs)
         for column, each in enumerate(given):
             if each.signal >= 0:
                 level = each.signal * LEVELS + each.level

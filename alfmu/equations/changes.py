@@ -27,15 +27,16 @@ def changes(equations: Equations) -> dict[str, ca.Function]:
     With R = F - M a - C' lam and X = xi - C a, what (4) and (3) lack: tangents(q, v, a, lam, u, p, t): Rq, Rv (n, n),
     Xq, Xv (l, n); inputs(q, v, a, lam, u, p, t): Ru, Xu. turned(w, q, u, p, t): derivative (l, n) by q of C w, for w
     (n,), and turning(q, v, u, p, t) that of C v + Phi_t. readings(q, v, a, lam, u, p, t): derivatives of all outputs by
-    q, v, a, lam, u. rates(q, v, u, p, t): those of the rates of further states by q, v, u, where u are the inputs and
-    behind them these states. And what a place alone tells, place(q, u, p, t): C (l, n) dense, Phi, and at rest f, the
-    rates of further states, and their derivative by these.
+    q, v, a, lam, u, and shares(q, v, a, lam, u, p, t) those of what makes loads of joints least. rates(q, v, u, p, t):
+    those of the rates of further states by q, v, u, where u are the inputs and behind them these states. And what a
+    place alone tells, place(q, u, p, t): C (l, n) dense, Phi, and at rest f, the rates of further states, and their
+    derivative by these.
 
-    Where there are signals, signals(q, v, a, lam, u, p, t): derivatives of Phi, C v + Phi_t, R, X, the outputs and the
-    rates of states by `LEVELS` coefficients of each polynomial, the constant one first. Where there is dry friction,
-    rubbing(q, v, a, lam, u, p, t): derivatives of its multipliers by q, v, a, lam, u, and by these coefficients. Where
-    time is a coordinate, moving(q, p): Phi_t, xi at rest, the kinetic energy of what moves by itself and its second
-    rate, each zero where nothing does.
+    Where there are signals, signals(q, v, a, lam, u, p, t): derivatives of Phi, C v + Phi_t, R, X, the outputs, the
+    rates of states and shares by `LEVELS` coefficients of each polynomial, the constant one first. Where there is dry
+    friction, rubbing(q, v, a, lam, u, p, t): derivatives of its multipliers by q, v, a, lam, u, and by these
+    coefficients. Where time is a coordinate, moving(q, p): Phi_t, xi at rest, the kinetic energy of what moves by
+    itself and its second rate, each zero where nothing does.
     """
     known = equations.programs
     if "changes" not in known:
@@ -44,7 +45,7 @@ def changes(equations: Equations) -> dict[str, ca.Function]:
         q, v, a, lam, u, p, t = (x[letter] for letter in ("q", "v", "a", "lam", "u", "p", "t"))
         M, C = value(e, "M", x), value(e, "C", x)
         R = value(e, "f", x) - value(e, "d", x) - M @ a - C.T @ lam
-        X, y = value(e, "xi", x) - C @ a, value(e, "readings", x)
+        X, y, shares = value(e, "xi", x) - C @ a, value(e, "readings", x), value(e, "shares", x)
         state = {"q": q, "v": v, "a": a, "lam": lam, "u": u, "p": p, "t": t}
         place = {"q": q, "u": u, "p": p, "t": t}
         x_dot, Phi_dot = value(e, "state_rates", x), value(e, "Phi_dot", x) if e.timed else C @ v
@@ -62,11 +63,12 @@ def changes(equations: Equations) -> dict[str, ca.Function]:
             "rates": (rates, [ca.jacobian(x_dot, each) for each in (q, v, u)]),
             "place": (place, [ca.densify(C), value(e, "Phi", x), value(e, "f", still), at_rest, ca.densify(by_x)]),
             "readings": (state, [ca.jacobian(y, each) for each in (q, v, a, lam, u)]),
+            "shares": (state, [ca.jacobian(shares, each) for each in (q, v, a, lam, u)]),
         }
         levels = [p[begin + 1 + k] for begin in signal_numbers(e) for k in range(LEVELS)]
         signals = ca.vertcat(*levels) if levels else ca.SX(0, 1)
         if e.followed:
-            moving = value(e, "Phi", x), Phi_dot, R, X, y, x_dot
+            moving = value(e, "Phi", x), Phi_dot, R, X, y, x_dot, shares
             made["signals"] = (state, [ca.jacobian(each, signals) for each in moving])
         if e.frictions:
             laws = value(e, "rubbing", x)[: len(e.frictions)]

@@ -542,6 +542,8 @@ def derive(mechanism: Mechanism) -> Equations:
         )
         outputs.append(Variable(f"{stop.name}.{what}", unit, description=f"{what} of {stop.name} on {stop.limited}"))
     y = stack(values)
+    lengths = _lengths(m, rows)
+    carried = _carried(reactions, spatial_values, spatial_outputs, closures, lam, lengths)
     instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
 
@@ -579,6 +581,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "other_power": ca.dot(passive, v),
         "state_rates": _state_rates(m),
         "readings": y,
+        "shares": ca.gradient(ca.sumsqr(carried) / 2, lam) if lam.numel() else lam,
         **rubs.functions,
         **({"instants": stack(m.instants)} if m.instants else {}),
         "guess": guess,
@@ -605,11 +608,7 @@ def derive(mechanism: Mechanism) -> Equations:
         resting=not m.coordinates and not m.moves,
         outputs=outputs,
         rows=rows,
-        lengths=[
-            i
-            for i, row in enumerate(rows)
-            if row.name in {each.unit_length for each in (*m.spatial_bodies, *m.spatial_joints)}
-        ],
+        lengths=lengths,
         slips=[i for i, (c, k) in enumerate(closures) if isinstance(c, Relation) and c.slip(plain, k) is not None],
         compliances=_compliances(rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
@@ -1069,6 +1068,32 @@ def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[
     stops = range(len(efforts), len(efforts) + len(m.end_stops))
     efforts += [stop.losses(paths[i], rates[i]) for i, stop in zip(stops, m.end_stops, strict=True)]
     return paths, stack(efforts)
+
+
+def _lengths(m: Mechanism, rows: list[Row]) -> list[int]:
+    """Constraints that keep Euler parameters at unit length."""
+    names = {each.unit_length for each in (*m.spatial_bodies, *m.spatial_joints)}
+    return [i for i, row in enumerate(rows) if row.name in names]
+
+
+def _carried(
+    reactions: Sequence[ca.SX],
+    in_space: Sequence[ca.SX],
+    outputs: Sequence[Variable],
+    closures: list[Closing],
+    lam: ca.SX,
+    lengths: Sequence[int],
+) -> ca.SX:
+    """Forces [N] and moments [N.m, over 1 m] that joints and motions carry, and multipliers of what is no joint.
+
+    The sum of their squares depends on no axes, and not on which joints are closed by coordinates. `outputs` are those
+    of joints in space.
+    """
+    found = [*reactions, *(x for x, o in zip(in_space, outputs, strict=True) if o.unit in ("N", "N.m"))]
+    for i, (closure, _) in enumerate(closures):
+        if isinstance(closure, Constraint | Lock | Motion | Relation) and i not in lengths:
+            found.append(lam[i])
+    return stack(found)
 
 
 def _efforts_in_space(

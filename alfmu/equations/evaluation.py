@@ -51,6 +51,7 @@ ARGUMENTS = {
         "other_power": "q v p t",
         "state_rates": "q v u p t",
         "readings": "q v a lam u p t",
+        "shares": "q v a lam u p t",
         "rubbing": "q v a lam u p t",
         "sliding": "q v p",
         "guess": "p s",

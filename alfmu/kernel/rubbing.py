@@ -40,7 +40,8 @@ def rub(calls: Calls, known: str, a: str, lam: str, power: str, watch: str) -> N
     scene, kind, again = calls.scene, calls.scene.kind, calls.inside()
     _, q, v, _ = known.split()
     matrices = " ".join(MATRICES)
-    calls(f"{kind}_respond", "k M C D L", "moved pressed", lambda *x: _respond(scene, *x))
+    at = f"{known} p k" if _carried(scene) else "k"
+    calls(f"{kind}_respond", f"{at} M C D L", "moved pressed", lambda *x: _respond(scene, *x))
     calls("rub_begin", "k", "rubs rubbed", lambda: (SX(1), SX.zeros(2)))
     names = f"{known} p k {matrices} {a} {lam} {watch} moved pressed"
     again(f"{kind}_rub", names, f"{a} {lam} {watch} rubs rubbed", lambda *x: _rub(scene, *x))
@@ -49,21 +50,32 @@ def rub(calls: Calls, known: str, a: str, lam: str, power: str, watch: str) -> N
     calls(f"{kind}_rubbed", names, f"{a} {power} {watch}", lambda *x: _rubbed(scene, *x))
 
 
-def _respond(scene: Scene, M: SX, C: SX, D: SX, L: SX) -> tuple[SX, SX]:
+def _respond(scene: Scene, *known: SX) -> tuple[SX, SX]:
     """Changes of a and lam, by columns, by a unit of each friction; none of a joint that sticks."""
-    solve, moved, pressed = scene.solver(D, L), [], []
-    for each in scene.e.frictions:
-        change = (1 - scene.held[each.row]) * solve(-ca.densify(C[each.row, :].T))
-        by_lam = scene.weights @ (C @ change)
+    *at, M, C, D, L = known
+    e, solve, moved, pressed = scene.e, scene.solver(D, L), [], []
+    a, lam = SX.sym("a", e.n), SX.sym("lam", e.l)
+    shared = _shared(scene, at, M, C, a, lam)
+    for each in e.frictions:
+        slides = 1 - scene.held[each.row]
+        change = slides * solve(-ca.densify(C[each.row, :].T))
+        by_lam, unit = scene.weights @ (C @ change), slides * SX.eye(e.l)[:, each.row]
+        by_unit = ca.jtimes(shared, ca.vertcat(a, lam), ca.vertcat(change, by_lam + unit)) - unit
         moved.append(change)
-        pressed.append(_shared(scene, M, C, by_lam))
+        pressed.append(ca.substitute(by_unit, ca.vertcat(a, lam), SX.zeros(e.n + e.l)))
     return ca.vertcat(*moved), ca.densify(ca.vertcat(*pressed))
 
 
-def _shared(scene: Scene, M: SX, C: SX, lam: SX) -> SX:
-    """Multipliers as outputs tell them: as joints share them, by compliances or in the least norm of joints."""
-    shares = scene.e.lengths and any(x.output in (scene.e.shared or ()) for x in scene.e.frictions)
-    return scene.distributed(M, C, lam) if scene.e.compliances or shares else lam
+def _carried(scene: Scene) -> bool:
+    """Whether frictions follow from loads that joints share."""
+    return not scene.e.compliances and any(x.output in (scene.e.shared or ()) for x in scene.e.frictions)
+
+
+def _shared(scene: Scene, at: Sequence[SX], M: SX, C: SX, a: SX, lam: SX) -> SX:
+    """Multipliers as outputs tell them, with which friction agrees; `at` are time, q, v and inputs."""
+    if scene.e.compliances:
+        return scene.distributed(M, C, lam)
+    return scene.carried(*at, C, a, lam) if _carried(scene) else lam
 
 
 def _rub(
@@ -88,7 +100,7 @@ def _rub(
         after += moved[j] * change[j]
         lam += (pressed[j] + units[j]) * change[j]
     after, lam, _ = scene.iterated((M, C, F, xi), (D, L), after, lam, 1)
-    lam = _shared(scene, M, C, lam)
+    lam = _shared(scene, (t, q, v, u), M, C, after, lam)
     # Forces that balance each other leave their round-off, beside which accelerations may be nothing.
     tolerance = scene.settings.tolerance
     left = tolerance**2 * (ca.sumsqr(F) + ca.sumsqr(C.T @ lam)) / (ca.sumsqr(ca.diag(M)) + _TINY)

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
 from casadi import SX
 
 from ..equations import Equations
@@ -29,7 +30,7 @@ from .alternatives import OWN, Alternatives, alternatives
 from .breaks import breaks
 from .form import Call, Choice, Plan, Program, Routine, called, rewritten
 from .memory import SEEN
-from .symbolic import MATRICES, ROUND_OFF, Watch, lengths_of
+from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, SHARES, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
 
 __all__ = ["READ", "beginning", "passed", "standalone"]
@@ -131,7 +132,7 @@ class _Patient(Alternatives):
         super().__init__(equations)
         used = {name for program in equations.kernel.values() for name in called(program)}
         self.functions, self.shapes = {name: equations.functions[name] for name in used}, {}
-        self.redundant = any(name in ("least", "distribute") for name in self.functions)
+        self.redundant = any(name in ("least", "distribute", "carry") for name in self.functions)
 
     # Programs ------------------------------------------------------------------------------------------------------
 
@@ -172,9 +173,9 @@ class _Patient(Alternatives):
         calls("handed_on", "a0 power0 watch0", spaced(READ), lambda *x: x)
         careful("margin_told", "k D watch0", "watch0", told)
         calls.made += careful.made
-        if self.redundant:
-            Tracer._least(self, calls, "lam0")
         known = "z u p k C xi a0 lam0 watch0 singular"
+        if self.redundant:
+            Tracer._share(self, calls, "t0 q0 v0 u", "a0 lam0")
         calls("seen_quickly", known, "seen", lambda *x: calls.scene.seen(plan, *x, limit=ROUND_OFF))
         return Program(calls.steps, plan)
 
@@ -234,7 +235,7 @@ class _Patient(Alternatives):
         u = self.here(calls)
         self.evaluation(calls, "0", {"u": u})
         if self.redundant:
-            self._least(calls, "lam0")
+            self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
         rubbing.told(calls, f"t0 q0 v0 {u}", "a0", "lam0")
         return Program(calls.steps)
 
@@ -259,22 +260,27 @@ class _Patient(Alternatives):
             self._beside(calls, f"place{j}", str(j), u)
             self._forced(calls, "tz", str(j), u)
         self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
+        calls("here", "qz vz", "q0 v0", lambda q, v: (q, v))
+        self._forced(calls, "tz", "l", u)
+        sizes = [self.e.n, self.e.l]
 
         def derived(*known: SX) -> tuple[SX, ...]:
-            values, watches, changes = known[: 2 * count], known[2 * count : 3 * count + 1], known[3 * count + 1 :]
-            a, lam, *_ = scene.limits(*values, *watches)
-            change = ca.jtimes(ca.vertcat(a, lam), ca.vertcat(*values), ca.vertcat(*changes))
-            return a, lam, change[: self.e.n], change[self.e.n :]
+            values, watches = known[: 2 * count], known[2 * count : 3 * count]
+            here, changes = known[3 * count : 3 * count + 3], known[3 * count + 3 :]
+            found = scene.limits(*values, *watches, *here)[:2]
+            change = ca.jtimes(ca.vertcat(*found), ca.vertcat(*values, *here[:2]), ca.vertcat(*changes))
+            return *found, *ca.vertsplit(change, np.cumsum([0, *sizes]).tolist())
 
         values, watches, changes = (
             [f"{name}{j}" for name in names.split() for j in range(count)] for names in ("a lam", "watch", "da dlam")
         )
-        calls("limit_change", spaced(values, watches, "watchl", changes), "al laml dal dlaml", derived)
+        known = spaced("k", values, watches, "al laml watchl", changes, "dal dlaml")
+        calls("limit_change", known, "al laml dal dlaml", derived)
         self._changed(calls, "al laml dal dlaml")
         return Program(calls.steps)
 
     def _forced(self, calls: Calls, time: str, i: str, given: str) -> None:
-        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam of least norm.
+        """da and dlam, with i in their names, by the forces of `du` at q0, v0; lam as joints carry it.
 
         `given` is the name of the inputs, and of the states behind them, which stay as they are.
         """
@@ -284,14 +290,21 @@ class _Patient(Alternatives):
             F = ca.jtimes(scene.terms(t, q, v, u)[2], u, ca.vertcat(du, SX(len(e.states), 1)))
             return F, *(SX(size, 1) for size in (e.l, e.n, e.l, len(Watch._fields)))
 
+        def carried(t: SX, q: SX, v: SX, u: SX, du: SX, C: SX, a: SX, lam: SX, da: SX, dlam: SX) -> SX:
+            both = scene.carried(t, q, v, u, C, a, lam, PATIENT_LOADED)
+            return ca.jtimes(both, ca.vertcat(a, lam, u), ca.vertcat(da, dlam, du, SX(len(e.states), 1)))
+
+        known = f"{time} q0 v0 {given}"
         if self.redundant:
-            self._least(calls, f"lam{i}")
-        calls("forced", f"{time} q0 v0 {given} p k du", f"F xi da{i} dlam{i} dwatch", forces)
+            self._share(calls, known, f"a{i} lam{i}")
+        calls("forced", f"{known} p k du", f"F xi da{i} dlam{i} dwatch", forces)
         if e.l:
             self._iterate(calls, f"da{i}", f"dlam{i}", "dwatch")
         else:  # One solution is exact.
             self._iterate_once(calls, f"da{i}", f"dlam{i}", "dwatch")
-        if self.redundant:
+        if self.redundant and self.loaded:
+            calls("bear_change", f"{known} p k du C a{i} lam{i} da{i} dlam{i}", f"dlam{i}", carried)
+        elif self.redundant:
             self._least(calls, f"dlam{i}")
 
     def _changed(self, calls: Calls, found: str) -> None:
@@ -409,14 +422,20 @@ class _Patient(Alternatives):
             calls.choice("projects", own)
             return
         scene = calls.scene
-        if self.e.compliances or self.e.lengths:
-            calls("share", f"k M C {lam}", lam, lambda M, C, lam: scene.distributed(M, C, lam, CORRECTIONS))
+        passes = CORRECTIONS if self.e.compliances or self.e.lengths else SHARES
+        calls("share", f"k M C {lam}", lam, lambda M, C, lam: scene.distributed(scene.light(M), C, lam, passes))
+
+    def _share(self, calls: Calls, known: str, found: str) -> None:
+        """By more passes, which are enough near singular positions too."""
+        if not self.loaded:
+            super()._share(calls, known, found)
             return
-        again = calls.inside()
-        calls("least_begin", "k", "least_z", lambda: SX(self.e.n, 1))
-        again("least_again", f"k C D L {lam} least_z", "least_z least_norm more", scene.least_again)
-        self.repeat(calls, "more", CORRECTIONS, again)
-        calls("least_end", "least_norm", lam, lambda lam: lam)
+        if self.formulation != OWN:
+            own = calls.inside()
+            self.by(OWN)._share(own, known, found)
+            calls.choice("projects", own)
+            return
+        self._bear(calls, known, found)
 
 
 def _made(program: Program) -> Iterator[str]:

@@ -28,7 +28,7 @@ from ..method.stepping import NOISE, Explicit
 from .form import Plan
 from .memory import PACE, SETTINGS, TURN, Layout
 
-__all__ = ["MATRICES", "MONITORED", "ROUND_OFF", "Scene", "Watch", "lengths_of"]
+__all__ = ["MATRICES", "MONITORED", "PATIENT_LOADED", "ROUND_OFF", "SHARES", "Scene", "Watch", "lengths_of"]
 
 MATRICES = ("M", "C", "F", "xi", "D", "L")
 """What an evaluation hands on, by the nonzeros: the terms of (4) and (3), and the factors of H."""
@@ -47,6 +47,12 @@ SHARES = 6
 
 _SHARED = 1e-12
 """Last change of these shares, over what they are."""
+
+LOADED = 3
+"""Passes by which joints share a load where it is read."""
+
+PATIENT_LOADED = 8
+"""The same near a singular position: each gains HELD_SHARES times the distance squared."""
 
 _LEFT = 2.0**-50
 """Last change of what multipliers of least norm are made of, over what it is."""
@@ -398,6 +404,49 @@ class Scene:
         lam = ca.if_else(last[0] <= _SHARED**2 * last[1], lam, math.nan)
         return lam + rubbing if self.e.frictions else lam
 
+    def light(self, M: SX) -> SX:
+        """M made so small beside penalties that few passes are enough, whatever penalty is given."""
+        return M * ca.fmin(1, method.LIGHT / ca.fmax(ca.mmax(ca.diag(M)), _TINY))
+
+    def carried(self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED) -> SX:
+        """lam that acts alike with the least that joints carry; not finite where the passes were too few.
+
+        docs/theory/redundancy.md has what this is, `method.formulations.shared_again` how it is found.
+        """
+        e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, []
+        held = SX.ones(e.l) if self.kind == "plain" else self.held
+
+        def slope(lam: SX) -> SX:
+            return e.shares(q, v, a, lam, u, self.p, t)
+
+        P = ca.sparsify(ca.jacobian(slope(x), x))
+        carried = ca.diag(P).sparsity().row()
+        P = ca.diag(held) @ P @ ca.diag(held) + ca.diag(1 - held)
+        C = ca.sparsify(ca.diag(held) @ C)
+        sizes = ca.vertcat(*(P[i, i] if i in carried else SX(1) for i in range(e.l)))
+        columns = ca.densify(ca.sum1(C**2 / ca.repmat(sizes, 1, e.n)).T)
+        # A column of round-off is none beside what H has on its diagonal.
+        weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES / ca.fmax(columns, 1 / self.inverse_scales), 0))
+
+        def done(change: SX, value: SX) -> bool:
+            size = ca.sumsqr(value) + ca.sumsqr(physical) + ca.sumsqr(slope(0 * x) / sizes)
+            last[:] = [ca.sumsqr(change), size + _TINY]
+            return False
+
+        eased = P + method.EASE * ca.diag(sizes)
+        d = method.shared_again(P, held * slope(physical), C, weights, self._inverse, eased, passes, done)
+        # Each of m passes gains about the same factor, so a last change of limit^((m - 1) / m) leaves the limit.
+        found = last[0] <= _SHARED ** (2 * (passes - 1) / passes) * last[1]
+        return lam + self.scale * ca.if_else(found, d, math.nan)
+
+    def _inverse(self, K: SX) -> method.Solve:
+        """What solves with a matrix (l, l)."""
+        order = K.sparsity().amd()
+        K = ca.sparsify(K)[order, order]
+        D, L = self._factors_of(K)
+        inverse, upper, back = _once(1 / D), L + SX.eye(K.size1()), np.argsort(order).tolist()
+        return lambda b: ca.solve(upper, inverse * ca.solve(upper.T, b[order]))[back]
+
     # Singular positions --------------------------------------------------------------------------------------------
 
     def margin(self, pivots: SX) -> tuple[SX, SX]:
@@ -511,29 +560,34 @@ class Scene:
         return [q + k * spacing * v for k in branch.READ_MEAN]
 
     def limits(self, *found: SX) -> tuple[SX, ...]:
-        """Limits of a, lam and watch from those at the places and the watch here, and whether lam has one (1) or a pole
-        (2): `branch.with_pole`."""
-        *found, watch = found
+        """a, lam and watch from those at the places and, last, those here; whether lam has a limit (1) or a pole (2).
+
+        Limits are taken where they are more exact than what is found here: `branch.with_pole`.
+        """
+        *found, here, lam_here, watch = found
         count = len(branch.READ_MEAN)
         a, lam, watches = (
             dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
         )
-        near, far = (ca.fabs(lam[k] - lam[-k]) for k in (1, 2))
-        largest, steepest = {k: x[0] for k, x in lam.items()}, near[0]
+        margin = Watch.of(watch).margin
+        (limit, pole), (rough, _) = self._with_pole(lam), self._with_pole(branch.fewer(lam))
+        lost = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(limit))
+        direct = ca.logic_and(margin > self.settings.nothing, lost < ca.mmax(ca.fabs(limit - rough)))
+        said = _worst([Watch.of(x) for x in watches.values()], SX(0), margin)
+        limits = branch.mean(a), limit
+        return *(ca.if_else(direct, x, y) for x, y in zip((here, lam_here), limits, strict=True)), said, 1 + pole
+
+    def _with_pole(self, values: dict[int, SX]) -> tuple[SX, SX]:
+        """`branch.with_pole`."""
+        limit, first, second = map(ca.densify, branch.pole(values))
+        least = branch.POLE_SEEN * ca.mmax(ca.fabs(ca.vertcat(*values.values())))
+        steepest, at = first[0], second[0]
         for i in range(1, self.e.l):
-            more = near[i] > steepest
-            largest = {k: ca.if_else(more, lam[k][i], x) for k, x in largest.items()}
-            steepest = ca.fmax(steepest, near[i])
-        inverse = {k: 1 / x for k, x in largest.items()}
-        zero = branch.mean(inverse)
-        pole = steepest > ca.mmax(far)
-        passed = ca.fabs(zero) > branch.POLE_ZERO * ca.mmax(ca.fabs(ca.vertcat(*inverse.values())))
-        through = branch.mean({k: x * inverse[k] for k, x in lam.items()}) / zero
-        chosen = ca.vertcat(
-            *(pole * passed * (n > f) for n, f in zip(ca.vertsplit(near), ca.vertsplit(far), strict=True))
-        )
-        said = _worst([Watch.of(x) for x in watches.values()], SX(0), Watch.of(watch).margin)
-        return branch.mean(a), ca.if_else(chosen, through, branch.mean(lam)), said, 1 + pole
+            more = ca.fabs(first[i]) > ca.fabs(steepest)
+            steepest, at = ca.if_else(more, first[i], steepest), ca.if_else(more, second[i], at)
+        pole = ca.logic_and(ca.fabs(steepest) > least, ca.fabs(at) < ca.fabs(steepest))
+        beside = ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
+        return limit - ca.if_else(beside * (ca.fabs(first) > least), first * (steepest / at), 0), pole
 
     # Projections (10) and the end of a step ------------------------------------------------------------------------
 
@@ -809,6 +863,10 @@ class Scene:
         H = H[order, order]
         if self.e.n > DENSE:
             return ca.ldl(H, False)[:2]
+        return self._factors_of(H)
+
+    def _factors_of(self, H: SX) -> tuple[SX, SX]:
+        """The same of a matrix in the order of its rows."""
         pattern = *H.sparsity().colind(), *H.sparsity().row()
         if pattern not in self._factorisations:
             self._factorisations[pattern] = _factorisation(H.sparsity())

@@ -23,7 +23,7 @@ import casadi as ca
 from casadi import SX
 
 from ..equations import Equations, Mobility
-from ..equations.evaluation import DENSE, EVALUATED, shared, symbols, with_functions
+from ..equations.evaluation import ARGUMENTS, DENSE, EVALUATED, shared, symbols, with_functions
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.inputs import KEPT, extrapolated, reached
@@ -33,7 +33,7 @@ from . import rubbing
 from .form import Call, Choice, Loop, Plan, Program, Step, Steps, called
 from .kinks import kinks_of_rates
 from .memory import GROSS, TIERS, Layout
-from .symbolic import MATRICES, Scene, Watch, lengths_of
+from .symbolic import MATRICES, PATIENT_LOADED, Scene, Watch, lengths_of
 
 __all__ = ["CAREFUL", "NO_NAMES", "Calls", "Tracer", "spaced", "traced", "untraced"]
 
@@ -229,9 +229,10 @@ class Tracer:
             calls("seen", "z u p k", "seen", lambda z, u: calls.scene.seen(plan, z, u))
             return Program(calls.steps, plan)
         self._unpacked(calls)
-        self.evaluation(calls, "0", {"u": self.here(calls)})
+        u = self.here(calls)
+        self.evaluation(calls, "0", {"u": u})
         if redundant:
-            self._least(calls, "lam0")
+            self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
         self._seen(calls, "a0 lam0 watch0")
         return Program(calls.steps, plan)
 
@@ -245,12 +246,18 @@ class Tracer:
         for j in count:
             self._beside(calls, places[j], str(j), u)
             if redundant:
-                self._least(calls, f"lam{j}")
-        self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"}, 1)
+                self._share(calls, f"tz q0 v0 {u}", f"a{j} lam{j}")
+        self._here(calls, u, redundant)
         found = [f"{name}{j}" for name in ("a", "lam", "watch") for j in count]
-        calls("limits", spaced(found, "watchl"), "al laml watchl singular", calls.scene.limits)
+        calls("limits", spaced("k", found, "al laml watchl"), "al laml watchl singular", calls.scene.limits)
         self._seen(calls, "al laml watchl")
         return Program(calls.steps, plan)
+
+    def _here(self, calls: Calls, u: str, redundant: bool) -> None:
+        """The evaluation where limits are read, too."""
+        self.evaluation(calls, "l", {"u": u, "tl": "tz", "ql": "qz", "vl": "vz"})
+        if redundant:
+            (self._bear if self.loaded else self._share)(calls, f"tz qz vz {u}", "al laml")
 
     # What programs are made of -------------------------------------------------------------------------------------
 
@@ -329,6 +336,29 @@ class Tracer:
             calls("distribute", f"k M C {lam}", lam, calls.scene.distributed)
         else:
             calls("least", f"k C D L {lam}", lam, calls.scene.least)
+
+    def _share(self, calls: Calls, known: str, found: str) -> None:
+        """Multipliers as joints carry them in place of those found last; `known` are names of time, q, v and inputs,
+        `found` those of a and lam."""
+        _, lam = found.split()
+        if self.loaded:
+            calls("carry", f"{known} p k C {found}", lam, calls.scene.carried)
+        else:
+            self._least(calls, lam)
+
+    def _bear(self, calls: Calls, known: str, found: str) -> None:
+        """The same by more passes, which are enough near singular positions."""
+        carried = calls.scene.carried
+        calls("bear", f"{known} p k C {found}", found.split()[1], lambda *x: carried(*x, PATIENT_LOADED))
+
+    @cached_property
+    def loaded(self) -> bool:
+        """Whether joints share a load, so that what they carry is seen, and least norm of the rows alone is another."""
+        e, x = self.e, symbols(self.e)
+        if e.compliances or not (e.changes or e.shared or e.shared is None):
+            return False
+        slope = e.shares(*(x[letter] for letter in ARGUMENTS["shares"]))
+        return e.uneven or not ca.simplify(slope - x["lam"]).is_zero()
 
     def _seen(self, calls: Calls, found: str) -> None:
         calls("seen", f"z u p k C xi {found} singular", "seen", lambda *x: calls.scene.seen(calls.plan, *x))

@@ -15,6 +15,9 @@ from typing import Any
 
 __all__ = [
     "CORRECTIONS",
+    "EASE",
+    "HELD_SHARES",
+    "LIGHT",
     "augmented_mass",
     "classic",
     "dae",
@@ -25,12 +28,25 @@ __all__ = [
     "project",
     "project_residual",
     "residual",
+    "shared_again",
     "stabilised",
     "stiffness",
 ]
 
 CORRECTIONS = 20
 """Most projections (10) after a step, of q and of v each; two are enough away from singular positions."""
+
+LIGHT = 1e-8
+"""largest mass over the largest penalty [1]: multipliers of least norm are found with masses no larger than this, so
+that each pass gains as much, whatever penalty is given."""
+
+HELD_SHARES = 1e9
+"""what keeps C' lam as it is over what joints carry, where these share a load [1]: a pass gains as much at a regular
+position, and less by the distance squared beside a singular one."""
+
+EASE = 1e-6
+"""what is added to the factors of such a pass, over what joints carry [1]: multipliers that no joint carries leave a
+pivot that round-off of HELD_SHARES does not hide."""
 
 Array = Any
 Solve = Callable[[Array], Array]
@@ -103,6 +119,19 @@ def minimum_norm_of_joints(
     C = C - share @ E
     lam = minimum_norm(C, alpha, inverse(C), lam + share.T @ lam, most, done)
     return lam - share.T @ lam
+
+
+def shared_again(
+    P: Array, g: Array, C: Array, alpha: Array, inverse: Callable[[Array], Solve], eased: Array, most: int, done: Done
+) -> Array:
+    """The change of lam that acts like none and makes what joints carry least: d' P d / 2 + g' d with C' d = 0.
+
+    This is (8) with P (l, l) for the masses, -g for the forces and C' for the constraints, whose penalties are alpha
+    (n, n). `eased` (l, l) is P, or a little more where that holds no multipliers; `inverse` gives what solves.
+    """
+    nothing = 0 * g
+    solve = inverse(augmented_mass(eased, C.T, alpha))
+    return residual(P, -g, C.T, C.T @ nothing, alpha, solve, nothing, C.T @ nothing, most, done)[0]
 
 
 def stabilised(xi: Array, Cv: Array, Phi: Array, zeta: float, omega: float) -> Array:

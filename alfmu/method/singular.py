@@ -16,7 +16,18 @@ from numpy.typing import NDArray
 
 from .formulations import project, project_residual
 
-__all__ = ["along", "curvature", "mean", "returned", "tangential", "weights", "with_pole"]
+__all__ = [
+    "along",
+    "curvature",
+    "direct_error",
+    "fewer",
+    "mean",
+    "pole",
+    "returned",
+    "tangential",
+    "weights",
+    "with_pole",
+]
 
 Array = Any
 
@@ -86,9 +97,13 @@ LONG_SPACING = 0.1
 """distance between places over the step of integrators beside RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
-POLE_ZERO = 1e-5
-"""value of a function over its values at the places [1]: a smaller one is zero to round-off, and the position is the
-pole itself."""
+POLE_SEEN = 1e-6
+"""what a pole makes of reactions at the places over the largest of them [1]: less of it is none, as round-off leaves
+1e-8."""
+
+POLE_ZERO = 1e-7
+"""distance of a pole over that of the first place [1]: a smaller one is zero to round-off, which leaves 1e-9 of it, and
+the position is the pole itself."""
 
 FROZEN = 1e-6
 """motion that is left where time stands still over the motion itself [1]: below it a mechanism has no motion but the
@@ -124,24 +139,39 @@ def mean(values: dict[int, Array]) -> Array:
     return sum(w * values[k] for k, w in weights(len(values) // 2).items())
 
 
-def with_pole(values: dict[int, NDArray]) -> tuple[NDArray, bool]:
-    """S4: the limit of reactions (l,) from those at places before and after, and whether they have a pole instead.
+def pole(values: dict[int, Array]) -> tuple[Array, Array, Array]:
+    """S4: of values x_k at places k, the means of x_k, k x_k and k^2 x_k.
 
-    Differences across a singular position halve with the spacing where there is a limit, and double where there is a
-    pole. Then the value is that of the quotient of two smooth functions, of which the divisor has a zero; at the zero
-    itself it is the finite part.
+    At k = 0 the last two are nothing where x is smooth. Of A / (k - c) they are B and c B, and -B / c is what the mean
+    of x_k lacks.
     """
-    near, far = (np.abs(values[k] - values[-k]) for k in (1, 2))
-    limit = mean(values)
-    if not near.max(initial=0.0) > far.max(initial=0.0):
+    limit, first, second = (mean({k: k**power * x for k, x in values.items()}) for power in (0, 1, 2))
+    return limit, first, second
+
+
+def fewer(values: dict[int, Array]) -> dict[int, Array]:
+    """The same without the places that are farthest: what they change tells the error of a limit."""
+    return {k: x for k, x in values.items() if abs(k) < len(values) // 2}
+
+
+def direct_error(margin: Array, eps: float) -> Array:
+    """Round-off of reactions over them at a place of this margin, as the fourth power of its distance loses it."""
+    return eps / (margin * margin + TINY)
+
+
+def with_pole(values: dict[int, NDArray]) -> tuple[NDArray, bool]:
+    """S4: reactions (l,) from those at places before and after, and whether they have a pole nearby.
+
+    Where they have one, this is their value here, and at the pole itself the finite part.
+    """
+    limit, first, second = pole(values)
+    largest = max((np.abs(x).max(initial=0.0) for x in values.values()), default=0.0)
+    steepest = int(np.argmax(np.abs(first)))
+    if not np.abs(first[steepest]) > POLE_SEEN * largest or not abs(second[steepest]) < abs(first[steepest]):
         return limit, False
-    largest = int(np.argmax(near))
-    inverse = {k: 1 / x[largest] for k, x in values.items()}
-    zero = mean(inverse)
-    if abs(zero) > POLE_ZERO * max(map(abs, inverse.values())):
-        through = mean({k: x * inverse[k] for k, x in values.items()}) / zero
-        limit = np.where(near > far, through, limit)
-    return limit, True
+    place = second[steepest] / first[steepest]
+    seen = (np.abs(first) > POLE_SEEN * largest) & (abs(place) > POLE_ZERO)
+    return limit - np.where(seen, first, 0.0) / (place or 1.0), True
 
 
 def tangential(C: Array, alpha: Array, solve: Callable[[Array], Array], d: Array) -> Array:

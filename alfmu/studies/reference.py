@@ -98,6 +98,7 @@ class _Model:
             ArrayFunction(backend, name, signatures[name])
             for name in ("dynamics", "constraints", "readings", "energy", "placement")
         )
+        self._shares = None if e.compliances else e.functions["shares"]
         self.p, self.u = instance.memory["p"].copy(), instance.inputs.copy()
         self.held = np.flatnonzero(instance.penalty)
         self.freedom = instance.mobility().freedom
@@ -138,13 +139,23 @@ class _Model:
         return float(np.linalg.svd(self.constraints(q)[0], compute_uv=False)[self.rank - 1] / self.largest)
 
     def readings(self, q: NDArray, v: NDArray, a: NDArray, t: float) -> NDArray:
-        """All outputs at a state of the motion, with the multipliers of least norm that make C' lam = F - M a."""
+        """All outputs at a state of the motion, with the multipliers that make C' lam = F - M a and loads of joints
+        least; of least norm where compliances share loads."""
         M, C, F, _ = self.dynamics(q, v, t)
         lam = np.zeros(self._readings.x[3].size)
         if len(self.held):
-            basis, sizes, rows = np.linalg.svd(C.T, full_matrices=False)
+            basis, sizes, rows = np.linalg.svd(C.T)
             r = min(self.rank, int((sizes > NOTHING * sizes[0]).sum()))
             lam[self.held] = rows[:r].T @ (basis[:, :r].T @ (F - M @ a) / sizes[:r])
+            if self._shares and r < len(rows):
+
+                def slope(lam: NDArray) -> NDArray:
+                    return np.array(self._shares(q, v, a, lam, self.u, self.p, t)).ravel()
+
+                free, here = np.zeros((len(lam), len(rows) - r)), slope(lam)
+                free[self.held] = rows[r:].T
+                by_free = np.column_stack([slope(lam + each) - here for each in free.T])
+                lam -= free @ np.linalg.lstsq(free.T @ by_free, free.T @ here, rcond=None)[0]
         return self._readings(q, v, a, lam, self.u, self.p, t)[0].copy()
 
     def energy(self, q: NDArray, v: NDArray) -> float:

@@ -5,8 +5,9 @@ The motion has one degree of freedom,
     (m1/3 + m3/3 + m2 + m4/4) l^2 th'' = tau - (m1/2 + m3/2 + m2 + m4/2) g l cos th,
 
 and with th, th', th'' known all matrices of the five-bar are written down by hand (Blajer 2002, Fig. 6, misprints
-corrected) in 50 digits. Multipliers are those of least norm, by pseudo-inverse. The four-bar is the five-bar without
-its link 4: the first five coordinates and four constraints.
+corrected) in 50 digits. Multipliers are those of least norm, by pseudo-inverse, and of the five-bar those by which all
+six joints carry least: a unit of [1 0 -1 0 -2 0 2 0] moves nothing, and changes the force along x in A and D by 1 and
+-1. The four-bar is the five-bar without its link 4: the first five coordinates and four constraints.
 """
 
 from dataclasses import dataclass
@@ -124,11 +125,16 @@ class Parallelogram:
         )
 
     def multipliers(self, th, w, torques=(0.0, 0.0)) -> np.ndarray:
-        """Multipliers of least norm at a state of the branch, C' lam = f - M a."""
+        """Multipliers at a state of the branch, C' lam = f - M a, with the least sum of squares of all joint forces."""
         with mp.workdps(DIGITS):
             q, v, a = self.state(th, w, sum(map(mpf, torques)))
             _, C, _, M, f = self.equations(q, v, torques)
-            return floats(least_norm(C.T, f - M * a))
+            lam = least_norm(C.T, f - M * a)
+            if self.m4 is not None:
+                free, ax = matrix([1, 0, -1, 0, -2, 0, 2, 0]), a[5]  # of link 4, which is that of both middles
+                apart = (self.m1 - self.m3) * ax - lam[0] - lam[4] + lam[2] + lam[6]  # A less D
+                lam -= free * apart / 12  # 10 of the rows, 2 of A and D
+            return floats(lam)
 
     def accelerations(self, th, w, torque=0.0) -> np.ndarray:
         """Accelerations of all coordinates at a state of the branch."""
