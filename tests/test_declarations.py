@@ -711,10 +711,10 @@ def test_python_tells_of_a_forgotten_independent_as_the_command_line_does(caplog
 @pytest.mark.parametrize(
     ("line", "meant"),
     [
-        ("m.damping(A, 0.1)", "Mechanism odd has no 'damping'; did you mean spring_damper?"),
-        ("m.hinge('B')", "Mechanism odd has no 'hinge'; did you mean revolute?"),
-        ("m.revolut('B')", "Mechanism odd has no 'revolut'; did you mean revolute or spatial_revolute?"),
-        ("rod.ends", "Body rod has no 'ends'; did you mean end?"),
+        ("m.damping(A, 0.1)", "Mechanism odd has no attribute 'damping'; did you mean spring_damper?"),
+        ("m.hinge('B')", "Mechanism odd has no attribute 'hinge'; did you mean revolute?"),
+        ("m.revolut('B')", "Mechanism odd has no attribute 'revolut'; did you mean revolute or spatial_revolute?"),
+        ("rod.ends", "Body rod has no attribute 'ends'; did you mean end?"),
         ("m.gravity = (0, -9.81)", "odd: gravity is a method; call it, as m.gravity(...), and do not set it"),
     ],
 )

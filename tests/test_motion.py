@@ -985,3 +985,42 @@ def test_reactions_feel_the_motion_of_a_joint_that_closes_a_loop_in_space():
             assert moved[f"{joint}.force.{axis}"] == pytest.approx(locked[f"{joint}.force.{axis}"], rel=1e-12)
     for axis in "xy":
         assert moved[f"A.moment.{axis}"] == pytest.approx(locked[f"A.moment.{axis}"], rel=1e-12)
+
+
+@pytest.mark.parametrize("on", ["joint", "coordinate"])
+def test_a_motion_begins_the_angle_of_a_pose_that_its_hinge_turns(on):
+    """A parallelogram of torn-off bars begins aligned, which is singular: guesses follow the angle, and so do rates."""
+    m = alfmu.Mechanism("aligned")
+    angle = m.coordinate("angle", "rad")
+    c, s = ca.cos(angle), ca.sin(angle)
+
+    def bar(name, x, y, turned):
+        own = [m.coordinate(f"{name}_{k}", "m", start=each) for k, each in (("x", x), ("y", y))]
+        return m.bar(name, mass=1.0, length=1.0, pose=(*own, turned))
+
+    crank = bar("crank", c / 2, s / 2, angle)
+    rod = bar("rod", c + 0.5, s, m.coordinate("rod_t", "rad"))
+    rocker = bar("rocker", 1 + c / 2, s / 2, m.coordinate("rocker_t", "rad", start=angle))
+    A = m.revolute("A", m.ground.at(), crank.start)
+    for name, first, second in (
+        ("B", crank.end, rod.start),
+        ("C", rod.end, rocker.end),
+        ("D", m.ground.at(1, 0), rocker.start),
+    ):
+        m.revolute(name, first, second)
+    m.motion(A if on == "joint" else angle, 3 * m.time)
+    run = alfmu.simulate(m, 0.5, 0.1)
+    np.testing.assert_allclose(run["rocker.angle"], 3 * run.time, atol=1e-9)
+    np.testing.assert_allclose(run["rod.angle"], 0.0, atol=1e-9)
+
+
+def test_a_motion_of_a_joint_in_space_begins_its_coordinate():
+    """Independent or not: it has no start value then."""
+    m = alfmu.Mechanism("turntable")
+    angle = m.coordinate("angle", "rad", independent=True)
+    table = m.spatial_body("table", mass=1.0, inertia=(1.0, 1.0, 1.0), relative=True)
+    m.motion(m.spatial_revolute("J", m.spatial_ground.at(), table.at(), axis=(0, 0, 1), coordinate=angle), 0.3 + m.time)
+    i = alfmu.Instance(m)
+    i.initialize()
+    assert (i.q[0], i.v[0]) == (pytest.approx(0.3), pytest.approx(1.0))
+    assert not m.starts

@@ -99,7 +99,7 @@ def _brief(value: Any) -> str:
 
 def no_attribute(of: object, name: str, meant: str | None = None) -> str:
     """What to say of an attribute that something does not have; what is `meant` by it may be known."""
-    said = f"{type(of).__name__} {vars(of).get('name', '')}".strip() + f" has no {name!r}"
+    said = f"{type(of).__name__} {vars(of).get('name', '')}".strip() + f" has no attribute {name!r}"
     if name.startswith("_"):
         return said
     found = [meant] if meant else nearest(name, [each for each in dir(of) if not each.startswith("_")])
