@@ -1,8 +1,8 @@
 /* Functions of a scene in the form and the order that the interpreter runs fastest, for `alfmu.kernel.arrangement`, which
    says what that is. No scene that runs calls any of this. */
 
-#include <stdint.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "fmi.h"
 #include "operations.h"
@@ -19,10 +19,12 @@ typedef struct {
     int missing;
 } Room;
 
+#define MOST ((size_t)1 << 29)
+
 /* An array of so many integers that are all `value`; where there is no memory, `missing` says so and nothing is given. */
 static int *integers(Room *room, size_t count, int value)
 {
-    Block *block = malloc(sizeof *block + (count + 1) * sizeof(int));
+    Block *block = count < MOST ? malloc(sizeof *block + (count + 1) * sizeof(int)) : NULL;
     if (!block) {
         room->missing = 1;
         return NULL;
@@ -646,9 +648,10 @@ static void others(Form *f, int *slots, int *following[2], int *firsts[2], int *
 API int alfmu_arrange(int count, const int *codes, const int *operands, const int *opposite, int constant_count,
     int *constants, int *heads, int *operands_then, int *made_then)
 {
-    Form form = {{0}}, *f = &form;
+    Form form, *f = &form;
     Room *room = &f->room;
     const size_t size = (size_t)count;
+    memset(f, 0, sizeof *f);
     f->count = count;
     f->codes = codes;
     f->first = operands;
