@@ -350,9 +350,12 @@ class SpatialJoint(Brief):
         ground, or of a body that carries that one."""
         body = (self.second if second else self.first).body
         normal, other, axis = map(_column, right_handed(self.axes[second], self.nominal[second]))
-        if body is carrier:
+        if carrier is None:
+            turn = body.rotation
+        elif (seen := body.seen_by(carrier)) is None:
             return normal, other, axis
-        turn = body.rotation if carrier is None else body.seen_by(carrier).rotation
+        else:
+            turn = seen.rotation
         return turn @ normal, turn @ other, turn @ axis
 
     @property
