@@ -692,7 +692,7 @@ def _with_time(M: ca.SX, d: ca.SX, f: ca.SX, C: ca.SX, w: ca.SX) -> tuple[ca.SX,
 
 def _counted(m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX]) -> dict[str, tuple[ca.SX, ca.SX]]:
     """Angles whose turns a run counts, as something depends on them: by name where each was last, and the angle."""
-    known = {f"{body.name}.angle": (body.near, kinematics.frame(body).counted) for body in _carried(m)}
+    known = {f"{body.name}.angle": (body.near, kinematics.frame(body).counted) for body in _between_points(m)}
     for joint in m.spatial_joints:
         for which in (x for x in joint.freedoms if joint.is_wrapped(x)):
             known[f"{joint.name}.{which}"] = joint.near(which), joint.counted(which)
@@ -702,14 +702,14 @@ def _counted(m: Mechanism, kinematics: Kinematics, expressions: Sequence[ca.SX])
     return {name: (near, angle) for name, (near, angle) in known.items() if key_of(near) in used}
 
 
-def _carried(m: Mechanism) -> list[Body]:
+def _between_points(m: Mechanism) -> list[Body]:
     """Bodies that two points place."""
     return [body for body in m.bodies if body.between is not None]
 
 
 def _without_turns(m: Mechanism, x: ca.SX) -> ca.SX:
     """An expression with angles as they are before a run has counted their turns."""
-    nears = [body.near for body in _carried(m)]
+    nears = [body.near for body in _between_points(m)]
     return ca.substitute(x, stack(nears), ca.SX.zeros(len(nears))) if nears else x
 
 
