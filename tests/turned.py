@@ -169,8 +169,8 @@ def slider_crank(random: np.random.Generator) -> Linkage:
 
 
 def sarrus(random: np.random.Generator) -> Linkage:
-    """A platform on two chains of three parallel hinges, square to each other."""
-    made = Linkage("sarrus", gravity=(0.0, 0.0, -G), rate=random.uniform(0.5, 1.5))
+    """A platform on two chains of three parallel hinges, square to each other, that do not fold up in a second."""
+    made = Linkage("sarrus", gravity=(0.0, 0.0, -1.0), rate=random.uniform(0.5, 1.5))
     z, knee, reach = random.uniform(0.5, 0.9), random.uniform(0.15, 0.35), random.uniform(0.3, 0.6)
     made_of = []
     for axis, side in (((0.0, 1.0, 0.0), np.array([1.0, 0, 0])), ((1.0, 0.0, 0.0), np.array([0, 1.0, 0]))):
