@@ -587,7 +587,7 @@ class Scene:
             steepest, at = ca.if_else(more, first[i], steepest), ca.if_else(more, second[i], at)
         pole = ca.logic_and(ca.fabs(steepest) > least, ca.fabs(at) < ca.fabs(steepest))
         beside = ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
-        return limit - ca.if_else(beside * (ca.fabs(first) > least), first * (steepest / at), 0), pole
+        return limit - ca.if_else(ca.logic_and(beside, ca.fabs(first) > least), first * (steepest / at), 0), pole
 
     # Projections (10) and the end of a step ------------------------------------------------------------------------
 
