@@ -127,14 +127,20 @@ class Parallelogram:
     def multipliers(self, th, w, torques=(0.0, 0.0)) -> np.ndarray:
         """Multipliers at a state of the branch, C' lam = f - M a, with the least sum of squares of all joint forces."""
         with mp.workdps(DIGITS):
-            q, v, a = self.state(th, w, sum(map(mpf, torques)))
-            _, C, _, M, f = self.equations(q, v, torques)
-            lam = least_norm(C.T, f - M * a)
+            lam, a = self.of_rows(th, w, torques)
             if self.m4 is not None:
                 free, ax = matrix([1, 0, -1, 0, -2, 0, 2, 0]), a[5]  # of link 4, which is that of both middles
                 apart = (self.m1 - self.m3) * ax - lam[0] - lam[4] + lam[2] + lam[6]  # A less D
                 lam -= free * apart / 12  # 10 of the rows, 2 of A and D
             return floats(lam)
+
+    def of_rows(self, th, w, torques=(0.0, 0.0), penalties=None) -> tuple[matrix, matrix]:
+        """Multipliers at a state of the branch with the least sum of lam^2 / penalty over the rows alone, and a."""
+        with mp.workdps(DIGITS):
+            q, v, a = self.state(th, w, sum(map(mpf, torques)))
+            _, C, _, M, f = self.equations(q, v, torques)
+            root = mp.diag([sqrt(mpf(x)) for x in (penalties if penalties is not None else [1] * C.rows)])
+            return root * least_norm(C.T * root, f - M * a), a
 
     def accelerations(self, th, w, torque=0.0) -> np.ndarray:
         """Accelerations of all coordinates at a state of the branch."""
