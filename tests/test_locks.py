@@ -112,7 +112,11 @@ def test_every_coordinate_set_stops_alike(coordinates):
 
 
 def test_redundant_locks_share_the_impulse_and_change_nothing():
-    """Parallel four-bar: its lock at B and a brake on link 3 each stop it; both together share by least norm (pinv)."""
+    """Parallel four-bar: its lock at B and a brake on link 3 each stop it; both together share.
+
+    Their impulses have the least norm of the rows (pinv). Torques at rest are those with which all joints carry least:
+    A and D hold links 1 and 3 against the forces in B and C and their weights.
+    """
     m = alfmu.load("four_bar")
     m.lock("B")
     m.clutch("brake", m.ground, next(b for b in m.bodies if b.name == "link3"))
@@ -131,7 +135,12 @@ def test_redundant_locks_share_the_impulse_and_change_nothing():
         places.append(i.q.copy())
         if len(locks) == 2:
             forces = np.array(equations.f(i.q, i.v, i.memory["u"], i.memory["p"], 0.0)).ravel()
-            shares = -np.linalg.pinv(np.array(equations.C(i.q, i.memory["p"])).T) @ np.c_[momentum, forces]
+            Ct = np.array(equations.C(i.q, i.memory["p"])).T
+            shares = -np.linalg.pinv(Ct) @ np.c_[momentum, forces]
+            free = np.linalg.svd(Ct)[2][-1]  # what moves nothing
+            weights = np.array([0.0, G, 0.0, G])
+            carried, more = np.r_[shares[:, 1], shares[:4, 1] + weights], np.r_[free, free[:4]]
+            shares[:, 1] -= free * (carried @ more) / (more @ more)
             size = i.mobility()
             assert (size.freedom, size.redundant) == (0, 1)
             i.set("B.locked", False)  # the other one still holds
