@@ -79,7 +79,7 @@ class Equilibrium:
     states: Mapping[str, float]
     """Further states of the mechanism by name, at the values at which they rest."""
     outputs: Mapping[str, float]
-    """All that can be read at rest, reactions among it; of least norm where redundant constraints share a load."""
+    """All that can be read at rest, reactions among it; joints that share a load carry the least."""
     stability: str
     """"stable", "asymptotically stable", "unstable" or "not judged"."""
     reason: str

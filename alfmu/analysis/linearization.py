@@ -330,8 +330,8 @@ def _notes(where: Situation, redundant: int) -> list[str]:
     notes = []
     if redundant:
         notes.append(
-            f"{counted(redundant, 'redundant constraint')}: reactions that share a load are those of least norm, and "
-            "their rows of C and D as well"
+            f"{counted(redundant, 'redundant constraint')}: reactions that share a load are those by which joints "
+            "carry the least, and their rows of C and D as well"
         )
     if where.equations.switches:
         notes.append("locks and released joints stay as they are")

@@ -1894,8 +1894,8 @@ class Mechanism:
     def compliances(self) -> None:
         """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.
 
-        Where they are given, redundant constraints share a load as joints of that compliance do; otherwise their
-        multipliers are of least norm. The motion is that of rigid joints either way.
+        Where they are given, redundant constraints share a load as joints of that compliance do; otherwise joints
+        carry the least. The motion is that of rigid joints either way.
         """
         self.compliant = True
 

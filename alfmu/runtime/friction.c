@@ -397,13 +397,13 @@ Outcome friction_begin(Instance *i)
     if (unsettled && switched && !*names)
         warn(i, WARNED_OF_FRICTION,
             "%s, t = %.6g s: with what is switched on or off constraints are redundant; where they share the load of joints "
-            "with dry friction, it is not unique: loads of least norm are taken; give compliances of constraints "
+            "with dry friction, it is not unique: the least loads are taken; give compliances of constraints "
             "(--compliances) to settle it",
             s->name, *instance_time(i));
     if (*names)
         warn(i, WARNED_OF_FRICTION,
             "%s: redundant constraints share the load of %s, so that its friction is not unique, and the motion is not "
-            "either: loads of least norm are taken; give compliances of constraints (--compliances) to settle it",
+            "either: the least loads are taken; give compliances of constraints (--compliances) to settle it",
             s->name, names);
     return s->gripping < 0 ? DONE : friction_event(i, NULL); /* A start alone has no programs. */
 }

@@ -479,7 +479,7 @@ class Instance:
         return found, place
 
     def shared(self) -> list[str]:
-        """Outputs that are not unique, because redundant constraints share a load: those of least norm are given."""
+        """Outputs that are not unique, because redundant constraints share a load: joints carry the least."""
         found, place = self._mobility()
         numbers = {"q": self.q, "u": self.driven, "p": self.memory["p"], "t": self.state[-1:]}
         return shared(self.equations, numbers, self.penalty > 0, place, self.equations.dependent - found.freedom)

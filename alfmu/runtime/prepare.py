@@ -139,7 +139,7 @@ def _surveyed(equations: Equations, probe: Probe | None) -> Equations:
     if equations.shared is not None or probe is None:
         return equations
     shared = probe.shared()
-    note = "; not unique: of all that redundant constraints allow, that of least norm"
+    note = "; not unique: shared " + ("by compliances" if equations.compliances else "so that joints carry the least")
     outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
     # Constraints that come into force may be redundant, so that they would stop the motion beside it.
     brakes = probe.brakes or (bool(equations.switches) and probe.mobility(every=True).redundant > 0)

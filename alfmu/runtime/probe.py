@@ -56,7 +56,7 @@ def shared(
     place: NDArray[np.float64],
     rank: int,
 ) -> list[str]:
-    """Outputs that are not unique, because redundant constraints share a load: those of least norm are given.
+    """Outputs that are not unique, because redundant constraints share a load: joints carry the least.
 
     `numbers` are q, u, p and t by letter, `held` (l,) tells which constraints are in force, `place` (n,) is one near q
     where they have this rank.

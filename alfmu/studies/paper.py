@@ -578,9 +578,9 @@ def iterations(effort: Effort) -> Chapter:
         "Iterations of (8) at each communication point of the five-bar run, and corrections (10) after each step,\n"
         "those of positions and of velocities added up. The test on iterations is relative, |da| <= tolerance * |a|,\n"
         "hence easier than the paper's absolute one; the tolerance is also that of |Phi| and |Phi-dot|, where it is\n"
-        "never stricter than the round-off of the row. The paper has its count for the strictest\n"
-        "tolerance; in double precision it is enough for the loosest. A small |da| says that (8) stands still, not that\n"
-        "it is right: see the next chapter."
+        "never stricter than the round-off of the row. The paper has its count for the strictest tolerance; in double\n"
+        "precision it is enough for the loosest. A small |da| says that (8) stands still, not that it is right: see\n"
+        "the next chapter."
     )
     tables = [
         Table("claims", "The paper's counts and the measured ones, classic", claim_columns, claims),
