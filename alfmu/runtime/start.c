@@ -704,20 +704,22 @@ static void tell(const Scene *s, const Range *sizes, const Range *amplitudes, To
 }
 
 /* What displacements and their rates are measured in: the longest arm by which an angle moves a point, of constraints of
-   lengths alone the radius by which their coefficients turn; 1 m where that is of its size, or nothing tells it. Rows in
-   other units have the same arms: those of a known coefficient of a length are over it, and others count where none is. */
+   lengths alone the least radius by which their coefficients turn; 1 m where that is of its size, or nothing tells it.
+   Rows in other units have the same arms: those of a known coefficient of a length are over it, and others count where
+   none is. */
 static double own_length(Instance *i, const double *q)
 {
     const Scene *s = i->scene;
     const Pattern *p = &s->constraint;
     const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l, entries = (size_t)p->entries;
     double *C = take(i, entries), *turned = take(i, entries), *there = take(i, n), *zeros = take(i, n);
-    double *most = take(i, l), *bend = take(i, l), known = 0.0, arm = 0.0, radius = 0.0, found;
+    double *size = take(i, l), *moved = take(i, l), *bent = take(i, l), known = 0.0, arm = 0.0, radius = INFINITY, found;
     Range *sizes = (Range *)take(i, 3 * entries), *amplitudes = (Range *)take(i, 3 * entries);
     Told *told = (Told *)take(i, 8 * l);
     memset(zeros, 0, n * sizeof *zeros);
-    memset(most, 0, l * sizeof *most);
-    memset(bend, 0, l * sizeof *bend);
+    memset(size, 0, l * sizeof *size);
+    memset(moved, 0, l * sizeof *moved);
+    memset(bent, 0, l * sizeof *bent);
     memset(told, 0, l * sizeof *told);
     for (int c = 0; c < s->n; c++)
         there[c] = q[c] + LITTLE * s->normal[c] * metres(s, c);
@@ -736,11 +738,12 @@ static double own_length(Instance *i, const double *q)
                 arm = fmax(arm, amplitudes[e].most);
                 continue;
             }
-            most[r] = fmax(most[r], fabs(C[e]));
-            bend[r] = fmax(bend[r], fabs(turned[e] - C[e]) / LITTLE);
+            size[r] = hypot(size[r], C[e]);
+            moved[r] = hypot(moved[r], there[c] - q[c]);
+            bent[r] = hypot(bent[r], turned[e] - C[e]);
         }
     for (int r = 0; r < s->l; r++)
-        radius = fmax(radius, bend[r] > SAME / LITTLE * most[r] ? most[r] / bend[r] : 0.0);
+        radius = fmin(radius, bent[r] > SAME * size[r] ? moved[r] * size[r] / bent[r] : INFINITY);
     found = known > 0.0 ? known : arm > 0.0 ? arm : radius;
     i->used = used;
     return found >= 1e-300 && found < 1e12 && (found < 1 / ALIKE || found > ALIKE) ? found : 1.0;
