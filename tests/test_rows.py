@@ -28,6 +28,7 @@ def rewritten(e: alfmu.Equations, scales: np.ndarray, order: list[int]) -> alfmu
     before = [S.T @ lam if letter == "lam" else x[letter] for letter in letters]
     after = [lam if letter == "lam" else x[letter] for letter in letters]
     functions["readings"] = shared("readings", after, [e.functions["readings"](*before)])
+    functions["shares"] = shared("shares", after, [S @ e.functions["shares"](*before)])  # a gradient by lam
     return evaluable(replace(e, rows=[e.rows[k] for k in order], functions=functions))
 
 

@@ -666,31 +666,85 @@ static void coefficients(Instance *i, const double *q, double *M, Range *sizes, 
     i->used = used;
 }
 
+/* What some coefficients of a row come to together. */
+typedef struct {
+    double squares, count;
+} Sum;
+
+static double together(Sum sum)
+{
+    return sqrt(sum.squares / fmax(sum.count, 1.0));
+}
+
+/* What the coefficients of a row tell of its unit. */
+typedef struct {
+    Sum lengths, euler;
+    double most, constant, constant_length, angular;
+} Told;
+
+static void tell(const Scene *s, const Range *sizes, const Range *amplitudes, Told *told)
+{
+    const Pattern *p = &s->constraint;
+    for (int c = 0; c < s->n; c++)
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+            Told *row = told + p->indices[e];
+            Sum *sum = metres(s, c) ? &row->lengths : radians(s, c) ? NULL : &row->euler;
+            if (sum) {
+                sum->squares += sizes[e].first * sizes[e].first;
+                sum->count += sizes[e].most > 0.0;
+            }
+            row->most = fmax(row->most, sizes[e].most);
+            if (radians(s, c) && alike(amplitudes[e]))
+                row->angular = fmax(row->angular, amplitudes[e].first);
+            if (alike(sizes[e]))
+                row->constant = fmax(row->constant, sizes[e].most);
+            if (alike(sizes[e]) && metres(s, c))
+                row->constant_length = fmax(row->constant_length, sizes[e].most);
+        }
+}
+
 /* What displacements and their rates are measured in: the longest arm by which an angle moves a point, of constraints of
-   lengths alone the radius by which their coefficients turn; 1 m where that is of its size, or nothing tells it. */
+   lengths alone the least radius by which their coefficients turn; 1 m where that is of its size, or nothing tells it.
+   Rows in other units have the same arms: those of a known coefficient of a length are over it, and others count where
+   none is. */
 static double own_length(Instance *i, const double *q)
 {
     const Scene *s = i->scene;
     const Pattern *p = &s->constraint;
-    const size_t used = i->used, n = (size_t)s->n, entries = (size_t)p->entries;
+    const size_t used = i->used, n = (size_t)s->n, l = (size_t)s->l, entries = (size_t)p->entries;
     double *C = take(i, entries), *turned = take(i, entries), *there = take(i, n), *zeros = take(i, n);
-    double arm = 0.0, most = 0.0, bend = 0.0, found;
+    double *size = take(i, l), *moved = take(i, l), *bent = take(i, l), known = 0.0, arm = 0.0, radius = INFINITY, found;
     Range *sizes = (Range *)take(i, 3 * entries), *amplitudes = (Range *)take(i, 3 * entries);
+    Told *told = (Told *)take(i, 8 * l);
     memset(zeros, 0, n * sizeof *zeros);
+    memset(size, 0, l * sizeof *size);
+    memset(moved, 0, l * sizeof *moved);
+    memset(bent, 0, l * sizeof *bent);
+    memset(told, 0, l * sizeof *told);
     for (int c = 0; c < s->n; c++)
         there[c] = q[c] + LITTLE * s->normal[c] * metres(s, c);
     constraints_at(i, q, zeros, NULL, C, NULL, NULL);
     constraints_at(i, there, zeros, NULL, turned, NULL, NULL);
     coefficients(i, q, NULL, sizes, amplitudes);
+    tell(s, sizes, amplitudes, told);
     for (int c = 0; c < s->n; c++)
         for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
-            if (strcmp(s->rows[p->indices[e]].unit, "m"))
+            const int r = p->indices[e];
+            const double unit = s->rows[r].size > 0.0 ? s->rows[r].size : told[r].constant_length;
+            if (strcmp(s->rows[r].unit, "m"))
                 continue;
-            arm = fmax(arm, metres(s, c) ? 0.0 : amplitudes[e].most);
-            most = fmax(most, metres(s, c) ? fabs(C[e]) : 0.0);
-            bend = fmax(bend, metres(s, c) ? fabs(turned[e] - C[e]) / LITTLE : 0.0);
+            if (!metres(s, c)) {
+                known = fmax(known, unit > 0.0 ? amplitudes[e].most / unit : 0.0);
+                arm = fmax(arm, amplitudes[e].most);
+                continue;
+            }
+            size[r] = hypot(size[r], C[e]);
+            moved[r] = hypot(moved[r], there[c] - q[c]);
+            bent[r] = hypot(bent[r], turned[e] - C[e]);
         }
-    found = arm > 0.0 ? arm : most / fmax(bend, 1e-300);
+    for (int r = 0; r < s->l; r++)
+        radius = fmin(radius, bent[r] > SAME * size[r] ? moved[r] * size[r] / bent[r] : INFINITY);
+    found = known > 0.0 ? known : arm > 0.0 ? arm : radius;
     i->used = used;
     return found >= 1e-300 && found < 1e12 && (found < 1 / ALIKE || found > ALIKE) ? found : 1.0;
 }
@@ -815,43 +869,6 @@ Outcome check_masses(Instance *i, const double *q, const unsigned char *held)
     }
     i->used = used;
     return outcome;
-}
-
-/* What some coefficients of a row come to together. */
-typedef struct {
-    double squares, count;
-} Sum;
-
-static double together(Sum sum)
-{
-    return sqrt(sum.squares / fmax(sum.count, 1.0));
-}
-
-/* What the coefficients of a row tell of its unit. */
-typedef struct {
-    Sum lengths, euler;
-    double most, constant, constant_length, angular;
-} Told;
-
-static void tell(const Scene *s, const Range *sizes, const Range *amplitudes, Told *told)
-{
-    const Pattern *p = &s->constraint;
-    for (int c = 0; c < s->n; c++)
-        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
-            Told *row = told + p->indices[e];
-            Sum *sum = metres(s, c) ? &row->lengths : radians(s, c) ? NULL : &row->euler;
-            if (sum) {
-                sum->squares += sizes[e].first * sizes[e].first;
-                sum->count += sizes[e].most > 0.0;
-            }
-            row->most = fmax(row->most, sizes[e].most);
-            if (radians(s, c) && alike(amplitudes[e]))
-                row->angular = fmax(row->angular, amplitudes[e].first);
-            if (alike(sizes[e]))
-                row->constant = fmax(row->constant, sizes[e].most);
-            if (alike(sizes[e]) && metres(s, c))
-                row->constant_length = fmax(row->constant_length, sizes[e].most);
-        }
 }
 
 /* The constant coefficient of a row, of a length where it has any. */
