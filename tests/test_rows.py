@@ -10,6 +10,7 @@ from scenes import by_rk4, by_the_oracle, derived, made
 
 import alfmu
 from alfmu.equations.evaluation import ARGUMENTS, evaluable, shared, symbols
+from alfmu.runtime.probe import row_units
 from alfmu.simulation import prepared
 
 
@@ -128,3 +129,13 @@ def test_uniqueness_follows_what_is_in_force():
     i.set("E.released", True)
     i.step(0.02)
     assert i.shared() == []
+
+
+@pytest.mark.parametrize("radius", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("angle", [-1.0, -0.82, -0.8])
+def test_a_circle_counts_over_its_radius_wherever_it_starts(angle: float, radius: float) -> None:
+    i = alfmu.Instance(prepared(derived("particle_on_circle")))
+    for name, x in {"start.angle": angle, "rho": radius}.items():
+        i.set(name, x)
+    i.initialize()
+    assert row_units(i.equations, i.memory["k"]) == pytest.approx([radius], rel=0.2)

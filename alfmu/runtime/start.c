@@ -717,33 +717,37 @@ static double own_length(Instance *i, const double *q)
     Range *sizes = (Range *)take(i, 3 * entries), *amplitudes = (Range *)take(i, 3 * entries);
     Told *told = (Told *)take(i, 8 * l);
     memset(zeros, 0, n * sizeof *zeros);
-    memset(size, 0, l * sizeof *size);
-    memset(moved, 0, l * sizeof *moved);
-    memset(bent, 0, l * sizeof *bent);
     memset(told, 0, l * sizeof *told);
-    for (int c = 0; c < s->n; c++)
-        there[c] = q[c] + LITTLE * s->normal[c] * metres(s, c);
     constraints_at(i, q, zeros, NULL, C, NULL, NULL);
-    constraints_at(i, there, zeros, NULL, turned, NULL, NULL);
     coefficients(i, q, NULL, sizes, amplitudes);
     tell(s, sizes, amplitudes, told);
     for (int c = 0; c < s->n; c++)
-        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+        for (int e = p->offsets[c]; !metres(s, c) && e < p->offsets[c + 1]; e++) {
             const int r = p->indices[e];
             const double unit = s->rows[r].size > 0.0 ? s->rows[r].size : told[r].constant_length;
             if (strcmp(s->rows[r].unit, "m"))
                 continue;
-            if (!metres(s, c)) {
-                known = fmax(known, unit > 0.0 ? amplitudes[e].most / unit : 0.0);
-                arm = fmax(arm, amplitudes[e].most);
-                continue;
-            }
-            size[r] = hypot(size[r], C[e]);
-            moved[r] = hypot(moved[r], there[c] - q[c]);
-            bent[r] = hypot(bent[r], turned[e] - C[e]);
+            known = fmax(known, unit > 0.0 ? amplitudes[e].most / unit : 0.0);
+            arm = fmax(arm, amplitudes[e].most);
         }
-    for (int r = 0; r < s->l; r++)
-        radius = fmin(radius, bent[r] > SAME * size[r] ? moved[r] * size[r] / bent[r] : INFINITY);
+    for (int k = 0; k < RANKED && arm == 0.0; k++) { /* One way alone may be along the radius, where nothing turns. */
+        memset(size, 0, l * sizeof *size);
+        memset(moved, 0, l * sizeof *moved);
+        memset(bent, 0, l * sizeof *bent);
+        for (int c = 0; c < s->n; c++)
+            there[c] = q[c] + LITTLE * s->normal[k * s->n + c] * metres(s, c);
+        constraints_at(i, there, zeros, NULL, turned, NULL, NULL);
+        for (int c = 0; c < s->n; c++)
+            for (int e = p->offsets[c]; metres(s, c) && e < p->offsets[c + 1]; e++) {
+                const int r = p->indices[e];
+                size[r] = hypot(size[r], C[e]);
+                moved[r] = hypot(moved[r], there[c] - q[c]);
+                bent[r] = hypot(bent[r], turned[e] - C[e]);
+            }
+        for (int r = 0; r < s->l; r++)
+            if (!strcmp(s->rows[r].unit, "m") && bent[r] > SAME * size[r])
+                radius = fmin(radius, moved[r] * size[r] / bent[r]);
+    }
     found = known > 0.0 ? known : arm > 0.0 ? arm : radius;
     i->used = used;
     return found >= 1e-300 && found < 1e12 && (found < 1 / ALIKE || found > ALIKE) ? found : 1.0;
