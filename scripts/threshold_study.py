@@ -396,7 +396,7 @@ DECIDING = (
 )
 """Constants that decide of sticking and sliding."""
 
-OF_FRICTION = (*DECIDING, "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST", "LEFT_TO_RK4")
+OF_FRICTION = (*DECIDING, "LOOKED_INTO", "AT_ONCE", "JAM_AHEAD", "JAM_SHORTER", "ONE_STEP", "EARLIEST")
 """Constants that nothing without dry friction depends on."""
 
 SLOW = {
