@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 import numpy as np
 import pytest
-from scenes import readings, started
+from scenes import by_the_oracle, readings, started
 
 import alfmu
 from alfmu.view.drawing import as_data, from_data
@@ -101,7 +101,7 @@ def test_a_gear_pair_has_the_ratio_and_the_inertia_of_its_teeth(closed_by: str):
     assert net(m, y, b, [(push, pitch)]) == pytest.approx(np.zeros(3), abs=1e-12)
 
 
-def planetary(planets: int = 1, held: str = "ring") -> alfmu.Mechanism:
+def planetary(planets: int = 1, held: str = "ring", **flanks: float) -> alfmu.Mechanism:
     """Sun of 24 teeth, planets of 18, ring of 60, carrier; the ring is the ground, or turns with the sun held."""
     m = alfmu.Mechanism("planetary")
     arm_angle = m.coordinate("arm_angle", start=0.4, rate=1.0, independent=True)
@@ -115,11 +115,11 @@ def planetary(planets: int = 1, held: str = "ring") -> alfmu.Mechanism:
         planet = m.body(f"planet{k}", mass=0.5, inertia=0.002)
         pin = arm.at(0.105 * math.cos(towards), 0.105 * math.sin(towards))
         m.revolute(f"P{k}", pin, planet.at(0, 0), coordinate=m.coordinate(f"planet_angle{k}"))
-        m.gear(f"inner{k}", sun.at(0, 0), planet.at(0, 0), teeth=(24, 18))
+        m.gear(f"inner{k}", sun.at(0, 0), planet.at(0, 0), teeth=(24, 18), **flanks)
         if held == "ring":
-            m.gear(f"outer{k}", planet.at(0, 0), ring.at(0, 0), radii=(0.045, 0.15), internal=True)
+            m.gear(f"outer{k}", planet.at(0, 0), ring.at(0, 0), radii=(0.045, 0.15), internal=True, **flanks)
         else:
-            m.gear(f"outer{k}", ring.at(0, 0), planet.at(0, 0), radii=(0.15, 0.045), internal=True)
+            m.gear(f"outer{k}", ring.at(0, 0), planet.at(0, 0), radii=(0.15, 0.045), internal=True, **flanks)
     m.torque(turning, 5.0)
     m.gravity(0, -G)
     return m
@@ -148,6 +148,17 @@ def test_a_planetary_gear_turns_as_willis_says(held: str, planets: int):
     assert y["outer0.force"] == pytest.approx((-1 if held == "ring" else 1) * outer_torque / 0.045, rel=1e-9)
     outer = outer_torque / 0.045 * t - abs(outer_torque) / 0.045 * STEEP * e, centre + 0.045 * e
     assert net(m, y, m.bodies[2], [inner, outer]) == pytest.approx(np.zeros(3), abs=1e-11)
+
+
+def test_forces_that_part_teeth_do_not_decide_how_planets_share_a_load():
+    """Three planets share as rolling discs do; the library as the oracle."""
+    m = planetary(3)
+    y, of_discs = at_start(m), at_start(planetary(3, pressure_angle=0.0))
+    by_oracle = readings(by_the_oracle(alfmu.derive(m)))
+    teeth = [f"{mesh}{k}.force" for mesh in ("inner", "outer") for k in range(3)]
+    assert [y[x] for x in teeth] == pytest.approx([of_discs[x] for x in teeth], abs=1e-11)
+    named = [x for x in y if x.startswith(("P", "O.", "W.", "inner", "outer"))]
+    assert [y[x] for x in named] == pytest.approx([by_oracle[x] for x in named], abs=1e-11)
 
 
 # Racks ----------------------------------------------------------------------------------------------------------------

@@ -1087,13 +1087,17 @@ def _carried(
     """Forces [N] and moments [N.m, over 1 m] that joints and motions carry, and multipliers of what is no joint.
 
     The sum of their squares depends on no axes, and not on which joints are closed by coordinates. `outputs` are those
-    of joints in space.
+    of joints in space. Forces that part teeth are by the size of a multiplier and in no norm, so that all is linear.
     """
     found = [*reactions, *(x for x, o in zip(in_space, outputs, strict=True) if o.unit in ("N", "N.m"))]
     for i, (closure, _) in enumerate(closures):
         if isinstance(closure, Constraint | Lock | Motion | Relation) and i not in lengths:
             found.append(lam[i])
-    return stack(found)
+    carried = stack(found)
+    if lam.numel() and not ca.is_linear(carried, lam):
+        slope, here = (ca.substitute(x, lam, 0 * lam) for x in (ca.jacobian(carried, lam), carried))
+        return here + slope @ lam
+    return carried
 
 
 def _efforts_in_space(

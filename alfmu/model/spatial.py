@@ -514,7 +514,7 @@ class SpatialJoint(Brief):
         return kept[which]
 
     def _from_places(self, which: str) -> ca.SX:
-        if self.freedoms[which] == "rad":
+        if which.startswith("angle"):
             return ca.atan2(*self._arms(which))
         normal, other, axis = self.triad(carrier=self.carrier)
         along = {"position": axis, "position1": normal, "position2": other}[which]

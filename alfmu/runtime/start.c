@@ -1445,7 +1445,7 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
     double *way = take(i, n), *there = take(i, n), *near = take(i, n), *found = take(i, PLACES + 1);
     double *pivots = take(i, n), *diagonal = take(i, n), *columns = take(i, n), *touched = take(i, n);
     double *places = take(i, (PLACES + 1) * n), *rate = take(i, n), *together = take(i, PLACES + 1), size;
-    int freedom = s->freedom + s->timed, count = 1, here;
+    int freedom = s->freedom + s->timed, count = 1, second, here;
     if (!usual || s->freedom < 0)
         freedom = freedom_near(i, q, held, &here, there);
     *i->rank = s->n - freedom;
@@ -1508,11 +1508,13 @@ void know(Instance *i, const double *q, const double *v, const unsigned char *he
             together[a] += part;
         }
     }
-    /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller. */
+    /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller, and the
+       start, which may be one, is there twice. */
     sort(together, count);
     *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(REGULAR_PRODUCT);
     sort(found, count);
-    while (count > 1 && !(found[count - 1] <= found[1] + FAR_RATIO))
+    second = found[1] == found[0] ? 2 : 1;
+    while (count > second && !(found[count - 1] <= found[second] + FAR_RATIO))
         count--;
     *i->masses = floor((found[(count - 1) / 2] + found[count / 2]) / 2 * COARSE + 0.5) / COARSE;
     for (int c = 0; c < s->n; c++)

@@ -11,7 +11,7 @@
 #define LOOK 64
 
 /* Last digits of a time that a step takes at least. */
-#define LAST_DIGITS 16
+#define LEAST_DIGITS 16
 
 /* Jumps by the motion that are crossed by steps as short as may be, before a step that is so many times as long. */
 #define CROSSINGS 4
@@ -294,7 +294,7 @@ static void try_step(Instance *i)
 /* The shortest step that a method with error control may make here. */
 static double shortest(const Instance *i)
 {
-    return fmax(GIVEN_UP, LAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
+    return fmax(GIVEN_UP, LEAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
 }
 
 /* Steps go on from a jump that was crossed. */
