@@ -10,7 +10,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import derived, made
+from scenes import by_the_oracle, derived, made
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -49,6 +49,13 @@ def test_mass_ratios(ratio, mass, coordinates):
     assert worst <= 5e-7
     assert i.counters.unconverged == i.counters.unprojected == 0
     assert i.counters.position_error <= 1e-13
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e3, 1e6])
+def test_the_distance_is_an_angle_whatever_mass_a_singular_start_has(ratio):
+    """At 0.03 rad, by what was calibrated at the singular position itself."""
+    margin = by_the_oracle(five_bar("joint"), {"m1": ratio}).margin(0.03 * np.array([1.0, -1.0, 1.0, -1.0]))[1]
+    assert np.sqrt(margin) == pytest.approx(0.03, rel=0.01)
 
 
 @pytest.mark.parametrize(("length", "step"), [(1e-3, 2e-4), (1e3, 0.1)])

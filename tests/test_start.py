@@ -341,8 +341,8 @@ def test_a_step_from_another_time_is_refused(time: float) -> None:
 
 @pytest.mark.parametrize("angle", [-0.5, 0.0], ids=["regular", "singular"])
 def test_a_step_that_blows_up_leaves_the_state_before_it(angle: float) -> None:
-    """A torque of 1e300 N.m is finite, its motion is not: StepError with mechanism, time and remedy, no warning; no step
-    has been made yet whose length could be at fault."""
+    """A torque of 1e300 N.m is finite, its motion is not: StepError with mechanism, time and remedy, no warning;
+    at first no step has been made whose length could be at fault."""
     i = started(derived("five_bar"), {"start.angle": angle})
     i.set("A.torque", 1e300)
     before = i.save()
