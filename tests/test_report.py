@@ -251,7 +251,9 @@ def test_every_formulation_and_way_is_there_or_listed_as_skipped(written):
 
 PARTS = """
 const done = arguments[arguments.length - 1];
-Promise.all([...parts].map(make)).then(
+const pause = (time) => new Promise((go) => setTimeout(go, time));
+const begun = async () => { while (typeof parts === "undefined") await pause(50); };
+begun().then(() => Promise.all([...parts].map(make))).then(
   () => setTimeout(() => done([...document.querySelectorAll(".plot")].map((plot) => ({
     lines: plot.querySelectorAll(".scatterlayer .trace").length,
     legend: [...plot.querySelectorAll(".legendtext")].map((text) => text.textContent),
@@ -262,7 +264,7 @@ Promise.all([...parts].map(make)).then(
   (error) => done(String(error)),
 );
 """
-"""Makes every part of the page, and says what its plots show."""
+"""Makes every part of the page once its script has run, and says what its plots show."""
 
 
 def test_the_page_draws_its_plots_in_a_browser(written, chromium):
