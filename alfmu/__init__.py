@@ -7,6 +7,8 @@ massless links. Declare a `Mechanism`, `derive` its equations, `simulate` it, `e
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from .model.hooks import hand_in
+
 _HOME = {
     "AlfmuError": "model.errors",
     "AlfmuWarning": "model.errors",
@@ -28,7 +30,7 @@ _HOME = {
     "Marker": "model.mechanism",
     "Mechanism": "model.mechanism",
     "Recipe": "fmi.recipe",
-    "Result": "result",
+    "Result": "simulation",
     "StepError": "model.errors",
     "Sweep": "sweeps.results",
     "System": "systems.system",
@@ -37,15 +39,15 @@ _HOME = {
     "derivatives": "gradients",
     "derive": "runtime.reuse",
     "equilibrium": "analysis.equilibria",
-    "export": "fmi.export",
+    "export": "api",
     "fit": "gradients",
     "gradient": "gradients",
     "imported": "formats",
     "linearize": "analysis.linearization",
-    "load": "model.registry",
-    "mechanisms": "model.registry",
+    "load": "api",
+    "mechanisms": "api",
     "mobility": "analysis.freedoms",
-    "simulate": "simulation",
+    "simulate": "api",
     "sweep": "sweeps.sweep",
     "validate": "fmi.checks.validation",
 }
@@ -59,9 +61,12 @@ if TYPE_CHECKING:
     from .analysis.freedoms import mobility as mobility
     from .analysis.linearization import Linearization as Linearization
     from .analysis.linearization import linearize as linearize
+    from .api import export as export
+    from .api import load as load
+    from .api import mechanisms as mechanisms
+    from .api import simulate as simulate
     from .equations import Equations as Equations
     from .fmi.checks.validation import validate as validate
-    from .fmi.export import export as export
     from .fmi.recipe import Recipe as Recipe
     from .formats import Imported as Imported
     from .formats import imported as imported
@@ -84,18 +89,17 @@ if TYPE_CHECKING:
     from .model.mechanism import Joint as Joint
     from .model.mechanism import Marker as Marker
     from .model.mechanism import Mechanism as Mechanism
-    from .model.registry import load as load
-    from .model.registry import mechanisms as mechanisms
-    from .result import Result as Result
     from .runtime import Instance as Instance
     from .runtime.reuse import derive as derive
-    from .simulation import simulate as simulate
+    from .simulation import Result as Result
     from .sweeps.results import Sweep as Sweep
     from .sweeps.sweep import sweep as sweep
     from .systems.coupling import couple as couple
     from .systems.system import System as System
 
     __version__: str
+
+hand_in(lambda name: getattr(import_module(".api", __name__), name))
 
 _GONE = {
     "Settings": "settings of the solver are variables: give parameters={'solver.method': 'explicit'} to simulate(), or "

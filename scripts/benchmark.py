@@ -37,7 +37,7 @@ from pythonfmu import FmuBuilder
 from tqdm import tqdm
 
 import alfmu
-from alfmu import oracle
+from alfmu.catalogue.registry import mechanisms
 from alfmu.equations.arrays import ArrayFunctions
 from alfmu.equations.specialisation import specialised
 from alfmu.fmi.drive import Fmu
@@ -45,10 +45,9 @@ from alfmu.gradients.run import Runs
 from alfmu.kernel.form import called
 from alfmu.kernel.joined import joined
 from alfmu.kernel.memory import TIERS as KINDS
-from alfmu.model.registry import mechanisms
 from alfmu.model.settings import Settings
 from alfmu.runtime.build import HERE, PLATFORMS, compiler
-from alfmu.simulation import prepared, with_defaults
+from alfmu.simulation import oracle, prepared, with_defaults
 from alfmu.studies.cost import cost, operations, parts
 from alfmu.studies.tables import Chapter, Row, environment, rounded
 

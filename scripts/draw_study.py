@@ -23,9 +23,9 @@ from _report import Heard
 from tqdm import tqdm
 
 import alfmu
+from alfmu.catalogue.registry import mechanisms
 from alfmu.equations import Equations
 from alfmu.equations.interface import variables_of
-from alfmu.model.registry import mechanisms
 from alfmu.simulation import prepared, with_defaults
 
 WRONG = 1e-3

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 import alfmu
-from alfmu.model.registry import mechanisms
+from alfmu.catalogue.registry import mechanisms
 from alfmu.simulation import prepared, with_defaults
 from alfmu.studies.cases import Case, exactness
 from alfmu.studies.rivals import SCIPY

@@ -27,9 +27,10 @@ from scipy.integrate import solve_ivp
 from tqdm import tqdm
 
 import alfmu
+from alfmu import simulate
 from alfmu.method.integrators import rk4
 from alfmu.runtime.build import compiler
-from alfmu.simulation import prepared, simulate, with_defaults
+from alfmu.simulation import prepared, with_defaults
 from alfmu.studies.tables import Chapter, Row, environment, rounded, write_csv
 
 GRAVITY = 9.81

@@ -284,7 +284,8 @@ def _assembled(_: Any) -> Found:
 def _regular(_: Any, name: str, stop: float) -> Found:
     """A mechanism over some time without a singular position: what it takes."""
     import alfmu
-    from alfmu.simulation import prepared, simulate, with_defaults
+    from alfmu import simulate
+    from alfmu.simulation import prepared, with_defaults
 
     equations = with_defaults(alfmu.derive(alfmu.load(name)), {"solver.method": "rk4"})
     r = simulate(prepared(equations, "vm"), stop, stop)
@@ -297,7 +298,8 @@ def _prescribed(_: Any) -> Found:
     import numpy as np
 
     import alfmu
-    from alfmu.simulation import prepared, simulate, with_defaults
+    from alfmu import simulate
+    from alfmu.simulation import prepared, with_defaults
 
     m = alfmu.Mechanism("prescribed")
     th = m.coordinate("th", "rad")

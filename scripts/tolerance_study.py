@@ -16,8 +16,8 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import alfmu
+from alfmu.catalogue.registry import mechanisms, options
 from alfmu.method.stepping import EXPLICIT8, RADAU9
-from alfmu.model.registry import mechanisms, options
 from alfmu.simulation import prepared, with_defaults
 from alfmu.studies import reference, tables
 from alfmu.studies.cases import POSITION, Case, Judge, exactness, restarting, run, scene

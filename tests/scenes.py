@@ -9,10 +9,9 @@ from oracles import ode
 from oracles.parallelogram import Parallelogram
 
 import alfmu
-from alfmu import oracle
 from alfmu.method import formulations as method
 from alfmu.model.settings import Settings
-from alfmu.simulation import instance, with_defaults
+from alfmu.simulation import instance, oracle, with_defaults
 
 ARM = {"carriage": (1.3, 0.05, (0.05, -0.02)), "boom": (0.8, 0.03, (0.3, 0.1)), "tip": (0.4, 0.01, (0.1, 0.05))}
 """Mass, inertia, centre of mass of the bodies of `arm`."""

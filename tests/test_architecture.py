@@ -1,6 +1,7 @@
 """The import graph: every room imports only rooms below it, and the run side no declaration."""
 
 import ast
+import re
 import sys
 from pathlib import Path
 
@@ -12,35 +13,33 @@ from alfmu.fmi.export import RUN_SIDE
 PACKAGE = Path(alfmu.__file__).parent
 
 ROOMS: dict[str, set[str]] = {
-    "catalogue": set(),
     "model": set(),
-    "files": {"model"},
+    "method": set(),
     "equations": {"model"},
     "parts": {"equations", "model"},
     "formats": {"model"},
-    "method": set(),
+    "catalogue": {"formats", "model"},
     "kernel": {"equations", "method", "model"},
-    "runtime": {"equations", "files", "kernel", "method", "model"},
-    "oracle": {"equations", "kernel", "method", "model", "runtime"},
-    "result": {"equations", "files", "model"},
-    "simulation": {"equations", "kernel", "model", "oracle", "result", "runtime"},
-    "view": {"equations", "files", "kernel", "model", "result", "runtime", "simulation"},
-    "fmi": {"equations", "files", "kernel", "model", "result", "runtime", "simulation", "view"},
-    "gradients": {"equations", "fmi", "model", "oracle", "result", "runtime", "simulation", "view"},
-    "analysis": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "view"},
-    "studies": {"equations", "files", "fmi", "kernel", "model", "oracle", "runtime", "simulation", "view"},
-    "systems": {"equations", "files", "fmi", "model", "parts", "result", "runtime", "simulation", "view"},
-    "sweeps": {"equations", "files", "fmi", "kernel", "model", "result", "runtime", "simulation", "studies"},
+    "runtime": {"catalogue", "equations", "kernel", "method", "model"},
+    "simulation": {"equations", "kernel", "method", "model", "runtime"},
+    "view": {"equations", "kernel", "model", "runtime", "simulation"},
+    "fmi": {"catalogue", "equations", "kernel", "model", "runtime", "simulation", "view"},
+    "analysis": {"equations", "fmi", "kernel", "model", "runtime", "simulation", "view"},
+    "gradients": {"analysis", "equations", "fmi", "model", "runtime", "simulation", "view"},
+    "systems": {"analysis", "equations", "fmi", "model", "parts", "runtime", "simulation", "view"},
+    "api": {"analysis", "catalogue", "equations", "fmi", "model", "runtime", "simulation", "systems", "view"},
+    "studies": {"api", "catalogue", "equations", "fmi", "kernel", "model", "runtime", "simulation", "view"},
+    "sweeps": {"equations", "fmi", "kernel", "model", "runtime", "simulation", "studies"},
     "cli": {
         "analysis",
+        "api",
+        "catalogue",
         "equations",
-        "files",
         "fmi",
         "formats",
         "gradients",
         "kernel",
         "model",
-        "result",
         "runtime",
         "simulation",
         "studies",
@@ -48,20 +47,11 @@ ROOMS: dict[str, set[str]] = {
         "sweeps",
         "view",
     },
-    "__main__": {"cli"},
 }
 """Room -> the rooms that its modules may import: the table of CONTRIBUTING.md, from the bottom up."""
 
-LATE: dict[str, set[str]] = {
-    "kernel": {"runtime"},
-    "model": {"equations", "formats", "result", "view"},
-    "result": {"view"},
-    "simulation": {"analysis", "fmi", "systems"},
-    "fmi": {"analysis"},
-}
-"""Room -> the rooms above it that it imports when it is asked to, or for types alone: `Mechanism.draw()`,
-`Marker.position`, the result that an error has, `result.plot()`, the film of a result, an FMU that `simulate` is given,
-a start in a position of rest, the C library that arranges functions. Never where a module is imported."""
+MOST = 18
+"""Rooms, at most."""
 
 
 def modules() -> dict[str, Path]:
@@ -69,7 +59,7 @@ def modules() -> dict[str, Path]:
     found = {}
     for path in sorted(PACKAGE.rglob("*.py")):
         name = ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
-        if name != "__init__":
+        if name not in ("__init__", "__main__"):
             found[name] = path
     return found
 
@@ -78,24 +68,12 @@ MODULES = modules()
 
 
 def imports(path: Path) -> tuple[set[str], set[str]]:
-    """Modules of alfmu, those of LATE in functions left out, and top-level packages from elsewhere, that a file imports
-    anywhere in its text."""
-    tree = ast.parse(path.read_text())
-    own, foreign = imports_of(path, list(ast.walk(tree)))
-    late = LATE.get(path.relative_to(PACKAGE).parts[0].removesuffix(".py"), set())
-    functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
-    typed = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
-    within = {id(node) for each in (*functions, *typed) for node in ast.walk(each)}
-    at_once, _ = imports_of(path, [node for node in ast.walk(tree) if id(node) not in within])
-    return {name for name in own if name in at_once or room(name) not in late}, foreign
-
-
-def imports_of(path: Path, nodes: list[ast.AST]) -> tuple[set[str], set[str]]:
-    """The same of some nodes of a file."""
+    """Modules of alfmu, and top-level packages from elsewhere, that a file imports anywhere in its text: within
+    functions and for types alone, too."""
     own: set[str] = set()
     foreign: set[str] = set()
     package = list(path.relative_to(PACKAGE).parent.parts)
-    for node in nodes:
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.level:
             base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
             names = {".".join([*base, name.name]) for name in node.names}
@@ -113,19 +91,14 @@ def room(module: str) -> str:
     return module.split(".")[0]
 
 
-def imported_at_once(path: Path) -> set[str]:
-    """Modules that importing a file imports: not those inside functions, nor those for type checkers."""
-    found: set[str] = set()
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.ImportFrom) and not node.level:
-            found.add(node.module)
-        elif isinstance(node, ast.Import):
-            found |= {name.name for name in node.names}
-    return found
-
-
 def test_every_module_is_in_a_room():
     assert {room(name) for name in MODULES} == set(ROOMS)
+    assert len(ROOMS) <= MOST
+
+
+def test_no_room_imports_by_a_name_that_this_test_cannot_see():
+    calls = re.compile(r"import_module|__import__|importlib\.util\.module_from_spec")
+    assert {name for name, path in MODULES.items() if calls.search(path.read_text())} == set()
 
 
 @pytest.mark.parametrize("name", sorted(MODULES))

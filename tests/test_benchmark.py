@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import alfmu
-from alfmu.model.registry import mechanisms
+from alfmu.catalogue.registry import mechanisms
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 

@@ -13,8 +13,9 @@ from oracles.slider_crank import SliderCrank
 from scenes import by_the_oracle, derived, made
 
 import alfmu
+from alfmu import simulate
 from alfmu.fmi.drive import Fmu
-from alfmu.simulation import prepared, run, simulate
+from alfmu.simulation import prepared, run
 
 
 @cache

@@ -20,10 +20,10 @@ import numpy as np
 import pytest
 
 import alfmu
-from alfmu import files, oracle
 from alfmu.cli import main, runs
 from alfmu.fmi.drive import Fmu
-from alfmu.simulation import communication_points, prepared, run, with_defaults
+from alfmu.model import files
+from alfmu.simulation import communication_points, oracle, prepared, run, with_defaults
 from alfmu.view.drawing import as_data, from_data
 from alfmu.view.picture import geometry
 

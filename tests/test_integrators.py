@@ -7,7 +7,6 @@ from oracles.adaptive import Adaptive, tolerance
 from oracles.parallelogram import Parallelogram
 from scenes import derived
 
-from alfmu import oracle
 from alfmu.method import implicit
 from alfmu.method.stepping import (
     EXPLICIT5,
@@ -22,6 +21,7 @@ from alfmu.method.stepping import (
     explicit,
     landing,
 )
+from alfmu.simulation import oracle
 
 EXPLICITS = {"5(4)": EXPLICIT5, "8(7)": EXPLICIT8, "8(7) beside": EXPLICIT8_BESIDE}
 RADAUS = {"Radau 9": RADAU9}

@@ -14,9 +14,10 @@ from scenes import derived, readings
 from scenes import started as running
 
 import alfmu
-from alfmu import oracle, simulation
+from alfmu import simulation
 from alfmu.method import formulations as method
 from alfmu.model.settings import Settings
+from alfmu.simulation import oracle
 
 EPS = np.finfo(float).eps
 

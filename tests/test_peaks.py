@@ -10,6 +10,7 @@ from scipy.special import ellipj, ellipk
 
 import alfmu
 from alfmu import Mechanism
+from alfmu.analysis.start import prepare
 
 WEIGHT = 9.81
 ASKED = ["*", "A.force.peak"]
@@ -80,7 +81,7 @@ def test_every_kind_of_fmu_has_them(kind, fmi, tmp_path):
 
 
 def test_a_state_that_is_restored_has_the_same_peaks():
-    unit = alfmu.simulation.prepare(pendulum(), {}, outputs=ASKED).unit
+    unit = prepare(pendulum(), {}, outputs=ASKED).unit
     unit.initialize()
     unit.step(0.5)
     state = unit.save()

@@ -16,12 +16,12 @@ from fmpy.validation import validate_fmu
 
 import alfmu
 from alfmu import Recipe
+from alfmu.catalogue.registry import executed
 from alfmu.cli import main
 from alfmu.fmi.checks.validation import validate
 from alfmu.fmi.drive import Fmu
 from alfmu.fmi.entry import Entry
 from alfmu.fmi.recipe import load
-from alfmu.model.registry import executed
 from alfmu.runtime.build import HERE, PLATFORMS, file_name, zig
 from alfmu.simulation import communication_points, run
 

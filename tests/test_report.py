@@ -16,11 +16,10 @@ from scenes import derived
 from studies import prose, rows, tables, untraced
 
 import alfmu
-from alfmu import oracle
+from alfmu.catalogue.registry import mechanisms
 from alfmu.cli import main
-from alfmu.model.registry import mechanisms
 from alfmu.model.settings import FORMULATIONS, METHODS
-from alfmu.simulation import prepared
+from alfmu.simulation import oracle, prepared
 from alfmu.studies import cases, paper, stability
 from alfmu.studies import reference as exact
 from alfmu.studies.cases import ENERGY, PHI, POSITION, REACTION, Case, Judge, restarting, run

@@ -162,7 +162,7 @@ def test_criteria_in_their_order():
 
 def test_what_time_does_not_allow_is_listed_and_all_is_written(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("alfmu.studies.stability.QUICK", replace(SMALL, total=0.0))
-    monkeypatch.setattr("alfmu.model.registry.mechanisms", lambda: ["particle_on_circle", "four_bar"])
+    monkeypatch.setattr("alfmu.catalogue.registry.mechanisms", lambda: ["particle_on_circle", "four_bar"])
     assert main(["stability", "all", "--quick", "-o", str(tmp_path)]) == 0
     assert "stability.md" in capsys.readouterr().out
     assert {r["class"] for r in rows(tmp_path, "cells")} == {"not run"}

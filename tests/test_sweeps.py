@@ -481,7 +481,7 @@ def test_a_damaged_part_is_told(tmp_path):
 
 def test_two_processes_do_not_write_into_one_folder(tmp_path):
     pytest.importorskip("fcntl")
-    from alfmu.files import exclusive
+    from alfmu.model.files import exclusive
 
     with exclusive(tmp_path / "s") as ours:
         assert ours

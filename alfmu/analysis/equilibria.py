@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files import write
 from ..model.calls import asked
 from ..model.errors import InputError
+from ..model.files import write
 from ..model.words import counted
-from ..result import Signal
+from ..simulation.result import Signal
 from .branches import polished, ways
 from .laws import check_at_rest, driving, held_still
 from .loops import STEP, Loops, WithStates, plain

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model.errors import InputError
 from ..model.words import counted
-from ..result import Result
+from ..simulation.result import Result
 from ..view.picture import animate, check_film
 from .loops import STEP, Loops
 from .situation import Situation, Vector

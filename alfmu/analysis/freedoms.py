@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from ..equations import Equations
-from ..files import write
 from ..model.calls import asked
 from ..model.errors import AlfmuError, InputError
+from ..model.files import write
 from ..model.words import counted
-from ..result import Signal
 from ..runtime import Instance
 from ..simulation import Progress, communication_points
+from ..simulation.result import Signal
 from .branches import STRAIGHT, Way, polished, ways
 from .laws import prescribed
 from .loops import STEP, Loops, plain

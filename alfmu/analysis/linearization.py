@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations.specialisation import plain
-from ..files import atomic, write
 from ..model.calls import asked
 from ..model.errors import InputError
+from ..model.files import atomic, write
 from ..model.units import rate_of
 from ..model.words import counted, shown, some_like
-from ..result import Signal
+from ..simulation.result import Signal
 from .films import film
 from .laws import moved_by_law
 from .situation import Situation, Subject, Vector

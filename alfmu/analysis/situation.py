@@ -22,12 +22,12 @@ from ..model.errors import AlfmuWarning, InputError
 from ..model.mechanism import Mechanism
 from ..model.motion import COEFFICIENTS
 from ..model.words import there_is
-from ..result import Signal
 from ..runtime import Instance
 from ..runtime.prepare import with_defaults
 from ..runtime.probe import Probe, mobility, row_shares, row_units
 from ..runtime.reuse import derive
 from ..simulation import by_name, signals_of
+from ..simulation.result import Signal
 
 __all__ = [
     "LEFT_OUT",

@@ -13,10 +13,10 @@ from ..equations import Equations
 from ..kernel import DEFAULT
 from ..model.errors import InputError
 from ..model.words import in_words
-from ..result import Signal
 from ..runtime import Instance
 from ..runtime.reuse import ready
 from ..simulation import instance, signals_of
+from ..simulation.result import Signal
 from .equilibria import Equilibrium, equilibria
 from .situation import Situation, Source, Subject, begun, situation_of, source
 

@@ -93,7 +93,7 @@ def _add_analysis(sub: argparse.ArgumentParser, files: str, what: str) -> None:
 
 def _equilibrium(chosen: argparse.Namespace) -> None:
     from ..analysis.equilibria import STARTS, check_file, equilibrium
-    from ..result import read_inputs
+    from ..simulation.result import read_inputs
     from ..view.picture import check_drawing
 
     path, drawn = (Path(x) if x else None for x in (chosen.output, chosen.draw))
@@ -113,7 +113,7 @@ def _equilibrium(chosen: argparse.Namespace) -> None:
 
 def _linearize(chosen: argparse.Namespace) -> None:
     from ..analysis.linearization import AMPLITUDE, check_file, figure, linearize, save
-    from ..result import read_inputs
+    from ..simulation.result import read_inputs
     from ..view.picture import check_film
     from ..view.plot import check_name
 
@@ -139,7 +139,7 @@ def _linearize(chosen: argparse.Namespace) -> None:
 
 def _mobility(chosen: argparse.Namespace) -> None:
     from ..analysis.freedoms import check_file, mobility
-    from ..result import read_inputs
+    from ..simulation.result import read_inputs
 
     path = Path(chosen.output) if chosen.output else None
     if path:

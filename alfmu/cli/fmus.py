@@ -112,7 +112,7 @@ def _export(chosen: argparse.Namespace) -> None:
     if chosen.ssp or chosen.ssp_version:
         _export_system(chosen)
         return
-    from ..fmi.export import export
+    from ..api import export
     from ..fmi.native import libraries_in
     from ..fmi.recipe import load
 

@@ -46,7 +46,7 @@ def _stability(chosen: argparse.Namespace) -> None:
 
 def _study(chosen: argparse.Namespace, write: Callable[..., Path]) -> None:
     """Write a study of one mechanism or of all."""
-    from ..model.registry import mechanisms
+    from ..catalogue.registry import mechanisms
 
     names = mechanisms() if chosen.mechanism == "all" else [chosen.mechanism]
     try:

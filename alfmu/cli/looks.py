@@ -90,8 +90,8 @@ def add(command: Command) -> None:
 
 
 def _list(chosen: argparse.Namespace) -> None:
+    from ..catalogue.registry import choices, known, load, mechanisms
     from ..fmi.recipe import recipes
-    from ..model.registry import choices, known, load, mechanisms
 
     def show(name: str) -> None:
         mechanism = load(name)
@@ -128,8 +128,8 @@ def _info(chosen: argparse.Namespace) -> None:
 
 
 def _import(chosen: argparse.Namespace) -> None:
-    from ..files import write
     from ..formats import imported
+    from ..model.files import write
 
     found = imported(chosen.file, **dict(chosen.option))
     path = Path(chosen.output or f"{file_name(found.mechanism.name)}.py")

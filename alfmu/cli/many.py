@@ -103,7 +103,7 @@ def _varied(text: str) -> tuple[str, str]:
 
 
 def _sweep(chosen: argparse.Namespace) -> None:
-    from ..result import read_inputs
+    from ..simulation.result import read_inputs
     from ..sweeps.sweep import sweep
 
     vary = dict(chosen.vary)

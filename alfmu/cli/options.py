@@ -33,9 +33,9 @@ def add_name(sub: argparse.ArgumentParser, name: str, metavar: str, text: str, *
     """What is shown or run: a name, or a file with one of the suffixes, `.py` at least."""
 
     def known(prefix: str, **_: Any) -> list[str]:
+        from ..catalogue.registry import known as mechanisms
+        from ..catalogue.registry import registered
         from ..fmi.recipe import GROUP as RECIPES
-        from ..model.registry import known as mechanisms
-        from ..model.registry import registered
         from ..model.sources import LINKAGES
 
         return mechanisms() + registered(RECIPES) + _files(prefix, (".py", *LINKAGES, *suffixes))

@@ -11,7 +11,7 @@ from ..kernel import DEFAULT
 from ..model.errors import AlfmuError, InputError
 
 if TYPE_CHECKING:
-    from ..result import Result, Signal
+    from ..simulation.result import Result, Signal
 
 from .options import (
     EITHER_HELP,
@@ -173,7 +173,7 @@ def add_table(sub: argparse.ArgumentParser) -> None:
 
 def given_inputs(chosen: argparse.Namespace) -> dict[str, Signal]:
     """Inputs over time from a file; what is to be drawn is checked as well, before anything runs."""
-    from ..result import read_inputs
+    from ..simulation.result import read_inputs
 
     inputs = read_inputs(chosen.input) if chosen.input else {}
     if chosen.plot_names and not chosen.plot:
@@ -216,7 +216,7 @@ def _unit(chosen: argparse.Namespace, inputs: Mapping[str, Signal]) -> tuple[Any
 
 def _table_path(chosen: argparse.Namespace, name: str) -> Path:
     """Where the table of a run goes; InputError where it, or the facts beside it, would replace something else."""
-    from ..result import facts_beside, facts_in
+    from ..simulation.result import facts_beside, facts_in
 
     table = Path(chosen.output or f"{file_name(name)}.csv")
     if table.suffix.lower() != ".csv":
@@ -262,8 +262,8 @@ def _keep(chosen: argparse.Namespace, result: Result, table: Path) -> None:
 
 
 def _animate(chosen: argparse.Namespace) -> None:
-    from ..model.registry import load
-    from ..result import Result, facts_beside
+    from ..catalogue.registry import load
+    from ..simulation.result import Result, facts_beside
     from ..view.drawing import from_data
     from ..view.picture import animate, check_film
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..catalogue import registry
 from ..equations import Variable
-from ..files import scratch
-from ..model import registry
 from ..model.errors import AlfmuError, ExportError, InputError, StepError
+from ..model.files import scratch
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
 from .slave import OPTIONS

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
+from ..model.hooks import handed_in
 from ..runtime.library import Scene
 from .recipe import Recipe
 from .slave import SCENE, Slave
@@ -32,9 +33,7 @@ class Entry(Slave):
     def _scene(self, folder: Path) -> Scene:
         if (folder / SCENE).is_file():
             return Scene((folder / SCENE).read_bytes())
-        from .export import described
-
-        self._description, self._resources = described(self.recipe)
+        self._description, self._resources = handed_in("described")(self.recipe)
         return Scene(self._resources[SCENE])
 
     def to_xml(self, model_options: Any = None) -> Element:

@@ -15,17 +15,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 from xml.etree import ElementTree as ET
 
 from pythonfmu.builder import FmuBuilder
 
 from ..equations import Equations
 from ..equations.specialisation import starting_at
-from ..files import atomic, scratch
 from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
 from ..model.errors import ExportError
+from ..model.files import atomic, scratch
 from ..model.mechanism import Mechanism
 from ..model.sources import is_file
 from ..runtime import Instance
@@ -43,7 +43,7 @@ from .description import (
     model_description,
     model_description3,
 )
-from .recipe import Recipe, load
+from .recipe import Recipe
 from .records import record_files
 from .slave import COMPILED, OPTIONS, SCENE
 from .terminals import document, terminals
@@ -69,32 +69,22 @@ _PINNED = (1980, 1, 1, 0, 0, 0)
 """Time stamp of every file in the archive: the earliest that zip can hold."""
 
 
-def export(
-    mechanism: str | Path | Mechanism | Recipe,
-    path: str | Path | None = None,
-    *,
-    options: Mapping[str, Any] | None = None,
-    parameters: Mapping[str, float | str] | None = None,
-    outputs: Sequence[str] | None = None,
-    freeze: Sequence[str] | None = None,
-    kernel: str | None = None,
-    start: str | None = None,
-    kind: str | None = None,
-    platforms: Sequence[str] | None = None,
-    fmi: int | None = None,
-    reference: bool | None = None,
-) -> Path:
-    """Write the FMU (co-simulation) of a mechanism or a recipe and return its path, `<name>.fmu` by default.
+class Rest(Protocol):
+    """A position of rest, as `alfmu.Equilibrium` has it: coordinates, states, and what locks and motions keep."""
 
-    A name or a Python file stands for the recipe that is registered or declared there, or else for a mechanism. The
-    other arguments are fields of `Recipe`: they take precedence over the recipe, `options` and `parameters` one by one.
-    The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
-    ExportError where it cannot be compiled, and WriteError where the file cannot be written: nothing is left then.
-    """
-    own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
-    recipe = load(mechanism).changed(**own, kernel=kernel, start=start, kind=kind, platforms=platforms, fmi=fmi)
+    @property
+    def q(self) -> Any: ...
+    @property
+    def states(self) -> Any: ...
+    @property
+    def kept(self) -> Any: ...
+
+
+def export(recipe: Recipe, path: str | Path | None = None, rest: Rest | None = None) -> Path:
+    """Write the FMU of a recipe, which starts in a position of rest where one is given, and return its path; see
+    `alfmu.export`."""
     declared = recipe.declared()
-    every, equations = _scene(recipe, declared)
+    every, equations = _scene(recipe, declared, rest)
     path = Path(path or f"{equations.name}.fmu")
     if path.is_dir():
         path = path / f"{equations.name}.fmu"
@@ -147,11 +137,11 @@ def export(
     return path
 
 
-def described(recipe: Recipe) -> tuple[ET.Element, dict[str, bytes]]:
+def described(recipe: Recipe, rest: Rest | None = None) -> tuple[ET.Element, dict[str, bytes]]:
     """The description of an FMU of kind python, and the files of its scene, for pythonfmu's own command."""
     recipe = recipe.changed(kind="python")
     declared = recipe.declared()
-    _, equations = _scene(recipe, declared)
+    _, equations = _scene(recipe, declared, rest)
     scene, generator = packed(equations), _generator()
     guid = _guid(generator, hashlib.sha256(scene).hexdigest())
     version = importlib.metadata.version("alfmu")
@@ -159,9 +149,9 @@ def described(recipe: Recipe) -> tuple[ET.Element, dict[str, bytes]]:
     return ET.fromstring(text), _resources(recipe, equations, scene, guid)
 
 
-def _scene(recipe: Recipe, declared: Mechanism) -> tuple[Equations, Equations]:
+def _scene(recipe: Recipe, declared: Mechanism, rest: Rest | None) -> tuple[Equations, Equations]:
     r = recipe
-    return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel, r.start)
+    return packed_scene(declared, r.parameters, r.outputs, r.freeze, r.kernel, rest)
 
 
 def _resources(recipe: Recipe, equations: Equations, scene: bytes, guid: str) -> dict[str, bytes]:
@@ -184,17 +174,15 @@ def packed_scene(
     outputs: Sequence[str] | None,
     freeze: Sequence[str] | None,
     kernel: str | None,
-    start: str = "declared",
+    rest: Rest | None = None,
 ) -> tuple[Equations, Equations]:
-    """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `export`."""
+    """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `alfmu.export`, and the
+    position of rest that becomes the start values."""
     every = derive(declared)
     equations = chosen(every, parameters or {}, outputs, freeze)
-    if start != "declared":
-        from ..analysis.states import rest
-
+    if rest is not None:
         begun = with_defaults(every, parameters or {})
-        found = rest(begun, start)
-        every, equations = (starting_at(e, found.q, found.states, found.kept) for e in (begun, equations))
+        every, equations = (starting_at(e, rest.q, rest.states, rest.kept) for e in (begun, equations))
     native.checked(equations)
     equations = prepared(equations, kernel or DEFAULT)
     Instance(equations).initialize()  # an FMU that cannot start is not worth writing

@@ -199,7 +199,7 @@ class Recipe(Brief):
 
     def declared(self) -> Mechanism:
         """The mechanism with its options, locks, releases, measures and compliances, by the name of the model."""
-        from ..model.registry import load
+        from ..catalogue.registry import load
 
         mechanism = load(self.mechanism, **self.options)
         if mechanism is self.mechanism:
@@ -223,14 +223,14 @@ class Recipe(Brief):
 
 def of(which: str | Path | Mechanism | Recipe) -> Recipe:
     """What a name or a file stands for where something is run or shown: a mechanism as it is, or else a recipe."""
-    from ..model.registry import mechanisms
+    from ..catalogue.registry import mechanisms
 
     return Recipe(which) if isinstance(which, str) and which in mechanisms() else load(which)
 
 
 def recipes() -> dict[str, Recipe]:
     """All registered recipes by name, in alphabetical order."""
-    from ..model.registry import registered
+    from ..catalogue.registry import registered
 
     return {name: load(name) for name in registered(GROUP)}
 
@@ -244,7 +244,7 @@ def load(which: str | Path | Mechanism | Recipe) -> Recipe:
     if isinstance(which, Recipe):
         return which
     if str(which).endswith(".py"):
-        from ..model.registry import executed
+        from ..catalogue.registry import executed
 
         path = Path(str(which))
         if path.is_file() and not _MAY_DECLARE.search(path.read_bytes()):

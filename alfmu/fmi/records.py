@@ -26,9 +26,9 @@ from ..equations import Equations
 from ..equations.evaluation import DENSE
 from ..equations.interface import MONITORS
 from ..model.errors import AlfmuError, InputError, StepError
-from ..result import Result
 from ..runtime import Instance
 from ..simulation import communication_points, run
+from ..simulation.result import Result
 from .markup import tree
 from .parameters import SSV, parameter_set, read_parameter_set
 

@@ -6,14 +6,14 @@ import zipfile
 from collections.abc import Mapping, Sequence
 
 from ..equations import Equations
-from ..files import scratch
 from ..kernel.form import called
 from ..kernel.tables import alone, function_sizes, packed
 from ..model.errors import ExportError
+from ..model.files import scratch
 from ..model.mechanism import Mechanism
 from . import native
 from .export import export, packed_scene
-from .recipe import KINDS
+from .recipe import KINDS, Recipe
 
 __all__ = ["sizes"]
 
@@ -77,7 +77,7 @@ def _contents(mechanism: Mechanism, given: Mapping, kind: str) -> dict[str, tupl
     found = dict.fromkeys(_CONTENTS, (0, 0))
     with (
         scratch() as folder,
-        zipfile.ZipFile(export(mechanism, folder, **given, kind=kind)) as archive,
+        zipfile.ZipFile(export(Recipe(mechanism).changed(**given, kind=kind), folder)) as archive,
     ):
         for info in archive.infolist():
             place = next(place for place in _CONTENTS if info.filename.startswith(place))

@@ -17,8 +17,8 @@ from ..equations import Equations
 from ..model.errors import AlfmuError, InputError
 from ..model.mechanism import Mechanism
 from ..model.words import counted, shown, there_is
-from ..result import Result, Signal
 from ..simulation import by_name, names_in
+from ..simulation.result import Result, Signal
 from .run import Runs
 
 if TYPE_CHECKING:

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import oracle
+from ..analysis.start import prepare
 from ..equations import Equations
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import there_is
-from ..result import Result, Signal
 from ..runtime.instance import Instance, tell_of_jumps
 from ..runtime.sweeps import Sweeps
-from ..simulation import Progress, by_name, communication_points, names_in, prepare, table_of, values_of
+from ..simulation import Progress, by_name, communication_points, names_in, oracle, table_of, values_of
+from ..simulation.result import Result, Signal
 from .functions import Expression, Final, Function
 
 if TYPE_CHECKING:

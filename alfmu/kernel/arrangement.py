@@ -18,6 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.hooks import handed_in
 from .stream import BINARY, UNARY, Instructions
 
 __all__ = ["KINDS", "OPERANDS", "SINE_COSINE", "SUMS", "Arrangement", "Operation", "arranged", "in_runs"]
@@ -176,9 +177,7 @@ def _places(instructions: Instructions, which: NDArray) -> list[list[int]]:
 
 def _library() -> Any:
     """The C library, which arranges."""
-    from ..runtime.library import library
-
-    return library()
+    return handed_in("library")()
 
 
 def _address(array: NDArray) -> int:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
-    from ..result import Result
+    import numpy as np
+    from numpy.typing import NDArray
 
 __all__ = [
     "AlfmuError",
@@ -20,10 +23,29 @@ __all__ = [
 ]
 
 
+class Rows(Protocol):
+    """What a run had computed, as `alfmu.Result` has it."""
+
+    @property
+    def time(self) -> NDArray[np.float64]: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def units(self) -> Mapping[str, str]: ...
+    @property
+    def values(self) -> NDArray[np.float64]: ...
+
+    def __getitem__(self, name: str) -> NDArray[np.float64]: ...
+    def __len__(self) -> int: ...
+    def __iter__(self) -> Iterator[str]: ...
+    def __contains__(self, name: object) -> bool: ...
+    def to_csv(self, path: str | Path) -> None: ...
+
+
 class AlfmuError(Exception):
     """Base of every error that alfmu raises on purpose; its text is meant for the user."""
 
-    result: Result | None = None
+    result: Rows | None = None
     """What a run had computed when this error ended it (`alfmu.Result`); None where none had begun."""
 
 

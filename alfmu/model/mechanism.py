@@ -34,6 +34,7 @@ from .checks import (
     users_line,
 )
 from .errors import DeclarationError
+from .hooks import Picture, handed_in
 from .motion import DERIVATIVES, ORDERS, Input, Law, Signal
 from .motion import JUMPS as LEAPS
 from .relations import (
@@ -58,7 +59,6 @@ from .words import LONGEST, Brief, counted, in_words, no_attribute, shown, text,
 
 if TYPE_CHECKING:
     from ..equations.derivation import Kinematics
-    from ..view.picture import Drawing
 
 __all__ = ["Body", "Joint", "Marker", "Mechanism", "Point", "Scalar"]
 
@@ -1831,18 +1831,14 @@ class Mechanism:
         at: Mapping[str, float] | None = None,
         parameters: Mapping[str, float] | None = None,
         size: tuple[int, int] = (640, 480),
-    ) -> Drawing:
+    ) -> Picture:
         """The picture of the mechanism at its start, before anything is simulated; written to `path` (PNG or SVG) too.
 
         `at` gives values [rad, m] of start quantities or coordinates that it is drawn at, `parameters` changes
         defaults, `size` is in pixels. Returns a `Drawing`, which notebooks show. Raises AlfmuError where there is no
         start.
         """
-        from ..view.picture import drawing
-
-        drawn = drawing(self, at, parameters, size)
-        if path is not None:
-            drawn.save(path)
+        drawn: Picture = handed_in("draw")(self, path, at=at, parameters=parameters, size=size)
         return drawn
 
     def _repr_svg_(self) -> str | None:
@@ -1852,7 +1848,7 @@ class Mechanism:
     def _repr_png_(self) -> bytes | None:
         return self._shown(lambda drawing: drawing._repr_png_())
 
-    def _shown(self, how: Callable[[Drawing], _Form | None]) -> _Form | None:
+    def _shown(self, how: Callable[[Picture], _Form | None]) -> _Form | None:
         """The drawing as a notebook asks for it, None where there is none or where it would take long."""
         if len(self.coordinates) > QUICK:
             return None

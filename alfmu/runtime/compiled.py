@@ -15,9 +15,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from ..equations import Equations
-from ..files import scratch, write
 from ..kernel.tables import machine_code
 from ..model.errors import ExportError
+from ..model.files import scratch, write
 from .build import compiler
 
 __all__ = ["FLAGS", "SUFFIX", "build", "cache", "compiled_scene", "kept", "verified", "version", "whole"]

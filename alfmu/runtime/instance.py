@@ -17,6 +17,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..catalogue.registry import load
 from ..equations import Equations, Mobility, Variable
 from ..equations.evaluation import DENSE
 from ..equations.interface import CHOICES, Choice, Counters, checked, default_settings, not_there, setting, variables_of
@@ -26,7 +27,6 @@ from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AlfmuWarning, AssemblyError, InputError, OpenError, StepError
 from ..model.mechanism import Mechanism
-from ..model.registry import load
 from ..model.settings import FIXED, Settings
 from ..model.words import there_is
 from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 from pathlib import Path
 
-from ..files import write
 from ..model.errors import ExportError
+from ..model.files import write
 from . import build
 from .build import HERE, WEB, file_name
 

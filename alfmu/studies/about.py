@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..catalogue.registry import choices
 from ..equations import Equations, Mobility, Variable
 from ..equations.interface import default_settings, variables_of
 from ..equations.specialisation import specialised
@@ -18,7 +19,6 @@ from ..fmi.recipe import Recipe
 from ..model.doubts import evaluated, masses, no_gravity
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
-from ..model.registry import choices
 from ..model.words import quantity
 from ..runtime import Instance
 from ..runtime.prepare import decided, prepared

@@ -15,13 +15,13 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ..catalogue.registry import load
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..equations.interface import CHOICES, SOLVER_VARIABLES, Counters
-from ..files import write
 from ..model.errors import AlfmuError
+from ..model.files import write
 from ..model.mechanism import Mechanism
-from ..model.registry import load
 from ..model.settings import FIXED
 from ..runtime import Instance
 from ..simulation import Unit, prepared, with_defaults

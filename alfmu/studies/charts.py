@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..files import atomic
 from ..model.errors import InputError
+from ..model.files import atomic
 from .tables import Row
 
 if TYPE_CHECKING:

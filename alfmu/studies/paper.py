@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from ..catalogue.registry import load
 from ..equations import Equations
 from ..equations.derivation import derive
 from ..model.errors import InputError, StepError
-from ..model.registry import load
 from ..model.settings import Settings
-from ..oracle import Instance
 from ..simulation import prepared
+from ..simulation.oracle import Instance
 from .charts import require, save
 from .tables import Cell, Row, paragraph, shown, write_csv
 

@@ -19,17 +19,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..api import export, simulate
 from ..equations import Equations
 from ..equations.specialisation import specialised
-from ..files import scratch, write
 from ..fmi.drive import Fmu
-from ..fmi.export import export
 from ..model.errors import AlfmuError, InputError
+from ..model.files import scratch, write
 from ..model.mechanism import Mechanism
 from ..model.settings import FORMULATIONS, Settings
 from ..runtime import Instance
 from ..runtime.build import compiler
-from ..simulation import Unit, communication_points, instance, prepared, simulate
+from ..simulation import Unit, communication_points, instance, prepared
 from ..view.picture import animate
 from . import cases, paper
 from . import reference as exact

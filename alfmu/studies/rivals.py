@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 
 from ..equations import Equations
 from ..model.settings import Settings
-from ..oracle import Instance
+from ..simulation.oracle import Instance
 from . import peers
 from .cases import ARITHMETIC, STEP, TOLERANCE, Case, Run
 from .peers import Peer, Start

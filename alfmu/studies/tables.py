@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from ..files import atomic
+from ..model.files import atomic
 from ..runtime.build import compiler
 
 __all__ = [

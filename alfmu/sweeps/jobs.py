@@ -259,7 +259,7 @@ def machine() -> str:
 
 def _compiled(scene: Scene, code: Code) -> None:
     """Compiled functions for a scene; where they cannot be loaded, it is interpreted, with the same numbers."""
-    from ..files import scratch
+    from ..model.files import scratch
 
     with scratch() as folder, suppress(OSError):
         path = folder / "kernel"
@@ -277,7 +277,7 @@ class _FmuRunner:
     """Runs of an FMU, step by step on one instance, which is reset before each; a new one where a run failed."""
 
     def __init__(self, job: FmuJob):
-        from ..files import scratch
+        from ..model.files import scratch
 
         self.job = job
         self.files = ExitStack()

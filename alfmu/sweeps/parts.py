@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files import exclusive, write
 from ..model.errors import InputError
+from ..model.files import exclusive, write
 from ..simulation import communication_points
 from .jobs import Part
 

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files import write
 from ..model.errors import InputError
+from ..model.files import write
 from ..model.words import there_is
 from .parts import FORMS, Folder, Plan, Store, read_plan
 from .summary import QUANTILES, Summary, summarised

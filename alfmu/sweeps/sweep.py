@@ -22,11 +22,11 @@ from ..model.checks import perhaps_degrees, perhaps_millimetres
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
-from ..result import Signal
 from ..runtime import Instance
 from ..runtime.prepare import again, with_defaults
 from ..runtime.reuse import derive, ready
 from ..simulation import by_name, communication_points, instance, signals_of
+from ..simulation.result import Signal
 from .crew import Crew, Processes, Stop, cluster, make, stopping
 from .jobs import Code, FmuJob, Job, SceneJob, machine
 from .measures import Measure, matching, measures

@@ -28,11 +28,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import simulation
-from ..files import write
+from ..analysis.start import prepare, simulated
 from ..fmi.recipe import of
 from ..model.errors import AlfmuError, InputError
+from ..model.files import write
 from ..model.units import UNITS
 from ..model.words import in_words, there_is
+from ..simulation.result import Result
 from ..view.plot import check_name, save
 from .case import Case
 from .description import Monolithic
@@ -260,7 +262,7 @@ def _reference(
         limit = max(tolerance * share, 1e-13)
         recipe = of(mono.mechanism).changed(options=mono.options, parameters={_LIMITED: limit, **mono.parameters})
         names = sorted(set(mono.compare.values()))
-        found = simulation.simulate(recipe, system.stop_time, finest / halves, inputs=mono.inputs)
+        found = simulated(prepare(recipe, {}, mono.inputs), system.stop_time, finest / halves, inputs=mono.inputs)
         for name in names:
             if name not in found:
                 raise InputError(f"{found.mechanism} has no output {name!r}; {there_is(name, found.names)}")
@@ -293,7 +295,7 @@ def _run(
         try:
             result = simulation.run(unit, span, step)
         except AlfmuError as error:  # a value that diverges is refused as an input
-            if error.result is None:
+            if not isinstance(error.result, Result):
                 raise
             result, why = error.result, str(error)
         at, made, passed = _energy(unit, bonds)

@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from .. import simulation
 from ..equations import Variable
-from ..files import scratch
 from ..model.errors import AlfmuError, AlfmuWarning, InputError, StepError
+from ..model.files import scratch
 from ..model.words import there_is
-from ..result import Result, Signal
+from ..simulation.result import Result, Signal
 from .description import Connection, Description
 from .ports import Port, conversion
 from .reading import unpacked

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ..analysis.start import rest_of
 from ..equations import Equations
 from ..fmi.drive import Fmu, kind_of
 from ..fmi.export import packed_scene
@@ -231,7 +232,7 @@ def opened(component: Component, folder: Path, parameters: Mapping[str, float | 
         if component.kind == "fmu":
             return Remote(component.name, folder / str(component.what), given, component.units)
         recipe = recipe_of(component).changed(parameters=parameters)
-        scene = (recipe.parameters, recipe.outputs, recipe.freeze, recipe.kernel, recipe.start)
+        scene = (recipe.parameters, recipe.outputs, recipe.freeze, recipe.kernel, rest_of(recipe))
         return Local(component.name, packed_scene(recipe.declared(), *scene)[1])
 
 

@@ -14,8 +14,8 @@ from .ssp import VERSIONS
 from .writing import write
 
 if TYPE_CHECKING:
-    from ..result import Result, Signal
     from ..simulation import Progress
+    from ..simulation.result import Result, Signal
 
 __all__ = ["System"]
 

@@ -9,9 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-from ..files import scratch
+from ..analysis.start import rest_of
 from ..fmi.export import archive, export
 from ..model.errors import ExportError, InputError
+from ..model.files import scratch
 from ..model.words import in_words
 from .description import Component, Description
 from .ports import Measure, Port
@@ -63,7 +64,7 @@ def _fmu(system: Description, component: Component, folder: Path) -> bytes:
         constants = _constants(system, component.name)
         with naming(component):
             recipe = recipe_of(component).changed(kind="native", reference=False, parameters=constants)
-            return export(recipe, folder / f"{component.name}.fmu").read_bytes()
+            return export(recipe, folder / f"{component.name}.fmu", rest_of(recipe)).read_bytes()
     if system.archive is not None:
         with zipfile.ZipFile(system.archive) as opened:
             return opened.read(str(component.what))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.errors import InputError
-from ..result import Result
+from ..simulation.result import Result
 from .plot import COLORS
 
 if TYPE_CHECKING:

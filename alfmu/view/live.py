@@ -25,17 +25,17 @@ from numpy.typing import NDArray
 
 from ..equations import Equations, Variable
 from ..equations.interface import state_starts, variables_of
-from ..files import write
 from ..kernel.stream import BINARY, UNARY
 from ..kernel.tables import packed
 from ..model.errors import AlfmuError, InputError
+from ..model.files import write
 from ..model.mechanism import Marker, Mechanism
-from ..result import Result
 from ..runtime import Instance
 from ..runtime.build import WEB
 from ..runtime.prepare import prepared
 from ..runtime.shipped import library
 from ..simulation import communication_points
+from ..simulation.result import Result
 from .pages import filled, text_of
 from .picture import Shapes, geometry, view_of
 from .shapes import by_law, ends_of

@@ -22,15 +22,16 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 
 from ..equations import Equations
-from ..files import atomic, write
+from ..kernel import DEFAULT
 from ..model.errors import AlfmuError, AssemblyError, InputError
+from ..model.files import atomic, write
 from ..model.mechanism import Mechanism, Start
 from ..model.words import shown, there_is
-from ..result import Result
 from ..runtime import Instance
 from ..runtime.probe import Probe
-from ..runtime.reuse import derive
-from ..simulation import Progress, simulate, with_defaults
+from ..runtime.reuse import derive, ready
+from ..simulation import Progress, instance, run, with_defaults
+from ..simulation.result import Result
 from . import plane, space
 from .pages import page
 from .plane import View
@@ -232,7 +233,8 @@ def drawing(
     if dots:
         stop_time = min(equations.stop_time, 500 * equations.step_size)
         with suppress(AlfmuError):
-            result = simulate(every, stop_time, equations.step_size, parameters=parameters)
+            scene, left = ready(every, parameters or {}, None, None, DEFAULT)
+            result = run(instance(scene, DEFAULT), stop_time, equations.step_size, parameters=left)
             trails = {dot: _path(result, shapes, dot) for dot in dots}
             # The frame holds what is drawn: trails as a whole, all else where it stands.
             moved = {name for dot in dots for name in _columns_of(shapes, dot)}

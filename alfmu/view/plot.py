@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ..files import atomic
 from ..model.errors import InputError
+from ..model.files import atomic
 from ..model.words import some_like
-from ..result import Result
+from ..simulation.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -38,7 +38,7 @@ from alfmu.method.stepping import (
 )
 from alfmu.model.errors import StepError
 from alfmu.model.settings import FIXED
-from alfmu.oracle import Instance
+from alfmu.simulation.oracle import Instance
 
 __all__ = ["Adaptive", "by_method"]
 

@@ -8,8 +8,8 @@ from html import escape
 from pathlib import Path
 from textwrap import shorten
 
-from ...files import write
 from ...model.errors import InputError
+from ...model.files import write
 from ...model.words import counted
 from .registry import FAILED, NOT_APPLICABLE, NOTED, PASSED, RISKY, UNJUDGED, Finding
 from .validation import Report

@@ -20,10 +20,10 @@ from fmpy import extract
 from fmpy.model_description import ModelDescription
 from fmpy.validation import validate_fmu
 
-from ...files import scratch
 from ...model.errors import ExportError, InputError
+from ...model.files import scratch
 from ...model.words import there_is
-from ...result import Result
+from ...simulation.result import Result
 from ..drive import checked_archive, checked_folder, description_of, missing_library, platforms_of
 from ..records import AGREES, FOLDER, Record, listed, records_in
 from .child import CURRENT, JOURNAL, TASK, all_checks, result_file

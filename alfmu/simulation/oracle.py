@@ -20,19 +20,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from . import runtime
-from .equations import Equations
-from .equations.arrays import ArrayFunction, ArrayFunctions
-from .equations.evaluation import DENSE
-from .equations.interface import MONITORS, Counters, events
-from .kernel.memory import GROSS, SETTINGS, TURN
-from .kernel.thresholds import PATIENT, REGULAR, SAID, SHORTEST, TORN, UNFINISHED
-from .method import formulations as method
-from .method import singular as branch
-from .method.formulations import CORRECTIONS
-from .method.inputs import Past
-from .method.integrators import rk4
-from .model.errors import AlfmuError, InputError, OpenError, StepError
+from .. import runtime
+from ..equations import Equations
+from ..equations.arrays import ArrayFunction, ArrayFunctions
+from ..equations.evaluation import DENSE
+from ..equations.interface import MONITORS, Counters, events
+from ..kernel.memory import GROSS, SETTINGS, TURN
+from ..kernel.thresholds import PATIENT, REGULAR, SAID, SHORTEST, TORN, UNFINISHED
+from ..method import formulations as method
+from ..method import singular as branch
+from ..method.formulations import CORRECTIONS
+from ..method.inputs import Past
+from ..method.integrators import rk4
+from ..model.errors import AlfmuError, InputError, OpenError, StepError
 
 __all__ = ["Instance"]
 

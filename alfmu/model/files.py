@@ -20,7 +20,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from .model.errors import WriteError
+from .errors import WriteError
 
 try:
     import fcntl

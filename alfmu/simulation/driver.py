@@ -2,38 +2,28 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from dataclasses import replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..equations import Equations, Variable
+from ..kernel import KERNELS
+from ..model.errors import AlfmuError, InputError
+from ..model.mechanism import Mechanism
+from ..model.settings import FIXED, Settings
+from ..model.words import shown
+from ..runtime import Instance
+from ..runtime.prepare import prepared, with_defaults
 from . import oracle
-from .equations import Equations, Variable
-from .equations.specialisation import starting_at, without_steps
-from .kernel import DEFAULT, KERNELS
-from .model.doubts import no_gravity
-from .model.errors import AlfmuError, InputError
-from .model.mechanism import Mechanism
-from .model.settings import FIXED, Settings
-from .model.words import shown
 from .result import OFF, Check, Result, Signal, read_inputs
-from .runtime import Instance
-from .runtime.prepare import prepared, with_defaults
-from .runtime.reuse import derive, ready
-
-if TYPE_CHECKING:
-    from .analysis.equilibria import Equilibrium
-    from .fmi.recipe import Recipe
 
 __all__ = [
     "KERNELS",
-    "Prepared",
     "Result",
     "Unit",
     "by_name",
@@ -42,13 +32,11 @@ __all__ = [
     "finer",
     "instance",
     "names_in",
-    "prepare",
     "prepared",
     "read_inputs",
     "run",
     "settings_of",
     "signals_of",
-    "simulate",
     "table_of",
     "values_of",
     "with_defaults",
@@ -62,9 +50,6 @@ HIDDEN, NOTHING = 1e-3, 1e-12
 in a thousand, and a run says so; below the second one the state is round-off."""
 
 _LOGGER = logging.getLogger("alfmu")
-
-_TOLD: set[str] = set()
-"""What was said of mechanisms in this process."""
 
 Progress = Callable[[Iterable[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
@@ -85,100 +70,6 @@ class Unit(Protocol):
     def step(self, communication_step: float, time: float) -> None: ...
     def read(self) -> NDArray[np.float64]: ...
     def read_inputs(self) -> NDArray[np.float64]: ...
-
-
-def simulate(
-    mechanism: str | Path | Mechanism | Equations | Recipe,
-    stop_time: float | None = None,
-    communication_step: float | None = None,
-    *,
-    inputs: Mapping[str, Signal] | None = None,
-    parameters: Mapping[str, float | str] | None = None,
-    start: str | Equilibrium | None = None,
-    outputs: Sequence[str] | None = None,
-    freeze: Sequence[str] | None = None,
-    kernel: str | None = None,
-    held_rows: bool = False,
-    check: bool = False,
-    progress: Progress = iter,
-) -> Result:
-    """Run a mechanism from 0 to `stop_time` [s] with communication steps of `communication_step` [s].
-
-    `mechanism` is a `Mechanism`, a Python file that declares one, the name of a mechanism or of a recipe, an `.fmu`
-    file, a `Recipe`, or equations; an `.ssp` or a `.toml` file is a connected system (`alfmu.System`).
-
-    `parameters` sets parameters, start values and solver variables by name, such as `solver.method`. `inputs` gives
-    each input by name as a number, a function of time [s], or a table (times, values) between whose points it is
-    linear; it is held over each communication step at its value at the beginning. Defaults are the mechanism's own.
-    `start` is "declared" (the start values, the default), "equilibrium" (at rest in the position that
-    `alfmu.equilibrium(...).nearest` tells for the inputs at 0 s) or an `Equilibrium`.
-    Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; names such
-    as `link1.angle/A.torque` ask for the interface Jacobian too, the derivative of an output at the end of each
-    communication step by an input that is held over it (`["*", "link*.angle/*"]` has all outputs and these). Parameters
-    in `freeze` are folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`; `progress` wraps the
-    communication points, to show how far a run is (`tqdm.tqdm` does). Runs of one mechanism share what is traced, as
-    long as they differ in numbers alone.
-
-    Outputs of a row that depend on inputs at once, such as accelerations and reactions, are those with the inputs that
-    are set at its communication point; with `held_rows` those with the inputs of the step that ends there, as importers
-    record them (fmpy, fmusim). Motions are the same.
-
-    With `check` it is run again with a hundredth of the tolerance, or half the steps where they have one length, and
-    `Result.check` tells how far off it is; a warning says where that passes a thousandth.
-
-    Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
-    that has begun, the exception's `result` has the rows up to then.
-    """
-    given: dict[str, float | str] = by_name(mechanism, "parameters", parameters)
-    if isinstance(mechanism, str | Path) and str(mechanism).lower().endswith((".ssp", ".toml")):
-        if not (outputs is freeze is kernel is start is None):
-            raise InputError(
-                f"{mechanism}: outputs, frozen parameters, the kernel and the start are those of its components; give "
-                "them there"
-            )
-        from .systems.system import System
-
-        if check:
-            raise InputError(f"{mechanism}: connected systems are not checked; check each component")
-        system = System.load(mechanism)
-        more: dict[str, Any] = {"inputs": inputs, "parameters": given, "held_rows": held_rows, "progress": progress}
-        return system.simulate(stop_time, communication_step, **more)
-    how: dict[str, Any] = {"inputs": inputs, "progress": progress, "held_rows": held_rows}
-    if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
-        if not (outputs is freeze is kernel is start is None):
-            raise InputError(
-                f"{mechanism}: outputs, frozen parameters, the kernel and the start of an FMU are fixed when it is "
-                "exported; give them to alfmu.export()"
-            )
-        return _simulate_fmu(mechanism, stop_time, communication_step, given, how, check)
-
-    def made(given: dict[str, float | str]) -> tuple[Instance, Result]:
-        found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel)
-        stop = found.stop_time if stop_time is None else stop_time
-        step = found.interval if communication_step is None else communication_step
-        result = run(found.unit, stop, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
-        _tell_what_was_forgotten(found)
-        return found.unit, result
-
-    unit, result = made(given)
-    if not check:
-        return result
-    setting, value = finer(unit.name, settings_of(unit))
-    return checked(result, made({**given, setting: value})[1], setting, value)
-
-
-def _tell_what_was_forgotten(of: Prepared) -> None:
-    """Warn of a mechanism without gravity, and of coordinates that nothing determines at the start: once each."""
-    if of.unit.equations.programs.setdefault("told what was forgotten", of) is not of:
-        return
-    said = [no_gravity(of.declared)] if of.declared is not None else []
-    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
-        if free := of.unit.forgotten():
-            said.append(f"{of.unit.name}: {free}")
-    for text in filter(None, said):
-        if text not in _TOLD:
-            _TOLD.add(text)
-            _LOGGER.warning("%s", text)
 
 
 def settings_of(unit: Instance) -> dict[str, float | str]:
@@ -207,88 +98,6 @@ def checked(result: Result, other: Result, setting: str, value: float) -> Result
             *(result.mechanism, check, OFF, check.since, setting),
         )
     return replace(result, check=check)
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """What a run of a mechanism begins with."""
-
-    unit: Instance
-    left: Mapping[str, float | str]
-    """Parameters that are still to be set."""
-    stop_time: float
-    interval: float
-    facts: Mapping[str, Any]
-    declared: Mechanism | None
-
-
-def prepare(
-    mechanism: str | Path | Mechanism | Equations | Recipe,
-    parameters: Mapping[str, float | str],
-    inputs: Mapping[str, Signal] | None = None,
-    start: str | Equilibrium | None = None,
-    outputs: Sequence[str] | None = None,
-    freeze: Sequence[str] | None = None,
-    kernel: str | None = None,
-    kept: Sequence[str] = (),
-    jacobian: bool = True,
-) -> Prepared:
-    """An instance that is not yet initialised, for arguments of `simulate`; parameters in `kept` are never folded, and
-    without `jacobian` no derivatives over a step are among the outputs."""
-    given, declared = dict(parameters), None
-    facts: dict[str, Any] = {}
-    if isinstance(mechanism, Equations):
-        equations = mechanism
-        facts |= {"mechanism": equations.name, "options": equations.options}
-    else:
-        from .fmi.recipe import of
-
-        recipe = of(mechanism)
-        declared = recipe.declared()
-        equations, given = derive(declared), {**recipe.parameters, **given}
-        outputs = recipe.outputs if outputs is None else outputs
-        freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
-        start = start or recipe.start
-        facts |= {"mechanism": str(recipe), "options": declared.options}
-    kernel = kernel or DEFAULT
-    if not jacobian:
-        outputs = None if outputs is None else without_steps(outputs)
-        equations = replace(equations, jacobian=()) if equations.jacobian else equations
-    if freeze is not None:
-        freeze = [name for name in freeze if name not in kept]
-    scene, left = ready(equations, given, outputs, freeze, kernel)
-    if start not in (None, "declared"):
-        from .analysis.states import rest
-
-        found = rest(with_defaults(equations, given), start, inputs)
-        scene, left = starting_at(with_defaults(scene, left), found.q, found.states, found.kept), {}
-        facts["start"] = dict(found.coordinates)
-    facts["parameters"] = given
-    return Prepared(instance(scene, kernel), left, equations.stop_time, equations.interval, facts, declared)
-
-
-def _simulate_fmu(
-    path: str | Path,
-    stop_time: float | None,
-    communication_step: float | None,
-    parameters: dict[str, float | str],
-    how: dict[str, Any],
-    check: bool = False,
-) -> Result:
-    """Run an FMU as `simulate` does."""
-    from .fmi.drive import Fmu
-
-    if check:
-        with Fmu(path) as fmu:
-            setting, value = finer(fmu.name, {**fmu.starts(), **parameters})
-        result = _simulate_fmu(path, stop_time, communication_step, parameters, how)
-        other = _simulate_fmu(path, stop_time, communication_step, {**parameters, setting: value}, how)
-        return checked(result, other, setting, value)
-    with Fmu(path) as fmu:
-        step = fmu.interval if communication_step is None else communication_step
-        facts = fmu.facts(parameters)
-        stop_time = fmu.stop_time if stop_time is None else stop_time
-        return run(fmu, stop_time, step, parameters=parameters, facts=facts, declared=fmu.declared(), **how)
 
 
 def instance(equations: Equations, kernel: str, settings: Settings | None = None) -> Instance:

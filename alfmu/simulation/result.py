@@ -22,12 +22,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .equations.interface import Counters
-from .files import atomic, scratch, write
-from .model.content import content
-from .model.errors import AlfmuError, InputError
-from .model.mechanism import Mechanism
-from .model.words import counted, some_like
+from ..equations.interface import Counters
+from ..model.content import content
+from ..model.errors import InputError
+from ..model.files import atomic, write
+from ..model.hooks import handed_in
+from ..model.mechanism import Mechanism
+from ..model.words import counted, some_like
 
 if TYPE_CHECKING:
     import pandas
@@ -193,9 +194,9 @@ class Result:
 
         It shows itself in a notebook, `savefig("run.png")` writes it. Needs `alfmu[plot]`.
         """
-        from .view.plot import figure
-
-        return figure(self, None if names is None else [*([names] if isinstance(names, str) else names), *more])
+        found = None if names is None else [*([names] if isinstance(names, str) else names), *more]
+        figure: Figure = handed_in("plot")(self, found)
+        return figure
 
     def animate(self, path: str | Path | None = None, *, fps: float = 25.0, speed: float = 1.0) -> Film | None:
         """A film of the motion, written as `.gif` or `.html`, or without a path one that shows itself in a notebook.
@@ -203,25 +204,8 @@ class Result:
         `speed` is the time [s] shown per second, `fps` the frames per second of a GIF. Raises InputError where it is
         not known how the mechanism looks, as with a table or an FMU from elsewhere.
         """
-        from .view.drawing import from_data
-        from .view.picture import animate
-
-        shown: Any = self._shown()
-        if shown is None:
-            try:
-                shown = from_data(self.facts.get("drawing"))
-            except ValueError as error:
-                raise InputError(
-                    f"the result of {self.mechanism} has no drawing ({error}); use alfmu animate RESULT.csv "
-                    "--mechanism NAME"
-                ) from None
-        how = {"parameters": self.facts.get("parameters", {}), "fps": fps, "speed": speed}
-        if path is not None:
-            animate(shown, self, path, **how)
-            return None
-        with scratch() as folder:
-            animate(shown, self, folder / "film.html", **how)
-            return Film((folder / "film.html").read_text(encoding="utf-8"))
+        film: Film | None = handed_in("animate")(self, path, fps, speed)
+        return film
 
     def _repr_html_(self) -> str:
         """For notebooks: the range of each column."""
@@ -275,23 +259,11 @@ class Result:
             for t, row in zip(self.time, self.values, strict=True):
                 writer.writerow([f"{x:.17g}" for x in (t, *row)])
         facts: dict[str, Any] = {"mechanism": self.mechanism, "options": {}, "parameters": {}, **self.facts}
-        facts |= {"name": self.mechanism, "units": dict(self.units), "drawing": self._drawing()}
+        facts |= {"name": self.mechanism, "units": dict(self.units), "drawing": handed_in("drawing_of")(self)}
         lines = (f" {json.dumps(key)}: {json.dumps(value, default=_as_json)}" for key, value in facts.items())
         write(beside, ("{\n" + ",\n".join(lines) + "\n}\n").encode())
 
-    def _drawing(self) -> Any:
-        """How the mechanism is drawn, as data; None where it is not known, or cannot be drawn."""
-        from .view.drawing import as_data
-        from .view.shapes import geometry
-
-        try:
-            declared = self._shown()
-            parameters = self.facts.get("parameters", {})
-            return self.facts.get("drawing") if declared is None else as_data(geometry(declared, parameters))
-        except AlfmuError:
-            return None
-
-    def _shown(self) -> Mechanism | None:
+    def shown(self) -> Mechanism | None:
         """The mechanism as it ran; InputError where it was changed since."""
         if self.declared is not None and content(self.declared) != self._ran:
             raise InputError(

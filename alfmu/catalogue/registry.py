@@ -14,12 +14,12 @@ from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
-from . import gallery
-from .checks import casadi_function
-from .errors import AlfmuError, AlfmuWarning, DeclarationError, InputError
-from .mechanism import Mechanism
-from .sources import LINKAGES, is_file
-from .words import in_words, nearest, there_is
+from ..model import gallery
+from ..model.checks import casadi_function
+from ..model.errors import AlfmuError, AlfmuWarning, DeclarationError, InputError
+from ..model.mechanism import Mechanism
+from ..model.sources import LINKAGES, is_file
+from ..model.words import in_words, nearest, there_is
 
 __all__ = ["GROUP", "choices", "executed", "known", "load", "mechanisms", "options", "registered"]
 

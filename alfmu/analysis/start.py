@@ -1,0 +1,116 @@
+"""An instance that a run begins with: at the start values of whatever `simulate` is given, or in a position of rest."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from ..equations import Equations
+from ..equations.specialisation import starting_at, without_steps
+from ..fmi.recipe import Recipe, of
+from ..kernel import DEFAULT
+from ..model.doubts import no_gravity
+from ..model.errors import AlfmuError
+from ..model.mechanism import Mechanism
+from ..runtime import Instance
+from ..runtime.prepare import with_defaults
+from ..runtime.reuse import derive, ready
+from ..simulation import instance, run
+from ..simulation.result import Result, Signal
+from .equilibria import Equilibrium
+from .states import rest
+
+__all__ = ["Prepared", "prepare", "rest_of", "simulated"]
+
+_LOGGER = logging.getLogger("alfmu")
+
+_TOLD: set[str] = set()
+"""What was said of mechanisms in this process."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a run of a mechanism begins with."""
+
+    unit: Instance
+    left: Mapping[str, float | str]
+    """Parameters that are still to be set."""
+    stop_time: float
+    interval: float
+    facts: Mapping[str, Any]
+    declared: Mechanism | None
+
+
+def prepare(
+    mechanism: str | Path | Mechanism | Equations | Recipe,
+    parameters: Mapping[str, float | str],
+    inputs: Mapping[str, Signal] | None = None,
+    start: str | Equilibrium | None = None,
+    outputs: Sequence[str] | None = None,
+    freeze: Sequence[str] | None = None,
+    kernel: str | None = None,
+    kept: Sequence[str] = (),
+    jacobian: bool = True,
+) -> Prepared:
+    """An instance that is not yet initialised, for arguments of `simulate`; parameters in `kept` are never folded, and
+    without `jacobian` no derivatives over a step are among the outputs."""
+    given, declared = dict(parameters), None
+    facts: dict[str, Any] = {}
+    if isinstance(mechanism, Equations):
+        equations = mechanism
+        facts |= {"mechanism": equations.name, "options": equations.options}
+    else:
+        recipe = of(mechanism)
+        declared = recipe.declared()
+        equations, given = derive(declared), {**recipe.parameters, **given}
+        outputs = recipe.outputs if outputs is None else outputs
+        freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
+        start = start or recipe.start
+        facts |= {"mechanism": str(recipe), "options": declared.options}
+    kernel = kernel or DEFAULT
+    if not jacobian:
+        outputs = None if outputs is None else without_steps(outputs)
+        equations = replace(equations, jacobian=()) if equations.jacobian else equations
+    if freeze is not None:
+        freeze = [name for name in freeze if name not in kept]
+    scene, left = ready(equations, given, outputs, freeze, kernel)
+    if start not in (None, "declared"):
+        found = rest(with_defaults(equations, given), start, inputs)
+        scene, left = starting_at(with_defaults(scene, left), found.q, found.states, found.kept), {}
+        facts["start"] = dict(found.coordinates)
+    facts["parameters"] = given
+    return Prepared(instance(scene, kernel), left, equations.stop_time, equations.interval, facts, declared)
+
+
+def rest_of(recipe: Recipe) -> Equilibrium | None:
+    """The position of rest in which the FMU of a recipe starts; None where it starts at its start values."""
+    if recipe.start == "declared":
+        return None
+    return rest(with_defaults(derive(recipe.declared()), recipe.parameters), recipe.start)
+
+
+def simulated(found: Prepared, stop_time: float | None, communication_step: float | None, **how: Any) -> Result:
+    """The run of an instance; times that are None are the mechanism's own, `how` is what `run` takes."""
+    stop = found.stop_time if stop_time is None else stop_time
+    step = found.interval if communication_step is None else communication_step
+    result = run(found.unit, stop, step, parameters=found.left, facts=found.facts, declared=found.declared, **how)
+    _tell_what_was_forgotten(found)
+    return result
+
+
+def _tell_what_was_forgotten(of: Prepared) -> None:
+    """Warn of a mechanism without gravity, and of coordinates that nothing determines at the start: once each."""
+    if of.unit.equations.programs.setdefault("told what was forgotten", of) is not of:
+        return
+    said = [no_gravity(of.declared)] if of.declared is not None else []
+    with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
+        if free := of.unit.forgotten():
+            said.append(f"{of.unit.name}: {free}")
+    for text in filter(None, said):
+        if text not in _TOLD:
+            _TOLD.add(text)
+            _LOGGER.warning("%s", text)

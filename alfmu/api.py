@@ -1,0 +1,222 @@
+"""What takes anything that alfmu knows, and hands it to the room that it is for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .analysis.equilibria import Equilibrium
+from .analysis.start import prepare, rest_of, simulated
+from .catalogue.registry import load, mechanisms
+from .equations import Equations
+from .fmi.drive import Fmu
+from .fmi.export import described as _described
+from .fmi.export import export as _written
+from .fmi.recipe import Recipe
+from .fmi.recipe import load as recipe_of
+from .model.errors import AlfmuError, InputError
+from .model.files import scratch
+from .model.mechanism import Mechanism
+from .runtime import Instance
+from .runtime.library import library
+from .simulation import Progress, by_name, checked, finer, run, settings_of
+from .simulation.result import Film, Result, Signal
+
+if TYPE_CHECKING:
+    from xml.etree.ElementTree import Element
+
+    from matplotlib.figure import Figure
+
+    from .view.picture import Drawing
+
+__all__ = ["animate", "described", "draw", "drawing_of", "export", "library", "load", "mechanisms", "plot", "simulate"]
+
+
+def simulate(
+    mechanism: str | Path | Mechanism | Equations | Recipe,
+    stop_time: float | None = None,
+    communication_step: float | None = None,
+    *,
+    inputs: Mapping[str, Signal] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    start: str | Equilibrium | None = None,
+    outputs: Sequence[str] | None = None,
+    freeze: Sequence[str] | None = None,
+    kernel: str | None = None,
+    held_rows: bool = False,
+    check: bool = False,
+    progress: Progress = iter,
+) -> Result:
+    """Run a mechanism from 0 to `stop_time` [s] with communication steps of `communication_step` [s].
+
+    `mechanism` is a `Mechanism`, a Python file that declares one, the name of a mechanism or of a recipe, an `.fmu`
+    file, a `Recipe`, or equations; an `.ssp` or a `.toml` file is a connected system (`alfmu.System`).
+
+    `parameters` sets parameters, start values and solver variables by name, such as `solver.method`. `inputs` gives
+    each input by name as a number, a function of time [s], or a table (times, values) between whose points it is
+    linear; it is held over each communication step at its value at the beginning. Defaults are the mechanism's own.
+    `start` is "declared" (the start values, the default), "equilibrium" (at rest in the position that
+    `alfmu.equilibrium(...).nearest` tells for the inputs at 0 s) or an `Equilibrium`.
+    Only outputs that match `outputs` (names, or patterns such as `link*.angle`) are computed, None for all; names such
+    as `link1.angle/A.torque` ask for the interface Jacobian too, the derivative of an output at the end of each
+    communication step by an input that is held over it (`["*", "link*.angle/*"]` has all outputs and these). Parameters
+    in `freeze` are folded into the equations. `kernel` is one of `alfmu.kernel.KERNELS`; `progress` wraps the
+    communication points, to show how far a run is (`tqdm.tqdm` does). Runs of one mechanism share what is traced, as
+    long as they differ in numbers alone.
+
+    Outputs of a row that depend on inputs at once, such as accelerations and reactions, are those with the inputs that
+    are set at its communication point; with `held_rows` those with the inputs of the step that ends there, as importers
+    record them (fmpy, fmusim). Motions are the same.
+
+    With `check` it is run again with a hundredth of the tolerance, or half the steps where they have one length, and
+    `Result.check` tells how far off it is; a warning says where that passes a thousandth.
+
+    Raises AlfmuError where a name, a value or the mechanism is at fault. Where that, or a KeyboardInterrupt, ends a run
+    that has begun, the exception's `result` has the rows up to then.
+    """
+    given: dict[str, float | str] = by_name(mechanism, "parameters", parameters)
+    if isinstance(mechanism, str | Path) and str(mechanism).lower().endswith((".ssp", ".toml")):
+        if not (outputs is freeze is kernel is start is None):
+            raise InputError(
+                f"{mechanism}: outputs, frozen parameters, the kernel and the start are those of its components; give "
+                "them there"
+            )
+        from ..systems.system import System
+
+        if check:
+            raise InputError(f"{mechanism}: connected systems are not checked; check each component")
+        system = System.load(mechanism)
+        more: dict[str, Any] = {"inputs": inputs, "parameters": given, "held_rows": held_rows, "progress": progress}
+        return system.simulate(stop_time, communication_step, **more)
+    how: dict[str, Any] = {"inputs": inputs, "progress": progress, "held_rows": held_rows}
+    if isinstance(mechanism, str | Path) and str(mechanism).endswith(".fmu"):
+        if not (outputs is freeze is kernel is start is None):
+            raise InputError(
+                f"{mechanism}: outputs, frozen parameters, the kernel and the start of an FMU are fixed when it is "
+                "exported; give them to alfmu.export()"
+            )
+        return _simulate_fmu(mechanism, stop_time, communication_step, given, how, check)
+
+    def made(given: dict[str, float | str]) -> tuple[Instance, Result]:
+        found = prepare(mechanism, given, inputs, start, outputs, freeze, kernel)
+        return found.unit, simulated(found, stop_time, communication_step, **how)
+
+    unit, result = made(given)
+    if not check:
+        return result
+    setting, value = finer(unit.name, settings_of(unit))
+    return checked(result, made({**given, setting: value})[1], setting, value)
+
+
+def _simulate_fmu(
+    path: str | Path,
+    stop_time: float | None,
+    communication_step: float | None,
+    parameters: dict[str, float | str],
+    how: dict[str, Any],
+    check: bool = False,
+) -> Result:
+    """Run an FMU as `simulate` does."""
+    if check:
+        with Fmu(path) as fmu:
+            setting, value = finer(fmu.name, {**fmu.starts(), **parameters})
+        result = _simulate_fmu(path, stop_time, communication_step, parameters, how)
+        other = _simulate_fmu(path, stop_time, communication_step, {**parameters, setting: value}, how)
+        return checked(result, other, setting, value)
+    with Fmu(path) as fmu:
+        step = fmu.interval if communication_step is None else communication_step
+        facts = fmu.facts(parameters)
+        stop_time = fmu.stop_time if stop_time is None else stop_time
+        return run(fmu, stop_time, step, parameters=parameters, facts=facts, declared=fmu.declared(), **how)
+
+
+def export(
+    mechanism: str | Path | Mechanism | Recipe,
+    path: str | Path | None = None,
+    *,
+    options: Mapping[str, Any] | None = None,
+    parameters: Mapping[str, float | str] | None = None,
+    outputs: Sequence[str] | None = None,
+    freeze: Sequence[str] | None = None,
+    kernel: str | None = None,
+    start: str | None = None,
+    kind: str | None = None,
+    platforms: Sequence[str] | None = None,
+    fmi: int | None = None,
+    reference: bool | None = None,
+) -> Path:
+    """Write the FMU (co-simulation) of a mechanism or a recipe and return its path, `<name>.fmu` by default.
+
+    A name or a Python file stands for the recipe that is registered or declared there, or else for a mechanism. The
+    other arguments are fields of `Recipe`: they take precedence over the recipe, `options` and `parameters` one by one.
+    The same arguments give the same bytes. Raises AlfmuError where the mechanism cannot start from the defaults,
+    ExportError where it cannot be compiled, and WriteError where the file cannot be written: nothing is left then.
+    """
+    own = {"options": options, "parameters": parameters, "outputs": outputs, "freeze": freeze, "reference": reference}
+    recipe = recipe_of(mechanism).changed(**own, kernel=kernel, start=start, kind=kind, platforms=platforms, fmi=fmi)
+    return _written(recipe, path, rest_of(recipe))
+
+
+def described(recipe: Recipe) -> tuple[Element, dict[str, bytes]]:
+    """The description of an FMU of kind python, and the files of its scene, for pythonfmu's own command."""
+    return _described(recipe, rest_of(recipe))
+
+
+def draw(
+    mechanism: Mechanism,
+    path: str | Path | None = None,
+    *,
+    at: Mapping[str, float] | None = None,
+    parameters: Mapping[str, float] | None = None,
+    size: tuple[int, int] = (640, 480),
+) -> Drawing:
+    """The picture of a mechanism at its start, written to `path` too: see `Mechanism.draw`."""
+    from .view.picture import drawing
+
+    drawn = drawing(mechanism, at, parameters, size)
+    if path is not None:
+        drawn.save(path)
+    return drawn
+
+
+def plot(result: Result, names: Sequence[str] | None = None) -> Figure:
+    """A figure of matplotlib over time: see `Result.plot`."""
+    from .view.plot import figure
+
+    return figure(result, names)
+
+
+def animate(result: Result, path: str | Path | None, fps: float, speed: float) -> Film | None:
+    """A film of the motion, written or handed back: see `Result.animate`."""
+    from .view.drawing import from_data
+    from .view.picture import animate
+
+    shown: Any = result.shown()
+    if shown is None:
+        try:
+            shown = from_data(result.facts.get("drawing"))
+        except ValueError as error:
+            raise InputError(
+                f"the result of {result.mechanism} has no drawing ({error}); use alfmu animate RESULT.csv "
+                "--mechanism NAME"
+            ) from None
+    how: dict[str, Any] = {"parameters": result.facts.get("parameters", {}), "fps": fps, "speed": speed}
+    if path is not None:
+        animate(shown, result, path, **how)
+        return None
+    with scratch() as folder:
+        animate(shown, result, folder / "film.html", **how)
+        return Film((folder / "film.html").read_text(encoding="utf-8"))
+
+
+def drawing_of(result: Result) -> Any:
+    """How the mechanism of a result is drawn, as data; None where it is not known, or cannot be drawn."""
+    from .view.drawing import as_data
+    from .view.shapes import geometry
+
+    try:
+        declared, parameters = result.shown(), result.facts.get("parameters", {})
+        return result.facts.get("drawing") if declared is None else as_data(geometry(declared, parameters))
+    except AlfmuError:
+        return None
