@@ -13,21 +13,21 @@ _HOME = {
     "AlfmuError": "model.errors",
     "AlfmuWarning": "model.errors",
     "AssemblyError": "model.errors",
-    "Body": "model.mechanism",
+    "Body": "model.parts",
     "DeclarationError": "model.errors",
     "Derivatives": "gradients",
     "Equations": "equations",
     "Equilibrium": "analysis.equilibria",
-    "Experiment": "model.mechanism",
+    "Experiment": "model.parts",
     "ExportError": "model.errors",
     "Fit": "gradients",
     "Gradient": "gradients",
     "Imported": "formats",
     "InputError": "model.errors",
     "Instance": "runtime",
-    "Joint": "model.mechanism",
+    "Joint": "model.parts",
     "Linearization": "analysis.linearization",
-    "Marker": "model.mechanism",
+    "Marker": "model.parts",
     "Mechanism": "model.mechanism",
     "Recipe": "fmi.recipe",
     "Result": "simulation",
@@ -84,11 +84,11 @@ if TYPE_CHECKING:
     from .model.errors import InputError as InputError
     from .model.errors import StepError as StepError
     from .model.errors import WriteError as WriteError
-    from .model.mechanism import Body as Body
-    from .model.mechanism import Experiment as Experiment
-    from .model.mechanism import Joint as Joint
-    from .model.mechanism import Marker as Marker
     from .model.mechanism import Mechanism as Mechanism
+    from .model.parts import Body as Body
+    from .model.parts import Experiment as Experiment
+    from .model.parts import Joint as Joint
+    from .model.parts import Marker as Marker
     from .runtime import Instance as Instance
     from .runtime.reuse import derive as derive
     from .simulation import Result as Result

@@ -82,7 +82,7 @@ def simulate(
                 f"{mechanism}: outputs, frozen parameters, the kernel and the start are those of its components; give "
                 "them there"
             )
-        from ..systems.system import System
+        from .systems.system import System
 
         if check:
             raise InputError(f"{mechanism}: connected systems are not checked; check each component")

@@ -16,7 +16,7 @@ ROOMS: dict[str, set[str]] = {
     "model": set(),
     "method": set(),
     "equations": {"model"},
-    "parts": {"equations", "model"},
+    "parts": {"model"},
     "formats": {"model"},
     "catalogue": {"formats", "model"},
     "kernel": {"equations", "method", "model"},

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import alfmu
 from alfmu.equations.specialisation import specialised
 from alfmu.model import spatial
-from alfmu.model.mechanism import Joint
+from alfmu.model.parts import Joint
 from alfmu.runtime.prepare import with_defaults
 from alfmu.simulation import prepared
 

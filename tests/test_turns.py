@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 import alfmu
 from alfmu import Mechanism, parts
-from alfmu.model.mechanism import Body, Joint
+from alfmu.model.parts import Body, Joint
 from alfmu.model.spatial import SpatialBody, SpatialJoint
 
 INERTIA, STIFFNESS, START, RATE = 1 / 3, 2.0, 0.5, 14.0

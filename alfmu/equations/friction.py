@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from ..model.mechanism import AnyJoint, Friction, Lock, Scalar, stack, symbolic
+from ..model.parts import AnyJoint, Friction, Lock, Scalar, stack, symbolic
 from ..model.spatial import SpatialJoint
 from .types import Rubbing, Variable
 

@@ -6,7 +6,8 @@ from typing import Protocol
 
 import casadi as ca
 
-from ..model.mechanism import EFFORTS, AnyJoint, AnyMarker, Joint, Mechanism
+from ..model.mechanism import Mechanism
+from ..model.parts import EFFORTS, AnyJoint, AnyMarker, Joint
 from ..model.units import rate_of
 from .types import Variable
 

@@ -20,8 +20,9 @@ from functools import cached_property
 import casadi as ca
 
 from ..model.errors import DeclarationError
-from ..model.mechanism import Constraint, Friction, Lock, Mechanism, Motion, Rigidity, Scalar, stack, symbolic
-from ..model.mechanism import Joint as PlanarJoint
+from ..model.mechanism import Mechanism
+from ..model.parts import Constraint, Friction, Lock, Motion, Rigidity, Scalar, stack, symbolic
+from ..model.parts import Joint as PlanarJoint
 from ..model.relations import SpatialRolling
 from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, angular_velocity, spin_matrix
 from .types import Variable

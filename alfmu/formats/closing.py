@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from ..model.mechanism import Constraint, Mechanism
+from ..model.mechanism import Mechanism
+from ..model.parts import Constraint
 from ..model.spatial import SpatialJoint
 from .poses import Array, vector
 

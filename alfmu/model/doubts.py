@@ -10,7 +10,8 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 
 from .checks import hint
-from .mechanism import Body, Mechanism, stack
+from .mechanism import Mechanism
+from .parts import Body, stack
 
 __all__ = ["doubt", "evaluated", "masses", "no_gravity", "perhaps_grams"]
 

@@ -115,7 +115,7 @@ Way = tuple[tuple[Joint, int], ...]
 
 
 class Places(Protocol):
-    """Where bodies and points are, as expressions: `equations.derivation.Kinematics`."""
+    """Where bodies and points are, as expressions: `model.kinematics.Kinematics`."""
 
     mechanism: Any
 

@@ -13,7 +13,8 @@ import casadi as ca
 
 from ..model.calls import explained
 from ..model.errors import DeclarationError
-from ..model.mechanism import Mechanism, Scalar, symbolic
+from ..model.mechanism import Mechanism
+from ..model.parts import Scalar, symbolic
 from ..model.units import UNITS, quotient
 from .declared import label, named, of
 

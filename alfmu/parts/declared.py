@@ -6,8 +6,9 @@ from typing import Any
 
 import casadi as ca
 
-from ..equations.derivation import Kinematics
-from ..model.mechanism import Joint, Mechanism, Scalar, stack
+from ..model.kinematics import Kinematics
+from ..model.mechanism import Mechanism
+from ..model.parts import Joint, Scalar, stack
 from ..model.spatial import SpatialJoint
 
 __all__ = ["label", "mounted", "named", "of", "rate_of_joint"]

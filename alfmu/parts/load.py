@@ -13,7 +13,8 @@ import casadi as ca
 
 from ..model.calls import explained
 from ..model.errors import DeclarationError
-from ..model.mechanism import Joint, Mechanism, Scalar, symbolic
+from ..model.mechanism import Mechanism
+from ..model.parts import Joint, Scalar, symbolic
 from ..model.spatial import SpatialJoint
 from ..model.words import shown
 from .declared import label, mounted, named, of, rate_of_joint

@@ -29,7 +29,8 @@ from ..kernel.stream import BINARY, UNARY
 from ..kernel.tables import packed
 from ..model.errors import AlfmuError, InputError
 from ..model.files import write
-from ..model.mechanism import Marker, Mechanism
+from ..model.mechanism import Mechanism
+from ..model.parts import Marker
 from ..runtime import Instance
 from ..runtime.build import WEB
 from ..runtime.prepare import prepared

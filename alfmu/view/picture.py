@@ -25,7 +25,8 @@ from ..equations import Equations
 from ..kernel import DEFAULT
 from ..model.errors import AlfmuError, AssemblyError, InputError
 from ..model.files import atomic, write
-from ..model.mechanism import Mechanism, Start
+from ..model.mechanism import Mechanism
+from ..model.parts import Start
 from ..model.words import shown, there_is
 from ..runtime import Instance
 from ..runtime.probe import Probe

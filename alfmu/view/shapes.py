@@ -11,7 +11,8 @@ from typing import Any, Literal
 import casadi as ca
 
 from ..model.errors import DeclarationError, InputError
-from ..model.mechanism import Joint, Marker, Mechanism, Point, Scalar, Spring, key_of
+from ..model.mechanism import Mechanism
+from ..model.parts import Joint, Marker, Point, Scalar, Spring, key_of
 from ..model.spatial import SpatialBody, SpatialMarker
 from .surface import Vector
 

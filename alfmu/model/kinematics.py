@@ -1,0 +1,399 @@
+"""Places of bodies and points, and residuals of joints, as expressions in coordinates and virtual displacements."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import casadi as ca
+
+from .declaration import Declaration
+from .errors import DeclarationError
+from .parts import (
+    AnyJoint,
+    AnyMarker,
+    Body,
+    Constraint,
+    Friction,
+    Joint,
+    Lock,
+    Marker,
+    Motion,
+    Point,
+    Rigidity,
+    Scalar,
+    symbolic,
+)
+from .relations import Relation
+from .spatial import SpatialFreedom, SpatialJoint, SpatialMarker, with_turns
+
+__all__ = ["FREE", "Closing", "Closure", "Displacement", "Frame", "Kinematics", "same"]
+
+
+@dataclass
+class Frame:
+    """Place of a body: the point with local coordinates `local` is at (x, y), the x axis points along (ex, ey)."""
+
+    x: ca.SX
+    y: ca.SX
+    local: tuple[Scalar, Scalar]
+    ex: ca.SX
+    ey: ca.SX
+    angle: ca.SX
+    wrapped: bool = False
+    """Whether the angle is known up to whole turns only."""
+    turned: ca.SX | None = None
+    """The angle with its turns, where it is not."""
+
+    @property
+    def counted(self) -> ca.SX:
+        """The angle with its turns, which a run counts where places tell it up to whole turns only."""
+        return self.angle if self.turned is None else self.turned
+
+    def turn(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
+        """A vector of the body's frame in ground axes."""
+        if _vanishes(y):
+            return (x, y) if _vanishes(x) else (self.ex * x, self.ey * x)
+        return self.ex * x - self.ey * y, self.ey * x + self.ex * y
+
+    def place(self, x: Scalar, y: Scalar) -> tuple[ca.SX, ca.SX]:
+        """A point of the body's frame in ground axes."""
+        dx, dy = self.turn(_sum(x, -self.local[0]), _sum(y, -self.local[1]))
+        return _sum(self.x, dx), _sum(self.y, dy)
+
+
+Closure = AnyJoint | Rigidity | Constraint | Lock | Motion | Relation
+"""What constraints close."""
+
+Closing = tuple[Closure, str]
+"""One relative displacement that is kept at zero: of what, and in which direction."""
+
+FREE = "free"
+"""The direction in which a joint moves by a law that is its coordinate."""
+
+Displacement = dict[str, ca.SX]
+"""Virtual displacement of a joint: direction -> symbol."""
+
+
+class Kinematics:
+    """Places of all bodies and residuals of all closures as expressions in q, and in virtual displacements if given.
+
+    What has been worked out once is kept.
+    """
+
+    def __init__(
+        self,
+        mechanism: Declaration,
+        held: Mapping[Joint, tuple[str, ...]] | None = None,
+        eps: Mapping[Joint, Displacement] | None = None,
+    ):
+        self.mechanism = mechanism
+        self.eps: dict[Joint, Displacement] = {joint: e for joint, e in (eps or {}).items() if e}
+        self.held: dict[Body, list[Joint]] = {}
+        for joint in held or ():
+            if joint in self.eps:
+                self.held.setdefault(joint.second.body, []).append(joint)
+        self.frames: dict[Body, Frame] = {mechanism.ground: _absolute(0.0, 0.0, 0.0, (0.0, 0.0))}
+        self.places: dict[Marker | Body, tuple[ca.SX, ca.SX]] = {}
+        self.order: dict[Body, int] = {body: i for i, body in enumerate([mechanism.ground, *mechanism.bodies])}
+        self.links: dict[tuple[Body, int | None], list[tuple[Joint, int, tuple[Body, int | None]]]] = {}
+        self.spans: dict[Body, tuple[ca.SX, ca.SX, ca.SX, ca.SX]] = {}
+        self.squares: dict[Joint | Rigidity, ca.SX] = {}
+        self.residuals: dict[Closing, ca.SX] = {}
+        self.pending: list[Body] = []
+
+    def frame(self, body: Body) -> Frame:
+        if body in self.frames:
+            return self.frames[body]
+        name = self.mechanism.name
+        if body in self.pending:
+            loop = " -> ".join(b.name for b in [*self.pending, body])
+            raise DeclarationError(f"{name}: bodies place each other in a circle ({loop}); give one of them a pose")
+        self.pending.append(body)
+        if body.pose is not None:
+            frame = _absolute(*body.pose, body.center)
+        elif body.between is not None:
+            frame = self._between(body)
+        elif body.placed_by is not None:
+            frame = self._by_joint(body, body.placed_by)
+        else:
+            raise DeclarationError(
+                f"{name}: nothing places {body.name}{self.mechanism.declared_at(body.name)}; give it a pose, or give "
+                "one of its joints a coordinate"
+            )
+        if body.between is None:
+            for joint in self.held.get(body, ()):
+                frame = self._displaced(frame, joint)
+        self.pending.pop()
+        self.frames[body] = frame
+        return frame
+
+    def place(self, at: Marker | Point) -> tuple[ca.SX, ca.SX]:
+        """A marker or point in ground axes."""
+        if isinstance(at, Point):
+            return symbolic(at.x), symbolic(at.y)
+        if at not in self.places:
+            self.places[at] = self.frame(at.body).place(at.x, at.y)
+        return self.places[at]
+
+    def center(self, body: Body) -> tuple[ca.SX, ca.SX]:
+        """The centre of mass of a body in ground axes."""
+        if body not in self.places:
+            self.places[body] = self.frame(body).place(*body.center)
+        return self.places[body]
+
+    def axes(self, joint: Joint) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Direction of a guide and its left normal."""
+        ux, uy = self.frame(joint.first.body).turn(*_cis(joint.axis))
+        return ux, uy, -uy, ux
+
+    def free(self, joint: AnyJoint) -> ca.SX:
+        """The free displacement of a revolute (angle) or prismatic (place) joint, second body from first."""
+        if isinstance(joint, SpatialJoint | SpatialFreedom):
+            return joint.free
+        if joint.kind == "revolute":
+            return self.frame(joint.second.body).angle - self.frame(joint.first.body).angle
+        (x1, y1), (x2, y2) = self.place(joint.first), self.place(joint.second)
+        ux, uy, _, _ = self.axes(joint)
+        return ux * (x2 - x1) + uy * (y2 - y1)
+
+    def counted(self, joint: AnyJoint) -> ca.SX:
+        """The free displacement, an angle with its turns: for what depends on how far it is."""
+        if isinstance(joint, SpatialFreedom):
+            return joint.joint.counted(joint.which)
+        if isinstance(joint, SpatialJoint):
+            return joint.counted(next(iter(joint.freedoms)))
+        if joint.kind == "revolute":
+            return self.frame(joint.second.body).counted - self.frame(joint.first.body).counted
+        return self.free(joint)
+
+    def distance(self, between: tuple[AnyMarker, AnyMarker]) -> ca.SX:
+        if isinstance(between[0], SpatialMarker):
+            return ca.norm_2(between[1].place - between[0].place)
+        (x1, y1), (x2, y2) = (self.place(m) for m in between)
+        return ca.sqrt((x2 - x1) ** 2 + (y2 - y1) ** 2)
+
+    def locked(self, lock: Lock | Motion) -> tuple[ca.SX, bool]:
+        """The displacement that a lock or a motion keeps, and whether it is an angle known up to whole turns only.
+
+        Of a motion it is what is beside its law.
+        """
+        value, wrapped = self._displacement(lock.of)
+        return value - lock.law if isinstance(lock, Motion) else value, wrapped
+
+    def _displacement(self, of: AnyJoint | SpatialFreedom | tuple[Body, Body] | ca.SX) -> tuple[ca.SX, bool]:
+        if isinstance(of, ca.SX):
+            return of, False
+        if isinstance(of, SpatialJoint | SpatialFreedom):
+            return of.free, of.wrapped
+        if isinstance(of, Joint):
+            turns = of.kind == "revolute"
+            bodies, value = (of.first.body, of.second.body), self.free(of)
+        else:
+            turns, bodies = True, of
+            value = self.frame(bodies[1]).angle - self.frame(bodies[0]).angle
+        return value, turns and any(self.frame(body).wrapped for body in bodies)
+
+    def gap(self, closure: Closure, direction: str) -> ca.SX:
+        """The residual to first order where it is small; farther off in metres, and not zero half a turn away."""
+        if isinstance(closure, SpatialJoint):
+            return closure.gap(direction)
+        if direction == "length":
+            square, length = self._apart(closure)
+            return ca.sqrt(square + 1e-300) - length
+        if isinstance(closure, Motion) and self.locked(closure)[1]:
+            beside = self._beside(closure)
+            return ca.atan2(ca.sin(beside), ca.cos(beside))
+        if isinstance(closure, Joint) and direction == "rotation":
+            first, second = self.frame(closure.first.body), self.frame(closure.second.body)
+            if first.wrapped or second.wrapped:
+                ex, ey = first.turn(*_cis(closure.angle))
+                return ca.atan2(ex * second.ey - ey * second.ex, ex * second.ex + ey * second.ey)
+        return self.residual(closure, direction)
+
+    def residual(self, closure: Closure, direction: str) -> ca.SX:
+        """What a closure keeps at zero along one direction.
+
+        For lengths it is zero at the given one, polynomial, and with a multiplier that is the force along the line.
+        """
+        if (closure, direction) not in self.residuals:
+            self.residuals[closure, direction] = self._residual(closure, direction)
+        return self.residuals[closure, direction]
+
+    def _residual(self, closure: Closure, direction: str) -> ca.SX:
+        if isinstance(closure, Constraint):
+            return closure.expression
+        if isinstance(closure, Relation):
+            return closure.residual(self, direction)
+        if isinstance(closure, SpatialJoint):
+            return closure.residual(direction)
+        if isinstance(closure, Lock | Motion):
+            beside = self._beside(closure)
+            if not self.locked(closure)[1]:
+                return beside
+            # The multiplier of friction is the torque wherever the joint slides, far from where it stuck.
+            return ca.remainder(beside, 2 * math.pi) if isinstance(closure, Friction) else ca.sin(beside)
+        if direction == "length":
+            square, length = self._apart(closure)
+            return (square - length**2) / (2 * length)
+        (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
+        if direction == "x":
+            return x2 - x1
+        if direction == "y":
+            return y2 - y1
+        if direction == "normal":
+            _, _, nx, ny = self.axes(closure)
+            return nx * (x2 - x1) + ny * (y2 - y1) - closure.offset
+        first, second = self.frame(closure.first.body), self.frame(closure.second.body)
+        if not (first.wrapped or second.wrapped):
+            return second.angle - first.angle - closure.angle
+        ex, ey = first.turn(*_cis(closure.angle))
+        return ex * second.ey - ey * second.ex
+
+    def _beside(self, closure: Lock | Motion) -> ca.SX:
+        """How far a displacement is from where a lock or a motion keeps it."""
+        value, _ = self.locked(closure)
+        return value if closure.value is None else value - closure.value
+
+    def _apart(self, closure: Joint | Rigidity) -> tuple[ca.SX, Scalar]:
+        """The square of the distance of two points, and the distance that a closure keeps between them."""
+        if closure not in self.squares:
+            if isinstance(closure, Rigidity):
+                _, _, dx, dy = self._span(closure.body)
+            else:
+                (x1, y1), (x2, y2) = self.place(closure.first), self.place(closure.second)
+                dx, dy = x2 - x1, y2 - y1
+            self.squares[closure] = dx**2 + dy**2
+        return self.squares[closure], closure.body.length if isinstance(closure, Rigidity) else closure.length
+
+    def _span(self, body: Body) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """The first point of a body between points, and the way from there to the second."""
+        if body not in self.spans:
+            ends = []
+            for anchor, marker in zip(body.between, (body.start, body.end), strict=True):
+                (x, y), (dx, dy) = self.place(anchor), self._shift(marker)
+                ends.append((x + dx, y + dy))
+            (x1, y1), (x2, y2) = ends
+            self.spans[body] = x1, y1, x2 - x1, y2 - y1
+        return self.spans[body]
+
+    def _shift(self, end: Marker) -> tuple[Scalar, Scalar]:
+        """Virtual displacement of an end of a body between points.
+
+        The joints at a point tie its bodies into a tree; what one of them displaces, all that hangs on it follows. The
+        root is a body that no points carry, or the one declared first.
+        """
+        if not self.links:
+            carried = [joints for body, joints in self.held.items() if body.between is not None]
+            for joint in (j for joints in carried for j in joints):
+                first, second = self._node(joint.first), self._node(joint.second)
+                self.links.setdefault(first, []).append((joint, -1, second))
+                self.links.setdefault(second, []).append((joint, 1, first))
+        start = self._node(end)
+        if start not in self.links:
+            return 0.0, 0.0
+        ways = {start: (0.0, 0.0)}
+        pending = [start]
+        while pending:
+            node = pending.pop()
+            if node[1] is None:  # other points of this body have trees of their own
+                continue
+            x, y = ways[node]
+            for joint, sign, other in self.links.get(node, ()):
+                if other not in ways:
+                    e = self.eps.get(joint, {})
+                    ways[other] = x + sign * e.get("x", 0), y + sign * e.get("y", 0)
+                    pending.append(other)
+        return ways[min(ways, key=lambda node: (node[1] is not None, self.order[node[0]], node[1] or 0))]
+
+    def _node(self, marker: Marker) -> tuple[Body, int | None]:
+        """A body with the number of its end where two points carry it, otherwise with None."""
+        body = marker.body
+        if body.between is not None:
+            for i, end in enumerate((body.start, body.end)):
+                if same(marker.x, end.x) and same(marker.y, end.y):
+                    return body, i
+        return body, None
+
+    def _between(self, body: Body) -> Frame:
+        x, y, dx, dy = self._span(body)
+        ex, ey = dx / body.length, dy / body.length
+        return Frame(x, y, (0.0, 0.0), ex, ey, ca.atan2(ey, ex), True, with_turns(ey, ex, body.near))
+
+    def _by_joint(self, body: Body, joint: Joint) -> Frame:
+        e = self.eps.get(joint, {})
+        ex, ey, er = e.get("x", 0), e.get("y", 0), e.get("rotation", 0)
+        angle = joint.coordinate + e.get(FREE, 0) if joint.kind == "revolute" else joint.angle + er
+        along = joint.coordinate + e.get(FREE, 0) if joint.kind == "prismatic" else 0.0
+        across = joint.offset + e.get("normal", 0)
+        forward = body is joint.second.body
+        if forward:
+            other, marker = joint.first, joint.second
+            base = self.frame(other.body)
+            frame = _turned(base, angle, (marker.x, marker.y))
+            guide = base
+        else:
+            other, marker = joint.second, joint.first
+            frame = _turned(self.frame(other.body), -angle, (marker.x, marker.y))
+            guide = frame
+        x, y = self.place(other)
+        if joint.kind == "prismatic":
+            c, s = _cis(joint.axis)
+            dx, dy = guide.turn(c * along - s * across, s * along + c * across)
+        else:
+            dx, dy = ex, ey
+        sign = 1 if forward else -1
+        frame.x, frame.y = x + sign * dx, y + sign * dy
+        return frame
+
+    def _displaced(self, frame: Frame, joint: Joint) -> Frame:
+        """A body in absolute coordinates, displaced at a joint that its pose closes."""
+        e = self.eps[joint]
+        x, y = frame.place(joint.second.x, joint.second.y)
+        moved = _turned(frame, e["rotation"], (joint.second.x, joint.second.y)) if "rotation" in e else frame
+        dx, dy = e.get("x", 0), e.get("y", 0)
+        if "normal" in e:
+            _, _, nx, ny = self.axes(joint)
+            dx, dy = dx + nx * e["normal"], dy + ny * e["normal"]
+        return replace(moved, x=x + dx, y=y + dy, local=(joint.second.x, joint.second.y))
+
+
+def _absolute(x: Scalar, y: Scalar, angle: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
+    c, s = _cis(angle)
+    return Frame(symbolic(x), symbolic(y), local, c, s, symbolic(angle))
+
+
+def _turned(base: Frame, by: Scalar, local: tuple[Scalar, Scalar]) -> Frame:
+    """A frame turned by an angle against another one; its place is set by whoever asks."""
+    by = symbolic(by)
+    angle = base.angle + by
+    if base.wrapped:
+        return Frame(ca.SX(0), ca.SX(0), local, *base.turn(*_cis(by)), angle, True, base.counted + by)
+    return Frame(ca.SX(0), ca.SX(0), local, *_cis(angle), angle)
+
+
+def same(a: Scalar, b: Scalar) -> bool:
+    if isinstance(a, ca.SX) or isinstance(b, ca.SX):
+        return a is b or (symbolic(a) - symbolic(b)).is_zero()
+    return a == b
+
+
+def _sum(a: Scalar, b: Scalar) -> Scalar:
+    """a + b; operations with expressions are slow, so none is done where one of them vanishes."""
+    return a if _vanishes(b) else b if _vanishes(a) else a + b
+
+
+def _vanishes(x: Scalar) -> bool:
+    """Whether something is the number zero."""
+    return not isinstance(x, ca.SX) and x == 0
+
+
+def _cis(angle: Scalar) -> tuple[ca.SX, ca.SX]:
+    """Cosine and sine, exact at the right angles that guides usually have."""
+    angle = symbolic(angle)
+    if angle.is_constant():
+        quarters = float(angle) / (math.pi / 2)
+        if quarters == round(quarters):
+            return tuple(ca.SX((1, 0, -1, 0)[(round(quarters) - k) % 4]) for k in (0, 1))
+    return ca.cos(angle), ca.sin(angle)
