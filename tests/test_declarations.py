@@ -17,7 +17,7 @@ from alfmu import Mechanism
 from alfmu.cli import main
 from alfmu.model.checks import number
 from alfmu.model.errors import AlfmuWarning, DeclarationError
-from alfmu.model.mechanism import BOOKKEEPING
+from alfmu.model.declaration import BOOKKEEPING
 from alfmu.model.words import nearest, there_is
 
 HEAD = """
