@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import casadi as ca
 
@@ -48,12 +49,12 @@ from ..model.parts import (
     symbolic,
 )
 from ..model.relations import Relation
-from ..model.spatial import SpatialFreedom, SpatialJoint, SpatialMarker
+from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker
 from ..model.stops import EndStop
 from ..model.units import rate_of
 from . import space
 from .evaluation import ARGUMENTS, evaluable, shared
-from .friction import rubbing
+from .friction import Rubs, rubbing
 from .interface import variables_of
 from .measures import measures
 from .types import Equations, Followed, Leap, Row, Switch, Variable
@@ -71,6 +72,20 @@ def derive(mechanism: Mechanism) -> Equations:
     coordinate can close, an expression with a foreign symbol.
     """
     m = mechanism
+    _check_declared(m)
+    at = _symbols(m)
+    closed = _closed(m, at)
+    terms = _terms(m, at, closed)
+    read = _readings(m, at, closed, terms)
+    said = _expressions(m, at, closed, terms, read)
+    doubt(m, lambda body: m._moves(closed.plain.frame(body).angle) and not _guided(m, body))
+    equations = _equations(m, at, closed, terms, read, said)
+    _check_names(m, equations)
+    return evaluable(equations)
+
+
+def _check_declared(m: Mechanism) -> None:
+    """DeclarationError where there is nothing that moves, or a body in space that nothing places."""
     if not m.coordinates and not m.states and not m.moves:
         raise DeclarationError(f"{m.name}: a mechanism needs at least one coordinate, or a state")
     for body in m.spatial_bodies:
@@ -80,6 +95,36 @@ def derive(mechanism: Mechanism) -> Equations:
                 "a joint that ends on it its coordinate"
             )
     space.check_points(m)
+
+
+@dataclass
+class _Symbols:
+    """The symbols that equations are in, time among q where places, constraints or energies depend on it."""
+
+    coordinates: Sequence[Coordinate]
+    own: tuple[ca.SX, ca.SX]
+    """q and v without time."""
+    n: int
+    """Coordinates without time."""
+    q: ca.SX
+    v: ca.SX
+    a: ca.SX
+    t: ca.SX
+    begin: ca.SX
+    """When a run began."""
+    inputs: ca.SX
+    u: ca.SX
+    """Inputs, then states."""
+    s: ca.SX
+    """Start values."""
+    locks: list[Lock | Motion]
+    frictions: list[Friction]
+    """Those among the locks."""
+    kept: list[tuple[str, ca.SX]]
+    """What is remembered beside locks, by name: when a run began, numbers of signals."""
+
+
+def _symbols(m: Mechanism) -> _Symbols:
     coordinates = m.coordinates or (() if m.moves else (_rest(),))
     q, v, a = (stack([getattr(c, letter) for c in coordinates]) for letter in "qva")
     own, n, t = (q, v), q.numel(), m.time
@@ -91,15 +136,78 @@ def derive(mechanism: Mechanism) -> Equations:
     begin = ca.SX.sym("begin")
     kept = [("time", begin), *(("signal", x) for signal in m.signals for x in signal.numbers)] if m.moves else []
     inputs, x = stack([i.symbol for i in m.inputs]), stack([state.symbol for state in m.states])
-    u = ca.vertcat(inputs, x)
     s = stack([x.symbol for x in m.starts])
+    return _Symbols(coordinates, own, n, q, v, a, t, begin, inputs, ca.vertcat(inputs, x), s, locks, frictions, kept)
 
+
+@dataclass
+class _Closed:
+    """What constraints close."""
+
+    plain: Kinematics
+    held: dict[Joint, tuple[str, ...]]
+    rows: list[Row]
+    closures: list[Closing]
+    signs: ca.SX
+    Phi: ca.SX
+    lam: ca.SX
+
+
+def _closed(m: Mechanism, at: _Symbols) -> _Closed:
     plain = Kinematics(m)
     held = _held(m, plain)
     rows, closures, signs = _closures(m, held)
     Phi = signs * stack([plain.residual(*c) for c in closures])
-    lam = ca.SX.sym("lam", len(rows))
+    return _Closed(plain, held, rows, closures, signs, Phi, ca.SX.sym("lam", len(rows)))
 
+
+@dataclass
+class _Terms:
+    """The terms of (4) and (3), energies and efforts."""
+
+    M: ca.SX
+    d: ca.SX
+    f: ca.SX
+    C: ca.SX
+    xi: ca.SX
+    T: ca.SX
+    V: ca.SX
+    f_applied: ca.SX
+    """Generalised forces of efforts, without those of the potential."""
+    efforts: ca.SX
+    slipping: ca.SX
+    """The part of C that no constraint in places has: of relations that slip."""
+    moving: dict[str, ca.SX]
+    """Functions of mechanisms that depend on time, by name."""
+
+
+def _terms(m: Mechanism, at: _Symbols, closed: _Closed) -> _Terms:
+    q, v, plain, Phi = at.q, at.v, closed.plain, closed.Phi
+    motion, placed = space.SpatialMotion(m, q, v), space.relative_bodies(m)
+    M, d, T, W = _inertial(m, at, plain, motion, placed)
+    f, f_applied, V, efforts = _loaded(m, at, plain, motion, placed)
+    if not m.coordinates and not m.moves:
+        M = ca.SX.eye(1)
+    C = ca.jacobian(Phi, at.own[0])
+    slips, slipping = _slips(m, plain, closed.closures, q, v, at.own[1])
+    C += slipping
+    _check_held_or_heavy(m, plain, M, C)
+    xi = -ca.jtimes(ca.jtimes(Phi, q, v) + slips, q, v)  # (3)
+    moving: dict[str, ca.SX] = {}
+    if m.moves:
+        moving["Phi_dot"] = ca.jtimes(Phi, q, v) + slips
+        moving["motion_power"] = _motion_power(M, d, T, V, moving["Phi_dot"], f_applied, (q, v, at.a), closed.lam)
+        M, d, f, C = _with_time(M, d, f, C, ca.diag(W))
+    if m.laws:
+        moving["laws"] = _laws(m, q, v)
+    return _Terms(M, d, f, C, xi, T, V, f_applied, efforts, slipping, moving)
+
+
+def _inertial(
+    m: Mechanism, at: _Symbols, plain: Kinematics, motion: space.SpatialMotion, placed: list[SpatialBody]
+) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """M, d and the kinetic energy of bodies and at the general level, and the weights of displacements."""
+    q, v, own, n = at.q, at.v, at.own, at.n
     X, W = _inertia(m, plain, pivoted=True)
     Xq = ca.jacobian(X, own[0])
     Xv = ca.jtimes(X, q, v)
@@ -107,7 +215,6 @@ def derive(mechanism: Mechanism) -> Equations:
     M = Xq.T @ W @ Xq
     d = Xq.T @ (W @ bias)
     T = ca.dot(W @ Xv, Xv) / 2
-    motion, placed = space.SpatialMotion(m, q, v), space.relative_bodies(m)
     if placed:
         carried = motion.mass_matrix(placed)
         M, d = M + carried[:n, :n], d + motion.along(motion.inertial(placed))[:n]
@@ -118,190 +225,227 @@ def derive(mechanism: Mechanism) -> Equations:
         M += ca.jacobian(momentum, own[1])
         d += ca.jtimes(momentum, q, v) - ca.gradient(extra, own[0])
         T += extra
+    return M, d, T, W
 
+
+def _loaded(
+    m: Mechanism, at: _Symbols, plain: Kinematics, motion: space.SpatialMotion, placed: list[SpatialBody]
+) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+    """f, the part of it that efforts have, the potential, and the efforts along their paths."""
     V = _potential(m, plain)
-    paths, efforts = _efforts(m, plain, q, v)
-    f_applied = ca.jacobian(paths, q).T @ efforts
+    paths, efforts = _efforts(m, plain, at.q, at.v)
+    f_applied = ca.jacobian(paths, at.q).T @ efforts
     if m.spatial_loads:
         f_applied += motion.along(space.loads(m))
     place = {key_of(c.q): i for i, c in enumerate(m.coordinates)}
     for coordinate, expression in m.generalized:
         f_applied[place[key_of(coordinate)]] += expression
-    f = f_applied - ca.gradient(V, q)
+    f = f_applied - ca.gradient(V, at.q)
     if placed:
         f += motion.along(space.gravity(m, placed))
         V -= sum((body.mass * ca.dot(stack(m.gravity_vector), body.position) for body in placed), ca.SX(0))
+    return f, f_applied, V, efforts
 
-    if not m.coordinates and not m.moves:
-        M = ca.SX.eye(1)
-    C = ca.jacobian(Phi, own[0])
-    slips, slipping = _slips(m, plain, closures, q, v, own[1])
-    C += slipping
-    _check_held_or_heavy(m, plain, M, C)
-    xi = -ca.jtimes(ca.jtimes(Phi, q, v) + slips, q, v)  # (3)
-    gaps = signs * stack([plain.gap(*c) for c in closures])
-    moving: dict[str, ca.SX] = {}
-    if m.moves:
-        moving["Phi_dot"] = ca.jtimes(Phi, q, v) + slips
-        moving["motion_power"] = _motion_power(M, d, T, V, moving["Phi_dot"], f_applied, (q, v, a), lam)
-        M, d, f, C = _with_time(M, d, f, C, ca.diag(W))
-    if m.laws:
-        moving["laws"] = _laws(m, q, v)
 
-    # Everything a user can read.
-    values: list[Scalar] = []
-    outputs: list[Variable] = []
-    wrapped: dict[str, int] = {}
-    body_values, body_outputs = _body_outputs(m, plain, q, v, a)
-    values += body_values
-    outputs += body_outputs
+@dataclass
+class _Readings:
+    """Everything a user can read, in the order of the outputs."""
+
+    values: list[Scalar] = field(default_factory=list)
+    outputs: list[Variable] = field(default_factory=list)
+    wrapped: dict[str, int] = field(default_factory=dict)
+    """Angles that are known up to whole turns, and the start value that tells their turns."""
+    reactions: list[ca.SX] = field(default_factory=list)
+    spatial: tuple[list[ca.SX], list[Variable]] = ([], [])
+    """What can be read of joints in space."""
+    rubs: Rubs | None = None
+
+    def add(self, values: Sequence[Scalar], outputs: Sequence[Variable]) -> None:
+        self.values += values
+        self.outputs += outputs
+
+
+def _readings(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> _Readings:
+    read, plain = _Readings(), closed.plain
+    read.add(*_body_outputs(m, plain, at.q, at.v, at.a))
     for body in m.bodies:
         if plain.frame(body).wrapped:
-            wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
-    relations = _relations(m, closures, lam)
-    reactions, reaction_outputs = _reactions(m, plain, held, q, v, a, efforts, lam, relations)
-    values += reactions
-    outputs += reaction_outputs
-    for relation, its in relations:
-        for suffix, value, unit, text in relation.readings(plain, its):
-            values.append(value)
-            outputs.append(Variable(f"{relation.name}.{suffix}", unit, description=text))
-    loads = {o.name: r for o, r in zip(reaction_outputs, reactions, strict=True)}
-    plain_locks = [x for x in locks if x not in frictions]
-    for efforts_kept, kept_outputs in (_locking(plain_locks, closures, lam), _driving(closures, lam)):
-        values += efforts_kept
-        outputs += kept_outputs
-    rows_of_locks = {x: closures.index((x, x.direction)) for x in locks if isinstance(x, Lock)}
-    efforts_in_space = _efforts_in_space(m, plain, q, v)
-    spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
-    loads |= {o.name: x for o, x in zip(spatial_outputs, spatial_values, strict=True)}
-    rubs = rubbing(locks, rows_of_locks, plain.free, loads, (q, v, a), lam)
-    values += rubs.values
-    outputs += rubs.outputs
-    values += spatial_values
-    outputs += spatial_outputs
+            read.wrapped[f"{body.name}.angle"] = _tied_start(m, plain.frame(body).angle)
+    _read_reactions(read, m, at, closed, terms)
     for joint in m.spatial_joints:
         for which in joint.freedoms:
             if joint.is_wrapped(which):
-                wrapped[f"{joint.name}.{which}"] = _tied_start(m, joint.displacement(which))
-    traced_values, traced_outputs = _watched(m, plain, q, v)
-    values += traced_values
-    outputs += traced_outputs
-    measured_values, measured_outputs, angles = measures(m, plain, q, v, a)
-    values += measured_values
-    outputs += measured_outputs
+                read.wrapped[f"{joint.name}.{which}"] = _tied_start(m, joint.displacement(which))
+    read.add(*_watched(m, plain, at.q, at.v))
+    measured_values, measured_outputs, angles = measures(m, plain, at.q, at.v, at.a)
+    read.add(measured_values, measured_outputs)
     for joint in (j for j in m.joints if f"{j.name}.angle" in angles):
         if plain.frame(joint.first.body).wrapped or plain.frame(joint.second.body).wrapped:
-            wrapped[f"{joint.name}.angle"] = _tied_start(m, angles[f"{joint.name}.angle"])
-    values += ca.vertsplit(lam)
-    for i, row in enumerate(rows):
+            read.wrapped[f"{joint.name}.angle"] = _tied_start(m, angles[f"{joint.name}.angle"])
+    _read_declared(read, m, at, closed)
+    return read
+
+
+def _read_reactions(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> None:
+    """Reactions of joints, efforts of relations, locks, motions and dry friction."""
+    q, v, a, lam, plain, closures = at.q, at.v, at.a, closed.lam, closed.plain, closed.closures
+    relations = _relations(m, closures, lam)
+    reactions, reaction_outputs = _reactions(m, plain, closed.held, q, v, a, terms.efforts, lam, relations)
+    read.reactions = reactions
+    read.add(reactions, reaction_outputs)
+    for relation, its in relations:
+        for suffix, value, unit, text in relation.readings(plain, its):
+            read.add([value], [Variable(f"{relation.name}.{suffix}", unit, description=text)])
+    loads = {o.name: r for o, r in zip(reaction_outputs, reactions, strict=True)}
+    plain_locks = [x for x in at.locks if x not in at.frictions]
+    for efforts_kept, kept_outputs in (_locking(plain_locks, closures, lam), _driving(closures, lam)):
+        read.add(efforts_kept, kept_outputs)
+    rows_of_locks = {x: closures.index((x, x.direction)) for x in at.locks if isinstance(x, Lock)}
+    efforts_in_space = _efforts_in_space(m, plain, q, v)
+    read.spatial = spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
+    loads |= {o.name: x for o, x in zip(spatial_outputs, spatial_values, strict=True)}
+    read.rubs = rubbing(at.locks, rows_of_locks, plain.free, loads, (q, v, a), lam)
+    read.add(read.rubs.values, read.rubs.outputs)
+    read.add(spatial_values, spatial_outputs)
+
+
+def _read_declared(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed) -> None:
+    """Multipliers, states, outputs of the user's own, and limit stops."""
+    read.values += ca.vertsplit(closed.lam)
+    for i, row in enumerate(closed.rows):
         force = "N" if row.unit == "m" else "N.m"  # times the row it is work
-        outputs.append(Variable(f"multiplier[{i + 1}]", force, description=f"multiplier of {row.name}, {row.what}"))
-    values += [state.symbol for state in m.states]
-    states = [Variable(x.name, x.unit, x.start, description=x.description, nominal=x.nominal) for x in m.states]
-    outputs += states
-    values += [o.expression for o in m.outputs]
-    outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
+        text = f"multiplier of {row.name}, {row.what}"
+        read.outputs.append(Variable(f"multiplier[{i + 1}]", force, description=text))
+    read.add([state.symbol for state in m.states], _states(m))
+    read.add(
+        [o.expression for o in m.outputs], [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
+    )
     for stop in m.end_stops:
-        x = _limited(plain, stop)
+        x = _limited(closed.plain, stop)
         what, unit = ("force", "N") if stop.unit == "m" else ("torque", "N.m")
-        values += [stop.penetration(x), stop.effort(x, ca.jtimes(x, q, v))]
-        outputs.append(
+        read.values += [stop.penetration(x), stop.effort(x, ca.jtimes(x, at.q, at.v))]
+        read.outputs.append(
             Variable(f"{stop.name}.penetration", stop.unit, description=f"how far {stop.limited} is in {stop.name}")
         )
-        outputs.append(Variable(f"{stop.name}.{what}", unit, description=f"{what} of {stop.name} on {stop.limited}"))
-    y = stack(values)
-    lengths = _lengths(m, rows)
-    carried = _carried(reactions, spatial_values, spatial_outputs, closures, lam, lengths)
-    instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
-    outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
+        read.outputs.append(
+            Variable(f"{stop.name}.{what}", unit, description=f"{what} of {stop.name} on {stop.limited}")
+        )
 
-    guess = _without_turns(m, _guess(m, coordinates, begin))
+
+def _states(m: Mechanism) -> list[Variable]:
+    return [Variable(x.name, x.unit, x.start, description=x.description, nominal=x.nominal) for x in m.states]
+
+
+@dataclass
+class _Expressions:
+    """All that becomes a function of the equations, by name."""
+
+    of: dict[str, ca.SX]
+    symbols: dict[str, ca.SX]
+    """Arguments of the functions."""
+    counted: dict[str, tuple[ca.SX, ca.SX]]
+    """Angles whose turns a run counts: where each was last, and the angle."""
+    tied: list[int]
+    """Start values that are tied."""
+
+
+def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, read: _Readings) -> _Expressions:
+    own, n, plain, lam, f_applied = at.own, at.n, closed.plain, closed.lam, terms.f_applied
+    gaps = closed.signs * stack([plain.gap(*c) for c in closed.closures])
+    y = stack(read.values)
+    carried = _carried(read.reactions, *read.spatial, closed.closures, lam, _lengths(m, closed.rows))
+    guess = _without_turns(m, _guess(m, at.coordinates, at.begin))
     sdot = ca.SX.sym("sdot", len(m.starts))
     tied, ties = _ties(m)
-    passive = ca.substitute(f_applied, u, ca.SX.zeros(u.shape)) if u.numel() else f_applied
-
-    counted = _counted(m, plain, [y, M, d, f, Phi, C, xi, V, T, _state_rates(m), *rubs.functions.values()])
+    passive = ca.substitute(f_applied, at.u, ca.SX.zeros(at.u.shape)) if at.u.numel() else f_applied
+    of_motion = [terms.M, terms.d, terms.f, closed.Phi, terms.C, terms.xi, terms.V, terms.T, _state_rates(m)]
+    counted = _counted(m, plain, [y, *of_motion, *read.rubs.functions.values()])
     nears = [near for near, _ in counted.values()]
-    remembered = [*(x.value for x in locks), *(x.slip for x in frictions), *nears, *(x for _, x in kept)]
+    remembered = [*(x.value for x in at.locks), *(x.slip for x in at.frictions), *nears, *(x for _, x in at.kept)]
     p = stack([x.symbol for x in m.parameters] + remembered)
-    symbols = {"q": q, "v": v, "a": a, "lam": lam, "u": u, "p": p, "t": t, "s": s, "sdot": sdot}
+    symbols = {"q": at.q, "v": at.v, "a": at.a, "lam": lam, "u": at.u, "p": p, "t": at.t, "s": at.s, "sdot": sdot}
     expressions = {
-        "M": M,
-        "d": d,
-        "f": f,
-        "Phi": Phi,
-        "C": C,
-        "xi": xi,
+        "M": terms.M,
+        "d": terms.d,
+        "f": terms.f,
+        "Phi": closed.Phi,
+        "C": terms.C,
+        "xi": terms.xi,
         "displacements": stack(
             [
-                *(plain.locked(lock)[0] for lock in locks),
-                *(x.slip for x in frictions),
+                *(plain.locked(lock)[0] for lock in at.locks),
+                *(x.slip for x in at.frictions),
                 *(angle for _, angle in counted.values()),
-                *(0.0 for _ in kept),
+                *(0.0 for _ in at.kept),
             ]
         ),
         **({"counted": stack([angle for _, angle in counted.values()])} if counted else {}),
         "gaps": gaps,
-        "gaps_matrix": _still(ca.jacobian(gaps, own[0]) + slipping, n, m.moves),
-        "kinetic_energy": T,
-        "potential_energy": V,
-        "input_power": ca.dot(f_applied - passive, v),
-        "other_power": ca.dot(passive, v),
+        "gaps_matrix": _still(ca.jacobian(gaps, own[0]) + terms.slipping, n, m.moves),
+        "kinetic_energy": terms.T,
+        "potential_energy": terms.V,
+        "input_power": ca.dot(f_applied - passive, at.v),
+        "other_power": ca.dot(passive, at.v),
         "state_rates": _state_rates(m),
         "readings": y,
         "shares": ca.gradient(ca.sumsqr(carried) / 2, lam) if lam.numel() else lam,
-        **rubs.functions,
+        **read.rubs.functions,
         **({"instants": stack(m.instants)} if m.instants else {}),
         "guess": guess,
-        "guess_rate": (ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape))
-        + (ca.jacobian(guess, begin) if m.moves else 0),
+        "guess_rate": (ca.jtimes(guess, at.s, sdot) if m.starts else ca.SX.zeros(guess.shape))
+        + (ca.jacobian(guess, at.begin) if m.moves else 0),
         "ties": ties,
         "ties_matrix": _still(ca.jacobian(ties, own[0]), n, m.moves),
-        **moving,
+        **terms.moving,
     }
-    doubt(m, lambda body: m._moves(plain.frame(body).angle) and not _guided(m, body))
-    equations = Equations(
+    return _Expressions(expressions, symbols, counted, tied)
+
+
+def _equations(
+    m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, read: _Readings, said: _Expressions
+) -> Equations:
+    """The functions with the names and units of all that they are of."""
+    locks, frictions, closures, plain, counted = at.locks, at.frictions, closed.closures, closed.plain, said.counted
+    instant = _depends_on_any(stack(read.values), ca.vertcat(at.a, closed.lam, at.inputs))
+    return Equations(
         name=m.name,
         description=m.description,
-        coordinates=[*(Variable(c.name, c.unit) for c in coordinates), *[Variable("time", "s")] * m.moves],
+        coordinates=[*(Variable(c.name, c.unit) for c in at.coordinates), *[Variable("time", "s")] * m.moves],
         parameters=[Variable(x.name, x.unit, x.default, x.minimum, x.maximum, x.description) for x in m.parameters],
         starts=[Variable(f"start.{x.name}", x.unit, x.value, description=x.description) for x in m.starts],
         start_rates=[
             Variable(f"start.{x.rate_name}", rate_of(x.unit), x.rate, description=f"rate of start.{x.name}")
             for x in m.starts
         ],
-        tied=tied,
+        tied=said.tied,
         inputs=[Variable(i.name, i.unit, i.start, description=i.description) for i in m.inputs],
-        states=states,
+        states=_states(m),
         resting=not m.coordinates and not m.moves,
-        outputs=outputs,
-        rows=rows,
-        lengths=lengths,
+        outputs=[Variable(**{**o.__dict__, "instant": i}) for o, i in zip(read.outputs, instant, strict=True)],
+        rows=closed.rows,
+        lengths=_lengths(m, closed.rows),
         slips=[i for i, (c, k) in enumerate(closures) if isinstance(c, Relation) and c.slip(plain, k) is not None],
-        compliances=_compliances(rows) if m.compliant else [],
+        compliances=_compliances(closed.rows) if m.compliant else [],
         switches=_switches(m, locks, closures),
-        frictions=rubs.frictions,
+        frictions=read.rubs.frictions,
         held=[
             *(lock.name for lock in locks),
             *(f"{x.name}.slip" for x in frictions),
             *counted,
-            *(name for name, _ in kept),
+            *(name for name, _ in at.kept),
         ],
         counted={name: _tied_start(m, angle) for name, (_, angle) in counted.items()},
         timed=m.moves,
         followed=_followed(m),
         leaps=_leaps(m, closures),
-        wrapped=wrapped,
-        works=m.moves or bool(frictions) or not f_applied.is_zero(),
+        wrapped=read.wrapped,
+        works=m.moves or bool(frictions) or not terms.f_applied.is_zero(),
         stop_time=m.experiment.stop_time,
         step_size=m.experiment.step_size,
         interval=m.experiment.communication_step or m.experiment.step_size,
         options=m.options,
-        functions={name: _function(m, name, symbols, x) for name, x in expressions.items()},
+        functions={name: _function(m, name, said.symbols, x) for name, x in said.of.items()},
     )
-    _check_names(m, equations)
-    return evaluable(equations)
 
 
 def _rest() -> Coordinate:
