@@ -30,13 +30,10 @@ import casadi as ca
 
 from ..model.doubts import doubt
 from ..model.errors import AssemblyError, DeclarationError
-from ..model.kinematics import FREE, Closing, Kinematics, same
+from ..model.kinematics import Closing, Kinematics
 from ..model.mechanism import Mechanism
 from ..model.parts import (
-    AnyJoint,
-    AnyMarker,
     Body,
-    Constraint,
     Coordinate,
     Friction,
     Joint,
@@ -49,15 +46,17 @@ from ..model.parts import (
     symbolic,
 )
 from ..model.relations import Relation
-from ..model.spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker
-from ..model.stops import EndStop
+from ..model.spatial import SpatialBody
 from ..model.units import rate_of
 from . import space
+from .closures import closures_of, compliances_of, held_by, relations_of, slips_of, switches_of
 from .evaluation import ARGUMENTS, evaluable, shared
 from .friction import Rubs, rubbing
 from .interface import variables_of
+from .loads import efforts_of, inertia_of, is_guided, limited_by, potential_of
 from .measures import measures
-from .types import Equations, Followed, Leap, Row, Switch, Variable
+from .reactions import carried_by, driving, lengths_of, locking, reactions_of, spatial_efforts
+from .types import Equations, Followed, Leap, Row, Variable
 
 __all__ = ["derive"]
 
@@ -78,7 +77,7 @@ def derive(mechanism: Mechanism) -> Equations:
     terms = _terms(m, at, closed)
     read = _readings(m, at, closed, terms)
     said = _expressions(m, at, closed, terms, read)
-    doubt(m, lambda body: m._moves(closed.plain.frame(body).angle) and not _guided(m, body))
+    doubt(m, lambda body: m._moves(closed.plain.frame(body).angle) and not is_guided(m, body))
     equations = _equations(m, at, closed, terms, read, said)
     _check_names(m, equations)
     return evaluable(equations)
@@ -155,8 +154,8 @@ class _Closed:
 
 def _closed(m: Mechanism, at: _Symbols) -> _Closed:
     plain = Kinematics(m)
-    held = _held(m, plain)
-    rows, closures, signs = _closures(m, held)
+    held = held_by(m, plain)
+    rows, closures, signs = closures_of(m, held)
     Phi = signs * stack([plain.residual(*c) for c in closures])
     return _Closed(plain, held, rows, closures, signs, Phi, ca.SX.sym("lam", len(rows)))
 
@@ -189,7 +188,7 @@ def _terms(m: Mechanism, at: _Symbols, closed: _Closed) -> _Terms:
     if not m.coordinates and not m.moves:
         M = ca.SX.eye(1)
     C = ca.jacobian(Phi, at.own[0])
-    slips, slipping = _slips(m, plain, closed.closures, q, v, at.own[1])
+    slips, slipping = slips_of(m, plain, closed.closures, q, v, at.own[1])
     C += slipping
     _check_held_or_heavy(m, plain, M, C)
     xi = -ca.jtimes(ca.jtimes(Phi, q, v) + slips, q, v)  # (3)
@@ -208,7 +207,7 @@ def _inertial(
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     """M, d and the kinetic energy of bodies and at the general level, and the weights of displacements."""
     q, v, own, n = at.q, at.v, at.own, at.n
-    X, W = _inertia(m, plain, pivoted=True)
+    X, W = inertia_of(m, plain, pivoted=True)
     Xq = ca.jacobian(X, own[0])
     Xv = ca.jtimes(X, q, v)
     bias = ca.jtimes(Xv, q, v)
@@ -232,8 +231,8 @@ def _loaded(
     m: Mechanism, at: _Symbols, plain: Kinematics, motion: space.SpatialMotion, placed: list[SpatialBody]
 ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
     """f, the part of it that efforts have, the potential, and the efforts along their paths."""
-    V = _potential(m, plain)
-    paths, efforts = _efforts(m, plain, at.q, at.v)
+    V = potential_of(m, plain)
+    paths, efforts = efforts_of(m, plain, at.q, at.v)
     f_applied = ca.jacobian(paths, at.q).T @ efforts
     if m.spatial_loads:
         f_applied += motion.along(space.loads(m))
@@ -289,8 +288,8 @@ def _readings(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> _Re
 def _read_reactions(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms) -> None:
     """Reactions of joints, efforts of relations, locks, motions and dry friction."""
     q, v, a, lam, plain, closures = at.q, at.v, at.a, closed.lam, closed.plain, closed.closures
-    relations = _relations(m, closures, lam)
-    reactions, reaction_outputs = _reactions(m, plain, closed.held, q, v, a, terms.efforts, lam, relations)
+    relations = relations_of(m, closures, lam)
+    reactions, reaction_outputs = reactions_of(m, plain, closed.held, q, v, a, terms.efforts, lam, relations)
     read.reactions = reactions
     read.add(reactions, reaction_outputs)
     for relation, its in relations:
@@ -298,10 +297,10 @@ def _read_reactions(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed
             read.add([value], [Variable(f"{relation.name}.{suffix}", unit, description=text)])
     loads = {o.name: r for o, r in zip(reaction_outputs, reactions, strict=True)}
     plain_locks = [x for x in at.locks if x not in at.frictions]
-    for efforts_kept, kept_outputs in (_locking(plain_locks, closures, lam), _driving(closures, lam)):
+    for efforts_kept, kept_outputs in (locking(plain_locks, closures, lam), driving(closures, lam)):
         read.add(efforts_kept, kept_outputs)
     rows_of_locks = {x: closures.index((x, x.direction)) for x in at.locks if isinstance(x, Lock)}
-    efforts_in_space = _efforts_in_space(m, plain, q, v)
+    efforts_in_space = spatial_efforts(m, plain, q, v)
     read.spatial = spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
     loads |= {o.name: x for o, x in zip(spatial_outputs, spatial_values, strict=True)}
     read.rubs = rubbing(at.locks, rows_of_locks, plain.free, loads, (q, v, a), lam)
@@ -321,7 +320,7 @@ def _read_declared(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed)
         [o.expression for o in m.outputs], [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
     )
     for stop in m.end_stops:
-        x = _limited(closed.plain, stop)
+        x = limited_by(closed.plain, stop)
         what, unit = ("force", "N") if stop.unit == "m" else ("torque", "N.m")
         read.values += [stop.penetration(x), stop.effort(x, ca.jtimes(x, at.q, at.v))]
         read.outputs.append(
@@ -353,7 +352,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
     own, n, plain, lam, f_applied = at.own, at.n, closed.plain, closed.lam, terms.f_applied
     gaps = closed.signs * stack([plain.gap(*c) for c in closed.closures])
     y = stack(read.values)
-    carried = _carried(read.reactions, *read.spatial, closed.closures, lam, _lengths(m, closed.rows))
+    carried = carried_by(read.reactions, *read.spatial, closed.closures, lam, lengths_of(m, closed.rows))
     guess = _without_turns(m, _guess(m, at.coordinates, at.begin))
     sdot = ca.SX.sym("sdot", len(m.starts))
     tied, ties = _ties(m)
@@ -423,10 +422,10 @@ def _equations(
         resting=not m.coordinates and not m.moves,
         outputs=[Variable(**{**o.__dict__, "instant": i}) for o, i in zip(read.outputs, instant, strict=True)],
         rows=closed.rows,
-        lengths=_lengths(m, closed.rows),
+        lengths=lengths_of(m, closed.rows),
         slips=[i for i, (c, k) in enumerate(closures) if isinstance(c, Relation) and c.slip(plain, k) is not None],
-        compliances=_compliances(closed.rows) if m.compliant else [],
-        switches=_switches(m, locks, closures),
+        compliances=compliances_of(closed.rows) if m.compliant else [],
+        switches=switches_of(m, locks, closures),
         frictions=read.rubs.frictions,
         held=[
             *(lock.name for lock in locks),
@@ -597,411 +596,6 @@ def _function(m: Mechanism, name: str, symbols: dict[str, ca.SX], value: ca.SX) 
             "declare it here"
         )
     return shared(name, arguments, [value])
-
-
-def _held(m: Mechanism, kinematics: Kinematics) -> dict[Joint, tuple[str, ...]]:
-    """Directions of closures that hold by the choice of coordinates, so need no constraint; joint -> directions.
-
-    Found by the residual being identically zero: two natural bars that share a point, a slider without an angle.
-    """
-    coordinates = {key_of(c.q) for c in m.coordinates}
-    held: dict[Joint, tuple[str, ...]] = {}
-    for closure in m.closures:
-        if isinstance(closure, Relation):
-            slips = [closure.slip(kinematics, direction) for direction in closure.directions]
-            rows = stack(
-                [x for each in slips for _, x in each or ()]
-                + [kinematics.residual(closure, k) for k in closure.directions]
-            )
-            if not any(key_of(symbol) in coordinates for symbol in ca.symvar(rows)):
-                raise DeclarationError(
-                    f"{m.name}: no coordinate moves the bodies of {closure.kind} {closure.name}"
-                    f"{m.declared_at(closure.name)}; give their hinges coordinates"
-                )
-        if not isinstance(closure, Joint):
-            continue
-        zero = []
-        for direction in closure.directions:
-            residual = kinematics.residual(closure, direction)
-            if residual.is_zero():
-                zero.append(direction)
-            elif not any(key_of(symbol) in coordinates for symbol in ca.symvar(residual)):
-                raise DeclarationError(
-                    f"{m.name}: joint {closure.name} leaves a gap of {residual} along {direction} that no coordinate "
-                    f"can close; check its markers, offset and angle{m.declared_at(closure.name)}"
-                )
-        if zero:
-            held[closure] = tuple(zero)
-    _check_held(m, held)
-    return held
-
-
-def _check_held(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> None:
-    """Joints that one body's coordinates close must not disturb each other when displaced virtually."""
-    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in directions} for j, directions in held.items()}
-    by_body: dict[Body, list[Joint]] = {}
-    for joint in held:
-        by_body.setdefault(joint.second.body, []).append(joint)
-    for body, joints in by_body.items():
-        if body.between is not None:
-            for joint in joints:
-                ends = (body.start, body.end)
-                if not any(same(joint.second.x, e.x) and same(joint.second.y, e.y) for e in ends):
-                    raise DeclarationError(
-                        f"{m.name}: joint {joint.name} is closed by the points of {body.name} but is not at one of its "
-                        "ends; place the body between other points"
-                    )
-            continue
-        for joint in joints:
-            moved = Kinematics(m, {joint: held[joint]}, {joint: eps[joint]})
-            for other in joints:
-                if other is joint:
-                    continue
-                symbols = stack(list(eps[joint].values()))
-                for direction in held[other]:
-                    if ca.depends_on(moved.residual(other, direction), symbols):
-                        slope = ca.jacobian(moved.residual(other, direction), symbols)
-                        if not ca.substitute(slope, symbols, ca.SX.zeros(symbols.shape)).is_zero():
-                            raise DeclarationError(
-                                f"{m.name}: the coordinates of {body.name} close both {joint.name} and {other.name}; "
-                                "their reactions cannot be told apart; put both at one point of the body, or give "
-                                "the body an angle coordinate"
-                            )
-
-
-def _relations(m: Mechanism, closures: list[Closing], lam: ca.SX) -> list[tuple[Relation, dict[str, ca.SX]]]:
-    """Each relation with its multipliers by direction."""
-    return [
-        (each, {direction: lam[i] for i, (closure, direction) in enumerate(closures) if closure is each})
-        for each in m.relations()
-    ]
-
-
-def _slips(
-    m: Mechanism, kinematics: Kinematics, closures: list[Closing], q: ca.SX, v: ca.SX, own: ca.SX
-) -> tuple[ca.SX, ca.SX]:
-    """Velocities that non-holonomic rows keep at zero, zero in other rows, and their rows of C, by `own` rates."""
-    rows = []
-    for closure, direction in closures:
-        slip = closure.slip(kinematics, direction) if isinstance(closure, Relation) else None
-        rows.append(sum((ca.jtimes(x, q, v) * n for n, x in slip or ()), ca.SX(0)))
-    slips = stack(rows)
-    return slips, ca.jacobian(slips, own)
-
-
-def _slid(closing: Closing, plain: Kinematics, moved: Kinematics) -> ca.SX:
-    """What a row of velocities would measure of virtual displacements, up to a constant."""
-    closure, direction = closing
-    if not isinstance(closure, Relation) or (at_rest := closure.slip(plain, direction)) is None:
-        return ca.SX(0)
-    displaced = [x for _, x in closure.slip(moved, direction) or ()]
-    return sum((n * x for (n, _), x in zip(at_rest, displaced, strict=True)), ca.SX(0))
-
-
-def _closures(m: Mechanism, held: dict[Joint, tuple[str, ...]]) -> tuple[list[Row], list[Closing], ca.SX]:
-    """Constraint rows in the order of declaration, what each closes, and the sign of the residual in it.
-
-    A row reads point of the second body minus point of the first, the other way round where only the first body is torn
-    off (has absolute coordinates); this is the sign in which the paper writes the five-bar.
-    """
-    rows: list[Row] = []
-    closures: list[Closing] = []
-    signs: list[float] = []
-    for closure in m.closures:
-        sign, directions = 1.0, ("length",)
-        if isinstance(closure, Constraint):
-            directions = ("",)
-        elif isinstance(closure, Lock | Motion):
-            directions = (closure.direction,)
-        elif isinstance(closure, SpatialJoint | Relation):
-            directions = closure.directions
-        elif isinstance(closure, Joint):
-            directions = tuple(k for k in closure.directions if k not in held.get(closure, ()))
-            first, second = closure.first.body, closure.second.body
-            if first.pose is not None and second.pose is None and first is not m.ground:
-                sign = -1.0
-        for direction in directions:
-            turning = direction.startswith("rotation")
-            own = isinstance(closure, Constraint | Lock | Motion | Relation)
-            unit = closure.unit if own else "rad" if turning else "m"
-            # The axes of bodies may lie anywhere, which coefficients would tell of instead of the unit.
-            rows.append(Row(closure.name, direction, unit, float(isinstance(closure, SpatialJoint))))
-            closures.append((closure, direction))
-            signs.append(sign)
-    return rows, closures, stack(signs)
-
-
-def _compliances(rows: list[Row]) -> list[Variable]:
-    units = {"m": "m/N", "rad": "rad/(N.m)"}
-    return [
-        Variable(
-            f"{row.name}.compliance.{row.direction}".removesuffix("."),
-            units.get(row.unit, "1"),
-            minimum=0.0,
-            description=f"compliance of {row.text}" + ", for shares of redundant constraints",
-        )
-        for row in rows
-    ]
-
-
-def _locking(locks: list[Lock | Motion], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
-    """Effort of each lock, in the direction in which its displacement grows."""
-    values, outputs = [], []
-    for lock in locks:
-        if isinstance(lock, Lock):
-            values.append(-lam[closures.index((lock, lock.direction))])
-            what, unit = _effort(lock)
-            text = f"{what} of the lock of {lock.name}"
-            outputs.append(Variable(f"{lock.name}.locking_{what}", unit, description=text))
-    return values, outputs
-
-
-def _driving(closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
-    """Effort that each motion takes, in the direction in which its displacement grows."""
-    values, outputs = [], []
-    for i, (motion, _) in enumerate(closures):
-        if isinstance(motion, Motion):
-            values.append(-lam[i])
-            what, unit = _effort(motion)
-            name = "driving_force" if getattr(motion.of, "kind", "") == "prismatic" else what
-            text = f"{what} that the motion of {motion.name} takes"
-            outputs.append(Variable(f"{motion.name}.{name}", unit, description=text))
-    return values, outputs
-
-
-def _effort(kept: Lock | Motion) -> tuple[str, str]:
-    return ("torque", "N.m") if kept.unit == "rad" else ("force", "N")
-
-
-def _switches(m: Mechanism, locks: list[Lock | Motion], closures: list[Closing]) -> list[Switch]:
-    """Boolean inputs, locks first, each kind in the order of declaration."""
-    switches = []
-    for i, lock in enumerate(locks):
-        if isinstance(lock, Friction):
-            continue
-        moving = isinstance(lock, Motion)
-        name, text = ("driven", "put {} in force: the motion") if moving else ("locked", "stop the motion")
-        row = closures.index((lock, lock.direction))
-        text = f"{text.format('the law')} of {lock.name}"
-        switches.append(Switch(f"{lock.name}.{name}", [row], True, i, description=text))
-    for closure in m.releases:
-        rows = [i for i, (each, _) in enumerate(closures) if each is closure]
-        if not rows:
-            raise DeclarationError(
-                f"{m.name}: {closure.name} holds by the choice of coordinates, so it cannot be released; use "
-                "coordinates in which constraints close it"
-            )
-        switches.append(Switch(f"{closure.name}.released", rows, False, description=f"switch {closure.name} off"))
-    return switches
-
-
-def _inertia(m: Mechanism, kinematics: Kinematics, pivoted: bool = False) -> tuple[ca.SX, ca.SX]:
-    """Displacements X and their weights W: places of centres of mass, angles (natural coordinates, space: directions).
-
-    With `pivoted`, a body that a hinge on the ground places counts by its angle and its inertia about the hinge alone.
-    """
-    X: list[Scalar] = []
-    w: list[Scalar] = []
-    moves = ca.vertcat(*(c.q for c in m.coordinates), m.time)
-    for body in m.bodies:
-        frame = kinematics.frame(body)
-        hinge = body.placed_by
-        still = hinge is not None and hinge.kind == "revolute" and hinge.first.body is m.ground
-        if pivoted and still and not ca.depends_on(ca.vertcat(*kinematics.place(hinge.first)), moves):
-            arm = (body.center[0] - hinge.second.x) ** 2 + (body.center[1] - hinge.second.y) ** 2
-            X.append(frame.angle)
-            w.append(body.inertia + body.mass * arm)
-            continue
-        if not symbolic(body.mass).is_zero():
-            X += kinematics.center(body)
-            w += [body.mass, body.mass]
-        if not symbolic(body.inertia).is_zero():
-            # (ex, ey) is linear in natural coordinates, so that the mass matrix is constant.
-            X += [frame.ex, frame.ey] if frame.wrapped else [frame.angle]
-            w += [body.inertia, body.inertia] if frame.wrapped else [body.inertia]
-    blocks = [ca.diag(stack(w))]
-    for body in (body for body in m.spatial_bodies if body.own is not None):
-        displacements, weights = body.displacements()
-        X += ca.vertsplit(displacements)
-        blocks.append(weights)
-    return stack(X), ca.diagcat(*blocks)
-
-
-def _guided(m: Mechanism, body: Body) -> bool:
-    """Whether a joint with the ground keeps the angle of a body."""
-    joints = (j for j in m.joints if j.kind in ("prismatic", "weld"))
-    return any({j.first.body, j.second.body} == {m.ground, body} for j in joints)
-
-
-def _potential(m: Mechanism, kinematics: Kinematics) -> ca.SX:
-    """Potential energy of gravity, springs and the user's own terms, but of the weight of bodies that joints in space
-    place."""
-    gx, gy, _ = m.gravity_vector
-    centers = [kinematics.center(body) for body in m.bodies]
-    x, y = (stack([center[k] for center in centers]) for k in (0, 1))
-    V = sum(m.potential, ca.SX(0))
-    for stop in m.end_stops:
-        V += stop.energy(_limited(kinematics, stop))
-    V -= ca.dot(stack([body.mass for body in m.bodies]), gx * x + gy * y)
-    for body in (body for body in m.spatial_bodies if body.own is not None):
-        V -= body.mass * ca.dot(stack(m.gravity_vector), body.position)
-    for spring in m.springs:
-        V += spring.stiffness * (_elongation(kinematics, spring.between) - spring.rest) ** 2 / 2
-    return V
-
-
-def _elongation(kinematics: Kinematics, between: AnyJoint | tuple[AnyMarker, AnyMarker]) -> ca.SX:
-    return kinematics.counted(between) if isinstance(between, AnyJoint) else kinematics.distance(between)
-
-
-def _limited(kinematics: Kinematics, stop: EndStop) -> ca.SX:
-    """The displacement that a stop limits."""
-    return stop.of if isinstance(stop.of, ca.SX) else _elongation(kinematics, stop.of)
-
-
-def _paths(m: Mechanism, kinematics: Kinematics) -> list[Scalar]:
-    """Displacements along which the efforts of drives, loads and dampers act, in that order."""
-    paths: list[Scalar] = [kinematics.free(drive.joint) for drive in m.drives]
-    for load in m.loads:
-        paths += [*kinematics.place(load.at), kinematics.frame(load.at.body).angle]
-    dampers = (s.between for s in m.springs if not symbolic(s.damping).is_zero())
-    paths += [kinematics.free(x) if isinstance(x, AnyJoint) else kinematics.distance(x) for x in dampers]
-    return paths + [_limited(kinematics, stop) for stop in m.end_stops]
-
-
-def _efforts(m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """The paths of the efforts and the efforts themselves."""
-    paths = stack(_paths(m, kinematics))
-    efforts: list[Scalar] = [drive.effort for drive in m.drives]
-    for load in m.loads:
-        efforts += [*load.force, load.torque]
-    rates = ca.jtimes(paths, q, v) if paths.numel() else paths
-    dampers = [s for s in m.springs if not symbolic(s.damping).is_zero()]
-    efforts += [-s.damping * rates[len(efforts) + i] for i, s in enumerate(dampers)]
-    stops = range(len(efforts), len(efforts) + len(m.end_stops))
-    efforts += [stop.losses(paths[i], rates[i]) for i, stop in zip(stops, m.end_stops, strict=True)]
-    return paths, stack(efforts)
-
-
-def _lengths(m: Mechanism, rows: list[Row]) -> list[int]:
-    """Constraints that keep Euler parameters at unit length."""
-    names = {each.unit_length for each in (*m.spatial_bodies, *m.spatial_joints)}
-    return [i for i, row in enumerate(rows) if row.name in names]
-
-
-def _carried(
-    reactions: Sequence[ca.SX],
-    in_space: Sequence[ca.SX],
-    outputs: Sequence[Variable],
-    closures: list[Closing],
-    lam: ca.SX,
-    lengths: Sequence[int],
-) -> ca.SX:
-    """Forces [N] and moments [N.m, over 1 m] that joints and motions carry, and multipliers of what is no joint.
-
-    The sum of their squares depends on no axes, and not on which joints are closed by coordinates. `outputs` are those
-    of joints in space. Forces that part teeth are by the size of a multiplier and in no norm, so that all is linear.
-    """
-    found = [*reactions, *(x for x, o in zip(in_space, outputs, strict=True) if o.unit in ("N", "N.m"))]
-    for i, (closure, _) in enumerate(closures):
-        if isinstance(closure, Constraint | Lock | Motion | Relation) and i not in lengths:
-            found.append(lam[i])
-    carried = stack(found)
-    if lam.numel() and not ca.is_linear(carried, lam):
-        slope, here = (ca.substitute(x, lam, 0 * lam) for x in (ca.jacobian(carried, lam), carried))
-        return here + slope @ lam
-    return carried
-
-
-def _efforts_in_space(
-    m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX
-) -> list[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]]:
-    """What drives, springs and stops do along joints in space, and between two points there, second from first."""
-    found = [(drive.joint, symbolic(drive.effort)) for drive in m.drives if not isinstance(drive.joint, Joint)]
-    for spring in m.springs:
-        ends = spring.between if isinstance(spring.between, tuple) else (spring.between.first, spring.between.second)
-        if isinstance(ends[0], SpatialMarker):
-            path = _elongation(kinematics, spring.between)
-            effort = -spring.stiffness * (path - spring.rest) - spring.damping * ca.jtimes(path, q, v)
-            found.append((spring.between, effort))
-    for stop in m.end_stops:
-        first = stop.of[0] if isinstance(stop.of, tuple) else stop.of
-        if isinstance(first, SpatialJoint | SpatialFreedom | SpatialMarker):
-            path = _limited(kinematics, stop)
-            found.append((stop.of, stop.effort(path, ca.jtimes(path, q, v))))
-    return found
-
-
-_REACTIONS = {
-    "x": ("force.x", "N", "force along x on {second} from {first}"),
-    "y": ("force.y", "N", "force along y on {second} from {first}"),
-    "rotation": ("moment", "N.m", "moment on {second} from {first}, about the joint's point on {second}"),
-    "normal": ("force", "N", "force on {second} from {first}, along the left normal of the guide"),
-    "length": ("force", "N", "force on {second} from {first}, positive when the joint pushes"),
-    f"{FREE} revolute": ("torque", "N.m", "torque that the motion takes, on {second} from {first}"),
-    f"{FREE} prismatic": ("driving_force", "N", "force that the motion takes, on {second} from {first}"),
-}
-
-
-def _suppressed(m: Mechanism, joint: Joint) -> tuple[str, ...]:
-    """The directions of a joint that have a reaction: also that in which a law in place of a coordinate moves it."""
-    law = joint.kind in ("revolute", "prismatic") and isinstance(joint.coordinate, ca.SX)
-    if (
-        law
-        and ca.depends_on(joint.coordinate, m.time)
-        and not ca.depends_on(joint.coordinate, stack([c.q for c in m.coordinates]))
-    ):
-        return (*joint.directions, FREE)
-    return joint.directions
-
-
-def _reactions(
-    m: Mechanism,
-    plain: Kinematics,
-    held: dict[Joint, tuple[str, ...]],
-    q: ca.SX,
-    v: ca.SX,
-    a: ca.SX,
-    efforts: ca.SX,
-    lam: ca.SX,
-    relations: list[tuple[Relation, dict[str, ca.SX]]],
-) -> tuple[list[ca.SX], list[Variable]]:
-    """Reaction of every joint along every direction it suppresses, on the second body from the first."""
-    if not m.joints:
-        return [], []
-    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in _suppressed(m, j)} for j in m.joints}
-    # A direction that a constraint closes is displaced in the constraint, any other one in the kinematics.
-    in_frames = {
-        j: {k: e for k, e in eps[j].items() if j.coordinate is not None or k in held.get(j, ())} for j in m.joints
-    }
-    moved = Kinematics(m, held, in_frames) if any(in_frames.values()) else plain
-    Xe, _ = _inertia(m, moved)
-    _, closures, signs = _closures(m, held)
-    displaced = stack([eps.get(c, {}).get(direction, 0.0) for c, direction in closures])
-    Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
-    # A row of velocities is displaced along what it keeps at rest.
-    Phie += signs * stack([_slid(each, plain, moved) for each in closures])
-    X, W = _inertia(m, plain)
-    aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
-    work = (
-        ca.dot(Xe, W @ aX)
-        + _potential(m, moved)
-        - ca.dot(stack(_paths(m, moved)), efforts)
-        + (ca.dot(Phie, lam) if lam.numel() else 0)
-    )
-    symbols = stack([e for j in m.joints for e in eps[j].values()])
-    r = ca.substitute(ca.gradient(work, symbols), symbols, ca.SX.zeros(symbols.shape))
-    which = {each: i for i, each in enumerate((j, direction) for j in m.joints for direction in j.directions)}
-    for relation, own in relations:
-        for joint, direction, value in relation.idle(plain, own):
-            r[which[joint, direction]] += value
-    outputs = []
-    for joint in m.joints:
-        for direction in eps[joint]:
-            suffix, unit, text = _REACTIONS[f"{FREE} {joint.kind}" if direction == FREE else direction]
-            text = text.format(first=joint.first.body.name, second=joint.second.body.name)
-            outputs.append(Variable(f"{joint.name}.{suffix}", unit, description=text))
-    return ca.vertsplit(r), outputs
 
 
 def _body_outputs(

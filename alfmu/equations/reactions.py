@@ -1,0 +1,175 @@
+"""Reactions of joints, efforts of locks and motions, and loads that redundant constraints share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import casadi as ca
+
+from ..model.kinematics import FREE, Closing, Kinematics
+from ..model.mechanism import Mechanism
+from ..model.parts import (
+    Constraint,
+    Joint,
+    Lock,
+    Motion,
+    stack,
+    symbolic,
+)
+from ..model.relations import Relation
+from ..model.spatial import SpatialFreedom, SpatialJoint, SpatialMarker
+from .closures import closures_of, slid
+from .loads import elongation_of, inertia_of, limited_by, paths_of, potential_of
+from .types import Row, Variable
+
+__all__ = ["carried_by", "driving", "lengths_of", "locking", "reactions_of", "spatial_efforts"]
+
+
+_REACTIONS = {
+    "x": ("force.x", "N", "force along x on {second} from {first}"),
+    "y": ("force.y", "N", "force along y on {second} from {first}"),
+    "rotation": ("moment", "N.m", "moment on {second} from {first}, about the joint's point on {second}"),
+    "normal": ("force", "N", "force on {second} from {first}, along the left normal of the guide"),
+    "length": ("force", "N", "force on {second} from {first}, positive when the joint pushes"),
+    f"{FREE} revolute": ("torque", "N.m", "torque that the motion takes, on {second} from {first}"),
+    f"{FREE} prismatic": ("driving_force", "N", "force that the motion takes, on {second} from {first}"),
+}
+
+
+def reactions_of(
+    m: Mechanism,
+    plain: Kinematics,
+    held: dict[Joint, tuple[str, ...]],
+    q: ca.SX,
+    v: ca.SX,
+    a: ca.SX,
+    efforts: ca.SX,
+    lam: ca.SX,
+    relations: list[tuple[Relation, dict[str, ca.SX]]],
+) -> tuple[list[ca.SX], list[Variable]]:
+    """Reaction of every joint along every direction it suppresses, on the second body from the first."""
+    if not m.joints:
+        return [], []
+    eps = {j: {k: ca.SX.sym(f"{j.name}.{k}") for k in _suppressed(m, j)} for j in m.joints}
+    # A direction that a constraint closes is displaced in the constraint, any other one in the kinematics.
+    in_frames = {
+        j: {k: e for k, e in eps[j].items() if j.coordinate is not None or k in held.get(j, ())} for j in m.joints
+    }
+    moved = Kinematics(m, held, in_frames) if any(in_frames.values()) else plain
+    Xe, _ = inertia_of(m, moved)
+    _, closures, signs = closures_of(m, held)
+    displaced = stack([eps.get(c, {}).get(direction, 0.0) for c, direction in closures])
+    Phie = signs * (stack([moved.residual(*c) for c in closures]) - displaced)
+    # A row of velocities is displaced along what it keeps at rest.
+    Phie += signs * stack([slid(each, plain, moved) for each in closures])
+    X, W = inertia_of(m, plain)
+    aX = ca.jtimes(X, q, a) + ca.jtimes(ca.jtimes(X, q, v), q, v)
+    work = (
+        ca.dot(Xe, W @ aX)
+        + potential_of(m, moved)
+        - ca.dot(stack(paths_of(m, moved)), efforts)
+        + (ca.dot(Phie, lam) if lam.numel() else 0)
+    )
+    symbols = stack([e for j in m.joints for e in eps[j].values()])
+    r = ca.substitute(ca.gradient(work, symbols), symbols, ca.SX.zeros(symbols.shape))
+    which = {each: i for i, each in enumerate((j, direction) for j in m.joints for direction in j.directions)}
+    for relation, own in relations:
+        for joint, direction, value in relation.idle(plain, own):
+            r[which[joint, direction]] += value
+    outputs = []
+    for joint in m.joints:
+        for direction in eps[joint]:
+            suffix, unit, text = _REACTIONS[f"{FREE} {joint.kind}" if direction == FREE else direction]
+            text = text.format(first=joint.first.body.name, second=joint.second.body.name)
+            outputs.append(Variable(f"{joint.name}.{suffix}", unit, description=text))
+    return ca.vertsplit(r), outputs
+
+
+def _suppressed(m: Mechanism, joint: Joint) -> tuple[str, ...]:
+    """The directions of a joint that have a reaction: also that in which a law in place of a coordinate moves it."""
+    law = joint.kind in ("revolute", "prismatic") and isinstance(joint.coordinate, ca.SX)
+    if (
+        law
+        and ca.depends_on(joint.coordinate, m.time)
+        and not ca.depends_on(joint.coordinate, stack([c.q for c in m.coordinates]))
+    ):
+        return (*joint.directions, FREE)
+    return joint.directions
+
+
+def lengths_of(m: Mechanism, rows: list[Row]) -> list[int]:
+    """Constraints that keep Euler parameters at unit length."""
+    names = {each.unit_length for each in (*m.spatial_bodies, *m.spatial_joints)}
+    return [i for i, row in enumerate(rows) if row.name in names]
+
+
+def carried_by(
+    reactions: Sequence[ca.SX],
+    in_space: Sequence[ca.SX],
+    outputs: Sequence[Variable],
+    closures: list[Closing],
+    lam: ca.SX,
+    lengths: Sequence[int],
+) -> ca.SX:
+    """Forces [N] and moments [N.m, over 1 m] that joints and motions carry, and multipliers of what is no joint.
+
+    The sum of their squares depends on no axes, and not on which joints are closed by coordinates. `outputs` are those
+    of joints in space. Forces that part teeth are by the size of a multiplier and in no norm, so that all is linear.
+    """
+    found = [*reactions, *(x for x, o in zip(in_space, outputs, strict=True) if o.unit in ("N", "N.m"))]
+    for i, (closure, _) in enumerate(closures):
+        if isinstance(closure, Constraint | Lock | Motion | Relation) and i not in lengths:
+            found.append(lam[i])
+    carried = stack(found)
+    if lam.numel() and not ca.is_linear(carried, lam):
+        slope, here = (ca.substitute(x, lam, 0 * lam) for x in (ca.jacobian(carried, lam), carried))
+        return here + slope @ lam
+    return carried
+
+
+def spatial_efforts(
+    m: Mechanism, kinematics: Kinematics, q: ca.SX, v: ca.SX
+) -> list[tuple[SpatialJoint | SpatialFreedom | tuple[SpatialMarker, SpatialMarker], ca.SX]]:
+    """What drives, springs and stops do along joints in space, and between two points there, second from first."""
+    found = [(drive.joint, symbolic(drive.effort)) for drive in m.drives if not isinstance(drive.joint, Joint)]
+    for spring in m.springs:
+        ends = spring.between if isinstance(spring.between, tuple) else (spring.between.first, spring.between.second)
+        if isinstance(ends[0], SpatialMarker):
+            path = elongation_of(kinematics, spring.between)
+            effort = -spring.stiffness * (path - spring.rest) - spring.damping * ca.jtimes(path, q, v)
+            found.append((spring.between, effort))
+    for stop in m.end_stops:
+        first = stop.of[0] if isinstance(stop.of, tuple) else stop.of
+        if isinstance(first, SpatialJoint | SpatialFreedom | SpatialMarker):
+            path = limited_by(kinematics, stop)
+            found.append((stop.of, stop.effort(path, ca.jtimes(path, q, v))))
+    return found
+
+
+def locking(locks: list[Lock | Motion], closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+    """Effort of each lock, in the direction in which its displacement grows."""
+    values, outputs = [], []
+    for lock in locks:
+        if isinstance(lock, Lock):
+            values.append(-lam[closures.index((lock, lock.direction))])
+            what, unit = _effort(lock)
+            text = f"{what} of the lock of {lock.name}"
+            outputs.append(Variable(f"{lock.name}.locking_{what}", unit, description=text))
+    return values, outputs
+
+
+def driving(closures: list[Closing], lam: ca.SX) -> tuple[list[ca.SX], list[Variable]]:
+    """Effort that each motion takes, in the direction in which its displacement grows."""
+    values, outputs = [], []
+    for i, (motion, _) in enumerate(closures):
+        if isinstance(motion, Motion):
+            values.append(-lam[i])
+            what, unit = _effort(motion)
+            name = "driving_force" if getattr(motion.of, "kind", "") == "prismatic" else what
+            text = f"{what} that the motion of {motion.name} takes"
+            outputs.append(Variable(f"{motion.name}.{name}", unit, description=text))
+    return values, outputs
+
+
+def _effort(kept: Lock | Motion) -> tuple[str, str]:
+    return ("torque", "N.m") if kept.unit == "rad" else ("force", "N")
