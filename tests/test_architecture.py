@@ -115,6 +115,14 @@ def test_the_table_allows_nothing_that_is_not_used():
     assert {(name, below) for name, rooms in ROOMS.items() for below in rooms} <= used
 
 
+@pytest.mark.parametrize("name", sorted(ROOMS))
+def test_a_room_says_which_of_its_modules_others_import(name: str):
+    used = {o for module, path in MODULES.items() if room(module) != name for o in imports(path)[0] if room(o) == name}
+    says = ast.get_docstring(ast.parse(MODULES[name].read_text())).partition("Other rooms import ")[2]
+    assert {f"{name}.{each}" for each in re.findall("`([a-z_.]+)`", says)} == used - {name}
+    assert name not in used or "__all__ = [" in MODULES[name].read_text()
+
+
 def test_the_table_has_no_circle():
     below: set[str] = set()
     for name, rooms in ROOMS.items():

@@ -16,8 +16,8 @@ import alfmu
 from alfmu import Mechanism
 from alfmu.cli import main
 from alfmu.model.checks import number
-from alfmu.model.errors import AlfmuWarning, DeclarationError
 from alfmu.model.declaration import BOOKKEEPING
+from alfmu.model.errors import AlfmuWarning, DeclarationError
 from alfmu.model.words import nearest, there_is
 
 HEAD = """

@@ -1,6 +1,7 @@
 """The pages of the documentation: what they show is so, and they load in a browser without network."""
 
 import ast
+import inspect
 import os
 import re
 import shutil
@@ -159,6 +160,9 @@ def test_every_public_name_is_in_the_reference():
     page = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
     named = set(re.findall(r"^\.\. auto\w+:: (?:\w+\.)*(\w+)(?:\(\))?$", page, re.M))
     assert set(alfmu.__all__) - named == set()
+    calls = {n for n, _ in inspect.getmembers(alfmu.Mechanism, inspect.isfunction) if not n.startswith("_")}
+    former = {"declared_at", "measured_joints", "measured_springs", "relations", "trace"}
+    assert calls - former == set(re.findall(r"^   \.\. automethod:: (\w+)$", page, re.M))
 
 
 # Messages ------------------------------------------------------------------------------------------------------------

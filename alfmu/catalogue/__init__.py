@@ -1,6 +1,8 @@
-"""What comes with alfmu: `mechanisms`, which it declares, and `fmus`, their recipes, each by its registered name.
+"""Mechanisms by name or file, and what comes with alfmu: `mechanisms`, which it declares, and `fmus`, their recipes.
 
-Both are installed in this folder. In a source tree, also one that is installed editable, they are folders at its top.
+These are installed in this folder. In a source tree, also one that is installed editable, they are folders at its top.
+
+Other rooms import `registry`.
 """
 
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""Declaration to equations: what derivation hands on, and what numbers need of it."""
+"""Declaration to equations: what derivation hands on, and what numbers need of it.
+
+Other rooms import `arrays`, `changes`, `derivation`, `evaluation`, `friction`, `interface`, `specialisation`.
+"""
 
 from .types import Equations, Mobility, Row, Switch, Variable
 

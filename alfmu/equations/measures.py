@@ -21,7 +21,7 @@ _MOTION = {
 
 
 class Displacements(Protocol):
-    """Displacements of joints and springs: `derivation.Kinematics`."""
+    """Displacements of joints and springs: `model.kinematics.Kinematics`."""
 
     def free(self, joint: AnyJoint) -> ca.SX: ...
     def counted(self, joint: AnyJoint) -> ca.SX: ...

@@ -1,4 +1,8 @@
-"""The kernel: the method traced over a mechanism's equations into flat functions, and the ways to run them."""
+"""The kernel: the method traced over a mechanism's equations into flat functions, and the ways to run them.
+
+Other rooms import `alternatives`, `controlled`, `form`, `joined`, `kinks`, `memory`, `stream`, `symbolic`, `tables`,
+`thresholds`, `trace`.
+"""
 
 __all__ = ["DEFAULT", "KERNELS"]
 

@@ -1,1 +1,5 @@
-"""What a user declares: mechanisms with bodies, joints and forces; units, settings, errors."""
+"""What a user declares: mechanisms with bodies, joints and forces; units, settings, errors.
+
+Other rooms import `calls`, `checks`, `content`, `doubts`, `errors`, `files`, `gallery`, `hooks`, `kinematics`,
+`making`, `mechanism`, `motion`, `parts`, `relations`, `settings`, `sources`, `spatial`, `stops`, `units`, `words`.
+"""

@@ -2,6 +2,8 @@
 
 Each is made of what a user could declare too: states, bodies, drives, parameters, outputs. Their names begin with the
 name of the part. `blocks` has them as mechanisms of their own, to be connected as FMUs.
+
+Other rooms import `blocks`.
 """
 
 from .control import pi_controller

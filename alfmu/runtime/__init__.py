@@ -1,4 +1,7 @@
-"""What moves a scene: the C library, what builds it, and instances that it drives."""
+"""What moves a scene: the C library, what builds it, and instances that it drives.
+
+Other rooms import `build`, `compiled`, `instance`, `library`, `prepare`, `probe`, `reuse`, `shipped`, `sweeps`.
+"""
 
 from typing import TYPE_CHECKING, Any
 

@@ -1,4 +1,7 @@
-"""Runs: the one driver of them (`run`), `Result` and its tables, and the oracle that the kernel is held against."""
+"""Runs: the one driver of them (`run`), `Result` and its tables, and the oracle that the kernel is held against.
+
+Other rooms import `oracle`, `result`.
+"""
 
 from .driver import (
     KERNELS,

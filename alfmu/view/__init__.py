@@ -1,1 +1,4 @@
-"""Drawings and films of mechanisms, diagrams of results."""
+"""Drawings and films of mechanisms, diagrams of results.
+
+Other rooms import `drawing`, `eigenvalues`, `fitted`, `live`, `picture`, `plot`, `shapes`.
+"""
