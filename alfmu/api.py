@@ -10,7 +10,6 @@ from .analysis.equilibria import Equilibrium
 from .analysis.start import prepare, rest_of, simulated
 from .catalogue.registry import load, mechanisms
 from .equations import Equations
-from .fmi.drive import Fmu
 from .fmi.export import described as _described
 from .fmi.export import export as _written
 from .fmi.recipe import Recipe
@@ -118,6 +117,8 @@ def _simulate_fmu(
     check: bool = False,
 ) -> Result:
     """Run an FMU as `simulate` does."""
+    from .fmi.drive import Fmu
+
     if check:
         with Fmu(path) as fmu:
             setting, value = finer(fmu.name, {**fmu.starts(), **parameters})
