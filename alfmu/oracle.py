@@ -206,12 +206,14 @@ class Instance(runtime.Instance):
         a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
         if not converged:
             self._unfinished = max(self._unfinished, left)
-        return a, self._least_norm(M, C, lam), used, converged
+        before = math.inf
 
-    def _least_norm(self, M: NDArray, C: NDArray, lam: NDArray) -> NDArray:
-        """lam of least norm, until another pass would change round-off alone."""
-        solve = self.inverse(method.augmented_mass(self._light(M, self.alpha), C, self.alpha))
-        return method.minimum_norm(C, self.alpha, solve, lam, CORRECTIONS, _unchanged)
+        def settled(change: NDArray, value: NDArray) -> bool:
+            nonlocal before
+            change, last, before = change @ change, before, change @ change
+            return method.settled(change, last, value @ value, self.settings.tolerance)
+
+        return a, method.minimum_norm(C, self.alpha, solve, lam, method.SETTLING, settled), used, converged
 
     def _check_converged(self, t: float) -> None:
         """What multiplier iterations left since this was asked last: told once, StepError where it is too much.

@@ -422,8 +422,19 @@ class _Patient(Alternatives):
             calls.choice("projects", own)
             return
         scene = calls.scene
-        passes = CORRECTIONS if self.e.compliances or self.e.lengths else SHARES
-        calls("share", f"k M C {lam}", lam, lambda M, C, lam: scene.distributed(scene.light(M), C, lam, passes))
+        self._settle(calls, lam)
+        if self.e.compliances or self.e.lengths:
+            share = scene.distributed
+            calls("share", f"k M C {lam}", lam, lambda M, C, lam: share(scene.light(M), C, lam, CORRECTIONS))
+
+    def _settle(self, calls: Calls, lam: str) -> None:
+        """Multipliers of least norm, without the round-off that (8) leaves in directions that it does not resolve."""
+        again = calls.inside()
+        calls("least_begin", "k", "least_z before", lambda: (SX(self.e.n, 1), SX(math.inf)))
+        passed = "least_z least_norm more before"
+        again("least_again", f"k C D L {lam} least_z before", passed, calls.scene.least_again)
+        self.repeat(calls, "more", method.SETTLING, again)
+        calls("least_end", "least_norm", lam, lambda lam: lam)
 
     def _share(self, calls: Calls, known: str, found: str) -> None:
         """By more passes, which are enough near singular positions too."""
@@ -435,6 +446,7 @@ class _Patient(Alternatives):
             self.by(OWN)._share(own, known, found)
             calls.choice("projects", own)
             return
+        self._settle(calls, found.split()[1])
         self._bear(calls, known, found)
 
 

@@ -60,9 +60,6 @@ _LEFT = 2.0**-50
 LEFT_BY_FEW = 1e-3
 """What few multiplier iterations may leave of accelerations, over the relative tolerance of a step."""
 
-_GAIN = 2 / 3
-"""Change of an iteration over that of the one before, from which on round-off is all that changes."""
-
 SOFT = 1e-5
 """Typical pivot that masses make, over the penalty, where penalties are softened: iterations then gain five digits
 each, and a motion that moves 1e-6 of the usual mass keeps five of its digits in H."""
@@ -285,7 +282,7 @@ class Scene:
         """Whether multiplier iterations that have not converged still gain, and the last change."""
         seen = Watch.of(watch)
         done = seen.change <= self.settings.tolerance**2 * seen.size + _TINY
-        return ca.logic_and(ca.logic_not(done), seen.change < _GAIN**2 * before), seen.change
+        return ca.logic_and(ca.logic_not(done), seen.change < method.GAIN**2 * before), seen.change
 
     def softened(self) -> SX:
         """k with smaller penalties, by which what masses make of H is not lost beside them."""
@@ -378,14 +375,15 @@ class Scene:
             own[each.row] = (1 - self.held[each.row]) * lam[each.row]
         return lam - own, own
 
-    def least_again(self, C: SX, D: SX, L: SX, lam: SX, z: SX) -> tuple[SX, SX, SX]:
-        """One more pass: z, lam by it, and whether another one is needed."""
+    def least_again(self, C: SX, D: SX, L: SX, lam: SX, z: SX, before: SX) -> tuple[SX, SX, SX, SX]:
+        """One more pass: z, lam by it, whether another one is needed, and its change (squared)."""
         lam, rubbing = self._apart(lam)
         change = method.nearer_norm(C, self.weights, self.solver(D, L), lam, z)
         z = z + change
-        more = 1 - (ca.sumsqr(C @ change) <= _LEFT**2 * ca.sumsqr(C @ z))
+        changed = ca.sumsqr(C @ change)
+        more = 1 - method.settled(changed, before, ca.sumsqr(C @ z), self.settings.tolerance)
         lam = self.weights @ (C @ z)
-        return z, lam + rubbing if self.e.frictions else lam, more
+        return z, lam + rubbing if self.e.frictions else lam, more, changed
 
     def distributed(self, M: SX, C: SX, lam: SX, passes: int = SHARES) -> SX:
         """lam as joints share it, of the given compliances or in the least norm; not finite where the passes were too
