@@ -30,7 +30,7 @@ from .alternatives import OWN, Alternatives, alternatives
 from .breaks import breaks
 from .form import Call, Choice, Plan, Program, Routine, called, rewritten
 from .memory import SEEN
-from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, SHARES, Watch, lengths_of
+from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
 
 __all__ = ["READ", "beginning", "passed", "standalone"]

@@ -120,7 +120,7 @@ def nearer_norm(C: Array, alpha: Array, solve: Solve, lam: Array, z: Array) -> A
 
 
 def settled(change: Array, before: Array, size: Array, tolerance: float) -> Array:
-    """Whether passes that changed multipliers so far are enough: squares of the last change, the one before, and lam."""
+    """Whether passes of `minimum_norm` are enough, by squares: the last change, the one before, and lam."""
     return (change <= tolerance**2 * size) + (change <= SETTLED**2 * size) * (change > GAIN**2 * before) > 0
 
 
