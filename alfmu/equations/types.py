@@ -14,7 +14,10 @@ from ..model.words import Brief
 if TYPE_CHECKING:
     import casadi as ca
 
-__all__ = ["Equations", "Followed", "Leap", "Mobility", "Row", "Signature", "Switch", "Variable"]
+__all__ = ["REACTION_ERROR", "Equations", "Followed", "Leap", "Mobility", "Row", "Signature", "Switch", "Variable"]
+
+REACTION_ERROR = "monitor.reaction_error"
+"""The monitor that is there on request alone."""
 
 Signature = dict[str, Any]
 """Of a function: `inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns,
@@ -212,7 +215,7 @@ class Equations:
     """What `solver.method` auto stands for; empty where that is not decided yet."""
     reason: str = ""
     """Why that is so."""
-    monitors: list[str] = field(default_factory=list)
+    monitors: list[str] = field(default_factory=lambda: [REACTION_ERROR])
     """Monitors that are left out."""
     order: list[int] = field(default_factory=list)
     """Order of the coordinates in which the augmented mass fills in least when it is factorised."""

@@ -173,9 +173,10 @@ class _Patient(Alternatives):
         calls("handed_on", "a0 power0 watch0", spaced(READ), lambda *x: x)
         careful("margin_told", "k D watch0", "watch0", told)
         calls.made += careful.made
-        known = "z u p k C xi a0 lam0 watch0 singular"
+        known = spaced("z u p k C xi a0 lam0 watch0 singular", self.losses)
         if self.redundant:
             Tracer._share(self, calls, "t0 q0 v0 u", "a0 lam0")
+        self._lost(calls, "C F lam0 watch0")
         calls("seen_quickly", known, "seen", lambda *x: calls.scene.seen(plan, *x, limit=ROUND_OFF))
         return Program(calls.steps, plan)
 

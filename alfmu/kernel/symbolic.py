@@ -37,7 +37,7 @@ MONITORED = tuple(
     f"monitor.{name}"
     for name in (
         *("position_error", "velocity_error", "energy", "work", "step_error"),
-        *("iterations", "distance", "singular"),
+        *("iterations", "distance", "singular", "reaction_error"),
     )
 )
 """Monitors that `instant` computes, in this order."""
@@ -98,7 +98,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
     alike = {
         "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
-        "singular error read_power renew before passes size most patient again projects within floor": 1,
+        "singular lost error read_power renew before passes size most patient again projects within floor": 1,
         "supply supplied suppliedn crossed margin": 1,
         "left stabilisation": 2,
         "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
@@ -558,24 +558,36 @@ class Scene:
         return [q + k * spacing * v for k in branch.READ_MEAN]
 
     def limits(self, *found: SX) -> tuple[SX, ...]:
-        """a, lam and watch from those at the places and, last, those here; whether lam has a limit (1) or a pole (2).
+        """a, lam and watch from those at the places and those here; whether lam has a limit (1) or a pole (2).
 
-        Limits are taken where they are more exact than what is found here: `branch.with_pole`.
+        Limits are taken where they are more exact than what is found here: `branch.with_pole`. Behind what is found
+        here may be the error of reactions here; then the last result is that of reactions that are read.
         """
-        *found, here, lam_here, watch = found
         count = len(branch.READ_MEAN)
+        found, (here, lam_here, watch, *lost_here) = found[: 3 * count], found[3 * count :]
         a, lam, watches = (
             dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
         )
         margin = Watch.of(watch).margin
-        (limit, pole), (rough, _) = self._with_pole(lam), self._with_pole(branch.fewer(lam))
+        limit, pole, magnified = self._with_pole(lam)
+        told, fewer = 1 - pole * (magnified <= 0), branch.fewer(lam)
+        rough, coarse = (self._with_pole(x, told)[0] for x in (fewer, branch.fewer(fewer)))
+        change = ca.mmax(ca.fabs(limit - rough))
         lost = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(limit))
-        direct = ca.logic_and(margin > self.settings.nothing, lost < ca.mmax(ca.fabs(limit - rough)))
+        direct = ca.logic_and(margin > self.settings.nothing, lost < change)
         said = _worst([Watch.of(x) for x in watches.values()], SX(0), margin)
-        limits = branch.mean(a), limit
-        return *(ca.if_else(direct, x, y) for x, y in zip((here, lam_here), limits, strict=True)), said, 1 + pole
+        largest = ca.mmax(ca.fabs(ca.vertcat(*lam.values())))
+        before = ca.mmax(ca.fabs(rough - coarse))
+        error = branch.limit_error(change, before, largest, magnified, EPSILON) / self.scale
+        a, lam = (ca.if_else(direct, x, y) for x, y in zip((here, lam_here), (branch.mean(a), limit), strict=True))
+        return a, lam, said, 1 + pole, *(ca.if_else(direct, x, error) for x in lost_here)
 
-    def _with_pole(self, values: dict[int, SX]) -> tuple[SX, SX]:
+    def lost(self, C: SX, F: SX, lam: SX, watch: SX) -> SX:
+        """Error of reactions that are read at a place itself."""
+        loads = ca.mmax(ca.fabs(ca.vertcat(F, C.T @ lam))) / self.scale
+        return branch.reading_error(Watch.of(watch).margin, EPSILON) * loads
+
+    def _with_pole(self, values: dict[int, SX], told: SX | float = 1.0) -> tuple[SX, SX, SX]:
         """`branch.with_pole`."""
         limit, first, second = map(ca.densify, branch.pole(values))
         least = branch.POLE_SEEN * ca.mmax(ca.fabs(ca.vertcat(*values.values())))
@@ -584,8 +596,9 @@ class Scene:
             more = ca.fabs(first[i]) > ca.fabs(steepest)
             steepest, at = ca.if_else(more, first[i], steepest), ca.if_else(more, second[i], at)
         pole = ca.logic_and(ca.fabs(steepest) > least, ca.fabs(at) < ca.fabs(steepest))
-        beside = ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
-        return limit - ca.if_else(ca.logic_and(beside, ca.fabs(first) > least), first * (steepest / at), 0), pole
+        beside = told * ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
+        limit -= ca.if_else(ca.logic_and(beside, ca.fabs(first) > least), first * (steepest / at), 0)
+        return limit, pole, ca.if_else(beside, (steepest / at) ** 2, 0)
 
     # Projections (10) and the end of a step ------------------------------------------------------------------------
 
@@ -739,6 +752,7 @@ class Scene:
         lam: SX | None = None,
         watch: SX | None = None,
         singular: SX | float = 0.0,
+        lost: SX | float = 0.0,
         limit: float | None = None,
     ) -> SX:
         """What a user can read, monitors, and `memory.SEEN`; without a, lam and watch where nobody reads of them.
@@ -758,7 +772,7 @@ class Scene:
             _, _, Phi, Cv = e.constraints(q, v, p)
             margin = Watch.of(watch).margin if watch is not None else SX(1)
             values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p)[0], z[layout.work], 0
-            values = *values, plan.iterations, ca.sqrt(margin), singular
+            values = *values, plan.iterations, ca.sqrt(margin), singular, lost
             monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))
