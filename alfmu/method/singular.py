@@ -99,7 +99,7 @@ LONG_SPACING = 0.1
 """distance between places over the step of integrators beside RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
-READ_LOSS = 100.0
+READ_LOSS = 40.0
 """error of reactions at a regular position over round-off of the loads [1]: what the tolerance of constraints and of
 (8) leaves."""
 
