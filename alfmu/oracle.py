@@ -263,8 +263,8 @@ class Instance(runtime.Instance):
         P = held @ np.reshape([slope(unit) - nothing for unit in np.eye(l)], (l, l)).T @ held + np.eye(l) - held
         sizes = np.where(P.diagonal() > EPS, P.diagonal(), 1.0)
         columns = (C**2 / sizes[:, None]).sum(axis=0)
-        beside = np.maximum(columns, self.scales / self.memory["k"][0])  # which a column of round-off is nothing
-        weights = np.diag(np.divide(method.HELD_SHARES, beside, out=np.zeros_like(columns), where=columns > 0))
+        there = np.minimum(1, (C**2).sum(axis=0) * self.memory["k"][0] / self.scales)  # little for one of round-off
+        weights = np.diag(np.divide(method.HELD_SHARES * there, columns, out=np.zeros_like(columns), where=columns > 0))
         eased = P + method.EASE * np.diag(sizes)
         return lam + method.shared_again(P, held @ slope(lam), C, weights, self.inverse, eased, CORRECTIONS, _unchanged)
 

@@ -28,6 +28,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
+import numpy as np
 
 from ..model.doubts import doubt
 from ..model.errors import AssemblyError, DeclarationError
@@ -543,7 +544,8 @@ def derive(mechanism: Mechanism) -> Equations:
         outputs.append(Variable(f"{stop.name}.{what}", unit, description=f"{what} of {stop.name} on {stop.limited}"))
     y = stack(values)
     lengths = _lengths(m, rows)
-    carried = _carried(reactions, spatial_values, spatial_outputs, closures, lam, lengths)
+    borne = (*zip(reactions, reaction_outputs, strict=True), *zip(spatial_values, spatial_outputs, strict=True))
+    carried, weights = _carried(m, borne, closures, lam, lengths)
     instant = _depends_on_any(y, ca.vertcat(a, lam, inputs))
     outputs = [Variable(**{**o.__dict__, "instant": i}) for o, i in zip(outputs, instant, strict=True)]
 
@@ -581,7 +583,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "other_power": ca.dot(passive, v),
         "state_rates": _state_rates(m),
         "readings": y,
-        "shares": ca.gradient(ca.sumsqr(carried) / 2, lam) if lam.numel() else lam,
+        "shares": ca.gradient(ca.dot(weights * carried, carried) / 2, lam) if lam.numel() else lam,
         **rubs.functions,
         **({"instants": stack(m.instants)} if m.instants else {}),
         "guess": guess,
@@ -1077,27 +1079,57 @@ def _lengths(m: Mechanism, rows: list[Row]) -> list[int]:
 
 
 def _carried(
-    reactions: Sequence[ca.SX],
-    in_space: Sequence[ca.SX],
-    outputs: Sequence[Variable],
+    m: Mechanism,
+    reactions: Sequence[tuple[ca.SX, Variable]],
     closures: list[Closing],
     lam: ca.SX,
     lengths: Sequence[int],
-) -> ca.SX:
-    """Forces [N] and moments [N.m, over 1 m] that joints and motions carry, and multipliers of what is no joint.
+) -> tuple[ca.SX, ca.SX]:
+    """Forces [N] and moments [N.m] that joints and motions carry, and multipliers of what is no joint; weights of their
+    squares.
 
-    The sum of their squares depends on no axes, and not on which joints are closed by coordinates. `outputs` are those
-    of joints in space. Forces that part teeth are by the size of a multiplier and in no norm, so that all is linear.
+    The sum depends on no axes, and not on which joints are closed by coordinates. Forces that part teeth are by the
+    size of a multiplier and in no norm, so that all is linear.
     """
-    found = [*reactions, *(x for x, o in zip(in_space, outputs, strict=True) if o.unit in ("N", "N.m"))]
+    found = [(x, o.unit == "N.m") for x, o in reactions if o.unit in ("N", "N.m")]
     for i, (closure, _) in enumerate(closures):
         if isinstance(closure, Constraint | Lock | Motion | Relation) and i not in lengths:
-            found.append(lam[i])
-    carried = stack(found)
+            found.append((lam[i], getattr(closure, "unit", "m") == "rad"))
+    carried, turns = stack([x for x, _ in found]), any(turns for _, turns in found)
+    of_moments = 1 / _square_of_size(m) if turns else ca.SX(1)
+    weights = stack([of_moments if turns else 1.0 for _, turns in found])
     if lam.numel() and not ca.is_linear(carried, lam):
         slope, here = (ca.substitute(x, lam, 0 * lam) for x in (ca.jacobian(carried, lam), carried))
-        return here + slope @ lam
-    return carried
+        carried = here + slope @ lam
+    return carried, weights
+
+
+_PROBES = 2
+"""Random values of parameters by which lengths that are always the same are told."""
+
+
+def _square_of_size(m: Mechanism) -> ca.SX:
+    """Square [m2] of the longest arm from a centre of mass to a joint, half bar or rod; 1 where there is none.
+
+    It depends on no axes, coordinates or position: bodies are rigid.
+    """
+    ground = m.ground, m.spatial_ground
+    arms = [[body.length / 2] for body in m.bodies if body.length is not None]
+    for joint in (*m.joints, *m.spatial_joints):
+        arms.append([joint.length])
+        for at in (x for x in (joint.first, joint.second) if x.body not in ground):
+            place = (at.x, at.y) if isinstance(joint, Joint) else at.point
+            arms.append([x - c for x, c in zip(place, at.body.center, strict=True)])
+    squares = [symbolic(sum(symbolic(x) ** 2 for x in arm)) for arm in arms]
+    p = stack([x.symbol for x in m.parameters])
+    own = {str(x) for x in ca.symvar(p)}
+    squares = [x for x in squares if {str(each) for each in ca.symvar(x)} <= own]
+    random = np.random.default_rng(0)
+    values = ca.Function("squares", [p], [stack(squares)])
+    found = np.hstack([values(random.uniform(0.5, 2.0, p.numel())).full() for _ in range(_PROBES)])
+    _, first = np.unique(np.round(found, 9), axis=0, return_index=True)
+    largest = ca.mmax(stack([squares[i] for i in first])) if squares else ca.SX(0)
+    return ca.if_else(largest > 0, largest, 1)
 
 
 def _efforts_in_space(

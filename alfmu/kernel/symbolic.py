@@ -424,7 +424,8 @@ class Scene:
         sizes = ca.vertcat(*(P[i, i] if i in carried else SX(1) for i in range(e.l)))
         columns = ca.densify(ca.sum1(C**2 / ca.repmat(sizes, 1, e.n)).T)
         # A column of round-off is none beside what H has on its diagonal.
-        weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES / ca.fmax(columns, 1 / self.inverse_scales), 0))
+        there = ca.fmin(1, ca.densify(ca.sum1(C**2).T) * self.inverse_scales)
+        weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES * there / columns, 0))
 
         def done(change: SX, value: SX) -> bool:
             size = ca.sumsqr(value) + ca.sumsqr(physical) + ca.sumsqr(slope(0 * x) / sizes)

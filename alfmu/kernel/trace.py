@@ -365,7 +365,8 @@ class Tracer:
         if e.compliances or not (e.changes or e.shared or e.shared is None):
             return False
         slope = e.shares(*(x[letter] for letter in ARGUMENTS["shares"]))
-        return e.uneven or not ca.simplify(slope - x["lam"]).is_zero()
+        alike = ca.jacobian(slope[0], x["lam"][0])
+        return e.uneven or not ca.simplify(slope - alike * x["lam"]).is_zero()
 
     @property
     def losses(self) -> list[str]:
