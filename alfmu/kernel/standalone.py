@@ -224,7 +224,15 @@ class _Patient(Alternatives):
 
         calls("impact", "z p k", spaced(MATRICES, "a0 lam0 watch0"), begun)
         self._iterate(calls, "a0", "lam0", "watch0")
-        if self.redundant:
+        if self.redundant and self.loaded:
+
+            def shared(z: SX, C: SX, dv: SX, lam: SX) -> SX:
+                t, q, v = self._position(z)
+                return scene.carried(t, q, v, nothing, C, dv, lam, PATIENT_LOADED, impact=True)
+
+            self._settle(calls, "lam0")
+            calls("bear_impact", "z p k C a0 lam0", "lam0", shared)
+        elif self.redundant:
             self._least(calls, "lam0")
         calls("impact_end", "z M a0 lam0 k", "struck impulses lost", end)
         return Program(calls.steps)

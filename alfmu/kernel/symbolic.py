@@ -406,16 +406,22 @@ class Scene:
         """M made so small beside penalties that few passes are enough, whatever penalty is given."""
         return M * ca.fmin(1, method.LIGHT / ca.fmax(ca.mmax(ca.diag(M)), _TINY))
 
-    def carried(self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED) -> SX:
+    def carried(
+        self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED, impact: bool = False
+    ) -> SX:
         """lam that acts alike with the least that joints carry; not finite where the passes were too few.
 
-        docs/theory/redundancy.md has what this is, `method.formulations.shared_again` how it is found.
+        In an impact, a are changes of v, and nothing else loads joints. docs/theory/redundancy.md has what this is,
+        `method.formulations.shared_again` how it is found.
         """
         e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, []
         held = SX.ones(e.l) if self.kind == "plain" else self.held
 
         def slope(lam: SX) -> SX:
-            return e.shares(q, v, a, lam, u, self.p, t)
+            if not impact:
+                return e.shares(q, v, a, lam, u, self.p, t)
+            loads = SX.sym("a", e.n), SX.sym("lam", e.l)
+            return ca.jtimes(e.shares(q, v, *loads, u, self.p, t), ca.vertcat(*loads), ca.vertcat(a, lam))
 
         P = ca.sparsify(ca.jacobian(slope(x), x))
         carried = ca.diag(P).sparsity().row()
