@@ -114,8 +114,8 @@ def test_every_coordinate_set_stops_alike(coordinates):
 def test_redundant_locks_share_the_impulse_and_change_nothing():
     """Parallel four-bar: its lock at B and a brake on link 3 each stop it; both together share.
 
-    Their impulses have the least norm of the rows (pinv). Torques at rest are those with which all joints carry least:
-    A and D hold links 1 and 3 against the forces in B and C and their weights.
+    All joints carry least, torques over half a link: A and D hold links 1 and 3 against the forces in B and C, and
+    their weights or what their centres lose of momentum.
     """
     m = alfmu.load("four_bar")
     m.lock("B")
@@ -138,9 +138,11 @@ def test_redundant_locks_share_the_impulse_and_change_nothing():
             Ct = np.array(equations.C(i.q, i.memory["p"])).T
             shares = -np.linalg.pinv(Ct) @ np.c_[momentum, forces]
             free = np.linalg.svd(Ct)[2][-1]  # what moves nothing
-            weights = np.array([0.0, G, 0.0, G])
-            carried, more = np.r_[shares[:, 1], shares[:4, 1] + weights], np.r_[free, free[:4]]
-            shares[:, 1] -= free * (carried @ more) / (more @ more)
+            stopped = 2.0 / 2 * np.array([np.sin(0.6), -np.cos(0.6)])  # of a centre, 0.5 m from its hinge
+            loads, scale = np.c_[np.r_[stopped, stopped], [0.0, G, 0.0, G]], np.array([1, 1, 1, 1, 2, 2])
+            more = np.r_[scale * free, free[:4]]
+            for share, load in zip(shares.T, loads.T, strict=True):
+                share -= free * (np.r_[scale * share, share[:4] + load] @ more) / (more @ more)
             size = i.mobility()
             assert (size.freedom, size.redundant) == (0, 1)
             i.set("B.locked", False)  # the other one still holds

@@ -86,14 +86,16 @@ def in_space(build) -> alfmu.Equations:
 
 @pytest.mark.parametrize(("build", "kernel"), [(bennett_in_space, "vm"), (door, "vm"), (door, "oracle")])
 def test_the_length_of_euler_parameters_changes_nothing_that_hinges_carry(build, kernel):
-    """Least forces [N] and moments [N.m] of hinges, to 1e-12 of the largest; with the other rows, 1e-2 off or more."""
+    """Least forces and moments over the longest arm, to 1e-12 of the largest; with the other rows, 1e-2 off or more."""
     i = made(in_space(build), kernel)
     i.initialize()
     i.step(0.1)
     lam, scale = multipliers(i), np.abs(multipliers(i)).max()
     hinges = np.array([row.name.startswith("hinge") for row in i.equations.rows])
     assert hinges.sum() == {bennett_in_space: 20, door: 10}[build]
-    exact = nearest_to_zero(i, np.where(hinges, 1.0, 0.0))
+    longest = {bennett_in_space: 0.3 * np.sin(1.2) / np.sin(0.7) / 2, door: np.sqrt(0.4**2 + 0.1**2 + 0.7**2)}[build]
+    moments = np.array([row.unit == "rad" for row in i.equations.rows])
+    exact = nearest_to_zero(i, np.where(hinges, np.where(moments, 1 / longest, 1.0), 0.0))
     assert lam == pytest.approx(exact, abs=1e-12 * scale)
     assert np.abs(nearest_to_zero(i, np.ones(len(lam))) - exact)[hinges].max() >= 1e-2 * scale
 
@@ -408,6 +410,41 @@ def test_all_sets_of_coordinates_share_alike(which):
     for other in found[1:]:
         assert set(other) == set(found[0])
         assert max(abs(other[name] - x) for name, x in found[0].items()) <= 1e-11 * scale
+
+
+def table(size: float, heavy: float, way: int) -> alfmu.Mechanism:
+    """A table on three rails, of any size; another of them is closed by its coordinate the other way round."""
+    m = alfmu.Mechanism("table")
+    mass = {"mass": heavy, "inertia": [heavy * size**2 * x for x in (0.3, 0.2, 0.4)]}
+    top = m.spatial_body("top", **mass, center=(0.1 * size, 0.2 * size, 0.3 * size), relative=True)
+    q = m.coordinate("x", "m", start=0.2 * size, independent=True, rate=size)
+    for name, y, z in (("A", 0.0, 0.0), ("B", 0.7, 0.1), ("C", 0.3, 0.9))[::way]:
+        ends = m.spatial_ground.at(0, y * size, z * size), top.at(0, y * size, z * size)
+        given = {"coordinate": q} if name == ("A" if way == 1 else "C") else {}
+        m.spatial_prismatic(name, *ends, axis=(1, 0, 0), **given)
+    m.force(top.at(0, size, 0), heavy, -2 * heavy, 3 * heavy)
+    m.gravity(0.0, 0.0, -9.81)
+    return m
+
+
+def shares(m: alfmu.Mechanism, size: float, heavy: float) -> dict[str, float]:
+    """Forces over the mass, and moments over the mass and the size."""
+    y = readings(started(with_defaults(alfmu.derive(m), {"solver.method": "rk4"})))
+    return {
+        name: x / heavy / (size if ".moment" in name else 1.0)
+        for name, x in y.items()
+        if ".force." in name or ".moment." in name
+    }
+
+
+@pytest.mark.filterwarnings("ignore:table. a point of top")
+@pytest.mark.parametrize("size", [1e-3, 1e-1, 10.0, 1e3])
+def test_shares_are_in_proportion_to_the_size(size):
+    usual = shares(table(1.0, 1.0, 1), 1.0, 1.0)
+    assert max(abs(x) for name, x in usual.items() if "moment" in name) > 0.5
+    for heavy, way in ((1.0, 1), (100.0, 1), (size**3, -1)):
+        found = shares(table(size, heavy, way), size, heavy)
+        assert max(abs(found[name] - x) for name, x in usual.items()) <= 1e-9 * max(map(abs, usual.values()))
 
 
 def test_equal_motors_share_alike():

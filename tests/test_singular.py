@@ -6,14 +6,16 @@ which is as good as RK4 can be.
 
 from functools import cache
 
+import fmpy
 import numpy as np
 import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import by_rk4, derived, readings, started
+from scenes import by_rk4, derived, made, readings, started
 
 import alfmu
+from alfmu.equations.specialisation import specialised
 from alfmu.fmi.drive import Fmu
 from alfmu.method.integrators import rk4
 from alfmu.simulation import prepared, run, with_defaults
@@ -340,6 +342,80 @@ def test_a_pole_is_flagged_and_its_value_given(kernel, distance, torque):
     assert r["B.force.x"] == pytest.approx(exact["B.force.x"], rel=lost + 1e-12)
     assert r["multiplier[2]"] == pytest.approx(exact["multiplier[2]"], abs=1e-10)
     assert r["link1.angular_acceleration"] == pytest.approx(float(FOUR_BAR.acceleration(distance, torque)), rel=1e-8)
+
+
+WITH_ERROR = ["*", "monitor.reaction_error"]
+
+
+@pytest.mark.parametrize("method", ["auto", "rk4"])
+@pytest.mark.parametrize(
+    ("name", "linkage", "torque"),
+    [("four_bar", FOUR_BAR, TORQUE), ("four_bar", FOUR_BAR, 0.0), ("five_bar", FIVE_BAR, 0.0)],
+)
+def test_reactions_are_as_exact_as_is_told(name, linkage, torque, method):
+    """In runs that end at a pole, at a singular position, beside both and in regular positions."""
+    equations, told = specialised(derived(name), WITH_ERROR), []
+    torques = {"A.torque": torque} if torque else {}
+    for end in (-1e-5, 3e-4, -2e-3, 5e-3, -7e-3, 0.012, -0.03, 0.1, 0.4):
+        start = {"start.angle": end - 0.2, "start.angular_velocity": 2.0, "solver.method": method}
+        i = started(equations, {**start, **torques})
+        for _ in range(10):
+            i.step(0.01)
+            r = readings(i)
+            exact = linkage.forces(r["link1.angle"], r["link1.angular_velocity"], (torque, 0.0))
+            told.append(r["monitor.reaction_error"] / max(abs(r[force] - x) for force, x in exact.items()))
+    assert min(told) > 0.1
+    assert 1 < np.median(told) < 30
+    assert np.quantile(told, 0.95) < 300
+
+
+@each_kernel
+@pytest.mark.parametrize("distance", [1e-5, 1e-3, 4e-3, 7e-3, 0.05, 0.5])
+def test_the_oracle_tells_as_much(kernel, distance):
+    given = {"start.angle": distance, "A.torque": TORQUE}
+    equations = specialised(scene("four_bar", kernel), WITH_ERROR)
+    read = [made(equations, k) for k in (kernel, "oracle")]
+    for i in read:
+        for name, value in given.items():
+            i.set(name, value)
+        i.initialize()
+    one, other = (i.get("monitor.reaction_error") for i in read)
+    assert one == pytest.approx(other, rel=0.3)
+
+
+@pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
+def test_reactions_at_regular_positions_are_as_exact_as_is_told(coordinates):
+    """A slider-crank, against free-body diagrams."""
+    equations, linkage, told = derived("slider_crank", coordinates=coordinates), SliderCrank(b=0.2, torque=1.5), []
+    i = started(specialised(equations, WITH_ERROR), {"b": 0.2, "start.angle": 4.0, "start.angular_velocity": 6.0})
+    i.set("A.torque", 1.5)
+    for _ in range(40):
+        i.step(0.02)
+        r = readings(i)
+        exact = linkage.readings(r["crank.angle"], r["crank.angular_velocity"])
+        off = [abs(r[name] - x) for name, x in exact.items() if ".force" in name]
+        assert len(off) > 4
+        told.append(r["monitor.reaction_error"] / max(off))
+    assert min(told) > 0.1
+    assert 1 < np.median(told) < 30
+
+
+@pytest.mark.parametrize(("kind", "fmi"), [("python", 2), ("native", 2), ("native", 3)])
+def test_every_kind_of_fmu_tells_the_error_of_reactions(kind, fmi, tmp_path):
+    path = alfmu.export(
+        "four_bar", tmp_path / "f.fmu", kind=kind, fmi=fmi, outputs=["B.force.?", "monitor.reaction_error"]
+    )
+    inputs = {"A.torque": TORQUE}
+    want = alfmu.simulate("four_bar", 0.2, 0.05, inputs=inputs, outputs=WITH_ERROR)
+    found = fmpy.simulate_fmu(
+        str(path), stop_time=0.2, output_interval=0.05, output=["monitor.reaction_error"], start_values=inputs
+    )
+    assert found["monitor.reaction_error"] == pytest.approx(want["monitor.reaction_error"], rel=1e-2)
+
+
+def test_the_error_of_reactions_is_asked_for_by_name_alone():
+    assert "monitor.reaction_error" not in alfmu.simulate("four_bar", 0.1, 0.1, outputs=["monitor.*"])
+    assert "monitor.reaction_error" in alfmu.simulate("four_bar", 0.1, 0.1, outputs=["monitor.reaction_error"])
 
 
 def test_a_pole_at_the_position_itself_gives_the_finite_part():

@@ -254,9 +254,8 @@ class _Readings:
     outputs: list[Variable] = field(default_factory=list)
     wrapped: dict[str, int] = field(default_factory=dict)
     """Angles that are known up to whole turns, and the start value that tells their turns."""
-    reactions: list[ca.SX] = field(default_factory=list)
-    spatial: tuple[list[ca.SX], list[Variable]] = ([], [])
-    """What can be read of joints in space."""
+    borne: list[tuple[ca.SX, Variable]] = field(default_factory=list)
+    """Reactions of joints, and all that can be read of joints in space."""
     rubs: Rubs | None = None
 
     def add(self, values: Sequence[Scalar], outputs: Sequence[Variable]) -> None:
@@ -290,7 +289,6 @@ def _read_reactions(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed
     q, v, a, lam, plain, closures = at.q, at.v, at.a, closed.lam, closed.plain, closed.closures
     relations = relations_of(m, closures, lam)
     reactions, reaction_outputs = reactions_of(m, plain, closed.held, q, v, a, terms.efforts, lam, relations)
-    read.reactions = reactions
     read.add(reactions, reaction_outputs)
     for relation, its in relations:
         for suffix, value, unit, text in relation.readings(plain, its):
@@ -301,8 +299,12 @@ def _read_reactions(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed
         read.add(efforts_kept, kept_outputs)
     rows_of_locks = {x: closures.index((x, x.direction)) for x in at.locks if isinstance(x, Lock)}
     efforts_in_space = spatial_efforts(m, plain, q, v)
-    read.spatial = spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
+    spatial_values, spatial_outputs = space.outputs(m, q, v, a, closures, lam, efforts_in_space)
     loads |= {o.name: x for o, x in zip(spatial_outputs, spatial_values, strict=True)}
+    read.borne = [
+        *zip(reactions, reaction_outputs, strict=True),
+        *zip(spatial_values, spatial_outputs, strict=True),
+    ]
     read.rubs = rubbing(at.locks, rows_of_locks, plain.free, loads, (q, v, a), lam)
     read.add(read.rubs.values, read.rubs.outputs)
     read.add(spatial_values, spatial_outputs)
@@ -352,7 +354,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
     own, n, plain, lam, f_applied = at.own, at.n, closed.plain, closed.lam, terms.f_applied
     gaps = closed.signs * stack([plain.gap(*c) for c in closed.closures])
     y = stack(read.values)
-    carried = carried_by(read.reactions, *read.spatial, closed.closures, lam, lengths_of(m, closed.rows))
+    carried, weights = carried_by(m, read.borne, closed.closures, lam, lengths_of(m, closed.rows))
     guess = _without_turns(m, _guess(m, at.coordinates, at.begin))
     sdot = ca.SX.sym("sdot", len(m.starts))
     tied, ties = _ties(m)
@@ -387,7 +389,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
         "other_power": ca.dot(passive, at.v),
         "state_rates": _state_rates(m),
         "readings": y,
-        "shares": ca.gradient(ca.sumsqr(carried) / 2, lam) if lam.numel() else lam,
+        "shares": ca.gradient(ca.dot(weights * carried, carried) / 2, lam) if lam.numel() else lam,
         **read.rubs.functions,
         **({"instants": stack(m.instants)} if m.instants else {}),
         "guess": guess,

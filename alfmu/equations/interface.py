@@ -13,7 +13,7 @@ from ..model.errors import InputError
 from ..model.settings import BRANCHES, FORMULATIONS, METHODS, Settings
 from ..model.units import quotient
 from ..model.words import there_is
-from .types import Equations, Variable
+from .types import REACTION_ERROR, Equations, Variable
 
 __all__ = [
     "CHOICES",
@@ -122,6 +122,13 @@ MONITORS = (
         description="0 regular; at a singular position 1 where reactions have a limit, which is given, "
         "2 where they grow without bound on both sides",
         type="Integer",
+        instant=True,
+    ),
+    Variable(
+        REACTION_ERROR,
+        "1",
+        description="estimated error of the reactions that are read at this instant: of the largest, or where a limit "
+        "is read of the least exact (N, N.m)",
         instant=True,
     ),
 )

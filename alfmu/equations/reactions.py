@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import casadi as ca
+import numpy as np
 
 from ..model.kinematics import FREE, Closing, Kinematics
 from ..model.mechanism import Mechanism
@@ -104,27 +105,57 @@ def lengths_of(m: Mechanism, rows: list[Row]) -> list[int]:
 
 
 def carried_by(
-    reactions: Sequence[ca.SX],
-    in_space: Sequence[ca.SX],
-    outputs: Sequence[Variable],
+    m: Mechanism,
+    reactions: Sequence[tuple[ca.SX, Variable]],
     closures: list[Closing],
     lam: ca.SX,
     lengths: Sequence[int],
-) -> ca.SX:
-    """Forces [N] and moments [N.m, over 1 m] that joints and motions carry, and multipliers of what is no joint.
+) -> tuple[ca.SX, ca.SX]:
+    """Forces [N] and moments [N.m] that joints and motions carry, and multipliers of what is no joint; weights of their
+    squares.
 
-    The sum of their squares depends on no axes, and not on which joints are closed by coordinates. `outputs` are those
-    of joints in space. Forces that part teeth are by the size of a multiplier and in no norm, so that all is linear.
+    The sum depends on no axes, and not on which joints are closed by coordinates. Forces that part teeth are by the
+    size of a multiplier and in no norm, so that all is linear.
     """
-    found = [*reactions, *(x for x, o in zip(in_space, outputs, strict=True) if o.unit in ("N", "N.m"))]
+    found = [(x, o.unit == "N.m") for x, o in reactions if o.unit in ("N", "N.m")]
     for i, (closure, _) in enumerate(closures):
         if isinstance(closure, Constraint | Lock | Motion | Relation) and i not in lengths:
-            found.append(lam[i])
-    carried = stack(found)
+            found.append((lam[i], getattr(closure, "unit", "m") == "rad"))
+    carried, turns = stack([x for x, _ in found]), any(turns for _, turns in found)
+    of_moments = 1 / _square_of_size(m) if turns else ca.SX(1)
+    weights = stack([of_moments if turns else 1.0 for _, turns in found])
     if lam.numel() and not ca.is_linear(carried, lam):
         slope, here = (ca.substitute(x, lam, 0 * lam) for x in (ca.jacobian(carried, lam), carried))
-        return here + slope @ lam
-    return carried
+        carried = here + slope @ lam
+    return carried, weights
+
+
+_PROBES = 2
+"""Random values of parameters by which lengths that are always the same are told."""
+
+
+def _square_of_size(m: Mechanism) -> ca.SX:
+    """Square [m2] of the longest arm from a centre of mass to a joint, half bar or rod; 1 where there is none.
+
+    It depends on no axes, coordinates or position: bodies are rigid.
+    """
+    ground = m.ground, m.spatial_ground
+    arms = [[body.length / 2] for body in m.bodies if body.length is not None]
+    for joint in (*m.joints, *m.spatial_joints):
+        arms.append([joint.length])
+        for at in (x for x in (joint.first, joint.second) if x.body not in ground):
+            place = (at.x, at.y) if isinstance(joint, Joint) else at.point
+            arms.append([x - c for x, c in zip(place, at.body.center, strict=True)])
+    squares = [symbolic(sum(symbolic(x) ** 2 for x in arm)) for arm in arms]
+    p = stack([x.symbol for x in m.parameters])
+    own = {str(x) for x in ca.symvar(p)}
+    squares = [x for x in squares if {str(each) for each in ca.symvar(x)} <= own]
+    random = np.random.default_rng(0)
+    values = ca.Function("squares", [p], [stack(squares)])
+    found = np.hstack([values(random.uniform(0.5, 2.0, p.numel())).full() for _ in range(_PROBES)])
+    _, first = np.unique(np.round(found, 9), axis=0, return_index=True)
+    largest = ca.mmax(stack([squares[i] for i in first])) if squares else ca.SX(0)
+    return ca.if_else(largest > 0, largest, 1)
 
 
 def spatial_efforts(

@@ -16,7 +16,7 @@ from ..model.errors import InputError
 from ..model.words import some_like, there_is
 from .evaluation import ARGUMENTS, evaluable, shared, symbols, with_functions
 from .interface import BALANCE, MONITORS, PEAK, events
-from .types import Equations
+from .types import REACTION_ERROR, Equations
 
 __all__ = ["plain", "specialised", "starting_at", "without_steps"]
 
@@ -36,9 +36,9 @@ def specialised(
     `outputs` are names or patterns such as `link*.angle`; nothing is computed for the others. One such as
     `link*.angle/A.torque` asks for entries of the interface Jacobian, which no other pattern matches, and for the
     outputs that they are of; one such as `A.force.peak` for the largest magnitude of an output, or of a vector of them,
-    within each communication step. `freeze` are parameters of the mechanism that become constants at their defaults,
-    `["all"]` for every one. None leaves everything in but the interface Jacobian. Raises InputError where a pattern
-    matches no output, or a name is no parameter.
+    within each communication step; `monitor.reaction_error` is left out unless it is named. `freeze` are parameters of
+    the mechanism that become constants at their defaults, `["all"]` for every one. None leaves everything in but what
+    has to be asked for. Raises InputError where a pattern matches no output, or a name is no parameter.
     """
     e = equations if freeze is None else _frozen(equations, freeze)
     return e if outputs is None else _keeping(e, outputs)
@@ -106,7 +106,8 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
     asked = [patterns] if isinstance(patterns, str) else list(patterns)
     entries, patterns = set().union(*(_entries(e, each) for each in asked)), plain(asked)
     names = [o.name for o in e.outputs]
-    monitors = [m.name for m in (*MONITORS, *events(e)) if m.name not in e.monitors]
+    left = [name for name in e.monitors if name != REACTION_ERROR or name not in patterns]
+    monitors = [m.name for m in (*MONITORS, *events(e)) if m.name not in left]
     peaks = {**e.peaks}
     for pattern in (each.removesuffix(PEAK) for each in patterns if each.endswith(PEAK)):
         peaks |= {name: parts for name, parts in _magnitudes(e).items() if _matches(name, [pattern])}
@@ -124,11 +125,11 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
         replace(
             e,
             # Work is integrated for the balance of energy.
-            works=e.works and bool(BALANCE - {*e.monitors, *monitors}),
+            works=e.works and bool(BALANCE - {*left, *monitors}),
             outputs=[e.outputs[i] for i in kept],
             wrapped={name: at for name, at in e.wrapped.items() if name in needed or _matches(name, patterns)},
             peaks=peaks,
-            monitors=[*e.monitors, *monitors],
+            monitors=[*left, *monitors],
             jacobian=[(y, u.name) for y in names for u in e.inputs if (y, u.name) in entries],
             functions={**_equations(e), "readings": readings},
             **_UNTRACED,

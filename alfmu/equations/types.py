@@ -14,7 +14,10 @@ from ..model.words import Brief
 if TYPE_CHECKING:
     import casadi as ca
 
-__all__ = ["Equations", "Followed", "Leap", "Mobility", "Row", "Signature", "Switch", "Variable"]
+__all__ = ["REACTION_ERROR", "Equations", "Followed", "Leap", "Mobility", "Row", "Signature", "Switch", "Variable"]
+
+REACTION_ERROR = "monitor.reaction_error"
+"""The monitor that is there on request alone."""
 
 Signature = dict[str, Any]
 """Of a function: `inputs`, the length of each argument; `outputs`, [rows, columns] of each result, or [rows, columns,
@@ -162,7 +165,7 @@ class Equations:
     state_rates(q, v, u, p, t)       time derivatives of the states
     readings(q, v, a, lam, u, p, t)  everything a user can read, in the order of `outputs`
     shares(q, v, a, lam, u, p, t)    half the derivative by lam of the sum of squares of     zero where least
-                                     all that joints carry [N; N.m over 1 m] (l,)
+                                     all that joints carry [N; N.m over its size] (l,)
     rubbing(q, v, a, lam, u, p, t)   of dry friction: multipliers, limits, second rates
     sliding(q, v, p)                 rates of joints with dry friction
     instants(p)                      times that are declared as events, s
@@ -212,7 +215,7 @@ class Equations:
     """What `solver.method` auto stands for; empty where that is not decided yet."""
     reason: str = ""
     """Why that is so."""
-    monitors: list[str] = field(default_factory=list)
+    monitors: list[str] = field(default_factory=lambda: [REACTION_ERROR])
     """Monitors that are left out."""
     order: list[int] = field(default_factory=list)
     """Order of the coordinates in which the augmented mass fills in least when it is factorised."""

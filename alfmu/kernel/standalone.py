@@ -30,7 +30,7 @@ from .alternatives import OWN, Alternatives, alternatives
 from .breaks import breaks
 from .form import Call, Choice, Plan, Program, Routine, called, rewritten
 from .memory import SEEN
-from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, SHARES, Watch, lengths_of
+from .symbolic import MATRICES, PATIENT_LOADED, ROUND_OFF, Watch, lengths_of
 from .trace import CAREFUL, NO_NAMES, Calls, Tracer, spaced
 
 __all__ = ["READ", "beginning", "passed", "standalone"]
@@ -173,9 +173,10 @@ class _Patient(Alternatives):
         calls("handed_on", "a0 power0 watch0", spaced(READ), lambda *x: x)
         careful("margin_told", "k D watch0", "watch0", told)
         calls.made += careful.made
-        known = "z u p k C xi a0 lam0 watch0 singular"
+        known = spaced("z u p k C xi a0 lam0 watch0 singular", self.losses)
         if self.redundant:
             Tracer._share(self, calls, "t0 q0 v0 u", "a0 lam0")
+        self._lost(calls, "C F lam0 watch0")
         calls("seen_quickly", known, "seen", lambda *x: calls.scene.seen(plan, *x, limit=ROUND_OFF))
         return Program(calls.steps, plan)
 
@@ -223,7 +224,15 @@ class _Patient(Alternatives):
 
         calls("impact", "z p k", spaced(MATRICES, "a0 lam0 watch0"), begun)
         self._iterate(calls, "a0", "lam0", "watch0")
-        if self.redundant:
+        if self.redundant and self.loaded and e.switches:  # Without switches nobody reads impulses.
+
+            def shared(z: SX, C: SX, dv: SX, lam: SX) -> SX:
+                t, q, v = self._position(z)
+                return scene.carried(t, q, v, nothing, C, dv, lam, PATIENT_LOADED, impact=True)
+
+            self._settle(calls, "lam0")
+            calls("bear_impact", "z p k C a0 lam0", "lam0", shared)
+        elif self.redundant:
             self._least(calls, "lam0")
         calls("impact_end", "z M a0 lam0 k", "struck impulses lost", end)
         return Program(calls.steps)
@@ -422,8 +431,19 @@ class _Patient(Alternatives):
             calls.choice("projects", own)
             return
         scene = calls.scene
-        passes = CORRECTIONS if self.e.compliances or self.e.lengths else SHARES
-        calls("share", f"k M C {lam}", lam, lambda M, C, lam: scene.distributed(scene.light(M), C, lam, passes))
+        self._settle(calls, lam)
+        if self.e.compliances or self.e.lengths:
+            share = scene.distributed
+            calls("share", f"k M C {lam}", lam, lambda M, C, lam: share(scene.light(M), C, lam, CORRECTIONS))
+
+    def _settle(self, calls: Calls, lam: str) -> None:
+        """Multipliers of least norm, without the round-off that (8) leaves in directions that it does not resolve."""
+        again = calls.inside()
+        calls("least_begin", "k", "least_z before", lambda: (SX(self.e.n, 1), SX(math.inf)))
+        passed = "least_z least_norm more before"
+        again("least_again", f"k C D L {lam} least_z before", passed, calls.scene.least_again)
+        self.repeat(calls, "more", method.SETTLING, again)
+        calls("least_end", "least_norm", lam, lambda lam: lam)
 
     def _share(self, calls: Calls, known: str, found: str) -> None:
         """By more passes, which are enough near singular positions too."""
@@ -435,6 +455,7 @@ class _Patient(Alternatives):
             self.by(OWN)._share(own, known, found)
             calls.choice("projects", own)
             return
+        self._settle(calls, found.split()[1])
         self._bear(calls, known, found)
 
 

@@ -37,7 +37,7 @@ MONITORED = tuple(
     f"monitor.{name}"
     for name in (
         *("position_error", "velocity_error", "energy", "work", "step_error"),
-        *("iterations", "distance", "singular"),
+        *("iterations", "distance", "singular", "reaction_error"),
     )
 )
 """Monitors that `instant` computes, in this order."""
@@ -59,9 +59,6 @@ _LEFT = 2.0**-50
 
 LEFT_BY_FEW = 1e-3
 """What few multiplier iterations may leave of accelerations, over the relative tolerance of a step."""
-
-_GAIN = 2 / 3
-"""Change of an iteration over that of the one before, from which on round-off is all that changes."""
 
 SOFT = 1e-5
 """Typical pivot that masses make, over the penalty, where penalties are softened: iterations then gain five digits
@@ -101,7 +98,7 @@ def lengths_of(equations: Equations) -> dict[str, int]:
     found = {name: length for name, (_, length) in Layout(e).fields.items()}
     alike = {
         "t tz tl tn step arrival power powern powerl work pivot here zone zonen spacing stretched near slow": 1,
-        "singular error read_power renew before passes size most patient again projects within floor": 1,
+        "singular lost error read_power renew before passes size most patient again projects within floor": 1,
         "supply supplied suppliedn crossed margin": 1,
         "left stabilisation": 2,
         "watch watched watchl watchn dwatch read_watch": len(Watch._fields),
@@ -285,7 +282,7 @@ class Scene:
         """Whether multiplier iterations that have not converged still gain, and the last change."""
         seen = Watch.of(watch)
         done = seen.change <= self.settings.tolerance**2 * seen.size + _TINY
-        return ca.logic_and(ca.logic_not(done), seen.change < _GAIN**2 * before), seen.change
+        return ca.logic_and(ca.logic_not(done), seen.change < method.GAIN**2 * before), seen.change
 
     def softened(self) -> SX:
         """k with smaller penalties, by which what masses make of H is not lost beside them."""
@@ -378,14 +375,15 @@ class Scene:
             own[each.row] = (1 - self.held[each.row]) * lam[each.row]
         return lam - own, own
 
-    def least_again(self, C: SX, D: SX, L: SX, lam: SX, z: SX) -> tuple[SX, SX, SX]:
-        """One more pass: z, lam by it, and whether another one is needed."""
+    def least_again(self, C: SX, D: SX, L: SX, lam: SX, z: SX, before: SX) -> tuple[SX, SX, SX, SX]:
+        """One more pass: z, lam by it, whether another one is needed, and its change (squared)."""
         lam, rubbing = self._apart(lam)
         change = method.nearer_norm(C, self.weights, self.solver(D, L), lam, z)
         z = z + change
-        more = 1 - (ca.sumsqr(C @ change) <= _LEFT**2 * ca.sumsqr(C @ z))
+        changed = ca.sumsqr(C @ change)
+        more = 1 - method.settled(changed, before, ca.sumsqr(C @ z), self.settings.tolerance)
         lam = self.weights @ (C @ z)
-        return z, lam + rubbing if self.e.frictions else lam, more
+        return z, lam + rubbing if self.e.frictions else lam, more, changed
 
     def distributed(self, M: SX, C: SX, lam: SX, passes: int = SHARES) -> SX:
         """lam as joints share it, of the given compliances or in the least norm; not finite where the passes were too
@@ -408,16 +406,22 @@ class Scene:
         """M made so small beside penalties that few passes are enough, whatever penalty is given."""
         return M * ca.fmin(1, method.LIGHT / ca.fmax(ca.mmax(ca.diag(M)), _TINY))
 
-    def carried(self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED) -> SX:
+    def carried(
+        self, t: SX, q: SX, v: SX, u: SX, C: SX, a: SX, lam: SX, passes: int = LOADED, impact: bool = False
+    ) -> SX:
         """lam that acts alike with the least that joints carry; not finite where the passes were too few.
 
-        docs/theory/redundancy.md has what this is, `method.formulations.shared_again` how it is found.
+        In an impact, a are changes of v, and nothing else loads joints. docs/theory/redundancy.md has what this is,
+        `method.formulations.shared_again` how it is found.
         """
         e, x, physical, last = self.e, SX.sym("x", self.e.l), lam / self.scale, []
         held = SX.ones(e.l) if self.kind == "plain" else self.held
 
         def slope(lam: SX) -> SX:
-            return e.shares(q, v, a, lam, u, self.p, t)
+            if not impact:
+                return e.shares(q, v, a, lam, u, self.p, t)
+            loads = SX.sym("a", e.n), SX.sym("lam", e.l)
+            return ca.jtimes(e.shares(q, v, *loads, u, self.p, t), ca.vertcat(*loads), ca.vertcat(a, lam))
 
         P = ca.sparsify(ca.jacobian(slope(x), x))
         carried = ca.diag(P).sparsity().row()
@@ -426,7 +430,8 @@ class Scene:
         sizes = ca.vertcat(*(P[i, i] if i in carried else SX(1) for i in range(e.l)))
         columns = ca.densify(ca.sum1(C**2 / ca.repmat(sizes, 1, e.n)).T)
         # A column of round-off is none beside what H has on its diagonal.
-        weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES / ca.fmax(columns, 1 / self.inverse_scales), 0))
+        there = ca.fmin(1, ca.densify(ca.sum1(C**2).T) * self.inverse_scales)
+        weights = ca.diag(ca.if_else(columns > 0, method.HELD_SHARES * there / columns, 0))
 
         def done(change: SX, value: SX) -> bool:
             size = ca.sumsqr(value) + ca.sumsqr(physical) + ca.sumsqr(slope(0 * x) / sizes)
@@ -560,24 +565,36 @@ class Scene:
         return [q + k * spacing * v for k in branch.READ_MEAN]
 
     def limits(self, *found: SX) -> tuple[SX, ...]:
-        """a, lam and watch from those at the places and, last, those here; whether lam has a limit (1) or a pole (2).
+        """a, lam and watch from those at the places and those here; whether lam has a limit (1) or a pole (2).
 
-        Limits are taken where they are more exact than what is found here: `branch.with_pole`.
+        Limits are taken where they are more exact than what is found here: `branch.with_pole`. Behind what is found
+        here may be the error of reactions here; then the last result is that of reactions that are read.
         """
-        *found, here, lam_here, watch = found
         count = len(branch.READ_MEAN)
+        found, (here, lam_here, watch, *lost_here) = found[: 3 * count], found[3 * count :]
         a, lam, watches = (
             dict(zip(branch.READ_MEAN, found[i * count : (i + 1) * count], strict=True)) for i in range(3)
         )
         margin = Watch.of(watch).margin
-        (limit, pole), (rough, _) = self._with_pole(lam), self._with_pole(branch.fewer(lam))
+        limit, pole, magnified = self._with_pole(lam)
+        told, fewer = 1 - pole * (magnified <= 0), branch.fewer(lam)
+        rough, coarse = (self._with_pole(x, told)[0] for x in (fewer, branch.fewer(fewer)))
+        change = ca.mmax(ca.fabs(limit - rough))
         lost = branch.direct_error(margin, EPSILON) * ca.mmax(ca.fabs(limit))
-        direct = ca.logic_and(margin > self.settings.nothing, lost < ca.mmax(ca.fabs(limit - rough)))
+        direct = ca.logic_and(margin > self.settings.nothing, lost < change)
         said = _worst([Watch.of(x) for x in watches.values()], SX(0), margin)
-        limits = branch.mean(a), limit
-        return *(ca.if_else(direct, x, y) for x, y in zip((here, lam_here), limits, strict=True)), said, 1 + pole
+        largest = ca.mmax(ca.fabs(ca.vertcat(*lam.values())))
+        before = ca.mmax(ca.fabs(rough - coarse))
+        error = branch.limit_error(change, before, largest, magnified, EPSILON) / self.scale
+        a, lam = (ca.if_else(direct, x, y) for x, y in zip((here, lam_here), (branch.mean(a), limit), strict=True))
+        return a, lam, said, 1 + pole, *(ca.if_else(direct, x, error) for x in lost_here)
 
-    def _with_pole(self, values: dict[int, SX]) -> tuple[SX, SX]:
+    def lost(self, C: SX, F: SX, lam: SX, watch: SX) -> SX:
+        """Error of reactions that are read at a place itself."""
+        loads = ca.mmax(ca.fabs(ca.vertcat(F, C.T @ lam))) / self.scale
+        return branch.reading_error(Watch.of(watch).margin, EPSILON) * loads
+
+    def _with_pole(self, values: dict[int, SX], told: SX | float = 1.0) -> tuple[SX, SX, SX]:
         """`branch.with_pole`."""
         limit, first, second = map(ca.densify, branch.pole(values))
         least = branch.POLE_SEEN * ca.mmax(ca.fabs(ca.vertcat(*values.values())))
@@ -586,8 +603,9 @@ class Scene:
             more = ca.fabs(first[i]) > ca.fabs(steepest)
             steepest, at = ca.if_else(more, first[i], steepest), ca.if_else(more, second[i], at)
         pole = ca.logic_and(ca.fabs(steepest) > least, ca.fabs(at) < ca.fabs(steepest))
-        beside = ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
-        return limit - ca.if_else(ca.logic_and(beside, ca.fabs(first) > least), first * (steepest / at), 0), pole
+        beside = told * ca.logic_and(pole, ca.fabs(at) > branch.POLE_ZERO * ca.fabs(steepest))
+        limit -= ca.if_else(ca.logic_and(beside, ca.fabs(first) > least), first * (steepest / at), 0)
+        return limit, pole, ca.if_else(beside, (steepest / at) ** 2, 0)
 
     # Projections (10) and the end of a step ------------------------------------------------------------------------
 
@@ -741,6 +759,7 @@ class Scene:
         lam: SX | None = None,
         watch: SX | None = None,
         singular: SX | float = 0.0,
+        lost: SX | float = 0.0,
         limit: float | None = None,
     ) -> SX:
         """What a user can read, monitors, and `memory.SEEN`; without a, lam and watch where nobody reads of them.
@@ -760,7 +779,7 @@ class Scene:
             _, _, Phi, Cv = e.constraints(q, v, p)
             margin = Watch.of(watch).margin if watch is not None else SX(1)
             values = self._largest(Phi), self._largest(Cv), e.energy(q, v, p)[0], z[layout.work], 0
-            values = *values, plan.iterations, ca.sqrt(margin), singular
+            values = *values, plan.iterations, ca.sqrt(margin), singular, lost
             monitors = [x for name, x in zip(MONITORED, values, strict=True) if name not in e.monitors]
         if watch is None:
             return ca.vertcat(readings, *monitors, 0, 0, 1 - (ca.sumsqr(readings) < math.inf))

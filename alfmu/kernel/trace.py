@@ -24,6 +24,7 @@ from casadi import SX
 
 from ..equations import Equations, Mobility
 from ..equations.evaluation import ARGUMENTS, DENSE, EVALUATED, shared, symbols, with_functions
+from ..equations.types import REACTION_ERROR
 from ..method import singular as branch
 from ..method.formulations import CORRECTIONS
 from ..method.inputs import KEPT, extrapolated, reached
@@ -223,7 +224,7 @@ class Tracer:
     def instant(self, plan: Plan, redundant: bool) -> Program:
         """What a user can read, monitors, largest |Phi-ddot|, trouble."""
         e, calls = self.e, Calls(self, plan)
-        distance = {"monitor.distance", "monitor.singular"} - set(e.monitors)
+        distance = {"monitor.distance", "monitor.singular", REACTION_ERROR} - set(e.monitors)
         if not distance and not any(o.instant for o in e.outputs):
             # Nobody reads an acceleration or a reaction: none is computed.
             calls("seen", "z u p k", "seen", lambda z, u: calls.scene.seen(plan, z, u))
@@ -233,6 +234,7 @@ class Tracer:
         self.evaluation(calls, "0", {"u": u})
         if redundant:
             self._share(calls, f"t0 q0 v0 {u}", "a0 lam0")
+        self._lost(calls, "C F lam0 watch0")
         self._seen(calls, "a0 lam0 watch0")
         return Program(calls.steps, plan)
 
@@ -249,7 +251,12 @@ class Tracer:
                 self._share(calls, f"tz q0 v0 {u}", f"a{j} lam{j}")
         self._here(calls, u, redundant)
         found = [f"{name}{j}" for name in ("a", "lam", "watch") for j in count]
-        calls("limits", spaced("k", found, "al laml watchl"), "al laml watchl singular", calls.scene.limits)
+        self._lost(calls, "C F laml watchl")
+        known, results = (
+            spaced("k", found, "al laml watchl", self.losses),
+            spaced("al laml watchl singular", self.losses),
+        )
+        calls("limits", known, results, calls.scene.limits)
         self._seen(calls, "al laml watchl")
         return Program(calls.steps, plan)
 
@@ -358,10 +365,22 @@ class Tracer:
         if e.compliances or not (e.changes or e.shared or e.shared is None):
             return False
         slope = e.shares(*(x[letter] for letter in ARGUMENTS["shares"]))
-        return e.uneven or not ca.simplify(slope - x["lam"]).is_zero()
+        alike = ca.jacobian(slope[0], x["lam"][0])
+        return e.uneven or not ca.simplify(slope - alike * x["lam"]).is_zero()
+
+    @property
+    def losses(self) -> list[str]:
+        """The name of the error of reactions, where it is read."""
+        return ["lost"] * (bool(self.e.l) and REACTION_ERROR not in self.e.monitors)
+
+    def _lost(self, calls: Calls, found: str) -> None:
+        """The error of reactions at the place itself."""
+        if self.losses:
+            calls("lost", f"k {found}", "lost", calls.scene.lost)
 
     def _seen(self, calls: Calls, found: str) -> None:
-        calls("seen", f"z u p k C xi {found} singular", "seen", lambda *x: calls.scene.seen(calls.plan, *x))
+        known = spaced(f"z u p k C xi {found} singular", self.losses)
+        calls("seen", known, "seen", lambda *x: calls.scene.seen(calls.plan, *x))
 
     def _on_branch(self, calls: Calls, i: str, u: str, length: str, kept: bool) -> None:
         """S2 to S4: a, power, watch of the branch near t, q, v, and whether a limit was taken; i is part of each name.

@@ -16,8 +16,11 @@ from typing import Any
 __all__ = [
     "CORRECTIONS",
     "EASE",
+    "GAIN",
     "HELD_SHARES",
     "LIGHT",
+    "SETTLED",
+    "SETTLING",
     "augmented_mass",
     "classic",
     "dae",
@@ -28,6 +31,7 @@ __all__ = [
     "project",
     "project_residual",
     "residual",
+    "settled",
     "shared_again",
     "stabilised",
     "stiffness",
@@ -39,6 +43,16 @@ CORRECTIONS = 20
 LIGHT = 1e-8
 """largest mass over the largest penalty [1]: multipliers of least norm are found with masses no larger than this, so
 that each pass gains as much, whatever penalty is given."""
+
+GAIN = 2 / 3
+"""change of a pass over that of the one before [1]: where passes gain less, round-off is all that changes."""
+
+SETTLING = 1000
+"""Most passes of `minimum_norm` after (8) [1]: as many as a user may ask of (8) itself."""
+
+SETTLED = 1e-10
+"""change of multipliers in a pass of `minimum_norm` that gains less than GAIN, over what they are [1]: (8) has left a
+direction unresolved then, whose part is round-off of its passes; one that is resolved gains as much here as there."""
 
 HELD_SHARES = 1e9
 """what keeps C' lam as it is over what joints carry, where these share a load [1]: a pass gains as much at a regular
@@ -103,6 +117,11 @@ def minimum_norm(C: Array, alpha: Array, solve: Solve, lam: Array, most: int, do
 def nearer_norm(C: Array, alpha: Array, solve: Solve, lam: Array, z: Array) -> Array:
     """The change of z in one pass of `minimum_norm`."""
     return solve(C.T @ (lam - alpha @ (C @ z)))
+
+
+def settled(change: Array, before: Array, size: Array, tolerance: float) -> Array:
+    """Whether passes of `minimum_norm` are enough, by squares: the last change, the one before, and lam."""
+    return (change <= tolerance**2 * size) + (change <= SETTLED**2 * size) * (change > GAIN**2 * before) > 0
 
 
 def minimum_norm_of_joints(

@@ -21,8 +21,10 @@ __all__ = [
     "curvature",
     "direct_error",
     "fewer",
+    "limit_error",
     "mean",
     "pole",
+    "reading_error",
     "returned",
     "tangential",
     "weights",
@@ -97,6 +99,17 @@ LONG_SPACING = 0.1
 """distance between places over the step of integrators beside RK4 [1]: their steps are longer, and a margin is a
 parabola only near the position."""
 
+READ_LOSS = 40.0
+"""error of reactions at a regular position over round-off of the loads [1]: what the tolerance of constraints and of
+(8) leaves."""
+
+NEAR_LOSS = 0.1
+"""the same over one over the fourth power of the distance where that is more [1]: runs of four-bars and five-bars left
+half of it to 400 times less."""
+
+LIMIT_LOSS = 3.0
+"""error of a limit over round-off of its first places [1]: of four-bars and five-bars it was 0.05 to 5."""
+
 POLE_SEEN = 1e-6
 """what a pole makes of reactions at the places over the largest of them [1]: less of it is none, as round-off leaves
 1e-8."""
@@ -159,19 +172,36 @@ def direct_error(margin: Array, eps: float) -> Array:
     return eps / (margin * margin + TINY)
 
 
-def with_pole(values: dict[int, NDArray]) -> tuple[NDArray, bool]:
-    """S4: reactions (l,) from those at places before and after, and whether they have a pole nearby.
+def reading_error(margin: Array, eps: float) -> Array:
+    """Error of reactions read at a place of this margin, over the loads there."""
+    return READ_LOSS * eps + NEAR_LOSS * direct_error(margin, eps)
 
-    Where they have one, this is their value here, and at the pole itself the finite part.
+
+def limit_error(change: Array, before: Array, largest: Array, magnified: Array, eps: float) -> Array:
+    """Error of a limit of values that are as large as `largest` at the places.
+
+    What the farthest places change falls with each pair of them as it did before. Round-off of the first places is
+    `magnified` where it moves a pole.
+    """
+    noise = LIMIT_LOSS * direct_error(READ_DISTANCE**2, eps) * largest
+    return change * change / (change + before + TINY) + noise * (1 + magnified)
+
+
+def with_pole(values: dict[int, NDArray], told: bool = True) -> tuple[NDArray, bool, float]:
+    """S4: reactions (l,) from those at places before and after, whether they have a pole nearby, and by how much that
+    magnifies round-off.
+
+    Where they have one, this is their value here, and at the pole itself, or with `told` false, the finite part.
     """
     limit, first, second = pole(values)
     largest = max((np.abs(x).max(initial=0.0) for x in values.values()), default=0.0)
     steepest = int(np.argmax(np.abs(first)))
     if not np.abs(first[steepest]) > POLE_SEEN * largest or not abs(second[steepest]) < abs(first[steepest]):
-        return limit, False
+        return limit, False, 0.0
     place = second[steepest] / first[steepest]
-    seen = (np.abs(first) > POLE_SEEN * largest) & (abs(place) > POLE_ZERO)
-    return limit - np.where(seen, first, 0.0) / (place or 1.0), True
+    if not told or abs(place) <= POLE_ZERO:
+        return limit, True, 0.0
+    return limit - np.where(np.abs(first) > POLE_SEEN * largest, first, 0.0) / place, True, 1 / place**2
 
 
 def tangential(C: Array, alpha: Array, solve: Callable[[Array], Array], d: Array) -> Array:

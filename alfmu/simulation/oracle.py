@@ -206,12 +206,14 @@ class Instance(runtime.Instance):
         a, lam, used, converged = iterate(M, F, C, xi, self.alpha, solve, *zeros, most, done)
         if not converged:
             self._unfinished = max(self._unfinished, left)
-        return a, self._least_norm(M, C, lam), used, converged
+        before = math.inf
 
-    def _least_norm(self, M: NDArray, C: NDArray, lam: NDArray) -> NDArray:
-        """lam of least norm, until another pass would change round-off alone."""
-        solve = self.inverse(method.augmented_mass(self._light(M, self.alpha), C, self.alpha))
-        return method.minimum_norm(C, self.alpha, solve, lam, CORRECTIONS, _unchanged)
+        def settled(change: NDArray, value: NDArray) -> bool:
+            nonlocal before
+            change, last, before = change @ change, before, change @ change
+            return method.settled(change, last, value @ value, self.settings.tolerance)
+
+        return a, method.minimum_norm(C, self.alpha, solve, lam, method.SETTLING, settled), used, converged
 
     def _check_converged(self, t: float) -> None:
         """What multiplier iterations left since this was asked last: told once, StepError where it is too much.
@@ -261,8 +263,8 @@ class Instance(runtime.Instance):
         P = held @ np.reshape([slope(unit) - nothing for unit in np.eye(l)], (l, l)).T @ held + np.eye(l) - held
         sizes = np.where(P.diagonal() > EPS, P.diagonal(), 1.0)
         columns = (C**2 / sizes[:, None]).sum(axis=0)
-        beside = np.maximum(columns, self.scales / self.memory["k"][0])  # which a column of round-off is nothing
-        weights = np.diag(np.divide(method.HELD_SHARES, beside, out=np.zeros_like(columns), where=columns > 0))
+        there = np.minimum(1, (C**2).sum(axis=0) * self.memory["k"][0] / self.scales)  # little for one of round-off
+        weights = np.diag(np.divide(method.HELD_SHARES * there, columns, out=np.zeros_like(columns), where=columns > 0))
         eased = P + method.EASE * np.diag(sizes)
         return lam + method.shared_again(P, held @ slope(lam), C, weights, self.inverse, eased, CORRECTIONS, _unchanged)
 
@@ -570,12 +572,12 @@ class Instance(runtime.Instance):
         if self._seen[0] != self._key():
             self.hold(self.q)
             self._unfinished = 0.0
-            a, lam, used, left, singular = self._now()
+            a, lam, used, left, singular, lost = self._now()
             self._check_converged(self.time)
             q, v, e = self.q, self.v, self.equations
             y = self._unwrap(self.readings(q, v, a, lam, self.driven, self.time))
             values = *self.residues(q, v), self.energy(q, v), self.work, self._step_error
-            values = *values, used, self.margin(q)[1] ** 0.5, singular
+            values = *values, used, self.margin(q)[1] ** 0.5, singular, lost
             seen = {monitor.name: float(x) for monitor, x in zip(MONITORS, values, strict=True)}
             seen = {name: x for name, x in seen.items() if name not in e.monitors}
             came = [self._unit.get(self._references[x.name]) for x in events(e)]
@@ -589,31 +591,38 @@ class Instance(runtime.Instance):
         return b"".join(x.tobytes() for x in (self.q, self.v, self.driven, p, self.penalty, self.state[-1:]))
 
     @np.errstate(all="ignore")
-    def _now(self) -> tuple[NDArray, NDArray, int, NDArray, int]:
-        """What `accelerations` returns here, lam as joints carry it, and whether it is a limit.
+    def _now(self) -> tuple[NDArray, NDArray, int, NDArray, int, float]:
+        """What `accelerations` returns here, lam as joints carry it, whether it is a limit, and its error.
 
-        The last result is 0 where it is not; where it is, 1 where lam has a limit, 2 where it has a pole, of which the
-        finite part is given at the position itself.
+        It is 0 where lam is no limit; where it is, 1 where lam has a limit, 2 where it has a pole, of which the finite
+        part is given at the position itself.
         """
         q, v, u, t = self.q, self.v, self.driven, self.time
         margin = self.margin(q)[1]
         near = self.continues and margin**0.5 < branch.READ_ZONE * branch.READ_DISTANCE
         a, lam, used, left = self.accelerations(q, v, u, t)
         lam = self.carried(q, v, a, lam) if self.settings.projects else lam
+        _, C, F, _ = self.dynamics(q, v, u, t)
+        lost = (
+            branch.reading_error(margin, EPS) * max(np.abs(x).max(initial=0.0) for x in (F, C.T @ lam)) * bool(len(lam))
+        )
         if near:
             _, rate, spacing = self.approach(q, v, branch.SPACING * self.settings.step_size)
             with suppress(OpenError, ZeroDivisionError):  # The motion may end before the places: then as it is here.
                 places, found = self._beside(q, v, u, t, spacing * branch.READ_DISTANCE / rate, branch.READ_MEAN)
                 # At the position itself more multipliers act alike than on the branch.
                 loads = {k: self.carried(*places[k], *x[:2]) for k, x in found.items()}
-                (limit, pole), (rough, _) = branch.with_pole(loads), branch.with_pole(branch.fewer(loads))
-                lost = branch.direct_error(margin, EPS) * np.abs(limit).max()
-                if margin <= self.nothing or not lost < np.abs(limit - rough).max():
+                limit, pole, magnified = branch.with_pole(loads)
+                told, fewer = magnified > 0 or not pole, branch.fewer(loads)
+                rough, coarse = (branch.with_pole(x, told)[0] for x in (fewer, branch.fewer(fewer)))
+                change, before = (np.abs(x).max() for x in (limit - rough, rough - coarse))
+                if margin <= self.nothing or not branch.direct_error(margin, EPS) * np.abs(limit).max() < change:
                     a, lam = branch.mean({k: x[0] for k, x in found.items()}), limit
                     _, C, _, xi = self.dynamics(q, v, u, t)
-                    left = C @ a - xi
-                return a, lam, max(x[2] for x in found.values()), left, 1 + pole
-        return a, lam, used, left, 0
+                    left, largest = C @ a - xi, max(np.abs(x).max() for x in loads.values())
+                    lost = branch.limit_error(change, before, largest, magnified, EPS)
+                return a, lam, max(x[2] for x in found.values()), left, 1 + pole, lost
+        return a, lam, used, left, 0, lost
 
     def _unwrap(self, y: NDArray) -> NDArray:
         """Readings whose computed angles are moved by whole turns to the values nearest to the last ones."""

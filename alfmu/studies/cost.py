@@ -122,7 +122,8 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
     outputs = _missing(everything.outputs, scene.outputs)
     frozen = _missing(everything.parameters, scene.parameters)
     kept, constants = None, None
-    if outputs or scene.monitors:
+    monitors = [name for name in scene.monitors if name not in everything.monitors]
+    if outputs or monitors:
         kept = [v.name for v in scene.outputs] + [m.name for m in MONITORS if m.name not in scene.monitors]
     if frozen:
         constants = frozen
@@ -130,7 +131,7 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
     if kept is not None:
         back = cost(prepared(specialised(everything, None, constants)))
         some = "" if any(o.instant for o in scene.outputs) else ", so all accelerations and reactions with them"
-        lines.append((f"{len(outputs)} outputs, {len(scene.monitors)} monitors{some}", back))
+        lines.append((f"{len(outputs)} outputs, {len(monitors)} monitors{some}", back))
     if constants is not None:
         back = cost(prepared(specialised(everything, kept, None)))
         lines.append((f"{len(frozen)} parameters, folded into constants", back))
