@@ -17,7 +17,7 @@ from . import oracle
 from .equations import Equations, Variable
 from .equations.specialisation import starting_at, without_steps
 from .kernel import DEFAULT, KERNELS
-from .model.doubts import no_gravity
+from .model.doubts import tell, tell_of_gravity
 from .model.errors import AlfmuError, InputError
 from .model.mechanism import Mechanism
 from .model.settings import FIXED, Settings
@@ -62,9 +62,6 @@ HIDDEN, NOTHING = 1e-3, 1e-12
 in a thousand, and a run says so; below the second one the state is round-off."""
 
 _LOGGER = logging.getLogger("alfmu")
-
-_TOLD: set[str] = set()
-"""What was said of mechanisms in this process."""
 
 Progress = Callable[[Iterable[float]], Iterable[float]]
 """Wraps the communication points of a run, to show how far it is (`iter` shows nothing)."""
@@ -171,14 +168,11 @@ def _tell_what_was_forgotten(of: Prepared) -> None:
     """Warn of a mechanism without gravity, and of coordinates that nothing determines at the start: once each."""
     if of.unit.equations.programs.setdefault("told what was forgotten", of) is not of:
         return
-    said = [no_gravity(of.declared)] if of.declared is not None else []
+    if of.declared is not None:
+        tell_of_gravity(of.declared)
     with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
         if free := of.unit.forgotten():
-            said.append(f"{of.unit.name}: {free}")
-    for text in filter(None, said):
-        if text not in _TOLD:
-            _TOLD.add(text)
-            _LOGGER.warning("%s", text)
+            tell(f"{of.unit.name}: {free}")
 
 
 def settings_of(unit: Instance) -> dict[str, float | str]:

@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from math import cos, hypot, inf, nan, pi, sin
+from math import cos, degrees, hypot, inf, nan, pi, sin
 
 import casadi as ca
 import numpy as np
@@ -89,6 +89,30 @@ def test_assembly_nearest_to_the_guess(guess: tuple[float, float]) -> None:
     assert r["rocker.angle"] == pytest.approx(rocker, abs=1e-12)
     assert r["coupler.angle"] == pytest.approx(0.8 + coupler, abs=1e-12)
     assert r["rocker.angular_velocity"] == pytest.approx(rocker_rate(side), rel=1e-12)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_guesses_in_degrees_are_told_where_they_lead_to_the_other_assembly(side: int) -> None:
+    """Whole degrees, taken for radians; the start names the angles of the assembly that they were meant for."""
+    rocker, coupler = (round(degrees(x)) for x in closed(side))
+    with pytest.warns(alfmu.AlfmuWarning) as caught:
+        i = started(linkage(rocker, coupler))
+    told = [str(each.message) for each in caught if "read as degrees" in str(each.message)]
+    if abs(np.remainder(readings(i)["rocker.angle"] - closed(side)[0] + pi, 2 * pi) - pi) < 1e-9:
+        assert not told
+        return
+    (text,) = told
+    for name, given, meant in (("t2", coupler, closed(side)[1]), ("t3", rocker, closed(side)[0])):
+        (found,) = re.findall(rf"{name} is \S+ rad \(.*?\), guessed as {given} rad \(.*?\), and would be (\S+) rad", text)
+        assert float(found) == pytest.approx(meant, abs=1e-5)
+
+
+def test_a_guess_far_from_the_assembly_is_told_by_name() -> None:
+    """More than 60 degrees off, though it leads to the nearest assembly; what is nearer is not told."""
+    rocker, coupler = closed(1)
+    with pytest.warns(alfmu.AlfmuWarning, match="closed far from what was given: t2 is .*guessed as .*deg") as caught:
+        started(linkage(rocker - 0.4, coupler + 1.2))
+    assert "t3 is" not in str(caught[0].message)
 
 
 @pytest.mark.parametrize("guess", FAR, ids=str)

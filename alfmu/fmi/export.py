@@ -25,6 +25,7 @@ from ..equations.specialisation import starting_at
 from ..files import atomic, scratch
 from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
+from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.mechanism import Mechanism
 from ..model.sources import is_file
@@ -188,6 +189,7 @@ def packed_scene(
 ) -> tuple[Equations, Equations]:
     """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `export`."""
     every = derive(declared)
+    tell_of_gravity(declared)
     equations = chosen(every, parameters or {}, outputs, freeze)
     if start != "declared":
         from ..analysis.states import rest

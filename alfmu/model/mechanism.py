@@ -54,7 +54,7 @@ from .relations import (
 from .spatial import RELATIVE, SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker, Vector, right_handed
 from .stops import CREEP, ONSET, EndStop
 from .units import UNITS, alike, is_rate, rate_of, unit
-from .words import LONGEST, Brief, counted, in_words, no_attribute, shown, text, there_is
+from .words import LONGEST, Brief, counted, in_words, no_attribute, quantity, shown, text, there_is
 
 if TYPE_CHECKING:
     from ..equations.derivation import Kinematics
@@ -1629,8 +1629,8 @@ class Mechanism:
             at = {which: self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits.items()}
             if len(at) == 2 and not at["upper"] > at["lower"]:
                 raise DeclarationError(
-                    f"{self.name}: {what} has the upper limit {at['upper']:g} and the lower limit "
-                    f"{at['lower']:g}; the upper one must be above"
+                    f"{self.name}: {what} has the upper limit {quantity(at['upper'], along, 6)} and the lower limit "
+                    f"{quantity(at['lower'], along, 6)}; the upper one must be above"
                 )
         if dissipation is not None and restitution is not None:
             raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")
@@ -1981,8 +1981,8 @@ class Mechanism:
                 if each and there is not None and abs(each - there) > 1e-9 * max(1.0, abs(there)):
                     what, unit = ("rate of ", rate_of(start.unit)) if rate else ("", start.unit)
                     raise DeclarationError(
-                        f"{self.name}: the start {what}{name} is {each:g} {unit}, and its motion has {there:g} {unit} "
-                        "at t = 0; leave the start out, which follows the motion"
+                        f"{self.name}: the start {what}{name} is {quantity(each, unit, 6)}, and its motion has "
+                        f"{quantity(there, unit, 6)} at t = 0; leave the start out, which follows the motion"
                     )
             Mechanism.starts.of(self).remove(start)
             ties = Mechanism.ties.of(self)

@@ -128,6 +128,8 @@
 #define NEARER 0.8
 #define BETWEEN 2.0
 #define DISTINCT 0.1
+#define MISSED 1.0471975511965976
+#define MISSED_LENGTHS 3.0
 #define DIRECTION 1e-40
 #define RANKED 8
 #define FEW_RANKED 2

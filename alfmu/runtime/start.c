@@ -305,6 +305,15 @@ static int determined(Instance *i, Loops *loops, const double *assembly)
     return back;
 }
 
+const char *in_unit(const char *unit, double value, char *text)
+{
+    if (!strcmp(unit, "rad"))
+        write_text(text, QUANTITY, "%.6g rad (%.4g deg)", value, value * 90 / QUARTER);
+    else
+        write_text(text, QUANTITY, strcmp(unit, "1") ? "%.6g %s" : "%.6g", value, unit);
+    return text;
+}
+
 /* The widest gap, or the start value that is missed most. */
 static const char *gap_label(Instance *i, const Loops *loops, char *label, size_t size)
 {
@@ -321,7 +330,8 @@ static const char *gap_label(Instance *i, const Loops *loops, char *label, size_
         write_text(label, size, "a gap of %.3g %s at %s", sqrt(gap), s->rows[worst].unit, s->rows[worst].name);
     } else {
         const Variable *start = s->variables + s->own + s->tied[worst - s->l];
-        write_text(label, size, "%s missed by %.3g %s", start->name, fabs(loops->residue[worst]), start->unit);
+        char left[QUANTITY];
+        snprintf(label, size, "%s missed by %s", start->name, in_unit(start->unit, fabs(loops->residue[worst]), left));
     }
     return label;
 }
@@ -351,18 +361,6 @@ static int crossed(const Scene *s, const double *from, const double *to)
             most = c;
         }
     return most;
-}
-
-#define QUANTITY 64 /* characters */
-
-/* A value with its unit, an angle in degrees, too. */
-static const char *in_unit(const char *unit, double value, char *text)
-{
-    if (!strcmp(unit, "rad"))
-        snprintf(text, QUANTITY, "%.6g rad (%.4g deg)", value, value * 90 / QUARTER);
-    else
-        snprintf(text, QUANTITY, strcmp(unit, "1") ? "%.6g %s" : "%.6g", value, unit);
-    return text;
 }
 
 /* DONE, with a warning where the guess is about as near to another assembly, or the only one is on its other side. */
@@ -425,6 +423,74 @@ static Outcome not_closed(Instance *i, Loops *loops, const double *guess, double
     return say(i, FAILED, "%s: %s; the nearest assembly leaves %s; %s%s", s->name,
         contradict ? "the start values contradict each other" : "the loops cannot be closed", label,
         s->ties > 1 ? "give fewer or consistent start values" : "check lengths, offsets and start values", hint);
+}
+
+/* How far an assembly has an angle or a length from its guess, over what is told; a guess of zero may be none. */
+static double missed(const Instance *i, int c, const double *guess, const double *q)
+{
+    const Scene *s = i->scene;
+    const double told = radians(s, c) ? MISSED : metres(s, c) ? MISSED_LENGTHS * *i->length : INFINITY;
+    return guess[c] != 0.0 ? fabs(short_way(s, c, q[c] - guess[c])) / told : 0.0;
+}
+
+/* Whether the loops close elsewhere, near the guess whose angles that are missed or beyond a turn are read as degrees: `meant`
+   is that guess, and `there` the assembly beside it. */
+static int fits_in_degrees(Instance *i, Loops *loops, const double *guess, const double *q, double *meant, double *there)
+{
+    const Scene *s = i->scene;
+    const int paused = tape_pause(i, 1);
+    int fits = 0;
+    for (int c = 0; c < s->n; c++) {
+        const int beyond = radians(s, c) && fabs(guess[c]) > 4 * QUARTER, off = missed(i, c, guess, q) > 1.0;
+        fits |= (radians(s, c) && off) || (beyond && fabs(q[c] - guess[c]) > DISTINCT);
+        meant[c] = there[c] = guess[c] * (beyond || (radians(s, c) && off) ? QUARTER / 90 : 1.0);
+    }
+    if (fits)
+        followed(i, loops, there);
+    fits = fits && closes(i, loops, there) && apart(s, there, q) > DISTINCT;
+    for (int c = 0; c < s->n; c++)
+        fits &= meant[c] == guess[c] || fabs(short_way(s, c, there[c] - meant[c])) < AWAY;
+    tape_pause(i, paused);
+    return fits;
+}
+
+/* Adds a warning, unless there is one, of guesses far from which the loops closed; in its place one of angles in degrees. */
+static void check_guesses(Instance *i, Loops *loops, const double *guess, const double *q)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *meant = take(i, (size_t)s->n), *there = take(i, (size_t)s->n);
+    char list[sizeof i->text / 2] = "", own[QUANTITY], given[QUANTITY], other[QUANTITY];
+    const int degrees = fits_in_degrees(i, loops, guess, q, meant, there);
+    int found = 0;
+    for (int c = 0; c < s->n && (degrees || !*i->text); c++) {
+        const char *name = s->coordinates[c].name, *unit = s->coordinates[c].unit;
+        const double turns = fabs(guess[c]) > 4 * QUARTER && radians(s, c) ? q[c] - short_way(s, c, q[c]) : 0.0;
+        char *end = list + strlen(list);
+        if (degrees ? meant[c] == guess[c] : missed(i, c, guess, q) <= 1.0)
+            continue;
+        in_unit(unit, q[c] - turns, own);
+        in_unit(unit, guess[c], given);
+        if (++found > SAID / 2)
+            continue;
+        if (degrees)
+            snprintf(end, sizeof list - strlen(list), "%s%.40s is %s, guessed as %s, and would be %s", found > 1 ? "; " : "", name,
+                own, given, in_unit(unit, there[c], other));
+        else
+            snprintf(
+                end, sizeof list - strlen(list), "%s%.40s is %s, guessed as %s", found > 1 ? "; " : "", name, own, given);
+    }
+    if (found > SAID / 2)
+        snprintf(list + strlen(list), sizeof list - strlen(list), "; and %d more", found - SAID / 2);
+    if (degrees)
+        say(i, DONE,
+            "%s: the loops closed far from guesses that fit another assembly if they are read as degrees: %s; give guesses in "
+            "rad",
+            s->name, list);
+    else if (found)
+        say(i, DONE, "%s: the loops closed far from what was given: %s; give guesses closer to the assembly you want", s->name,
+            list);
+    i->used = used;
 }
 
 static Outcome positions(Instance *i, Loops *loops, const double *guess, double *q)
@@ -774,6 +840,7 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     else
         outcome = positions(i, &loops, guess, q);
     if (outcome == DONE) {
+        check_guesses(i, &loops, guess, q);
         tape_closing(i, held, q, NULL, NULL, 1.0); /* Where it ends, the loops are closed. */
         outcome = rates(i, &loops, q, v);
     }

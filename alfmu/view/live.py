@@ -28,6 +28,7 @@ from ..equations.interface import state_starts, variables_of
 from ..files import write
 from ..kernel.stream import BINARY, UNARY
 from ..kernel.tables import packed
+from ..model.doubts import tell_of_gravity
 from ..model.errors import AlfmuError, InputError
 from ..model.mechanism import Marker, Mechanism
 from ..result import Result
@@ -70,6 +71,7 @@ def live(
     """
     e = prepared(equations, "vm")
     unit = Instance(e)
+    tell_of_gravity(mechanism)
     wasm = library(WEB, e.name)
     looked, scale = _look(unit, e)
     shapes = _shapes(mechanism, e, parameters or {}, looked)

@@ -25,7 +25,7 @@ from ..equations import Equations
 from ..files import atomic, write
 from ..model.errors import AlfmuError, AssemblyError, InputError
 from ..model.mechanism import Mechanism, Start
-from ..model.words import shown, there_is
+from ..model.words import quantity, shown, there_is
 from ..result import Result
 from ..runtime import Instance
 from ..runtime.probe import Probe
@@ -225,7 +225,7 @@ def drawing(
         turned = {angle.name: round(angle.start + 1, 4)}
         with suppress(AlfmuError):
             columns = _start(shapes, with_defaults(equations, turned))
-            caption = f"shown at {angle.name} = {turned[angle.name]:g} rad"
+            caption = f"shown at {angle.name} = {quantity(turned[angle.name], 'rad')}"
     covered: Mapping[str, ArrayLike] = columns
     trails = {}
     dots = shapes.space.dots if shapes.space else shapes.dots
