@@ -533,8 +533,10 @@ def derive(mechanism: Mechanism) -> Equations:
     outputs += states
     values += [o.expression for o in m.outputs]
     outputs += [Variable(o.name, o.unit, description=o.description) for o in m.outputs]
+    limits: list[tuple[ca.SX, EndStop]] = []
     for stop in m.end_stops:
         x = _limited(plain, stop)
+        limits += [(depth, stop) for depth, _ in stop.penetrations(x)]
         what, unit = ("force", "N") if stop.unit == "m" else ("torque", "N.m")
         values += [stop.penetration(x), stop.effort(x, ca.jtimes(x, q, v))]
         outputs.append(
@@ -584,6 +586,7 @@ def derive(mechanism: Mechanism) -> Equations:
         "shares": ca.gradient(ca.sumsqr(carried) / 2, lam) if lam.numel() else lam,
         **rubs.functions,
         **({"instants": stack(m.instants)} if m.instants else {}),
+        **({"stops": stack([x for x, _ in limits])} if limits else {}),
         "guess": guess,
         "guess_rate": (ca.jtimes(guess, s, sdot) if m.starts else ca.SX.zeros(guess.shape))
         + (ca.jacobian(guess, begin) if m.moves else 0),
@@ -623,6 +626,7 @@ def derive(mechanism: Mechanism) -> Equations:
         timed=m.moves,
         followed=_followed(m),
         leaps=_leaps(m, closures),
+        limited=[Variable(stop.name, stop.unit) for _, stop in limits],
         wrapped=wrapped,
         works=m.moves or bool(frictions) or not f_applied.is_zero(),
         stop_time=m.experiment.stop_time,

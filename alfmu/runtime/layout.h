@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 18
+#define SCENE_VERSION 19
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -313,6 +313,7 @@
     X(sliding) \
     X(laws) \
     X(breaks) \
+    X(stops) \
     X(place) \
     X(bring) \
     X(settle) \

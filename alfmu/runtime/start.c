@@ -493,6 +493,121 @@ static void check_guesses(Instance *i, Loops *loops, const double *guess, const 
     i->used = used;
 }
 
+/* How far (limits) displacements are beyond their limits at q; `J` (limits x n, by columns) may be NULL. */
+static void beyond_limits(Instance *i, const double *q, double *beyond, double *J)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    const double *x[] = {q, field(i, s->p)};
+    double *y[] = {beyond, J ? J : take(i, (size_t)s->limit_count * (size_t)s->n)};
+    call(i, s->stops, x, y);
+    i->used = used;
+}
+
+/* The limit that q is beyond most, by how much more than is allowed there, lengths over that of the mechanism. */
+static double most_beyond(Instance *i, const double *q, const double *allowed, int *worst)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *beyond = take(i, (size_t)s->limit_count), most = -INFINITY;
+    beyond_limits(i, q, beyond, NULL);
+    for (int k = 0; k < s->limit_count; k++) {
+        const double left = (beyond[k] - allowed[k]) / (strcmp(s->limited[k].unit, "m") ? 1.0 : *i->length);
+        if (left > most) {
+            most = left;
+            *worst = k;
+        }
+    }
+    i->used = used;
+    return most;
+}
+
+/* Whether closing the loops and going back from limits, one after the other, leads from q to an assembly within limits. */
+static int brought_within(Instance *i, Loops *loops, const double *allowed, double *q)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n, count = (size_t)s->limit_count;
+    double *beyond = take(i, count), *J = take(i, count * n), *way = take(i, n), size = INFINITY, square, part;
+    int worst;
+    for (int pass = 0; pass < MOST && size > 0.0; pass++) {
+        followed(i, loops, q);
+        size = closes(i, loops, q) ? most_beyond(i, q, allowed, &worst) : NAN;
+        if (!(size > 0.0))
+            break;
+        beyond_limits(i, q, beyond, J);
+        memset(way, 0, n * sizeof *way);
+        size = square = part = 0.0;
+        for (int k = 0; k < s->limit_count; k++) { /* A little within them, so that few passes are made. */
+            const double unit = strcmp(s->limited[k].unit, "m") ? 1.0 : *i->length;
+            const double left = beyond[k] > allowed[k] ? (beyond[k] - allowed[k]) / unit + DISTINCT / 10 : 0.0;
+            size += left * left;
+            for (int c = 0; c < s->n; c++)
+                way[c] += left * J[(size_t)c * count + (size_t)k] * (metres(s, c) ? *i->length : 1.0) / unit;
+        }
+        for (int c = 0; c < s->n; c++) {
+            square += way[c] * way[c];
+            part = fmax(part, fabs(way[c]));
+        }
+        if (square < 1e-300)
+            break;
+        part = fmin(size / square, LONGEST_TURN / part);
+        for (int c = 0; c < dependent(s); c++)
+            q[c] -= part * way[c] * (metres(s, c) ? *i->length : 1.0);
+    }
+    i->used = used;
+    return size <= 0.0;
+}
+
+/* Looks for an assembly within the limits of stops where the one at q is far beyond one, and takes the nearest found. What the
+   guess itself is beyond a limit is allowed. */
+static void keep_limits(Instance *i, Loops *loops, const double *guess, double *q, Mark begin)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n;
+    double *allowed, *tried, *found, nearest_way = INFINITY, left;
+    char how[QUANTITY], own[QUANTITY], given[QUANTITY];
+    int worst, most;
+    if (!s->limit_count || s->n > DENSE)
+        return;
+    allowed = take(i, (size_t)s->limit_count);
+    tried = take(i, n);
+    found = take(i, n);
+    beyond_limits(i, guess, allowed, NULL);
+    for (int k = 0; k < s->limit_count; k++)
+        allowed[k] = fmax(allowed[k], 0.0);
+    left = most_beyond(i, q, allowed, &worst);
+    if (left > DISTINCT) { /* Less is a load on the stop. */
+        const int paused = tape_pause(i, 1);
+        for (int k = -1; k < TRIES; k++) {
+            memcpy(tried, q, n * sizeof *tried);
+            if (k >= 0)
+                beside(s, guess, 3.0, k, tried);
+            if (brought_within(i, loops, allowed, tried) && apart(s, guess, tried) < nearest_way) {
+                nearest_way = apart(s, guess, tried);
+                memcpy(found, tried, n * sizeof *found);
+            }
+        }
+        tape_pause(i, paused);
+        in_unit(s->limited[worst].unit, left * (strcmp(s->limited[worst].unit, "m") ? 1.0 : *i->length), how);
+        if (nearest_way < INFINITY) {
+            tape_cut(i, begin);
+            memcpy(q, found, n * sizeof *q);
+            tape_copy(i, q, guess, n);
+            way(s, guess, q, &most);
+            say(i, DONE,
+                "%s: the assembly nearest to the guess is beyond %s by %s; the nearest found within limits is taken, where %s is "
+                "%s, guessed as %s; give start values or guesses closer to the assembly you want",
+                s->name, s->limited[worst].name, how, s->coordinates[most].name, in_unit(s->coordinates[most].unit, q[most], own),
+                in_unit(s->coordinates[most].unit, guess[most], given));
+        } else
+            say(i, DONE,
+                "%s: no assembly within limits was found; the one taken is beyond %s by %s; check the limits, lengths and start "
+                "values",
+                s->name, s->limited[worst].name, how);
+    }
+    i->used = used;
+}
+
 static Outcome positions(Instance *i, Loops *loops, const double *guess, double *q)
 {
     const Scene *s = i->scene;
@@ -829,6 +944,7 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     Loops loops = loops_new(i, held);
     const char *open;
     Outcome outcome;
+    Mark begin;
     taped_call(i, s->guesses, x, y);
     *i->length = s->l ? own_length(i, guess) : 1.0;
     if (!isfinite(norm(guess, s->n)))
@@ -837,8 +953,12 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     else if ((open = without_gap(i, &loops, guess)))
         outcome = say(i, FAILED,
             "%s: at the start guess the gap of %s is not finite; check the dimensions, axes and start values", s->name, open);
-    else
+    else {
+        begin = tape_mark(i);
         outcome = positions(i, &loops, guess, q);
+        if (outcome == DONE)
+            keep_limits(i, &loops, guess, q, begin);
+    }
     if (outcome == DONE) {
         check_guesses(i, &loops, guess, q);
         tape_closing(i, held, q, NULL, NULL, 1.0); /* Where it ends, the loops are closed. */
