@@ -45,7 +45,7 @@ def test_random_linkages_close(planar: bool) -> None:
 
 
 def test_random_linkages_close_within_their_limits() -> None:
-    """Hinges and slides stop 1.1 rad and 0.35 sizes beside an assembly; guesses are up to 1 rad and 0.3 sizes from it."""
+    """Joints stop 1.1 rad and 0.35 sizes beside an assembly; guesses are up to 1 rad and 0.3 sizes from it."""
     told = 0
     for seed in (7, 18):
         true: dict[str, float] = {}
