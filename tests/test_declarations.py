@@ -123,7 +123,7 @@ SYMBOLS = [
         "the coordinate of B says already",
     ),
     ("m.motion(A, m.time)", "the motion of A is in rad, and time in s; give one in rad"),
-    ("m.motion(A, 2 * m.time)", "the start th is 0.5 rad, and its motion has 0 rad at t = 0; leave the start out"),
+    ("m.motion(A, 2 * m.time)", r"the start th is 0.5 rad \(28.65 deg\), and its motion has 0 rad at t = 0; leave the"),
     (
         'm.motion(m.coordinate("x", "rad", rate=0.5, independent=True), k * m.time)',
         "the start rate of x is 0.5 rad/s, and its motion has 1 rad/s",
