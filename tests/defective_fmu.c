@@ -76,6 +76,8 @@ static void begin(Model *c)
         values(c)->x += 1e-9 * ++made;
     if (defect("start"))
         values(c)->m = 2.5;
+    if (defect("digits"))
+        values(c)->m = 2.0 + 8e-15;
     c->phase = NEW;
     shared = 0.0;
 }
@@ -291,7 +293,7 @@ static int set_real(Model *c, unsigned r, double value)
         return defect("set_output") ? OK : said(c, ERROR, "an output cannot be set");
     if (r != U && c->phase == RUNNING && !defect("set_fixed"))
         return said(c, ERROR, "a parameter is fixed");
-    if (!isfinite(value) && !defect("nonfinite"))
+    if (!isfinite(value) && !defect("nonfinite") && !defect("stuck"))
         return said(c, DISCARD, "the value is no number");
     if (r == M && !(value >= 0.1 && value <= 10.0)) {
         if (!defect("bounds"))
@@ -373,7 +375,7 @@ static int stepped(Model *c, double point, double size)
         return ERROR;
     if (defect("exit"))
         exit(0);
-    while (defect("hang"))
+    while (defect("hang") || (defect("stuck") && !isfinite(y->u)))
         ;
     if (defect("abort") && y->count == 2)
         abort();

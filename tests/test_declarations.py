@@ -1,5 +1,6 @@
 """What a user may declare by mistake: refused at its line, with the name, what was given and what would be right."""
 
+import contextlib
 import math
 import re
 import subprocess
@@ -19,6 +20,7 @@ from alfmu.model.checks import number
 from alfmu.model.declaration import BOOKKEEPING
 from alfmu.model.errors import AlfmuWarning, DeclarationError
 from alfmu.model.words import nearest, there_is
+from alfmu.view.live import live
 
 HEAD = """
 import math
@@ -121,7 +123,7 @@ SYMBOLS = [
         "the coordinate of B says already",
     ),
     ("m.motion(A, m.time)", "the motion of A is in rad, and time in s; give one in rad"),
-    ("m.motion(A, 2 * m.time)", "the start th is 0.5 rad, and its motion has 0 rad at t = 0; leave the start out"),
+    ("m.motion(A, 2 * m.time)", r"the start th is 0.5 rad \(28.65 deg\), and its motion has 0 rad at t = 0; leave the"),
     (
         'm.motion(m.coordinate("x", "rad", rate=0.5, independent=True), k * m.time)',
         "the start rate of x is 0.5 rad/s, and its motion has 1 rad/s",
@@ -688,6 +690,27 @@ def test_a_mechanism_that_leaves_gravity_open_says_so_once(gravity, caplog):
         alfmu.simulate(m, stop)
     said = "bodies have masses and no gravity acts; declare it by gravity(0, -9.81), or none by gravity(0, 0)"
     assert caplog.messages == ([f"{m.name}: {said}"] if gravity is None else [])
+
+
+def test_what_is_exported_shown_live_or_swept_tells_of_open_gravity_once(caplog, tmp_path):
+    def weighed(name: str) -> Mechanism:
+        m = Mechanism(name)
+        rod = m.bar("rod", mass=1.0, length=1.0)
+        m.revolute("A", m.ground.at(0, 0), rod.start, coordinate=m.coordinate("th", "rad", start=0.5, independent=True))
+        return m
+
+    ways = {
+        "exported": lambda m: alfmu.export(m, tmp_path / "exported.fmu", kind="native"),
+        "live": lambda m: live(m, alfmu.derive(m), tmp_path / "live.html"),
+        "swept": lambda m: alfmu.sweep(m, {"start.th": "0:0.5:2"}, stop_time=0.02, workers=1),
+    }
+    for name, way in ways.items():
+        caplog.clear()
+        for _ in range(2):
+            with contextlib.suppress(alfmu.ExportError):  # pages need a runtime for browsers
+                way(weighed(name))
+        (said,) = caplog.messages
+        assert said.startswith(f"{name}: bodies have masses and no gravity acts; declare it by gravity(0, -9.81)")
 
 
 def test_python_tells_of_a_forgotten_independent_as_the_command_line_does(caplog):

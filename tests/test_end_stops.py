@@ -107,7 +107,7 @@ def test_a_guide_rubs_by_the_blow_of_a_stop():
     ("given", "said"),
     [
         ({}, "end stop floor has no limit"),
-        ({"upper": -1.0, "lower": 0.0}, "upper limit -1 and the lower limit 0; the upper one must be above"),
+        ({"upper": -1.0, "lower": 0.0}, "upper limit -1 m and the lower limit 0 m; the upper one must be above"),
         ({"lower": 0.0, "dissipation": 0.1, "restitution": 0.5}, "has a dissipation and a restitution"),
         ({"lower": 0.0, "restitution": 1.5}, "restitution of end stop floor is 1.5; it must be from 0 to 1"),
         ({"lower": 0.0, "onset": 0.0}, "the onset of end stop floor is 0 m; it must be above zero"),

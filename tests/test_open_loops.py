@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from oracles.open_linkages import opened
+from oracles.open_linkages import OPEN, opened
 
 import alfmu
 from alfmu.analysis.situation import situation, source
@@ -42,6 +42,30 @@ def test_random_linkages_close(planar: bool) -> None:
         assert apart(m, np.array(list(guesses.values()))) > 1e-2
         closed = Loops(m, guesses, [], [], {}).close()
         assert apart(m, np.array([closed.values[c.name] for c in m.coordinates])) < 1e-9
+
+
+def test_random_linkages_close_within_their_limits() -> None:
+    """Joints stop 1.1 rad and 0.35 sizes beside an assembly; guesses are up to 1 rad and 0.3 sizes from it."""
+    told = 0
+    for seed in (7, 18):
+        true: dict[str, float] = {}
+        m = opened(seed, False, true)
+        names = [c.name for c in m.coordinates if c.name[0] in "qs" and c.unit in ("rad", "m")]
+        size = max([abs(float(c.guess) - true[c.name]) / OPEN[1] for c in m.coordinates if c.unit == "m"], default=1.0)
+        room = {c.name: 1.1 if c.unit == "rad" else 0.35 * size for c in m.coordinates}
+        for c in m.coordinates:
+            if c.name in names:
+                low, high = true[c.name] - room[c.name], true[c.name] + room[c.name]
+                m.end_stop(f"stop_{c.name}", c.q, lower=low, upper=high, stiffness=1.0, unit=c.unit)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            q = situation(source(m, {})).state.q
+        assert apart(m, q) < 1e-9
+        told += any("the nearest found within limits is taken" in str(each.message) for each in caught)
+        for c, x in zip(m.coordinates, q, strict=True):
+            if c.name in names:
+                assert abs(x - true[c.name]) < room[c.name] + 0.1 * (1.0 if c.unit == "rad" else size)
+    assert told
 
 
 def test_a_hinge_does_not_close_half_a_turn_away() -> None:

@@ -341,7 +341,7 @@ def wrong(case: str) -> None:
         "itself": "gear g joins w0 to itself",
         "unhinged": "hinges hold the centre of w0 on ground or w2 and that of loose on nothing",
         "carrier": "no hinge holds the centre of w0 that gear g uses on loose",
-        "angle": "is 20 rad; give one from 0 to below pi/2",
+        "angle": r"is 20 rad \(1146 deg\); give one from 0 to below pi/2",
         "name": "'J0' is a joint already",
         "large": "take 0.35 m, and their centres are 0.3 m apart",
         "crossed": "no crossed belt fits",

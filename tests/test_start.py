@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from math import cos, hypot, inf, nan, pi, sin
+from math import cos, degrees, hypot, inf, nan, pi, sin
 
 import casadi as ca
 import numpy as np
@@ -89,6 +89,58 @@ def test_assembly_nearest_to_the_guess(guess: tuple[float, float]) -> None:
     assert r["rocker.angle"] == pytest.approx(rocker, abs=1e-12)
     assert r["coupler.angle"] == pytest.approx(0.8 + coupler, abs=1e-12)
     assert r["rocker.angular_velocity"] == pytest.approx(rocker_rate(side), rel=1e-12)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_guesses_in_degrees_are_told_where_they_lead_to_the_other_assembly(side: int) -> None:
+    """Whole degrees, taken for radians; the start names the angles of the assembly that they were meant for."""
+    rocker, coupler = (round(degrees(x)) for x in closed(side))
+    with pytest.warns(alfmu.AlfmuWarning) as caught:
+        i = started(linkage(rocker, coupler))
+    told = [str(each.message) for each in caught if "read as degrees" in str(each.message)]
+    if abs(np.remainder(readings(i)["rocker.angle"] - closed(side)[0] + pi, 2 * pi) - pi) < 1e-9:
+        assert not told
+        return
+    (text,) = told
+    for name, given, meant in (("t2", coupler, closed(side)[1]), ("t3", rocker, closed(side)[0])):
+        (found,) = re.findall(
+            rf"{name} is \S+ rad \(.*?\), guessed as {given} rad \(.*?\), and would be (\S+) rad", text
+        )
+        assert float(found) == pytest.approx(meant, abs=1e-5)
+
+
+def test_a_guess_far_from_the_assembly_is_told_by_name() -> None:
+    """More than 60 degrees off, though it leads to the nearest assembly; what is nearer is not told."""
+    with pytest.warns(alfmu.AlfmuWarning, match="closed far from what was given: t2 is .*guessed as .*deg") as caught:
+        started(linkage(-1.8, closed(-1)[1] + 1.1))
+    assert "t3 is" not in str(caught[0].message)
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_an_assembly_within_the_limits_of_stops_is_taken_where_there_is_one(inside: bool) -> None:
+    """The guess leads to the assembly with the rocker below; a stop leaves the one above alone, or none."""
+    l1, l2, l3, l0 = FOUR_LENGTHS
+    guess, (rocker, coupler) = closed(-1), closed(1)
+    m = alfmu.Mechanism("limited")
+    t1 = m.coordinate("t1", "rad", start=0.8, independent=True)
+    t2 = m.coordinate("t2", "rad", start=coupler - 0.2 if inside else (coupler + guess[1]) / 2)
+    t3 = m.coordinate("t3", "rad", start=guess[0] + 0.2)
+    crank, link, swing = (m.bar(k, mass=1.0, length=x) for k, x in (("crank", l1), ("coupler", l2), ("rocker", l3)))
+    m.revolute("A", m.ground.at(), crank.start, coordinate=t1)
+    hinge = m.revolute("B", crank.end, link.start, coordinate=t2)
+    m.revolute("D", m.ground.at(l0, 0.0), swing.start, coordinate=t3)
+    m.revolute("C", link.end, swing.end)
+    low, high = (coupler - 0.3, coupler + 0.3) if inside else (guess[1] + 0.4, coupler - 0.4)
+    m.end_stop("stop", hinge, lower=low, upper=high, stiffness=10.0)
+    m.gravity(0.0, -9.81)
+    words = "is beyond stop by .*; the nearest found within limits is taken" if inside else "no assembly within limits"
+    with pytest.warns(alfmu.AlfmuWarning, match=words):
+        r = readings(started(alfmu.derive(m)))
+    if inside:
+        assert np.remainder(r["rocker.angle"] - rocker + pi, 2 * pi) - pi == pytest.approx(0.0, abs=1e-12)
+        assert r["stop.penetration"] == 0.0
+    else:
+        assert r["stop.penetration"] > 0.1
 
 
 @pytest.mark.parametrize("guess", FAR, ids=str)

@@ -280,6 +280,21 @@ def test_a_step_that_does_not_end_is_ended(springs, monkeypatch):
     assert (zero.result, zero.detail) == (UNJUDGED, "run.default failed")
 
 
+def test_a_step_that_does_not_end_with_an_input_of_nan_is_a_risk(springs, monkeypatch):
+    """The standard does not say what to do with such inputs; solvers that control their error may never end."""
+    monkeypatch.setenv("DEFECT", "stuck")
+    report = examine(springs("2"), checks=["values.nonfinite"], timeout=2.0)
+    found = next(f for f in report.findings if f.id == "values.nonfinite")
+    assert (found.result, report.problems) == (RISKY, [])
+    assert found.detail.startswith("it did not return within 2 s in fmi2DoStep")
+
+
+def test_start_values_by_writers_of_fifteen_digits_are_right(springs, monkeypatch):
+    """Public FMUs have 0.000168694678594554 in their description, and 0.0001686946785945534 after initialisation."""
+    monkeypatch.setenv("DEFECT", "digits")
+    assert results(examine(springs("2"), checks=["values.start"]))["values.start"] == PASSED
+
+
 def test_what_one_failure_leaves_unjudged_is_one_line(springs, monkeypatch):
     monkeypatch.setenv("DEFECT", "stillborn")
     report = examine(springs("2"), checks=["run.default", "step.zero", "step.sizes", "file.description"])

@@ -71,6 +71,8 @@ class SingularPosition:
     """When the motion passes it [s]."""
     coordinates: Mapping[str, float]
     """Coordinates by name [m or rad]."""
+    angles: tuple[str, ...]
+    """Names of those in rad."""
     motions: int
     """Independent velocities that constraints allow there."""
     branches: tuple[Branch, ...]
@@ -193,7 +195,8 @@ def check_file(path: Path) -> None:
 
 
 def _position(each: SingularPosition) -> list[str]:
-    shown = [f"{name} = {plain(x)}" for name, x in each.coordinates.items()]
+    units = dict.fromkeys(each.angles, "rad")
+    shown = [f"{name} = {plain(x, units.get(name, '1'))}" for name, x in each.coordinates.items()]
     more = [f"and {len(shown) - _SHOWN} more"] if len(shown) > _SHOWN else []
     lines = [f"    {', '.join([*shown[:_SHOWN], *more])}"]
     found = len(each.branches)
@@ -368,7 +371,8 @@ def _singular(loops: Loops, y: Vector, t: float, v: Vector) -> SingularPosition:
         rates = way / way[np.argmax(np.abs(way))] + 0.0
         each.append(Branch(dict(zip(names, rates.tolist(), strict=False)), branch.ends, branch.singular))
     place = dict(zip(names, (y * loops.scale).tolist(), strict=False))
-    return SingularPosition(t, place, motions, tuple(each), followed, reason)
+    angles = tuple(c.name for c in loops.situation.coordinates if c.unit == "rad")
+    return SingularPosition(t, place, angles, motions, tuple(each), followed, reason)
 
 
 # Along a motion ----------------------------------------------------------------------------------------------------

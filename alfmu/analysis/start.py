@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from ..equations import Equations
 from ..equations.specialisation import starting_at, without_steps
 from ..fmi.recipe import Recipe, of
 from ..kernel import DEFAULT
-from ..model.doubts import no_gravity
+from ..model.doubts import tell, tell_of_gravity
 from ..model.errors import AlfmuError
 from ..model.mechanism import Mechanism
 from ..runtime import Instance
@@ -25,11 +24,6 @@ from .equilibria import Equilibrium
 from .states import rest
 
 __all__ = ["Prepared", "prepare", "rest_of", "simulated"]
-
-_LOGGER = logging.getLogger("alfmu")
-
-_TOLD: set[str] = set()
-"""What was said of mechanisms in this process."""
 
 
 @dataclass(frozen=True)
@@ -106,11 +100,8 @@ def _tell_what_was_forgotten(of: Prepared) -> None:
     """Warn of a mechanism without gravity, and of coordinates that nothing determines at the start: once each."""
     if of.unit.equations.programs.setdefault("told what was forgotten", of) is not of:
         return
-    said = [no_gravity(of.declared)] if of.declared is not None else []
+    if of.declared is not None:
+        tell_of_gravity(of.declared)
     with contextlib.suppress(AlfmuError):  # a run may have ended where freedoms cannot be told
         if free := of.unit.forgotten():
-            said.append(f"{of.unit.name}: {free}")
-    for text in filter(None, said):
-        if text not in _TOLD:
-            _TOLD.add(text)
-            _LOGGER.warning("%s", text)
+            tell(f"{of.unit.name}: {free}")

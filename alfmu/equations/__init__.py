@@ -1,6 +1,6 @@
 """Declaration to equations: what derivation hands on, and what numbers need of it.
 
-Other rooms import `arrays`, `changes`, `derivation`, `evaluation`, `friction`, `interface`, `specialisation`.
+Other rooms import `arrays`, `changes`, `derivation`, `evaluation`, `friction`, `interface`, `specialisation`, `types`.
 """
 
 from .types import Equations, Mobility, Row, Switch, Variable

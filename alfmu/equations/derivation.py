@@ -47,6 +47,7 @@ from ..model.parts import (
 )
 from ..model.relations import Relation
 from ..model.spatial import SpatialBody
+from ..model.stops import EndStop
 from ..model.units import rate_of
 from . import space
 from .closures import closures_of, compliances_of, held_by, relations_of, slips_of, switches_of
@@ -257,6 +258,8 @@ class _Readings:
     borne: list[tuple[ca.SX, Variable]] = field(default_factory=list)
     """Reactions of joints, and all that can be read of joints in space."""
     rubs: Rubs | None = None
+    limits: list[tuple[ca.SX, EndStop]] = field(default_factory=list)
+    """How far each side of each stop is passed."""
 
     def add(self, values: Sequence[Scalar], outputs: Sequence[Variable]) -> None:
         self.values += values
@@ -323,6 +326,7 @@ def _read_declared(read: _Readings, m: Mechanism, at: _Symbols, closed: _Closed)
     )
     for stop in m.end_stops:
         x = limited_by(closed.plain, stop)
+        read.limits += [(depth, stop) for depth, _ in stop.penetrations(x)]
         what, unit = ("force", "N") if stop.unit == "m" else ("torque", "N.m")
         read.values += [stop.penetration(x), stop.effort(x, ca.jtimes(x, at.q, at.v))]
         read.outputs.append(
@@ -392,6 +396,7 @@ def _expressions(m: Mechanism, at: _Symbols, closed: _Closed, terms: _Terms, rea
         "shares": ca.gradient(ca.dot(weights * carried, carried) / 2, lam) if lam.numel() else lam,
         **read.rubs.functions,
         **({"instants": stack(m.instants)} if m.instants else {}),
+        **({"stops": stack([x for x, _ in read.limits])} if read.limits else {}),
         "guess": guess,
         "guess_rate": (ca.jtimes(guess, at.s, sdot) if m.starts else ca.SX.zeros(guess.shape))
         + (ca.jacobian(guess, at.begin) if m.moves else 0),
@@ -439,6 +444,7 @@ def _equations(
         timed=m.moves,
         followed=_followed(m),
         leaps=_leaps(m, closures),
+        limited=[Variable(stop.name, stop.unit) for _, stop in read.limits],
         wrapped=read.wrapped,
         works=m.moves or bool(frictions) or not terms.f_applied.is_zero(),
         stop_time=m.experiment.stop_time,

@@ -62,6 +62,7 @@ ARGUMENTS = {
         "motion_power": "q v a lam u p t",
         "laws": "q v p",
         "instants": "p",
+        "stops": "q p",
     }.items()
 }
 """What each function of the equations depends on; the last three are there where time is a coordinate."""
@@ -76,6 +77,7 @@ EVALUATED = {
     "guesses": 0,
     "displacements": 0,
     "laws": 0,
+    "stops": 0,
     "state_rates": 0,
     "sliding": 0,
     "tangents": 4,
@@ -120,6 +122,9 @@ def evaluable(equations: Equations) -> Equations:
         "closure": ([q, p, s], closure),
         "guesses": ([p, s, sdot], [e.guess(p, s), e.guess_rate(p, s, sdot)]),
     }
+    if e.limited:
+        beyond = e.stops(q, p)
+        results["stops"] = ([q, p], [beyond, ca.jacobian(beyond, q)])
     functions = {"readings": e.readings}
     if e.states:
         functions["state_rates"] = e.state_rates

@@ -169,6 +169,7 @@ class Equations:
     rubbing(q, v, a, lam, u, p, t)   of dry friction: multipliers, limits, second rates
     sliding(q, v, p)                 rates of joints with dry friction
     instants(p)                      times that are declared as events, s
+    stops(q, p)                      how far displacements are beyond each limit of a stop, m or rad
     guess(p, s)                      start of the position assembly (n,)
     guess_rate(p, s, sdot)           its time derivative (n,)
     ties(q, p, s)                    independent quantities minus their start values
@@ -255,6 +256,8 @@ class Equations:
     """Inputs that move something."""
     leaps: Sequence[Leap] = ()
     """Laws of time that may jump, or not be finite."""
+    limited: Sequence[Variable] = ()
+    """Stops, by their names and units, one for each of their limits."""
     breaks: list[int] = field(default_factory=list)
     """Of a scene, levels of what tells when something jumps or bends by itself (`kernel.breaks`)."""
     jacobian: Sequence[tuple[str, str]] = ()

@@ -24,6 +24,7 @@ from ..equations import Equations
 from ..equations.specialisation import starting_at
 from ..kernel import DEFAULT
 from ..kernel.tables import identified, interface, known_choices, packed
+from ..model.doubts import tell_of_gravity
 from ..model.errors import ExportError
 from ..model.files import atomic, scratch
 from ..model.mechanism import Mechanism
@@ -179,6 +180,7 @@ def packed_scene(
     """All equations of a mechanism, and what of them an FMU carries, prepared; the arguments of `alfmu.export`, and the
     position of rest that becomes the start values."""
     every = derive(declared)
+    tell_of_gravity(declared)
     equations = chosen(every, parameters or {}, outputs, freeze)
     if rest is not None:
         begun = with_defaults(every, parameters or {})

@@ -58,7 +58,7 @@ __all__ = [
     "packed_start",
 ]
 
-VERSION = 18
+VERSION = 19
 """Of scene files; raised whenever their content changes meaning."""
 
 MAGIC = b"ALFMU\r\n\x1a"
@@ -87,7 +87,7 @@ HANDED = {
 
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks"),
+    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks stops"),
     **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions that the runtime calls, by their names in C."""
@@ -494,6 +494,9 @@ class _Table:
         if e.timed:
             self._followed(w)
             self._leaps(w)
+        for v in e.limited:
+            w.text(v.name)
+            w.text(v.unit)
         if variables.jacobian:
             self._jacobian(w)
 

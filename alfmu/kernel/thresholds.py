@@ -3,6 +3,8 @@
 `docs/singular.md` has what half and twice each of them would do. S1 to S5 are steps of that page.
 """
 
+import math
+
 ASIDE = (-0.7, -0.1, 0.1, 0.7)
 """displacement along the motion [rad or m]: places beside the start at which S1 calibrates; large enough that one of
 them is regular where the start is singular, and of two sizes, as one may be singular too."""
@@ -89,6 +91,14 @@ off."""
 DISTINCT = 0.1
 """way between assemblies [m or rad]: nearer ones are the same, found less exactly; an assembly that is found again from
 so far beside it is determined by the start values."""
+
+MISSED = math.pi / 3
+"""difference of an angle from its guess [rad]: the start names angles that end farther from it, by 60 degrees; guesses
+that a person takes from a drawing are nearer."""
+
+MISSED_LENGTHS = 3.0
+"""difference of a length from its guess over the mechanism's length [1]: the same of lengths, which may be long ways on
+small wheels."""
 
 DIRECTION = 1e-40
 """velocity [m/s or rad/s]: a motion that begins at rest near a singular position begins with it, as the places of a

@@ -85,7 +85,7 @@ BOOKKEEPING = (
     *("closures", "compliant", "declared_at", "drawn_bars", "drawn_joints", "drives", "end_stops", "generalized"),
     *("gravity_vector", "kinetic", "laws", "loads", "measured", "measured_joints", "measured_springs", "measures_all"),
     *("moves", "potential", "relations", "releases", "signals", "spatial_loads", "springs", "starts", "ties", "trace"),
-    "watched",
+    *("instants", "watched"),
 )
 """Public names that no user needs: they are not listed, and become private."""
 

@@ -5,6 +5,7 @@ Each is allowed and yet looks like a mistake. `model.checks` has those that a si
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 
 import casadi as ca
@@ -13,7 +14,7 @@ from .checks import hint
 from .mechanism import Mechanism
 from .parts import Body, stack
 
-__all__ = ["doubt", "evaluated", "masses", "no_gravity", "perhaps_grams"]
+__all__ = ["doubt", "evaluated", "masses", "no_gravity", "perhaps_grams", "tell", "tell_of_gravity"]
 
 _HEAVY = 20.0
 """Mass [kg] beyond which grams may have been meant."""
@@ -23,6 +24,11 @@ _APART = 300.0
 
 _NEAR = 30.0
 """Ratio of masses [1]: so far from those of other bodies the mass may be that was meant."""
+
+_LOGGER = logging.getLogger("alfmu")
+
+_TOLD: set[str] = set()
+"""Texts that this process has logged."""
 
 
 def doubt(m: Mechanism, turns: Callable[[Body], bool]) -> None:
@@ -74,3 +80,15 @@ def no_gravity(m: Mechanism) -> str:
     return (
         f"{m.name}: bodies have masses and no gravity acts; declare it by gravity(0, -9.81), or none by gravity(0, 0)"
     )
+
+
+def tell_of_gravity(m: Mechanism) -> None:
+    """Log once that bodies have masses and no gravity acts, where that is so."""
+    tell(no_gravity(m))
+
+
+def tell(text: str) -> None:
+    """Log a text as a warning, once in this process; an empty one is none."""
+    if text and text not in _TOLD:
+        _TOLD.add(text)
+        _LOGGER.warning("%s", text)

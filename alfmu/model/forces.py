@@ -35,7 +35,7 @@ from .parts import (
 from .spatial import SpatialBody, SpatialFreedom, SpatialJoint, SpatialMarker
 from .stops import CREEP, ONSET, EndStop
 from .units import rate_of
-from .words import counted, in_words, shown
+from .words import counted, in_words, quantity, shown
 
 __all__ = ["Forces"]
 
@@ -189,8 +189,8 @@ class Forces(Couplings):
             at = {which: self._at_defaults(f"the {which} limit of {what}", x) for which, x in limits.items()}
             if len(at) == 2 and not at["upper"] > at["lower"]:
                 raise DeclarationError(
-                    f"{self.name}: {what} has the upper limit {at['upper']:g} and the lower limit "
-                    f"{at['lower']:g}; the upper one must be above"
+                    f"{self.name}: {what} has the upper limit {quantity(at['upper'], along, 6)} and the lower limit "
+                    f"{quantity(at['lower'], along, 6)}; the upper one must be above"
                 )
         if dissipation is not None and restitution is not None:
             raise DeclarationError(f"{self.name}: {what} has a dissipation and a restitution; give one of them")

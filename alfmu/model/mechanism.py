@@ -45,7 +45,7 @@ from .parts import (
 )
 from .spatial import SpatialBody, SpatialFreedom, SpatialJoint
 from .units import rate_of
-from .words import in_words, shown, there_is
+from .words import in_words, quantity, shown, there_is
 
 __all__ = ["Mechanism"]
 
@@ -285,8 +285,8 @@ class Mechanism(Forces):
                 if each and there is not None and abs(each - there) > 1e-9 * max(1.0, abs(there)):
                     what, unit = ("rate of ", rate_of(start.unit)) if rate else ("", start.unit)
                     raise DeclarationError(
-                        f"{self.name}: the start {what}{name} is {each:g} {unit}, and its motion has {there:g} {unit} "
-                        "at t = 0; leave the start out, which follows the motion"
+                        f"{self.name}: the start {what}{name} is {quantity(each, unit, 6)}, and its motion has "
+                        f"{quantity(there, unit, 6)} at t = 0; leave the start out, which follows the motion"
                     )
             Declaration.starts.of(self).remove(start)
             ties = Declaration.ties.of(self)

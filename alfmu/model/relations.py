@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol
 import casadi as ca
 
 from .errors import DeclarationError
-from .words import Brief, in_words, shown
+from .words import Brief, in_words, quantity, shown
 
 __all__ = [
     "Belt",
@@ -669,7 +669,7 @@ def _toothed(m: Mechanism, what: str, pressure_angle: Scalar) -> Scalar:
     angle = m._constant(of, pressure_angle, "rad")
     if not 0 <= (at := m._at_defaults(of, angle)) < math.pi / 2:
         raise DeclarationError(
-            f"{m.name}: {of} is {at:g} rad; give one from 0 to below pi/2 (20 degrees are {INVOLUTE:.4f})"
+            f"{m.name}: {of} is {quantity(at, 'rad', 6)}; give one from 0 to below pi/2 (20 degrees are {INVOLUTE:.4f})"
         )
     return angle
 

@@ -141,10 +141,10 @@ def in_words(names: Collection[str]) -> str:
     return f"{', '.join(most)} or {last}" if most else last
 
 
-def quantity(value: float, unit: str) -> str:
+def quantity(value: float, unit: str, digits: int = 4) -> str:
     """A value with its unit, an angle in degrees, too."""
-    plain = f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
-    return f"{plain} ({math.degrees(value):.4g} deg)" if unit == "rad" else plain
+    plain = f"{value:.{digits}g}" if unit == "1" else f"{value:.{digits}g} {unit}"
+    return f"{plain} ({math.degrees(value):.4g} deg)" if unit == "rad" and value else plain
 
 
 def counted(count: int, of: str) -> str:

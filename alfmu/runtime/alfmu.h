@@ -100,6 +100,11 @@ typedef struct {
     int row;
 } Leap;
 
+/* A limit of a stop: its name, and the unit of what it limits. */
+typedef struct {
+    const char *name, *unit;
+} Limit;
+
 /* A joint with dry friction: the row that holds while it sticks, and where the displacement at which it does and the direction
    in which it slides stand among what is kept; whether its load is not unique. */
 typedef struct {
@@ -166,6 +171,8 @@ typedef struct {
     int followed_count;
     const Followed *followed;
     int leap_count;
+    int limit_count;
+    const Limit *limited;
     const Leap *leaps;
     int entries, directions; /* of the interface Jacobian: its entries are variables behind all others */
     const Jacobian_entry *jacobian;

@@ -133,7 +133,7 @@ Instance *instance_new(const Scene *s)
     i->room = (s->n <= DENSE ? 12 * side * side : 0) + (size_t)64 * side + s->closing.entries + s->holding.entries
         + 16 * (size_t)(s->mass.entries + s->constraint.entries + s->gaps.entries + s->tie_rows.entries)
         + 4 * (size_t)(driven_by(s) + s->outputs) + (size_t)(s->past + s->past_size - s->pace);
-    i->room += laws_room(s) + breaks_room(s) + peaks_room(s);
+    i->room += laws_room(s) + breaks_room(s) + peaks_room(s) + (size_t)s->limit_count * (2 + (size_t)s->n);
     if (s->frictions) /* What steps up to events remember. */
         i->room += (size_t)(18 * s->frictions + 2 * s->held + s->past + s->past_size - s->pace) + state_length(s) + peaks_length(s);
     /* The workspace of programs stands behind the memory, which is the last of the numbers. */

@@ -3,7 +3,7 @@
 #ifndef ALFMU_LAYOUT_H
 #define ALFMU_LAYOUT_H
 
-#define SCENE_VERSION 18
+#define SCENE_VERSION 19
 #define GROSS 1e-06
 #define TURN 3.141592653589793
 #define CORRECTIONS 20
@@ -128,6 +128,8 @@
 #define NEARER 0.8
 #define BETWEEN 2.0
 #define DISTINCT 0.1
+#define MISSED 1.0471975511965976
+#define MISSED_LENGTHS 3.0
 #define DIRECTION 1e-40
 #define RANKED 8
 #define FEW_RANKED 2
@@ -311,6 +313,7 @@
     X(sliding) \
     X(laws) \
     X(breaks) \
+    X(stops) \
     X(place) \
     X(bring) \
     X(settle) \

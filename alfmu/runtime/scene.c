@@ -859,6 +859,22 @@ static void leaps(Reader *r)
     shaped(r, "laws", s->laws, count > 0, 3, 1, s->n, s->n, s->own + s->held, 3 * (int)count);
 }
 
+/* Limits of stops, and what they are of. */
+static void limits(Reader *r)
+{
+    Scene *s = r->scene;
+    const Function *f = between(s->stops, 0, s->function_count) ? s->functions + s->stops : NULL;
+    const int count = f && f->inputs == 2 && f->outputs == 2 ? f->lengths[2] : 0;
+    Limit *made = enough(r, (size_t)count, 8) ? room(r, (size_t)count + 1, sizeof *made) : NULL;
+    for (int k = 0; k < count && !r->bad; k++) {
+        made[k].name = text(r);
+        made[k].unit = text(r);
+    }
+    s->limited = made;
+    s->limit_count = count;
+    shaped(r, "stops", s->stops, 0, 2, 2, s->n, s->own + s->held, count, (int64_t)count * s->n < INT32_MAX ? count * s->n : 0);
+}
+
 /* Programs --------------------------------------------------------------------------------------------------------- */
 
 static int within(const Reader *r, int64_t place, int64_t length)
@@ -1146,6 +1162,8 @@ static void body(Reader *r)
         followed(r);
     if (!r->bad)
         leaps(r);
+    if (!r->bad)
+        limits(r);
     if (!r->bad && r->at != r->end)
         jacobian(r);
     if (!r->bad && r->at != r->end)

@@ -8,7 +8,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "alfmu.h"
+#include "start.h"
 #include "tape.h"
 
 /* A step over the one before [1], from which on the motion only goes on. */
@@ -163,13 +163,15 @@ Outcome signals_aim(Instance *i, double start, double h)
         const Variable *v = s->variables + s->parameters + s->choices + s->followed[k].input;
         const double value = given(i, k).value[0], limit = s->followed[k].jump;
         double now[3];
+        char own[QUANTITY], there[QUANTITY], most[QUANTITY];
         at(polynomial(i, k), start, now);
         if (!(fabs(value - now[0]) <= limit))
             return say(i, REFUSED,
-                "%s, t = %.6g s: %s is %g %s, and what it moves has come to %g %s: a jump of %.3g %s, more than %g %s, "
+                "%s, t = %.6g s: %s is %s, and what it moves has come to %s: a jump of %.3g %s, more than %s, "
                 "which no rigid mechanism follows; change it less from one communication step to the next, give its rate "
                 "too (derivatives=1 of the input), or declare a larger jump",
-                s->name, start, v->name, value, v->unit, now[0], v->unit, fabs(value - now[0]), v->unit, limit, v->unit);
+                s->name, start, v->name, in_unit(v->unit, value, own), in_unit(v->unit, now[0], there), fabs(value - now[0]), v->unit,
+                in_unit(v->unit, limit, most));
     }
     for (int k = 0; k < s->followed_count; k++) {
         const Given g = given(i, k);

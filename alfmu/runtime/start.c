@@ -305,6 +305,15 @@ static int determined(Instance *i, Loops *loops, const double *assembly)
     return back;
 }
 
+const char *in_unit(const char *unit, double value, char *text)
+{
+    if (!strcmp(unit, "rad"))
+        write_text(text, QUANTITY, "%.6g rad (%.4g deg)", value, value * 90 / QUARTER);
+    else
+        write_text(text, QUANTITY, strcmp(unit, "1") ? "%.6g %s" : "%.6g", value, unit);
+    return text;
+}
+
 /* The widest gap, or the start value that is missed most. */
 static const char *gap_label(Instance *i, const Loops *loops, char *label, size_t size)
 {
@@ -321,7 +330,8 @@ static const char *gap_label(Instance *i, const Loops *loops, char *label, size_
         write_text(label, size, "a gap of %.3g %s at %s", sqrt(gap), s->rows[worst].unit, s->rows[worst].name);
     } else {
         const Variable *start = s->variables + s->own + s->tied[worst - s->l];
-        write_text(label, size, "%s missed by %.3g %s", start->name, fabs(loops->residue[worst]), start->unit);
+        char left[QUANTITY];
+        snprintf(label, size, "%s missed by %s", start->name, in_unit(start->unit, fabs(loops->residue[worst]), left));
     }
     return label;
 }
@@ -351,18 +361,6 @@ static int crossed(const Scene *s, const double *from, const double *to)
             most = c;
         }
     return most;
-}
-
-#define QUANTITY 64 /* characters */
-
-/* A value with its unit, an angle in degrees, too. */
-static const char *in_unit(const char *unit, double value, char *text)
-{
-    if (!strcmp(unit, "rad"))
-        snprintf(text, QUANTITY, "%.6g rad (%.4g deg)", value, value * 90 / QUARTER);
-    else
-        snprintf(text, QUANTITY, strcmp(unit, "1") ? "%.6g %s" : "%.6g", value, unit);
-    return text;
 }
 
 /* DONE, with a warning where the guess is about as near to another assembly, or the only one is on its other side. */
@@ -425,6 +423,189 @@ static Outcome not_closed(Instance *i, Loops *loops, const double *guess, double
     return say(i, FAILED, "%s: %s; the nearest assembly leaves %s; %s%s", s->name,
         contradict ? "the start values contradict each other" : "the loops cannot be closed", label,
         s->ties > 1 ? "give fewer or consistent start values" : "check lengths, offsets and start values", hint);
+}
+
+/* How far an assembly has an angle or a length from its guess, over what is told; a guess of zero may be none. */
+static double missed(const Instance *i, int c, const double *guess, const double *q)
+{
+    const Scene *s = i->scene;
+    const double told = radians(s, c) ? MISSED : metres(s, c) ? MISSED_LENGTHS * *i->length : INFINITY;
+    return guess[c] != 0.0 ? fabs(short_way(s, c, q[c] - guess[c])) / told : 0.0;
+}
+
+/* Whether the loops close elsewhere, near the guess whose angles that are missed or beyond a turn are read as degrees: `meant`
+   is that guess, and `there` the assembly beside it. */
+static int fits_in_degrees(Instance *i, Loops *loops, const double *guess, const double *q, double *meant, double *there)
+{
+    const Scene *s = i->scene;
+    const int paused = tape_pause(i, 1);
+    int fits = 0;
+    for (int c = 0; c < s->n; c++) {
+        const int beyond = radians(s, c) && fabs(guess[c]) > 4 * QUARTER, off = missed(i, c, guess, q) > 1.0;
+        fits |= (radians(s, c) && off) || (beyond && fabs(q[c] - guess[c]) > DISTINCT);
+        meant[c] = there[c] = guess[c] * (beyond || (radians(s, c) && off) ? QUARTER / 90 : 1.0);
+    }
+    if (fits)
+        followed(i, loops, there);
+    fits = fits && closes(i, loops, there) && apart(s, there, q) > DISTINCT;
+    for (int c = 0; c < s->n; c++)
+        fits &= meant[c] == guess[c] || fabs(short_way(s, c, there[c] - meant[c])) < AWAY;
+    tape_pause(i, paused);
+    return fits;
+}
+
+/* Adds a warning, unless there is one, of guesses far from which the loops closed; in its place one of angles in degrees. */
+static void check_guesses(Instance *i, Loops *loops, const double *guess, const double *q)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *meant = take(i, (size_t)s->n), *there = take(i, (size_t)s->n);
+    char list[sizeof i->text / 2] = "", own[QUANTITY], given[QUANTITY], other[QUANTITY];
+    const int degrees = fits_in_degrees(i, loops, guess, q, meant, there);
+    int found = 0;
+    for (int c = 0; c < s->n && (degrees || !*i->text); c++) {
+        const char *name = s->coordinates[c].name, *unit = s->coordinates[c].unit;
+        const double turns = fabs(guess[c]) > 4 * QUARTER && radians(s, c) ? q[c] - short_way(s, c, q[c]) : 0.0;
+        char *end = list + strlen(list);
+        if (degrees ? meant[c] == guess[c] : missed(i, c, guess, q) <= 1.0)
+            continue;
+        in_unit(unit, q[c] - turns, own);
+        in_unit(unit, guess[c], given);
+        if (++found > SAID / 2)
+            continue;
+        if (degrees)
+            snprintf(end, sizeof list - strlen(list), "%s%.40s is %s, guessed as %s, and would be %s", found > 1 ? "; " : "", name,
+                own, given, in_unit(unit, there[c], other));
+        else
+            snprintf(
+                end, sizeof list - strlen(list), "%s%.40s is %s, guessed as %s", found > 1 ? "; " : "", name, own, given);
+    }
+    if (found > SAID / 2)
+        snprintf(list + strlen(list), sizeof list - strlen(list), "; and %d more", found - SAID / 2);
+    if (degrees)
+        say(i, DONE,
+            "%s: the loops closed far from guesses that fit another assembly if they are read as degrees: %s; give guesses in "
+            "rad",
+            s->name, list);
+    else if (found)
+        say(i, DONE, "%s: the loops closed far from what was given: %s; give guesses closer to the assembly you want", s->name,
+            list);
+    i->used = used;
+}
+
+/* How far (limits) displacements are beyond their limits at q; `J` (limits x n, by columns) may be NULL. */
+static void beyond_limits(Instance *i, const double *q, double *beyond, double *J)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    const double *x[] = {q, field(i, s->p)};
+    double *y[] = {beyond, J ? J : take(i, (size_t)s->limit_count * (size_t)s->n)};
+    call(i, s->stops, x, y);
+    i->used = used;
+}
+
+/* The limit that q is beyond most, by how much more than is allowed there, lengths over that of the mechanism. */
+static double most_beyond(Instance *i, const double *q, const double *allowed, int *worst)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used;
+    double *beyond = take(i, (size_t)s->limit_count), most = -INFINITY;
+    beyond_limits(i, q, beyond, NULL);
+    for (int k = 0; k < s->limit_count; k++) {
+        const double left = (beyond[k] - allowed[k]) / (strcmp(s->limited[k].unit, "m") ? 1.0 : *i->length);
+        if (left > most) {
+            most = left;
+            *worst = k;
+        }
+    }
+    i->used = used;
+    return most;
+}
+
+/* Whether closing the loops and going back from limits, one after the other, leads from q to an assembly within limits. */
+static int brought_within(Instance *i, Loops *loops, const double *allowed, double *q)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n, count = (size_t)s->limit_count;
+    double *beyond = take(i, count), *J = take(i, count * n), *way = take(i, n), size = INFINITY, square, part;
+    int worst;
+    for (int pass = 0; pass < MOST && size > 0.0; pass++) {
+        followed(i, loops, q);
+        size = closes(i, loops, q) ? most_beyond(i, q, allowed, &worst) : NAN;
+        if (!(size > 0.0))
+            break;
+        beyond_limits(i, q, beyond, J);
+        memset(way, 0, n * sizeof *way);
+        size = square = part = 0.0;
+        for (int k = 0; k < s->limit_count; k++) { /* A little within them, so that few passes are made. */
+            const double unit = strcmp(s->limited[k].unit, "m") ? 1.0 : *i->length;
+            const double left = beyond[k] > allowed[k] ? (beyond[k] - allowed[k]) / unit + DISTINCT / 10 : 0.0;
+            size += left * left;
+            for (int c = 0; c < s->n; c++)
+                way[c] += left * J[(size_t)c * count + (size_t)k] * (metres(s, c) ? *i->length : 1.0) / unit;
+        }
+        for (int c = 0; c < s->n; c++) {
+            square += way[c] * way[c];
+            part = fmax(part, fabs(way[c]));
+        }
+        if (square < 1e-300)
+            break;
+        part = fmin(size / square, LONGEST_TURN / part);
+        for (int c = 0; c < dependent(s); c++)
+            q[c] -= part * way[c] * (metres(s, c) ? *i->length : 1.0);
+    }
+    i->used = used;
+    return size <= 0.0;
+}
+
+/* Looks for an assembly within the limits of stops where the one at q is far beyond one, and takes the nearest found. What the
+   guess itself is beyond a limit is allowed. */
+static void keep_limits(Instance *i, Loops *loops, const double *guess, double *q, Mark begin)
+{
+    const Scene *s = i->scene;
+    const size_t used = i->used, n = (size_t)s->n;
+    double *allowed, *tried, *found, nearest_way = INFINITY, left;
+    char how[QUANTITY], own[QUANTITY], given[QUANTITY];
+    int worst, most;
+    if (!s->limit_count || s->n > DENSE)
+        return;
+    allowed = take(i, (size_t)s->limit_count);
+    tried = take(i, n);
+    found = take(i, n);
+    beyond_limits(i, guess, allowed, NULL);
+    for (int k = 0; k < s->limit_count; k++)
+        allowed[k] = fmax(allowed[k], 0.0);
+    left = most_beyond(i, q, allowed, &worst);
+    if (left > DISTINCT) { /* Less is a load on the stop. */
+        const int paused = tape_pause(i, 1);
+        for (int k = -1; k < TRIES; k++) {
+            memcpy(tried, q, n * sizeof *tried);
+            if (k >= 0)
+                beside(s, guess, 3.0, k, tried);
+            if (brought_within(i, loops, allowed, tried) && apart(s, guess, tried) < nearest_way) {
+                nearest_way = apart(s, guess, tried);
+                memcpy(found, tried, n * sizeof *found);
+            }
+        }
+        tape_pause(i, paused);
+        in_unit(s->limited[worst].unit, left * (strcmp(s->limited[worst].unit, "m") ? 1.0 : *i->length), how);
+        if (nearest_way < INFINITY) {
+            tape_cut(i, begin);
+            memcpy(q, found, n * sizeof *q);
+            tape_copy(i, q, guess, n);
+            way(s, guess, q, &most);
+            say(i, DONE,
+                "%s: the assembly nearest to the guess is beyond %s by %s; the nearest found within limits is taken, where %s is "
+                "%s, guessed as %s; give start values or guesses closer to the assembly you want",
+                s->name, s->limited[worst].name, how, s->coordinates[most].name, in_unit(s->coordinates[most].unit, q[most], own),
+                in_unit(s->coordinates[most].unit, guess[most], given));
+        } else
+            say(i, DONE,
+                "%s: no assembly within limits was found; the one taken is beyond %s by %s; check the limits, lengths and start "
+                "values",
+                s->name, s->limited[worst].name, how);
+    }
+    i->used = used;
 }
 
 static Outcome positions(Instance *i, Loops *loops, const double *guess, double *q)
@@ -763,6 +944,7 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     Loops loops = loops_new(i, held);
     const char *open;
     Outcome outcome;
+    Mark begin;
     taped_call(i, s->guesses, x, y);
     *i->length = s->l ? own_length(i, guess) : 1.0;
     if (!isfinite(norm(guess, s->n)))
@@ -771,9 +953,14 @@ Outcome assemble(Instance *i, const unsigned char *held, double *q, double *v)
     else if ((open = without_gap(i, &loops, guess)))
         outcome = say(i, FAILED,
             "%s: at the start guess the gap of %s is not finite; check the dimensions, axes and start values", s->name, open);
-    else
+    else {
+        begin = tape_mark(i);
         outcome = positions(i, &loops, guess, q);
+        if (outcome == DONE)
+            keep_limits(i, &loops, guess, q, begin);
+    }
     if (outcome == DONE) {
+        check_guesses(i, &loops, guess, q);
         tape_closing(i, held, q, NULL, NULL, 1.0); /* Where it ends, the loops are closed. */
         outcome = rates(i, &loops, q, v);
     }

@@ -5,6 +5,8 @@
 
 #include "alfmu.h"
 
+#define QUANTITY 64 /* characters */
+
 #if defined(__GNUC__) && !defined(_WIN32)
 #pragma GCC visibility push(hidden)
 #endif
@@ -19,6 +21,9 @@ typedef struct {
 typedef struct {
     Matrix constraints, ties;
 } Rows;
+
+/* A value with its unit, an angle in degrees, too. */
+const char *in_unit(const char *unit, double value, char *text);
 
 Matrix matrix_new(Instance *i, const Pattern *pattern);
 

@@ -194,8 +194,8 @@ def in_short(a: About) -> list[str]:
         *([_fitted("not unique, as redundant constraints share a load", a.shared)] if a.shared else []),
         *_friction(a),
         *_gravity(a),
-        _fitted("parameters", [f"{v.name} = {_start(v)} {v.unit}".removesuffix(" 1") for v in own]),
-        _fitted("at the start", [f"{v.name} = {_start(v)} {v.unit}" for v in starts]),
+        _fitted("parameters", [f"{v.name} = {_valued(v)}" for v in own]),
+        _fitted("at the start", [f"{v.name} = {_valued(v)}" for v in starts]),
         _fitted("inputs", [f"{v.name} [{v.unit}]" for v in a.inputs]),
         _fitted(f"outputs ({len(a.outputs)})", *_owned(a.outputs), "; "),
         _fitted("run", [f"{e.stop_time:g} s in steps of {e.interval:g} s", f"method {a.chosen}"]),
@@ -240,7 +240,11 @@ def in_all(a: About) -> list[str]:
     titles = {"parameters and start values": a.parameters, "inputs": a.inputs, "outputs": a.outputs}
     for title, variables in titles.items():
         starts = ["" if title == "outputs" else _start(v) for v in variables]
-        rows = _merged((v.name, start, v.unit, v.description) for v, start in zip(variables, starts, strict=True))
+        units = [f"{v.unit} {_in_degrees(v)}" if start else v.unit for v, start in zip(variables, starts, strict=True)]
+        rows = _merged(
+            (v.name, start, unit.strip(), v.description)
+            for v, start, unit in zip(variables, starts, units, strict=True)
+        )
         width = max([32, *(len(name) for name, *_ in rows)])
         lines += ["", f"{title}:"]
         lines += [f"  {name:{width}} {start:>10} {unit:12} {text}".rstrip() for name, start, unit, text in rows]
@@ -259,6 +263,16 @@ def _freedom(a: About) -> str:
 
 def _start(v: Variable) -> str:
     return v.start if isinstance(v.start, str) else f"{v.start:g}"
+
+
+def _in_degrees(v: Variable) -> str:
+    """The start of an angle as a person reads it."""
+    return f"({math.degrees(v.start):.4g} deg)" if v.unit == "rad" and isinstance(v.start, float) and v.start else ""
+
+
+def _valued(v: Variable) -> str:
+    """Its start with its unit, an angle in degrees, too."""
+    return v.start if isinstance(v.start, str) else quantity(v.start, v.unit, 6)
 
 
 def _fitted(title: str, texts: Sequence[str], counts: Sequence[int] = (), between: str = ", ") -> str:

@@ -19,6 +19,7 @@ from ..equations.interface import BALANCE, CHOICES
 from ..kernel import DEFAULT
 from ..kernel.tables import packed
 from ..model.checks import perhaps_degrees, perhaps_millimetres
+from ..model.doubts import tell_of_gravity
 from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
@@ -275,7 +276,9 @@ def _scene(
                 f"{recipe}: a sweep begins at start values, and a position of rest changes with what is varied; take a "
                 "recipe that starts as declared"
             )
-        e = derive(recipe.declared())
+        declared = recipe.declared()
+        e = derive(declared)
+        tell_of_gravity(declared)
         given, outputs = {**recipe.parameters, **given}, recipe.outputs
         freeze, kernel = recipe.freeze if freeze is None else freeze, kernel or recipe.kernel
     if kernel == "oracle":

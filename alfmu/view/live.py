@@ -27,6 +27,7 @@ from ..equations import Equations, Variable
 from ..equations.interface import state_starts, variables_of
 from ..kernel.stream import BINARY, UNARY
 from ..kernel.tables import packed
+from ..model.doubts import tell_of_gravity
 from ..model.errors import AlfmuError, InputError
 from ..model.files import write
 from ..model.mechanism import Mechanism
@@ -71,6 +72,7 @@ def live(
     """
     e = prepared(equations, "vm")
     unit = Instance(e)
+    tell_of_gravity(mechanism)
     wasm = library(WEB, e.name)
     looked, scale = _look(unit, e)
     shapes = _shapes(mechanism, e, parameters or {}, looked)

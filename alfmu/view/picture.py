@@ -27,7 +27,7 @@ from ..model.errors import AlfmuError, AssemblyError, InputError
 from ..model.files import atomic, write
 from ..model.mechanism import Mechanism
 from ..model.parts import Start
-from ..model.words import shown, there_is
+from ..model.words import quantity, shown, there_is
 from ..runtime import Instance
 from ..runtime.probe import Probe
 from ..runtime.reuse import derive, ready
@@ -227,7 +227,7 @@ def drawing(
         turned = {angle.name: round(angle.start + 1, 4)}
         with suppress(AlfmuError):
             columns = _start(shapes, with_defaults(equations, turned))
-            caption = f"shown at {angle.name} = {turned[angle.name]:g} rad"
+            caption = f"shown at {angle.name} = {quantity(turned[angle.name], 'rad')}"
     covered: Mapping[str, ArrayLike] = columns
     trails = {}
     dots = shapes.space.dots if shapes.space else shapes.dots

@@ -20,11 +20,15 @@ def _unit(x: NDArray) -> NDArray:
     return x / np.linalg.norm(x)
 
 
-def opened(seed: int, planar: bool) -> alfmu.Mechanism:
-    """Three to six bodies in a tree, one to three joints that close loops; in space, or in a plane of any direction."""
+def opened(seed: int, planar: bool, true: dict[str, float] | None = None) -> alfmu.Mechanism:
+    """Three to six bodies in a tree, one to three joints that close loops; in space, or in a plane of any direction.
+
+    `true` is filled with the coordinates at which they are closed.
+    """
+    true = {} if true is None else true
     rng = np.random.default_rng(seed)
     size, normal = 10 ** rng.uniform(-1, 0.7), _unit(rng.normal(size=3))
-    m, true = alfmu.Mechanism(f"open{seed}"), {}
+    m = alfmu.Mechanism(f"open{seed}")
 
     def flat(x: NDArray) -> NDArray:
         return x - normal * (x @ normal) if planar else x

@@ -316,10 +316,10 @@ def _dynamic(
         }
         (box / TASK).write_text(json.dumps(task), encoding="utf-8")
         while left := [id for id in ids if not result_file(box, id).exists()]:
-            why = _watched(box, timeout, progress)
+            result, detail = _watched(box, timeout, progress)
             died = (box / CURRENT).read_text(encoding="utf-8") if (box / CURRENT).exists() else left[0]
             if not result_file(box, died).exists():
-                _write(box, checks[died].finding(version, *why))
+                _write(box, checks[died].finding(version, result or checks[died].fault, detail))
         return [Finding(**json.loads(result_file(box, id).read_text(encoding="utf-8"))) for id in ids]
 
 
@@ -330,7 +330,8 @@ def _write(box: Path, finding: Finding) -> None:
 def _watched(box: Path, timeout: float, progress: Callable[[str], object]) -> tuple[str, str]:
     """Run the process until it ends or a check takes too long.
 
-    Gives the result and the reason of the check that it was making then, for the case that it has none.
+    Gives the result and the reason of the check that it was making then, for the case that it has none: no result is
+    that of a fault.
     """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[3]), *_search()])}
     command = [sys.executable, "-m", f"{__package__}.child", str(box)]
@@ -359,7 +360,7 @@ def _watched(box: Path, timeout: float, progress: Callable[[str], object]) -> tu
     call = Journal.read(box / JOURNAL)
     where = f" in {call}" if call else " between calls"
     if late:
-        return FAILED, f"it did not return within {timeout:g} s{where}"
+        return "", f"it did not return within {timeout:g} s{where}"
     if process.returncode == _DIED:
         said = (box / "output").read_text(encoding="utf-8", errors="replace").strip().splitlines() or [""]
         return UNJUDGED, f"the checker stopped{where}: {said[-1]}"

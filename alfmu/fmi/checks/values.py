@@ -17,8 +17,9 @@ from .unit import WARNING, Broken, Session, Unit, Variable, shown
 _PARAMETERS = 60
 """Variables of which the influence on the start is tried, each in an instance of its own."""
 
-_DIGITS = 2
-"""Last digits [1] by which a start value may differ from that of the description."""
+_DIGITS = {"Float32": 1e-6}
+"""Relative difference [1] of a start value from that of the description: the last of the digits that any writer of
+decimals keeps, which are 6 of Float32 and 15 of other types."""
 
 _SEEN = 1e-9
 """Change [1] of an output, over 1 and its value, that is no round-off."""
@@ -55,9 +56,8 @@ def starts(s: Session, task: Task) -> str:
 
 
 def _equal(v: Variable, value: Any) -> bool:
-    if v.type in ("Real", "Float32", "Float64"):  # two readers of a decimal may differ in the last digit
-        digit = np.spacing(np.float32(v.start) if v.type == "Float32" else np.float64(v.start))
-        return v.start == value or bool(abs(value - v.start) <= _DIGITS * abs(digit))
+    if v.type in ("Real", "Float32", "Float64"):
+        return bool(v.start == value or abs(value - v.start) <= _DIGITS.get(v.type, 1e-14) * abs(v.start))
     return value == v.start
 
 
@@ -138,6 +138,7 @@ def _handled(s: Session, v: Variable, value: Any, running: bool) -> str:
     "NaN and infinities as inputs are refused, handled or handed through (a question of this checker alone)",
     "2.1.3 Status Returned by Functions",
     "Status Returned by Functions",
+    fault=RISKY,
 )
 def nonfinite(s: Session, task: Task) -> str:
     inputs = [v for v in s.of("input") if v.type in ("Real", "Float64", "Float32")]
