@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from oracles.newton_euler import NewtonEuler
 from scipy.spatial.transform import Rotation
-from turned import KINDS, Linkage
+from turned import KINDS, Linkage, slider_crank
 
 import alfmu
 from alfmu.runtime.probe import Probe
@@ -60,6 +60,15 @@ def test_a_tight_tolerance_holds_in_every_direction(kind, seed):
     linkage, (turn, offset) = drawn(kind, seed), direction(seed + 1)
     tight = {"solver.relative_tolerance": 1e-9}
     assert np.abs(motion(linkage, turn, offset, **tight)[0] - motion(linkage, **tight)[0]).max() <= 1e-9
+
+
+@pytest.mark.parametrize("absolute", ["l", "c", "lc"])
+def test_bodies_with_coordinates_of_their_own_move_as_those_on_joints(absolute):
+    """From rest, as a joint between bodies with coordinates of their own has no rate to begin with."""
+    linkage = slider_crank(np.random.default_rng(0))
+    linkage.rate = 0.0
+    tight = {"solver.relative_tolerance": 1e-9}
+    assert np.abs(motion(linkage, *direction(1), absolute, **tight)[0] - motion(linkage, **tight)[0]).max() <= 1e-9
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)

@@ -499,13 +499,9 @@ def rule_beside(rule: Explicit) -> Explicit:
     return EXPLICIT8_BESIDE if rule is EXPLICIT8 else rule
 
 
-SHARE = 0.002
-"""Tolerance of a step over that of a run, as errors of steps add up and grow with the motion."""
-
-
-SHORT_SHARE = 0.008
-"""The same for short steps, of which a run has few that use all of it: at 1e-4 to 1e-8 and communication steps of 5 to
-20 ms the errors of five mechanisms are at most 1.7 tolerances, by 0.002 at most 0.4 in 1.4 times the evaluations."""
+SHARE = 0.0016
+"""Tolerance of a step over that of a run, as errors of steps add up and grow with the motion: a slider-crank of equal
+links that turns twice is at most 7e-8 rad off at the default tolerance in 12,000 phases, at 0.002 1.2e-7."""
 
 
 STEADY = 1e-6
@@ -522,8 +518,7 @@ def share(method: Explicit | Collocation) -> tuple[float, float]:
     The estimate of a collocation method is of an order far below its own: with the exponent of Hairer and Wanner's
     RADAU code, the error follows the tolerance all the same.
     """
-    factor = SHORT_SHARE if method is EXPLICIT5_SHORT else SHARE
-    return factor, (method.estimate + 1) / (method.order + 1) if isinstance(method, Collocation) else 1.0
+    return SHARE, (method.estimate + 1) / (method.order + 1) if isinstance(method, Collocation) else 1.0
 
 
 SPLIT = 2.0

@@ -141,7 +141,8 @@
 #define SAID 6
 #define FIRST_STEP 0.001
 #define SHORTENED 0.2
-#define REGAINED 1.2
+#define REGAINED 1.1
+#define EXACTER 1.1
 #define LONGER 5.0
 #define PATIENCE 100
 #define MOST_PATIENCE 1600

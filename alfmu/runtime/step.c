@@ -125,8 +125,8 @@ static void turn_to(double *pace, int kind)
     pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
 }
 
-/* Whether short steps reach the end with fewer evaluations than those of the method; they are made for penalties that are
-   scaled with the masses, of constraints that are all in force. */
+/* Whether short steps reach the end with clearly fewer evaluations than those of the method; they are made for penalties
+   that are scaled with the masses, of constraints that are all in force. */
 static int short_ones(const Instance *i, double left)
 {
     const Scene *s = i->scene;
@@ -135,7 +135,8 @@ static int short_ones(const Instance *i, double left)
     const double own = pace[PACE_DT], other = pace[PACE_OTHER_DT] > 0.0 ? pace[PACE_OTHER_DT] : own;
     if (s->short_step < 0 || pace[PACE_FIXED] != 0.0 || i->m[s->control + CONTROL_TIER] != 0.0)
         return 0;
-    return s->short_cost * ceil(left / (kind ? own : other)) <= s->method_cost * ceil(left / (kind ? other : own));
+    return EXACTER * s->short_cost * ceil(left / (kind ? own : other))
+        <= s->method_cost * ceil(left / (kind ? other : own));
 }
 
 /* A try of a short step, on the branch near a singular position; 0 where it cannot be judged, or there is not accepted: the
