@@ -1,0 +1,389 @@
+/* What the library offers beside the functions of FMI: scenes and instances for a binding such as library.py. */
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#if !defined(__wasm__)
+#include <time.h>
+#endif
+
+#include "balance.h"
+#include "begin.h"
+#include "border.h"
+#include "fmi.h"
+#include "instance.h"
+#include "layout.h"
+#include "lifetime.h"
+#include "message.h"
+#include "outputs.h"
+#include "rank.h"
+#include "run.h"
+#include "scene.h"
+#include "scene_sizes.h"
+#include "state.h"
+#include "topology.h"
+#include "variables.h"
+#include "whole_run.h"
+
+#if !defined(__wasm__)
+#endif
+
+API int alfmu_scene_version(void)
+{
+    return SCENE_VERSION;
+}
+
+API Scene *alfmu_scene_load(const unsigned char *bytes, size_t size, char *why, size_t why_size)
+{
+    INSIDE(Scene *, scene_load(bytes, size, why, why_size));
+}
+
+/* The functions of the scene as compiled code in place of interpreted ones; zero where they are of another scene. */
+API int alfmu_scene_compiled(Scene *s, Compiled *const *functions, int count, int spare, const char *identity)
+{
+    return scene_compiled(s, functions, count, spare, identity);
+}
+
+API void alfmu_scene_free(Scene *s)
+{
+    scene_free(s);
+}
+
+API Instance *alfmu_new(const Scene *s)
+{
+    return instance_new(s);
+}
+
+API void alfmu_free(Instance *i)
+{
+    instance_free(i);
+}
+
+API void alfmu_reset(Instance *i)
+{
+    instance_reset(i);
+}
+
+API const char *alfmu_text(const Instance *i)
+{
+    return i->text;
+}
+
+/* Whether there is a warning that was not read yet: whoever reads it writes 0. */
+API int *alfmu_warns(Instance *i)
+{
+    return &i->warns;
+}
+
+API const char *alfmu_warning(const Instance *i)
+{
+    return i->warning;
+}
+
+/* The error of a communication step that the caller made. */
+API double alfmu_balance(Instance *i)
+{
+    arena_reset(i);
+    instance_balance(i);
+    return i->counts[STEP_ERROR];
+}
+
+API const char *alfmu_name(const Scene *s)
+{
+    return s->name;
+}
+
+API int alfmu_variable_count(const Scene *s)
+{
+    return scene_variable_count(s);
+}
+
+API const char *alfmu_variable(const Scene *s, int reference, int *type, int *kind)
+{
+    *type = (int)s->variables[reference].type;
+    *kind = (int)s->variables[reference].kind;
+    return s->variables[reference].name;
+}
+
+API int alfmu_set(Instance *i, int reference, double value)
+{
+    INSIDE(int, instance_set(i, reference, value));
+}
+
+API int alfmu_choose(Instance *i, int reference, const char *value)
+{
+    const Scene *s = i->scene;
+    const Choice *choice = s->choice + (reference - s->parameters);
+    char known[300] = "";
+    for (int k = 0; k < choice->count; k++) {
+        if (!strcmp(value, choice->values[k]))
+            return (int)instance_set(i, reference, k + 1);
+        if (strlen(known) + strlen(choice->values[k]) + 3 < sizeof known) {
+            strcat(known, *known ? ", " : "");
+            strcat(known, choice->values[k]);
+        }
+    }
+    return (int)instance_say(i, REFUSED, "%s: %s is '%.60s'; use one of %s, or make the scene with it (export with --set %s=%.60s)",
+        s->name, s->variables[reference].name, value, known, s->variables[reference].name, value);
+}
+
+API const char *alfmu_chosen(const Instance *i, int reference)
+{
+    return i->scene->choice[reference - i->scene->parameters].values[(int)instance_get(i, reference) - 1];
+}
+
+API double alfmu_get(const Instance *i, int reference)
+{
+    return instance_get(i, reference);
+}
+
+API double alfmu_time(Instance *i)
+{
+    return *instance_time(i);
+}
+
+API void alfmu_set_time(Instance *i, double time)
+{
+    *instance_time(i) = time;
+}
+
+API int alfmu_tolerate(Instance *i, double tolerance)
+{
+    INSIDE(int, instance_tolerate(i, tolerance));
+}
+
+API int alfmu_begin(Instance *i, double start, double stop)
+{
+    INSIDE(int, instance_begin(i, start, stop));
+}
+
+/* How an input changes in the next communication step, per second; it is held in those after it. */
+API int alfmu_slope(Instance *i, int reference, double value)
+{
+    INSIDE(int, instance_set_slope(i, reference, value));
+}
+
+/* From here on parameters are fixed, or can be changed again. */
+API void alfmu_run_on(Instance *i, int running)
+{
+    i->flags.phase = running ? STEPPING : INITIALIZING;
+}
+
+API int alfmu_initialized(const Instance *i)
+{
+    return i->flags.initialized;
+}
+
+API int alfmu_initialize(Instance *i)
+{
+    INSIDE(int, instance_initialize(i));
+}
+
+/* What `alfmu_step` begins with, for a caller that makes the step itself. */
+API int alfmu_ready(Instance *i, double start, double h)
+{
+    INSIDE(int, instance_ready(i, start, h));
+}
+
+/* How often something jumps by itself in that step, and the times just before and just after each where there is room. */
+API int alfmu_breaks(const Instance *i, double *times)
+{
+    if (times)
+        memcpy(times, i->breaks, 2 * (size_t)i->broken * sizeof *times);
+    return i->broken;
+}
+
+API int alfmu_step(Instance *i, double start, double h)
+{
+    INSIDE(int, instance_step(i, start, h));
+}
+
+/* Functions of Python's own C interface, as the binding hands them over: the library is not linked with Python. */
+typedef struct {
+    double (*number)(void *object); /* PyFloat_AsDouble */
+    void *(*address)(void *object); /* PyLong_AsVoidPtr */
+    void *(*failed)(void);          /* PyErr_Occurred */
+    void *(*release)(void);         /* PyEval_SaveThread */
+    void (*acquire)(void *thread);  /* PyEval_RestoreThread */
+    void *(*object)(long number);   /* PyLong_FromLong */
+} Python;
+
+static Python python;
+
+/* `alfmu_step` for Python, which calls it in a tenth of the time that ctypes takes: self is the address of an instance, the
+   arguments are the start and the length; NULL is an exception. */
+static void *step_from_python(void *self, void *const *arguments, ptrdiff_t count)
+{
+    const double start = count > 0 ? python.number(arguments[0]) : NAN, h = count > 1 ? python.number(arguments[1]) : NAN;
+    void *instance = python.address(self), *thread;
+    int outcome;
+    if (python.failed())
+        return NULL;
+    thread = python.release();
+    outcome = alfmu_step(instance, start, h);
+    python.acquire(thread);
+    return python.object(outcome);
+}
+
+/* A function in C as Python knows one: PyMethodDef, with its arguments as an array (METH_FASTCALL). */
+typedef struct {
+    const char *name;
+    void *(*function)(void *self, void *const *arguments, ptrdiff_t count);
+    int flags;
+    const char *doc;
+} Method;
+
+/* What Python makes a built-in function of, which has to last as long as that does. */
+API const Method *alfmu_python_step(const Python *functions)
+{
+    static const Method method = {"step", step_from_python, 0x80, NULL};
+    python = *functions;
+    return &method;
+}
+
+/* Outputs at this instant; where they cannot be computed, those that can. */
+API int alfmu_read(Instance *i, double *values)
+{
+    const int first = scene_first_output(i->scene), end = scene_variable_count(i->scene);
+    const Border border = border_in();
+    const Outcome outcome = instance_read(i);
+    for (int k = first; k < end; k++)
+        values[k - first] = instance_get(i, k);
+    border_out(&border);
+    return (int)outcome;
+}
+
+API int alfmu_get_many(Instance *i, const int *references, int count, double *values)
+{
+    const int first = scene_first_output(i->scene);
+    const Border border = border_in();
+    Outcome outcome = DONE;
+    int reads = 0;
+    for (int k = 0; k < count; k++)
+        reads |= references[k] >= first;
+    if (reads)
+        outcome = instance_read(i);
+    instance_get_many(i, references, count, values);
+    border_out(&border);
+    return (int)outcome;
+}
+
+API size_t alfmu_state_size(const Instance *i)
+{
+    return state_size(i);
+}
+
+API void alfmu_save(const Instance *i, unsigned char *state)
+{
+    state_save(i, state);
+}
+
+API int alfmu_restore(Instance *i, const unsigned char *state, size_t size)
+{
+    INSIDE(int, state_restore(i, state, size));
+}
+
+/* Where q, v, computed angles, work and time stand, in this order, as long as the instance lives. */
+API double *alfmu_state(Instance *i)
+{
+    return i->m + i->scene->z;
+}
+
+/* What has no variable: zeta and omega of stabilised formulations, and whether steps end with projections (-1: as the
+   formulation has it). */
+API int alfmu_stabilise(Instance *i, double zeta, double omega, int projection)
+{
+    return (int)instance_stabilise(i, zeta, omega, projection);
+}
+
+API int alfmu_mobility(Instance *i, int which, int *freedom, int *redundant, int *here, double *place)
+{
+    return (int)instance_mobility(i, (Counted_rows)which, freedom, redundant, here, place);
+}
+
+/* Whether redundant constraints would brake the motion that begins at the start. */
+API int alfmu_brakes(const Instance *i)
+{
+    return i->flags.brakes;
+}
+
+/* Penalties of all constraints: those of the start where the instance is not initialised yet. */
+API int alfmu_penalize(Instance *i, const double *penalties)
+{
+    return (int)instance_penalize(i, penalties);
+}
+
+API void alfmu_penalties(const Instance *i, double *penalties)
+{
+    memcpy(penalties, i->penalty, (size_t)i->scene->l * sizeof *penalties);
+}
+
+API void alfmu_counts(const Instance *i, double *counts)
+{
+    memcpy(counts, i->counts, COUNTED * sizeof *counts);
+    memcpy(counts + COUNTED, i->m + i->scene->tally, TALLY * sizeof *counts);
+    counts[COUNTED + TALLY] = (double)i->shared;
+}
+
+#if !defined(__wasm__) /* a page runs step by step, and has no clock of C */
+
+static int row_of_run(Instance *i, const Run *r, long row)
+{
+    Outcome outcome = DONE;
+    for (int k = 0; k < r->input_count && outcome == DONE; k++)
+        outcome = instance_set(i, r->inputs[k], r->table[row * r->input_count + k]);
+    if (outcome == DONE && row == 0 && !i->flags.initialized)
+        outcome = instance_initialize(i);
+    alfmu_run_on(i, i->flags.initialized);
+    return outcome == DONE ? alfmu_get_many(i, r->wanted, r->wanted_count, r->values + row * r->wanted_count)
+                           : (int)outcome;
+}
+
+/* A run that goes on. */
+typedef struct {
+    const Run *run;
+    long done; /* communication steps that are made */
+    clock_t asked;
+} Going;
+
+/* Asks the caller of a run, some times a second, whether it goes on. */
+static int goes_on(Instance *i)
+{
+    Going *going = i->run;
+    int on = 1;
+    if (clock() - going->asked > CLOCKS_PER_SEC / 20) {
+        on = going->run->progress(going->done);
+        going->asked = clock();
+    }
+    return on;
+}
+
+/* Makes the run; returns how many rows of values there are. `outcome` says why there are no more: below zero where the run
+   was interrupted, within a communication step too. */
+API long alfmu_run(Instance *i, const Run *r, int *outcome)
+{
+    Going going = {r, 0, clock()};
+    long row = 0;
+    *outcome = DONE;
+    i->run = &going;
+    i->go_on = r->progress ? goes_on : NULL;
+    while (row < r->count && *outcome == DONE) {
+        if (row > 0) {
+            going.done = row - 1;
+            i->looks = -1; /* The first internal step asks. */
+            *outcome = (int)instance_step(i, r->times[row - 1], r->times[row] - r->times[row - 1]);
+        }
+        if (*outcome == DONE)
+            *outcome = row_of_run(i, r, row);
+        row += *outcome == DONE;
+    }
+    if (i->ended)
+        *outcome = -1;
+    i->run = NULL;
+    i->go_on = NULL;
+    i->ended = 0;
+    return row;
+}
+
+#endif

@@ -1,0 +1,19 @@
+/* A run in one call, as a binding asks for it. */
+
+#ifndef ALFMU_WHOLE_RUN_H
+#define ALFMU_WHOLE_RUN_H
+
+/* A run in one call: a grid of communication points, inputs at each, the variables that are wanted at each. */
+typedef struct {
+    const double *times; /* communication points, the start first */
+    long count;
+    const int *inputs; /* references of inputs, by columns of `table`, a row for each communication point */
+    int input_count;
+    const double *table;
+    const int *wanted; /* references, by columns of `values` */
+    int wanted_count;
+    double *values;
+    int (*progress)(long done); /* some times a second, where there is one; zero interrupts the run */
+} Run;
+
+#endif

@@ -1,0 +1,28 @@
+/* Inputs that move something: their course within a communication step. */
+
+#ifndef ALFMU_DRIVING_INPUTS_H
+#define ALFMU_DRIVING_INPUTS_H
+
+#include "instance.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+/* What is heard of an input: how many points are known, of which derivative, their times and values, newest first. */
+enum { KNOWN_POINTS, LEVEL, TIMES, VALUES = TIMES + HEARD_POINTS };
+
+/* What is given of an input: value, rate and acceleration, and the highest of them. */
+typedef struct {
+    double value[3];
+    int level;
+} Given;
+
+enum { SAVED_LEVEL = HEARD, SAVED_START, SAVED_STEP, SAVED_FROM, SAVED_LITTLE, SAVED };
+
+void inputs_begin(Instance *i, double time);
+void input_aim(const Followed *f, const Given *g, double *c, double *heard, double start, double h, double little);
+Outcome inputs_aim(Instance *i, double start, double h);
+
+#include "internal_end.h"
+
+#endif

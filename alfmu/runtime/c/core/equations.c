@@ -1,0 +1,116 @@
+/* Constraints and energies of an instance at any position and velocity. */
+
+#include "equations.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "instance.h"
+#include "interpret.h"
+#include "record.h"
+#include "scene.h"
+
+/* A matrix of nonzeros within the first of `rows` rows of a dense one. */
+void pattern_spread(const Pattern *pattern, const double *values, double *dense, int rows)
+{
+    for (int c = 0; c < pattern->columns; c++) {
+        memset(dense + c * rows, 0, (size_t)pattern->rows * sizeof *dense);
+        for (int k = pattern->offsets[c]; k < pattern->offsets[c + 1]; k++)
+            dense[c * rows + pattern->indices[k]] = values[k];
+    }
+}
+
+/* M, C (their nonzeros), Phi and C v; each may be NULL. */
+void constraints_evaluate(
+    Instance *i, const double *q, const double *v, double *mass, double *matrix, double *phi, double *cv)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), l = (size_t)s->l;
+    const double *x[] = {q, v, instance_field(i, s->p)};
+    double *y[] = {mass ? mass : arena_alloc(i, (size_t)s->mass.entries),
+        matrix ? matrix : arena_alloc(i, (size_t)s->constraint.entries), phi ? phi : arena_alloc(i, l), cv ? cv : arena_alloc(i, l)};
+    function_call(i, s->constraints, x, y);
+    arena_release(i, arena);
+}
+
+/* The largest |Phi|, or |Phi-dot|, in units of its row, and which row it is. */
+double constraints_widest(Instance *i, const double *q, const double *v, int of_velocity, int *row)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *phi = arena_alloc(i, (size_t)s->l), *cv = arena_alloc(i, (size_t)s->l), found = 0.0;
+    constraints_evaluate(i, q, v, NULL, NULL, phi, cv);
+    *row = 0;
+    for (int r = 0; r < s->l; r++) {
+        const double size = fabs((of_velocity ? cv : phi)[r] / i->units[r]);
+        if (i->penalty[r] > 0.0 && !(size <= found)) {
+            found = isnan(size) ? INFINITY : size;
+            *row = r;
+        }
+    }
+    arena_release(i, arena);
+    return found;
+}
+
+/* Kinetic and potential energy with these velocities, and the kinetic one alone. */
+double energy_evaluate(Instance *i, const double *v, double *kinetic)
+{
+    const Scene *s = i->scene;
+    double found;
+    const double *x[] = {instance_field(i, s->z), v, instance_field(i, s->p)};
+    double *y[] = {&found, kinetic};
+    function_call(i, s->energy, x, y);
+    return found;
+}
+
+/* The energy now into a place of its own, written down where there is a tape. */
+void energy_record(Instance *i, const double *v, double *into)
+{
+    const Scene *s = i->scene;
+    const double *x[] = {instance_field(i, s->z), v, instance_field(i, s->p)};
+    double *y[] = {into, into + 1};
+    function_call_recorded(i, s->energy, x, y);
+}
+
+/* What a motion does in an instant is what energies change by, from those at the first of four places. */
+void energy_add_jump(Instance *i, double *energies)
+{
+    double *q = instance_field(i, i->scene->z), *work = q + i->scene->work;
+    const double *from[] = {work, energies + 2, energies}, factors[] = {1.0, 1.0, -1.0};
+    energy_record(i, q + i->scene->n, energies + 2);
+    *work += energies[2] - energies[0];
+    tape_sum(i, work, 3, from, factors);
+}
+
+/* The kinetic one where all velocities are of one size. */
+double energy_at_speed(Instance *i, double speed)
+{
+    const size_t arena = arena_mark(i), n = (size_t)i->scene->n;
+    double *v = arena_alloc(i, n), kinetic;
+    for (size_t k = 0; k < n; k++)
+        v[k] = speed;
+    energy_evaluate(i, v, &kinetic);
+    arena_release(i, arena);
+    return kinetic;
+}
+
+int coordinate_is_length(const Scene *s, int coordinate)
+{
+    return !strcmp(s->coordinates[coordinate].unit, "m");
+}
+
+int coordinate_is_angle(const Scene *s, int coordinate)
+{
+    return !strcmp(s->coordinates[coordinate].unit, "rad");
+}
+
+/* The largest of coordinates, or of a displacement or a rate of them, lengths over that of the mechanism. */
+double instance_largest(const Instance *i, const double *x)
+{
+    const Scene *s = i->scene;
+    double found = 0.0;
+    for (int c = 0; c < s->n; c++)
+        found = fmax(found, fabs(x[c]) / (coordinate_is_length(s, c) ? *i->length : 1.0));
+    return found;
+}

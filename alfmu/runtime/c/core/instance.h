@@ -1,0 +1,206 @@
+/* A mechanism in motion: values by reference, and all that a communication step reads and changes.
+
+   Everything that evolves is in one array of numbers and a few flags, so that a state is a copy of both. The scene comes
+   from its file: its functions and programs work on the memory `m` laid out by `Layout` in alfmu/kernel/memory.py, and on
+   the workspace behind it. */
+
+#ifndef ALFMU_INSTANCE_H
+#define ALFMU_INSTANCE_H
+
+#include <assert.h>
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+
+#include "layout.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+#define MOST_ARGUMENTS 160 /* of a function, results included */
+/* Most internal steps, or tries of them, in one communication step, so that every call comes back: the five-bar makes a
+   million in 4 s, the flexible four-bar by a stiff method in 17 s. */
+#ifndef MOST_STEPS
+#define MOST_STEPS 1000000
+#endif
+
+/* What an instance counts beside the tally of its memory, and the largest errors that it has seen. */
+enum {
+    PATIENT_STEPS,
+    READS,
+    QUICK_READS, /* those by the few iterations of a quick step */
+    UNCONVERGED,
+    POSITION_ERROR,
+    VELOCITY_ERROR,
+    ACCELERATION_ERROR,
+    ENERGY_ERROR,
+    ENERGY_START,
+    BALANCE,      /* of energies after the last communication step: energy - energy at the start - work [J] */
+    ENERGY_SCALE, /* largest kinetic energy and largest work so far [J] */
+    STEP_ERROR,   /* what the last communication step changed of the balance, over that */
+    RUN_ERROR,    /* largest balance over it */
+    AT_REST,      /* what communication steps at rest left, which is round-off of work and no part of the balance [J] */
+    DRIFT,        /* how far the motion is off by what the balance makes of rates, where no work is done [rad or m] */
+    COUNTED
+};
+
+typedef enum {
+    DONE,
+    REFUSED, /* a value or a call; nothing has changed */
+    CONSTRAINT_OPEN,    /* a step after which constraints cannot be closed */
+    FAILED,
+    UNHELD_BODY, /* a massless body that nothing holds */
+    RANK_CHANGES, /* redundant constraints that the scene is not traced for */
+    NO_STEP_ON   /* no step leads on from here: a law of time breaks */
+} Outcome;
+
+/* Constraints of which degrees of freedom are told (`COUNTED_ROWS` in probe.py). */
+typedef enum { ROWS_IN_FORCE, ALL_ROWS, NO_FRICTION } Counted_rows;
+
+/* Phases of life, as bits, so that a call can name all in which it is legal. */
+typedef enum {
+    INSTANTIATED = 1,
+    INITIALIZING = 2,
+    STEPPING = 4,
+    TERMINATED = 8,
+    LOOKING = 16, /* the host reads between internal steps */
+    BORN = INSTANTIATED | INITIALIZING | STEPPING,
+    RUN = STEPPING | TERMINATED,
+    ANY = BORN | TERMINATED,
+    KNOWN = INITIALIZING | STEPPING | TERMINATED | LOOKING
+} Phase;
+
+typedef struct {
+    int phase, initialized, known, scaled, fast, whole, pending, brakes, given;
+    int warned; /* of what, as bits */
+    int choice[CHOICES];
+} Flags;
+
+typedef struct Instance {
+    const Scene *scene;
+    Flags flags;
+    double *numbers;
+    size_t count; /* of numbers */
+    /* Parts of them. */
+    double *values, *requested, *active, *discrete, *input_history, *impulses, *dissipated, *slopes;
+    double *penalty, *full, *units, *scales, *compliances;
+    double *freedom, *masses, *regular, *rank, *largest_penalty, *length;
+    double *peaks;         /* largest magnitudes within the last communication step, and what they are found with */
+    double *jacobian;      /* of the last communication step */
+    double *given;         /* penalties of each constraint, where `flags.given` says so */
+    double *counts;        /* COUNTED */
+    double *stabilisation; /* zeta and omega [1/s] of (6), (5) and Baumgarte's form of (9) */
+    double *projection;    /* whether steps end with projections (10); below zero as the formulation has it */
+    double *m;
+    /* Beside them. */
+    double *workspace, *before, *scratch, *registers, *lanes, *spare, *past_before, *kept_before, *dense;
+    Flags flags_before;
+    double *breaks;  /* times about which something jumps or bends by itself in this step: just before, just after */
+    int broken;      /* how many */
+    double *read_at; /* q, v and inputs where outputs were read last */
+    int onward;      /* whether the workspace has the evaluation there that a quick step begins with */
+    long shared;     /* evaluations that are in the tally and were not made, as what was read served, since the motion began */
+    int within; /* whether the next step goes on in a communication step that began before */
+    int crossings; /* jumps that were crossed by the shortest of steps, since there was a longer one */
+    long left;  /* internal steps that this communication step may still take */
+    double stop; /* time [s] past which the host does not step, as it said; INFINITY where it said none */
+    int iterations; /* of the multiplier iteration that stopped last, 0 where none has run */
+    int (*go_on)(struct Instance *i); /* asked now and then within a run in one call, where there is one; zero ends it */
+    void *run;                        /* what that is about */
+    long looks;                       /* how often it might have been asked */
+    int ended;                        /* whether it ended the run */
+    size_t used, room; /* of scratch */
+    char text[1024];   /* what happened last */
+    int warns;         /* whether there is a warning that nobody has read yet */
+    char warning[1024];
+    struct Tape *tape; /* what is done is written on it, where there is one (record.h) */
+    struct Gradient *gradient; /* of what is read at an instant, once a host has asked for it (instant_derivatives.c) */
+    struct Gradient *of_step;  /* of communication steps, where the scene has an interface Jacobian (interface_jacobian.c) */
+} Instance;
+
+/* What an instance warns of once in a run. */
+enum {
+    WARNED_OF_BALANCE = 1,
+    WARNED_OF_ROUND_OFF = 2,
+    WARNED_OF_UNCONVERGED = 4,
+    WARNED_OF_FRICTION = 8,
+    WARNED_OF_IMPACT = 16,
+    WARNED_OF_CORNER = 32,
+    WARNED_OF_PENALTY = 64,
+    WARNED_OF_TIME = 128,
+    WARNED_OF_SECOND_ORDER = 256,
+    WARNED_OF_DRIFT = 512,
+    EVERY_WARNING = 1023
+};
+
+/* The arena: numbers that are handed out in order and given back as a whole to where it was marked. */
+static inline size_t arena_mark(const Instance *i)
+{
+    return i->used;
+}
+
+static inline void arena_release(Instance *i, size_t mark)
+{
+    i->used = mark;
+}
+
+static inline void arena_reset(Instance *i)
+{
+    i->used = 0;
+}
+
+static inline double *instance_field(const Instance *i, int offset)
+{
+    return i->m + offset;
+}
+
+/* One of the numbers that what can be read ends with. */
+static inline double instance_diagnostic(const Instance *i, int which)
+{
+    return i->m[i->scene->seen + i->scene->seen_size - SEEN + which];
+}
+
+static inline double *instance_time(Instance *i)
+{
+    return i->m + i->scene->z + i->scene->time;
+}
+
+/* The state at a time, which is also the last coordinate where places depend on it. */
+static inline void instance_set_time(Instance *i, double time)
+{
+    const Scene *s = i->scene;
+    *instance_time(i) = time;
+    if (s->timed)
+        instance_field(i, s->z)[s->n - 1] = time;
+}
+
+/* Coordinates without time. */
+static inline int scene_coordinates(const Scene *s)
+{
+    return s->n - s->timed;
+}
+
+static inline double *arena_alloc(Instance *i, size_t count)
+{
+    double *taken = i->scratch + i->used;
+    i->used += count;
+    assert(i->used <= i->room);
+    return taken;
+}
+
+/* Quantities of first-order equations now. */
+static inline double *instance_states(const Instance *i)
+{
+    return instance_field(i, i->scene->z) + i->scene->work + 1;
+}
+
+/* The length of what is left of a communication step or up to an event, from which on no error control is of use: methods
+   that have one leave it to RK4. A host that sums up its steps makes such a last one of what its sum lacks. */
+static inline double instance_least_step(const Instance *i)
+{
+    return fmax(LEFT_TO_RK4 * GIVEN_UP, LAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
+}
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,15 @@
+/* Declarations from here to internal_end.h are seen within the library alone, also where an importer compiles it: other
+   libraries have such names, too. */
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
+
+/* Where a format and its arguments stand among those of a function. */
+#if !defined(PRINTF_LIKE)
+#if defined(__GNUC__)
+#define PRINTF_LIKE(format_at, first) __attribute__((format(printf, format_at, first)))
+#else
+#define PRINTF_LIKE(format_at, first)
+#endif
+#endif

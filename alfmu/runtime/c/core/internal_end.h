@@ -1,0 +1,5 @@
+/* Ends what internal_begin.h begins. */
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif

@@ -1,0 +1,495 @@
+/* Runs the functions and programs of a scene. A function works on the registers of an instance: the constants of the
+   scene, then the arguments, then the result of each operation. The loader has checked every place, so nothing is checked
+   here. */
+
+#include "interpret.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "instance.h"
+#include "lanes.h"
+#include "linear.h"
+#include "operations.h"
+#include "rare_operations.h"
+#include "record.h"
+#include "scene.h"
+
+/* Runs of equal operations: the kind, how many there are, the places of their operands. The same text serves places of 16
+   and of 32 bits, passes of a loop, where each place is followed by its step from one pass to the next, and an operation
+   in all passes. OPERAND(k) is the operand k; NEXT(n) goes on to the next operation behind one of n operands. */
+#define SUM1(a, b, c) (a) + (b) * (c)
+#define SUM2(a, b, c, d, e) (a) + (b) * (c) + (d) * (e)
+#define SUM4(a, b, c, d, e, f, g, h, i) (a) + (b) * (c) + (d) * (e) + (f) * (g) + (h) * (i)
+#define PRODUCTS(a, b, c, d) (a) * (b) + (c) * (d)
+
+#define BINARY(kind, value) \
+    case kind: \
+        for (; count; count--, NEXT(2)) { \
+            const double a = OPERAND(0), b = OPERAND(1); \
+            *d++ = value; \
+        } \
+        break;
+#define UNARY(kind, value) \
+    case kind: \
+        for (; count; count--, NEXT(1)) { \
+            const double a = OPERAND(0); \
+            *d++ = value; \
+        } \
+        break;
+#define SUM(kind, operands, value) \
+    case kind: \
+        for (; count; count--, NEXT(operands)) \
+            *d++ = value; \
+        break;
+#define SUMS \
+    SUM(SUM1_KIND, 3, SUM1(OPERAND(0), OPERAND(1), OPERAND(2))) \
+    SUM(SUM2_KIND, 5, SUM2(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3), OPERAND(4))) \
+    SUM(SUM4_KIND, 9, \
+        SUM4(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3), OPERAND(4), OPERAND(5), OPERAND(6), OPERAND(7), OPERAND(8))) \
+    SUM(PRODUCTS_KIND, 4, PRODUCTS(OPERAND(0), OPERAND(1), OPERAND(2), OPERAND(3))) \
+    BINARY(PRODUCT_KIND, a *b) \
+    BINARY(PLUS_KIND, a + b) \
+    BINARY(MINUS_KIND, a - b) \
+    BINARY(OVER_KIND, a / b)
+/* Rare operations are computed by rare_operations.c. */
+#define OTHERS \
+    UNARY(NEGATIVE_KIND, -a) \
+    case SINE_COSINE_KIND: \
+        for (; count; count--, NEXT(1)) { \
+            const double a = OPERAND(0); \
+            *d++ = sin(a); \
+            *d++ = cos(a); \
+        } \
+        break; \
+    default: \
+        if (IS_BINARY(kind)) \
+            for (; count; count--, NEXT(2)) \
+                *d++ = operation_value(kind, OPERAND(0), OPERAND(1)); \
+        else \
+            for (; count; count--, NEXT(1)) \
+                *d++ = operation_value(kind, OPERAND(0), 0.0);
+
+#define OPERAND(k) r[at[2 * (k)] + pass * at[2 * (k) + 1]]
+#define NEXT(n) at += 2 * (n)
+
+static void one_pass(const int32_t *at, const int32_t *end, long pass, const double *r, double *d)
+{
+    while (at < end) {
+        const int32_t kind = *at++;
+        int32_t count = *at++;
+        switch (kind) {
+            SUMS
+            OTHERS
+        }
+    }
+}
+
+#undef NEXT
+#define NEXT(n) pass++
+
+static void all_passes(const int32_t *at, int32_t kind, int32_t count, const double *r, double *d)
+{
+    long pass = 0;
+    switch (kind) {
+        SUMS
+        OTHERS
+    }
+}
+
+#undef OPERAND
+#undef NEXT
+#define OPERAND(k) r[at[k]]
+#define NEXT(n) at += (n)
+
+static void wide_runs(const int32_t *at, const int32_t *end, const double *r, double *d)
+{
+    static const unsigned char operands[] = {OPERAND_COUNTS};
+    while (at < end) {
+        const int32_t kind = *at++;
+        int32_t count = *at++;
+        switch (kind) {
+            SUMS
+        case LOOP_KIND: { /* how many values a pass gives, and how many words the body has */
+            const int32_t values = at[0], body = at[1];
+            at += 2;
+            for (int32_t pass = 0; pass < count; pass++, d += values)
+                one_pass(at, at + body, pass, r, d);
+            at += body;
+            break;
+        }
+        case EACH_KIND: /* the kind of the operation */
+            all_passes(at + 1, at[0], count, r, d);
+            d += count * VALUES_OF(at[0]);
+            at += 1 + 2 * operands[at[0]];
+            break;
+        case GATHER_KIND:
+            for (; count; count--)
+                *d++ = r[*at++];
+            break;
+            OTHERS
+        }
+    }
+}
+
+#undef BINARY
+#define BINARY(kind, value) \
+    case kind: \
+        for (; count; count--, at += 2) { \
+            const double a = r[at[0]], b = r[at[1]]; \
+            *d++ = value; \
+        } \
+        break;
+
+/* Two places of 16 bits, read at once: half the time that an operation takes goes to reading places. */
+static inline uint32_t two(const uint16_t *at)
+{
+    uint32_t both;
+    memcpy(&both, at, sizeof both);
+    return both;
+}
+
+#if defined(__BYTE_ORDER__) && defined(__ORDER_BIG_ENDIAN__) && __BYTE_ORDER__ == __ORDER_BIG_ENDIAN__
+#define FIRST(both) r[(both) >> 16]
+#define SECOND(both) r[(both) & 0xffff]
+#else
+#define FIRST(both) r[(both) & 0xffff]
+#define SECOND(both) r[(both) >> 16]
+#endif
+#define PAIRS(kind, value) \
+    case kind: \
+        for (; count; count--, at += 2) { \
+            const uint32_t x = two(at); \
+            const double a = FIRST(x), b = SECOND(x); \
+            *d++ = value; \
+        } \
+        break;
+
+static void narrow_runs(const uint16_t *at, const uint16_t *end, const double *r, double *d)
+{
+    while (at < end) {
+        const uint32_t head = *at++;
+        uint32_t count = *at++;
+        switch (head) {
+        case SUM1_KIND:
+            for (; count >= 2; count -= 2, at += 6, d += 2) {
+                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4);
+                d[0] = SUM1(FIRST(x), SECOND(x), FIRST(y));
+                d[1] = SUM1(SECOND(y), FIRST(z), SECOND(z));
+            }
+            if (count) {
+                *d++ = SUM1(r[at[0]], r[at[1]], r[at[2]]);
+                at += 3;
+            }
+            break;
+        case SUM2_KIND:
+            for (; count >= 2; count -= 2, at += 10, d += 2) {
+                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6), v = two(at + 8);
+                d[0] = SUM2(FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z));
+                d[1] = SUM2(SECOND(z), FIRST(u), SECOND(u), FIRST(v), SECOND(v));
+            }
+            if (count) {
+                *d++ = SUM2(r[at[0]], r[at[1]], r[at[2]], r[at[3]], r[at[4]]);
+                at += 5;
+            }
+            break;
+        case SUM4_KIND:
+            for (; count; count--, at += 9) {
+                const uint32_t x = two(at), y = two(at + 2), z = two(at + 4), u = two(at + 6);
+                *d++ = SUM4(FIRST(x), SECOND(x), FIRST(y), SECOND(y), FIRST(z), SECOND(z), FIRST(u), SECOND(u), r[at[8]]);
+            }
+            break;
+        case PRODUCTS_KIND:
+            for (; count; count--, at += 4) {
+                const uint32_t x = two(at), y = two(at + 2);
+                *d++ = PRODUCTS(FIRST(x), SECOND(x), FIRST(y), SECOND(y));
+            }
+            break;
+            PAIRS(PRODUCT_KIND, a *b)
+            PAIRS(PLUS_KIND, a + b)
+            PAIRS(MINUS_KIND, a - b)
+            PAIRS(OVER_KIND, a / b)
+            UNARY(NEGATIVE_KIND, -a)
+        case SINE_COSINE_KIND:
+            for (; count; count--) {
+                const double a = r[*at++];
+                *d++ = sin(a);
+                *d++ = cos(a);
+            }
+            break;
+            BINARY_OPERATIONS(BINARY)
+            UNARY_OPERATIONS(UNARY)
+        }
+    }
+}
+
+/* What the operations of a function give, once its arguments stand in the registers. */
+void function_evaluate(const Function *f, double *r, double *values)
+{
+    if (f->narrow)
+        narrow_runs(f->narrow, f->narrow + f->words, r, values);
+    else
+        wide_runs(f->wide, f->wide + f->words, r, values);
+}
+
+static size_t result(const Function *f, size_t k)
+{
+    return f->narrow ? f->narrow[f->words + k] : (size_t)f->wide[f->words + k];
+}
+
+void function_call(Instance *i, int which, const double *const *x, double *const *y)
+{
+    const Function *f = i->scene->functions + which;
+    double *r = i->registers, *d = r + i->scene->constant_count;
+    size_t k = 0;
+    if (f->compiled) {
+        f->compiled(x, y, i->spare);
+        return;
+    }
+    for (int j = 0; j < f->inputs; j++) {
+        memcpy(d, x[j], (size_t)f->lengths[j] * sizeof *d);
+        d += f->lengths[j];
+    }
+    function_evaluate(f, r, d);
+    for (int j = 0; j < f->outputs; j++)
+        for (int e = 0; e < f->lengths[f->inputs + j]; e++)
+            y[j][e] = r[result(f, k++)];
+}
+
+/* The same with arguments and results in the memory. */
+static void call_at(Instance *i, const Function *f, const int32_t *at)
+{
+    double *m = i->m, *r = i->registers, *d = r + i->scene->constant_count;
+    size_t k = 0;
+    if (i->tape)
+        tape_call_at(i, f, at);
+    if (f->compiled) {
+        const double *x[MOST_ARGUMENTS];
+        double *y[MOST_ARGUMENTS];
+        for (int j = 0; j < f->inputs; j++)
+            x[j] = m + at[j];
+        for (int j = 0; j < f->outputs; j++)
+            y[j] = m + at[f->inputs + j];
+        f->compiled(x, y, i->spare);
+        return;
+    }
+    for (int j = 0; j < f->inputs; j++) {
+        memcpy(d, m + at[j], (size_t)f->lengths[j] * sizeof *d);
+        d += f->lengths[j];
+    }
+    function_evaluate(f, r, d);
+    at += f->inputs;
+    for (int j = 0; j < f->outputs; j++) {
+        double *y = m + at[j];
+        const int length = f->lengths[f->inputs + j];
+        if (f->narrow) {
+            const uint16_t *from = f->narrow + f->words + k;
+            for (int e = 0; e < length; e++)
+                y[e] = r[from[e]];
+        } else {
+            const int32_t *from = f->wide + f->words + k;
+            for (int e = 0; e < length; e++)
+                y[e] = r[from[e]];
+        }
+        k += (size_t)length;
+    }
+}
+
+/* Least-squares solution of least norm of a square system, as NumPy's lstsq has it; NaN where the matrix is not finite. */
+static void solve_dense(Instance *i, int size, const double *matrix, const double *right, double *solution)
+{
+    if (isfinite(linear_largest(matrix, size * size)))
+        linear_least_norm(size, size, matrix, right, DBL_EPSILON * size, solution, i->dense);
+    else
+        for (int k = 0; k < size; k++)
+            solution[k] = NAN;
+}
+
+/* A function for several sets of arguments side by side, each number in a lane of its own: an operation is done in all
+   lanes, so that what it takes to find its operands is shared. The numbers are those of one call after the other, which
+   compilers without vectors make. */
+#if defined(__GNUC__)
+#undef OPERAND
+#define OPERAND(k) r[at[k]].part[part]
+#undef SUM
+#define SUM(kind, operands, value) \
+    case kind: \
+        for (; count; count--, at += operands, d++) \
+            EACH_PART d->part[part] = value; \
+        break;
+#undef BINARY
+#define BINARY(kind, value) \
+    case kind: \
+        for (; count; count--, at += 2, d++) \
+            EACH_PART \
+            { \
+                const Vector a = OPERAND(0), b = OPERAND(1); \
+                d->part[part] = value; \
+            } \
+        break;
+
+static BY_PROCESSOR void lanes_run(const uint16_t *at, const uint16_t *end, const Lanes *r, Lanes *d)
+{
+    while (at < end) {
+        const uint32_t head = *at++;
+        uint32_t count = *at++;
+        switch (head) {
+            SUMS
+            SUM(NEGATIVE_KIND, 1, -OPERAND(0))
+        case SINE_COSINE_KIND:
+            for (; count; count--, at++, d += 2)
+                for (int lane = 0; lane < LANES; lane++) {
+                    const double a = r[at[0]].lane[lane];
+                    d[0].lane[lane] = sin(a);
+                    d[1].lane[lane] = cos(a);
+                }
+            break;
+        default: {
+            const int operands = 1 + IS_BINARY(head);
+            for (; count; count--, at += operands, d++)
+                for (int lane = 0; lane < LANES; lane++)
+                    d->lane[lane] = operation_value((int)head, r[at[0]].lane[lane], r[at[operands - 1]].lane[lane]);
+        }
+        }
+    }
+}
+
+static void call_lanes(Instance *i, const Function *f, int count, const int32_t *at)
+{
+    const int each = f->inputs + f->outputs, constants = i->scene->constant_count;
+    Lanes *r = (Lanes *)i->lanes, *d = r + constants;
+    const uint16_t *from = f->narrow + f->words;
+    for (int lane = 0; i->tape && lane < count; lane++)
+        tape_call_at(i, f, at + lane * each);
+    for (int j = 0; j < f->inputs; d += f->lengths[j++], at++)
+        for (int lane = 0; lane < count; lane++) {
+            const double *x = i->m + at[lane * each];
+            for (int e = 0; e < f->lengths[j]; e++)
+                d[e].lane[lane] = x[e];
+        }
+    lanes_run(f->narrow, f->narrow + f->words, r, d);
+    for (int j = f->inputs; j < each; from += f->lengths[j++], at++)
+        for (int lane = 0; lane < count; lane++) {
+            double *y = i->m + at[lane * each];
+            for (int e = 0; e < f->lengths[j]; e++)
+                y[e] = r[from[e]].lane[lane];
+        }
+}
+
+#endif
+
+static void one_by_one(Instance *i, const Function *f, int count, const int32_t *at)
+{
+    for (; count; count--, at += f->inputs + f->outputs)
+        call_at(i, f, at);
+}
+
+static void run_code(Instance *i, const int32_t *at, const int32_t *end)
+{
+    double *m = i->m;
+    while (at < end)
+        switch (*at++) {
+        case CALL_CODE: {
+            const Function *f = i->scene->functions + *at++;
+            call_at(i, f, at);
+            at += f->inputs + f->outputs;
+            break;
+        }
+        case CHOICE_CODE: { /* a number, how long the way is where it is not zero, and the way where it is */
+            const int32_t *ways = at + 3;
+            if (m[at[0]] != 0.0)
+                run_code(i, ways, ways + at[1]);
+            else
+                run_code(i, ways + at[1], ways + at[1] + at[2]);
+            at = ways + at[1] + at[2];
+            break;
+        }
+        case LOOP_CODE: { /* a number, how often at most (or, below zero, where that stands), how long the body is */
+            const int32_t *body = at + 3;
+            const double most = at[1] >= 0 ? (double)at[1] : m[-1 - at[1]];
+            int times = 0;
+            for (; times + 1 <= most && m[at[0]] != 0.0; times++)
+                run_code(i, body, body + at[2]);
+            if (at[1] < 0) /* the multiplier iteration, whose first one is before the loop */
+                i->iterations = times + 1;
+            at = body + at[2];
+            break;
+        }
+        case FACTOR_CODE: { /* n, blocks, terms; weights, parts; factors, order */
+            const double *parts[MOST_ARGUMENTS];
+            const int count = at[1] * at[2];
+            for (int j = 0; j < count; j++)
+                parts[j] = m + at[4 + j];
+            linear_factor(at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
+            if (i->tape)
+                tape_factor(i, at[0], at[1], at[2], m + at[3], parts, m + at[4 + count], m + at[5 + count]);
+            at += 6 + count;
+            break;
+        }
+        case SOLVE_CODE: { /* n, blocks; factors, order, right-hand sides; solution */
+            const double *right[MOST_ARGUMENTS];
+            for (int j = 0; j < at[1]; j++)
+                right[j] = m + at[4 + j];
+            linear_solve(at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
+            if (i->tape)
+                tape_solve(i, at[0], at[1], m + at[2], m + at[3], right, m + at[4 + at[1]]);
+            at += 5 + at[1];
+            break;
+        }
+        case LANES_CODE: { /* how many calls, of which function, the arguments and results of each */
+            const int32_t count = at[0];
+            const Function *f = i->scene->functions + at[1];
+            const int each = f->inputs + f->outputs;
+            at += 2;
+            for (int32_t done = 0; done < count; done += LANES) {
+                const int some = count - done < LANES ? count - done : LANES;
+#if defined(__GNUC__)
+                if (f->narrow)
+                    call_lanes(i, f, some, at);
+                else
+#endif
+                    one_by_one(i, f, some, at);
+                at += some * each;
+            }
+            break;
+        }
+        case LEAST_NORM_CODE: /* unknowns; matrix, right-hand side; solution */
+            solve_dense(i, at[0], m + at[1], m + at[2], m + at[3]);
+            if (i->tape)
+                tape_least_norm(i, at[0], m + at[1], m + at[2], m + at[3]);
+            at += 4;
+            break;
+        }
+}
+
+/* The first place, of some, at which lanes fill whole lines of a cache. */
+double *lanes_align(double *place)
+{
+    const size_t line = LANES * sizeof *place, behind = (uintptr_t)place % line;
+    return place + (behind ? (line - behind) / sizeof *place : 0);
+}
+
+/* What registers begin with. */
+void registers_load(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (s->constant_count)
+        memcpy(i->registers, s->constants, (size_t)s->constant_count * sizeof *i->registers);
+    for (int k = 0; s->lane_registers && k < LANES * s->constant_count; k++)
+        i->lanes[k] = s->constants[k / LANES];
+}
+
+void program_run(Instance *i, int program)
+{
+    const Program *p = i->scene->programs + program;
+    run_code(i, p->code, p->code + p->words);
+}
+
+void function_call_recorded(Instance *i, int which, const double *const *x, double *const *y)
+{
+    tape_call(i, which, x, y);
+    function_call(i, which, x, y);
+}

@@ -1,0 +1,241 @@
+/* Linear algebra: small dense matrices, stored by columns, and sparse symmetric ones within an envelope. */
+
+#include "linear.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#define SWEEPS 60
+#define SURE 1e-8 /* of the largest singular value */
+
+static double product(const double *x, const double *y, int count)
+{
+    double sum = 0.0;
+    for (int i = 0; i < count; i++)
+        sum += x[i] * y[i];
+    return sum;
+}
+
+static void rotate(double *x, double *y, int count, double c, double s)
+{
+    for (int i = 0; i < count; i++) {
+        const double before = x[i];
+        x[i] = c * before - s * y[i];
+        y[i] = s * before + c * y[i];
+    }
+}
+
+static void swap(double *x, double *y, int count)
+{
+    rotate(x, y, count, 0.0, 1.0);
+    for (int i = 0; i < count; i++)
+        x[i] = -x[i];
+}
+
+/* Makes two columns orthogonal, as Hestenes (1958) does; returns whether they were not yet. */
+static int made_orthogonal(double *x, double *y, int rows, double *vx, double *vy, int columns)
+{
+    const double xx = product(x, x, rows), yy = product(y, y, rows), xy = product(x, y, rows);
+    double ratio, t, c;
+    if (fabs(xy) <= DBL_EPSILON * sqrt(xx) * sqrt(yy))
+        return 0;
+    ratio = (yy - xx) / (2.0 * xy);
+    t = (ratio < 0.0 ? -1.0 : 1.0) / (fabs(ratio) + sqrt(1.0 + ratio * ratio));
+    c = 1.0 / sqrt(1.0 + t * t);
+    rotate(x, y, rows, c, c * t);
+    rotate(vx, vy, columns, c, c * t);
+    return 1;
+}
+
+void linear_singular_values(int rows, int columns, double *a, double *v, double *s)
+{
+    int moved = 1;
+    memset(v, 0, (size_t)columns * (size_t)columns * sizeof *v);
+    for (int i = 0; i < columns; i++)
+        v[i * columns + i] = 1.0;
+    for (int sweep = 0; sweep < SWEEPS && moved; sweep++) {
+        moved = 0;
+        for (int i = 0; i < columns; i++)
+            for (int j = i + 1; j < columns; j++)
+                moved |= made_orthogonal(
+                    a + i * rows, a + j * rows, rows, v + i * columns, v + j * columns, columns);
+    }
+    for (int i = 0; i < columns; i++)
+        s[i] = linear_norm(a + i * rows, rows);
+    for (int i = 0; i < columns; i++) {
+        int top = i;
+        for (int j = i + 1; j < columns; j++)
+            if (s[j] > s[top])
+                top = j;
+        if (top != i) {
+            swap(a + i * rows, a + top * rows, rows);
+            swap(v + i * columns, v + top * columns, columns);
+            swap(s + i, s + top, 1);
+        }
+    }
+}
+
+size_t linear_least_norm_work(int rows, int columns)
+{
+    const size_t few = (size_t)(rows < columns ? rows : columns);
+    return (size_t)rows * (size_t)columns + few * few + few;
+}
+
+void linear_least_norm(int rows, int columns, const double *a, const double *r, double least, double *x, double *work)
+{
+    const int wide = rows < columns, few = wide ? rows : columns, many = wide ? columns : rows;
+    double *u = work, *v = u + rows * columns, *s = v + few * few;
+    for (int i = 0; i < rows; i++)
+        for (int j = 0; j < columns; j++)
+            u[wide ? i * columns + j : j * rows + i] = a[j * rows + i];
+    linear_singular_values(many, few, u, v, s);
+    memset(x, 0, (size_t)columns * sizeof *x);
+    for (int i = 0; i < few && s[i] > least * s[0] && s[i] > 0.0; i++) {
+        /* The columns of u are those of U times s. */
+        const double *left = wide ? v + i * few : u + i * many, *right = wide ? u + i * many : v + i * few;
+        const double part = product(left, r, rows) / (s[i] * s[i]);
+        for (int j = 0; j < columns; j++)
+            x[j] += part * right[j];
+    }
+}
+
+int linear_rank_is_sure(int side, double least, const double *work)
+{
+    const double *s = work + 2 * side * side;
+    for (int i = 0; i < side; i++)
+        if (s[i] > least * s[0] && s[i] <= SURE * s[0])
+            return 0;
+    return 1;
+}
+
+double linear_largest(const double *x, int count)
+{
+    double found = 0.0;
+    for (int i = 0; i < count; i++) {
+        if (isnan(x[i]))
+            return x[i];
+        found = fmax(found, fabs(x[i]));
+    }
+    return found;
+}
+
+double linear_norm(const double *x, int count)
+{
+    return sqrt(product(x, x, count));
+}
+
+double *envelope_entry(const Envelope *e, double *a, int i, int j)
+{
+    const int row = e->place[i], column = e->place[j];
+    return row > column ? a + e->start[row] + column : a + e->start[column] + row;
+}
+
+void envelope_factor(const Envelope *e, double *a, double least)
+{
+    for (int i = 0; i < e->size; i++) {
+        double *row = a + e->start[i], pivot = row[i];
+        for (int j = e->first[i]; j < i; j++) {
+            const double *above = a + e->start[j];
+            const int k = e->first[i] > e->first[j] ? e->first[i] : e->first[j];
+            row[j] -= product(row + k, above + k, j - k);
+        }
+        for (int j = e->first[i]; j < i; j++) {
+            const double before = row[j];
+            row[j] /= a[e->start[j] + j];
+            pivot -= before * row[j];
+        }
+        row[i] = pivot > least ? pivot : least;
+    }
+}
+
+void envelope_solve(const Envelope *e, const double *a, const double *b, double *x, double *work)
+{
+    for (int i = 0; i < e->size; i++)
+        work[e->place[i]] = b[i];
+    for (int i = 0; i < e->size; i++)
+        work[i] -= product(a + e->start[i] + e->first[i], work + e->first[i], i - e->first[i]);
+    for (int i = 0; i < e->size; i++)
+        work[i] /= a[e->start[i] + i];
+    for (int i = e->size; i--;)
+        for (int j = e->first[i]; j < i; j++)
+            work[j] -= a[e->start[i] + j] * work[i];
+    for (int i = 0; i < e->size; i++)
+        x[i] = work[e->place[i]];
+}
+
+/* Factors of the matrix of s * s blocks (n, n) that are sums of the parts of their row (by columns), by weights of row
+   and column: rows in `order`, L without its diagonal of ones below that of U. */
+void linear_factor(int n, int s, int terms, const double *weights, const double *const *parts, double *a, double *order)
+{
+    const int size = n * s;
+    for (int i = 0; i < s; i++)
+        for (int j = 0; j < s; j++)
+            for (int r = 0; r < n; r++) {
+                double *row = a + (i * n + r) * size + j * n;
+                for (int c = 0; c < n; c++)
+                    row[c] = weights[i * s + j] * parts[i][c * n + r];
+                for (int t = 1; t < terms; t++)
+                    for (int c = 0; c < n; c++)
+                        row[c] += weights[(t * s + i) * s + j] * parts[t * s + i][c * n + r];
+            }
+    for (int i = 0; i < size; i++)
+        order[i] = i;
+    for (int k = 0; k < size; k += 4) {
+        /* Four columns, with the rows below. */
+        const int end = k + 4 < size ? k + 4 : size;
+        for (int p = k; p < end; p++) {
+            int largest = p;
+            for (int i = p + 1; i < size; i++)
+                if (fabs(a[i * size + p]) > fabs(a[largest * size + p]))
+                    largest = i;
+            if (largest != p) {
+                double kept = order[p];
+                order[p] = order[largest];
+                order[largest] = kept;
+                for (int j = 0; j < size; j++) {
+                    kept = a[p * size + j];
+                    a[p * size + j] = a[largest * size + j];
+                    a[largest * size + j] = kept;
+                }
+            }
+            for (int i = p + 1; i < size; i++) {
+                const double by = a[i * size + p] /= a[p * size + p];
+                for (int j = p + 1; j < end; j++)
+                    a[i * size + j] -= by * a[p * size + j];
+            }
+        }
+        /* The same rows right of them, then what is left. */
+        for (int p = k; p < end; p++)
+            for (int i = p + 1; i < end; i++)
+                for (int j = end; j < size; j++)
+                    a[i * size + j] -= a[i * size + p] * a[p * size + j];
+        if (end - k == 4)
+            for (int i = end; i < size; i++) {
+                const double *restrict u = a + k * size, *l = a + i * size + k;
+                double *restrict row = a + i * size;
+                const double l0 = l[0], l1 = l[1], l2 = l[2], l3 = l[3];
+                for (int j = end; j < size; j++)
+                    row[j] -= l0 * u[j] + l1 * u[j + size] + (l2 * u[j + 2 * size] + l3 * u[j + 3 * size]);
+            }
+    }
+}
+
+void linear_solve(int n, int s, const double *a, const double *order, const double *const *right, double *x)
+{
+    const int size = n * s;
+    for (int i = 0; i < size; i++) {
+        const int from = (int)order[i];
+        double sum = right[from / n][from % n];
+        for (int j = 0; j < i; j++)
+            sum -= a[i * size + j] * x[j];
+        x[i] = sum;
+    }
+    for (int i = size - 1; i >= 0; i--) {
+        double sum = x[i];
+        for (int j = i + 1; j < size; j++)
+            sum -= a[i * size + j] * x[j];
+        x[i] = sum / a[i * size + i];
+    }
+}

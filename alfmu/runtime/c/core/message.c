@@ -1,0 +1,54 @@
+/* Messages of an instance: the reason of a failure, and warnings that are given once in a run. */
+
+#include "message.h"
+
+#include <math.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "instance.h"
+#include "scene.h"
+#include "text.h"
+
+Outcome instance_say(Instance *i, Outcome outcome, const char *format, ...)
+{
+    va_list arguments;
+    va_start(arguments, format);
+    write_list(i->text, sizeof i->text, format, arguments);
+    va_end(arguments);
+    return outcome;
+}
+
+/* Says something that the host should know, once in a run. */
+void instance_warn(Instance *i, int of, const char *format, ...)
+{
+    va_list arguments;
+    size_t used;
+    if (i->flags.warned & of)
+        return;
+    if (i->warns) /* Behind one that nobody has read yet. */
+        strncat(i->warning, "; ", sizeof i->warning - strlen(i->warning) - 1);
+    else
+        *i->warning = '\0';
+    i->flags.warned |= of;
+    i->warns = 1;
+    used = strlen(i->warning);
+    va_start(arguments, format);
+    write_list(i->warning + used, sizeof i->warning - used, format, arguments);
+    va_end(arguments);
+}
+
+/* A value for a message: some C libraries write the sign of what is no number, which means nothing. */
+double message_number(double value)
+{
+    return isnan(value) ? fabs(value) : value;
+}
+
+const char *instance_row_label(const Instance *i, int row, char *label, size_t size)
+{
+    const Row *r = i->scene->rows + row;
+    snprintf(label, size, *r->direction ? "%s %s" : "%s", r->name, r->direction);
+    return label;
+}

@@ -1,0 +1,21 @@
+/* Messages of an instance: the reason of a failure, and warnings that are given once in a run. */
+
+#ifndef ALFMU_MESSAGE_H
+#define ALFMU_MESSAGE_H
+
+#include <stddef.h>
+
+#include "instance.h"
+
+#include "internal_begin.h"
+
+/* Between the parts of the runtime. */
+Outcome instance_say(Instance *i, Outcome outcome, const char *format, ...) PRINTF_LIKE(3, 4);
+
+void instance_warn(Instance *i, int of, const char *format, ...);
+double message_number(double value);
+const char *instance_row_label(const Instance *i, int row, char *label, size_t size);
+
+#include "internal_end.h"
+
+#endif

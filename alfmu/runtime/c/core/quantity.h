@@ -1,0 +1,15 @@
+/* A number with its unit, as a person reads it. */
+
+#ifndef ALFMU_QUANTITY_H
+#define ALFMU_QUANTITY_H
+
+#include "internal_begin.h"
+
+#define QUANTITY 64 /* characters */
+
+/* A value with its unit, an angle in degrees, too. */
+const char *quantity_in_unit(const char *unit, double value, char *text);
+
+#include "internal_end.h"
+
+#endif

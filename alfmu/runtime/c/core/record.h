@@ -1,0 +1,99 @@
+/* What a run did, written down so that it can be differentiated: each call of a function with the numbers that it was
+   called with, each routine of linear algebra, each copy within the memory of an instance. Choices, tiers, accepted steps
+   and ranks are those that were taken.
+
+   Places are counted from the first number of an instance; what has no derivative (settings, step control, tallies) has
+   the place -1. Tangents and adjoints belong to places, so that what the memory of an instance keeps between calls needs
+   no words here. */
+
+#ifndef ALFMU_RECORD_H
+#define ALFMU_RECORD_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "instance.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+typedef enum {
+    CALLED,       /* a function; places of arguments and results */
+    COPIED,       /* to, from, how many */
+    CLEARED,      /* to, how many */
+    COMBINED,     /* a number as a sum: to, from each; the factor of each */
+    FACTORED,     /* n, blocks, terms, weights, parts, factors; weights and parts */
+    SOLVED,       /* n, blocks, factors, right-hand sides, solution, where the factors are kept (two words); the solution */
+    LEAST_NORMED, /* side, matrix, right-hand side, solution; all three */
+    CLOSED,       /* a Gauss-Newton step of the start (start_derivatives.c) */
+    RATED,        /* a correction of the start's velocities (start_derivatives.c) */
+    HELD,         /* a rank that is frozen (start_derivatives.c) */
+    AIMED         /* an input that moves something (driving_inputs.c) */
+} Taped;
+
+typedef struct {
+    int32_t kind, what; /* of a call: the number of the function */
+    size_t words, numbers;
+} Entry;
+
+/* How far a tape has come. */
+typedef struct {
+    size_t entries, words, numbers;
+} Mark;
+
+struct Tape {
+    Entry *entries;
+    int32_t *words;
+    double *numbers;
+    Mark used, room;
+    Mark reading;        /* where outputs were begun to be read last */
+    int factors;         /* place of the factors that were made last, -1 for none */
+    size_t factors_kept; /* where they are among the numbers */
+    int paused;
+    int lost; /* whether there was no memory for all of it */
+};
+typedef struct Tape Tape;
+
+/* Numbers of an entry: arguments of the closure (and of the constraints), which rows are held, x, lam; the part. */
+enum { PLACE_Q, PLACE_P, PLACE_STARTS, PLACE_V, PLACE_RATES, PLACE_COUNT };
+
+Tape *tape_new(void);
+void tape_free(Tape *t);
+size_t tape_bytes(const Tape *t);
+void tape_clear(Tape *t);
+
+/* Room for an entry with so many words and numbers; NULL where there is none, or no tape. */
+Entry *tape_entry(Instance *i, Taped kind, int what, size_t words, size_t numbers);
+
+/* What an instance does from here on is on its tape, where it has one. */
+Mark tape_mark(const Instance *i);
+
+void tape_cut(Instance *i, Mark mark);
+
+/* Writes nothing down from here on, or goes on; returns how it was before. */
+int tape_pause(Instance *i, int paused);
+
+int32_t tape_place_of(const Instance *i, const double *number);
+void tape_call_at(Instance *i, const Function *f, const int32_t *at);
+void tape_call(Instance *i, int which, const double *const *x, double *const *y);
+void tape_copy(Instance *i, const double *to, const double *from, size_t count);
+void tape_clearing(Instance *i, const double *to, size_t count);
+void tape_sum(Instance *i, const double *to, int terms, const double *const *from, const double *by);
+void tape_factor(Instance *i, int n, int blocks, int terms, const double *weights, const double *const *parts,
+    const double *factors, const double *order);
+void tape_solve(Instance *i, int n, int blocks, const double *factors, const double *order, const double *const *right,
+    const double *x);
+void tape_least_norm(Instance *i, int side, const double *matrix, const double *right, const double *x);
+size_t arguments_of(const Function *f);
+
+/* What an entry of a tape says of a step of the assembly, and of a correction of its velocities. */
+void tape_closing(Instance *i, const unsigned char *held, const double *q, const double *dq, const double *lam, double part);
+
+void tape_rating(Instance *i, const unsigned char *held, const double *q, const double *v, const double *dv, const double *lam);
+
+/* The same of constraints that are combined to those of a frozen rank, at q. */
+void tape_holding(Instance *i, const double *q, const double *matrix);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,312 @@
+/* Reads the functions of a scene file and checks every place in them. */
+
+#include "scene_functions.h"
+
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "instance.h"
+#include "operations.h"
+#include "scene.h"
+#include "scene_reader.h"
+#include "scene_sizes.h"
+
+/* Whether runs keep within their list and use what is there before them; `values` counts what they give. `next` reads
+   the word at a place. */
+typedef struct {
+    const Function *f;
+    size_t at;
+    int64_t known; /* places before what comes next */
+    Reader *reader;
+} Checked;
+
+static int64_t word(const Checked *c, size_t at)
+{
+    return c->f->narrow ? (int64_t)c->f->narrow[at] : (int64_t)c->f->wide[at];
+}
+
+static int operands_of(int64_t kind)
+{
+    static const unsigned char counts[] = {OPERAND_COUNTS};
+    return counts[kind];
+}
+
+/* Whether an operation of `count` passes uses what is known before it; `more` are values that each pass adds. */
+static int within_passes(int64_t first, int64_t step, int64_t known, int64_t passes, int64_t more)
+{
+    const int64_t last = first + (passes - 1) * step;
+    /* Between them both sides change evenly, so that the ends tell. */
+    return first >= 0 && last >= 0 && first < known && last < known + (passes - 1) * more;
+}
+
+/* The operands of an operation in passes, from where the check is. */
+static void checked_passes(Checked *c, int64_t kind, int64_t known, int64_t passes, int64_t more)
+{
+    for (int k = 0; k < operands_of(kind); k++, c->at += 2)
+        if (!within_passes(word(c, c->at), word(c, c->at + 1), known, passes, more))
+            reader_spoil(c->reader, "a loop uses what is not known yet");
+}
+
+/* One pass of a loop, of which there are `passes`, up to `end`. */
+static void checked_body(Checked *c, size_t end, int64_t passes, int64_t values)
+{
+    int64_t made = 0;
+    while (end - c->at >= 2 && !c->reader->bad) {
+        const int64_t kind = word(c, c->at);
+        int64_t count = word(c, c->at + 1);
+        c->at += 2;
+        if (kind < 0 || kind >= KIND_COUNT) {
+            reader_spoil(c->reader, "there is no operation %d in a loop", (int)kind);
+            return;
+        }
+        if (count < 0 || (uint64_t)count > (end - c->at) / (2 * (unsigned)operands_of(kind))) {
+            reader_spoil(c->reader, "a loop of a function is damaged");
+            return;
+        }
+        for (; count > 0; count--, made += VALUES_OF(kind))
+            checked_passes(c, kind, c->known + made, passes, values);
+    }
+    if (c->at != end || made != values)
+        reader_spoil(c->reader, "a loop of a function is damaged");
+}
+
+/* What stands in wide functions alone; 0 where it is none of it. */
+static int checked_loop(Checked *c, int64_t kind, int64_t count)
+{
+    const size_t left = c->f->words - c->at;
+    if (!c->f->wide || (kind != LOOP_KIND && kind != EACH_KIND && kind != GATHER_KIND))
+        return 0;
+    if (count < 1 || left < 2) {
+        reader_spoil(c->reader, "a loop of a function is damaged");
+    } else if (kind == GATHER_KIND) {
+        if ((uint64_t)count > left) {
+            reader_spoil(c->reader, "a function is damaged");
+            return 1;
+        }
+        for (int64_t k = 0; k < count; k++, c->at++)
+            if (word(c, c->at) < 0 || word(c, c->at) >= c->known)
+                reader_spoil(c->reader, "a function copies what is not known yet");
+        c->known += count;
+    } else if (kind == EACH_KIND) {
+        const int64_t each = word(c, c->at);
+        if (each < 0 || each >= KIND_COUNT || left - 1 < 2 * (size_t)operands_of(each)) {
+            reader_spoil(c->reader, "a loop of a function is damaged");
+            return 1;
+        }
+        c->at++;
+        checked_passes(c, each, c->known, count, 0);
+        c->known += count * VALUES_OF(each);
+    } else {
+        const int64_t values = word(c, c->at), body = word(c, c->at + 1);
+        if (values < 1 || values > MOST_NUMBERS / count || body < 0 || (uint64_t)body > left - 2) {
+            reader_spoil(c->reader, "a loop of a function is damaged");
+            return 1;
+        }
+        c->at += 2;
+        checked_body(c, c->at + (size_t)body, count, values);
+        c->known += count * values;
+    }
+    if (c->known > MOST_NUMBERS)
+        reader_spoil(c->reader, "a function is too long");
+    return 1;
+}
+
+static void checked_function(Reader *r, Function *f)
+{
+    Checked c = {f, 0, r->scene->constant_count, r};
+    for (int k = 0; k < f->inputs; k++)
+        c.known += f->lengths[k];
+    while (c.at < f->words && !r->bad) {
+        int64_t operation, count;
+        int operands;
+        if (f->words - c.at < 2) {
+            reader_spoil(r, "a function is damaged");
+            return;
+        }
+        operation = word(&c, c.at);
+        count = word(&c, c.at + 1);
+        c.at += 2;
+        if (checked_loop(&c, operation, count))
+            continue;
+        if (operation < 0 || operation >= KIND_COUNT) {
+            reader_spoil(r, "there is no operation %d", (int)operation);
+            return;
+        }
+        operands = operands_of(operation);
+        if (count < 0 || (uint64_t)count > (f->words - c.at) / (unsigned)operands) {
+            reader_spoil(r, "a function is damaged");
+            return;
+        }
+        for (; count > 0; count--, c.known += VALUES_OF(operation))
+            for (int k = 0; k < operands; k++, c.at++)
+                if (word(&c, c.at) < 0 || word(&c, c.at) >= c.known)
+                    reader_spoil(r, "an operation uses what is not known yet");
+    }
+    for (size_t k = 0; k < (size_t)f->results && !r->bad; k++)
+        if (word(&c, f->words + k) < 0 || word(&c, f->words + k) >= c.known)
+            reader_spoil(r, "a function gives what it does not know");
+    if (c.known > MOST_NUMBERS) {
+        reader_spoil(r, "a function is too long");
+        return;
+    }
+    f->registers = (int)c.known;
+    if (f->registers > r->scene->registers)
+        r->scene->registers = f->registers;
+}
+
+/* Places from differences to those before, `step` words from each other; from `first` on they count back from `end`. */
+static void sum_up(const uint16_t *differences, size_t count, uint32_t first, uint32_t end, uint16_t *places, size_t step)
+{
+    uint16_t sum = 0;
+    for (size_t k = 0; k < count; k++) {
+        sum = (uint16_t)(sum + differences[k]);
+        places[k * step] = (uint16_t)(sum < first ? sum : sum + end);
+    }
+}
+
+/* Words and results of a function whose places have 16 bits. In the file there are the kinds of its runs and how many
+   operations each has, then the operands, then the results; of a run all first operands come before the second ones. */
+static void narrow_function(Reader *r, Function *f, int64_t first)
+{
+    size_t heads = 0, left = 0, results = 0, words = 0, k = 0;
+    const uint16_t *head = narrow_integers(r, &heads), *operand = narrow_integers(r, &left);
+    const uint16_t *result = narrow_integers(r, &results);
+    uint16_t *made = r->bad ? NULL : reader_alloc(r, heads + left + results + 1, sizeof *made);
+    uint32_t end = (uint32_t)first;
+    if (!made)
+        return;
+    for (; k + 1 < heads; k += 2) {
+        const unsigned kind = head[k], count = head[k + 1];
+        const unsigned each = kind < KIND_COUNT ? (unsigned)operands_of(kind) : 0;
+        if (!each || count > left / each)
+            break;
+        made[words++] = (uint16_t)kind;
+        made[words++] = (uint16_t)count;
+        end += count * VALUES_OF(kind);
+        for (unsigned j = 0; j < each; j++, operand += count)
+            sum_up(operand, count, (uint32_t)first, end, made + words + j, each);
+        words += count * each;
+        left -= count * each;
+    }
+    if (left || k < heads) {
+        reader_spoil(r, "a function is damaged");
+        return;
+    }
+    sum_up(result, results, (uint32_t)first, end, made + words, 1);
+    f->narrow = made;
+    f->words = words;
+    f->results = (int)results;
+}
+
+static void function(Reader *r, Function *f)
+{
+    size_t inputs = 0, outputs = 0;
+    const int32_t *in = reader_integers(r, -1, &inputs), *out = reader_integers(r, -1, &outputs);
+    const int wide = reader_integer(r);
+    int32_t *lengths;
+    int64_t all = 0, known = r->scene->constant_count;
+    if (inputs + outputs > MOST_ARGUMENTS)
+        reader_spoil(r, "a function has %zu arguments and results", inputs + outputs);
+    if (r->bad || !(lengths = reader_alloc(r, inputs + outputs + 1, sizeof *lengths)))
+        return;
+    memcpy(lengths, in, inputs * sizeof *in);
+    memcpy(lengths + inputs, out, outputs * sizeof *out);
+    for (size_t k = 0; k < inputs + outputs; k++) {
+        if (lengths[k] < 0 || lengths[k] > MOST_NUMBERS / MOST_ARGUMENTS)
+            reader_spoil(r, "an argument of a function has %d numbers", (int)lengths[k]);
+        *(k < inputs ? &known : &all) += lengths[k];
+    }
+    if ((r->results += all) > MOST_RESULTS)
+        reader_spoil(r, "its functions give too many numbers");
+    f->inputs = (int)inputs;
+    f->outputs = (int)outputs;
+    f->lengths = lengths;
+    /* Words and results stand behind each other. */
+    if (wide) {
+        size_t words = 0, rows = 0;
+        int64_t spare = 2 * all; /* entries that are said twice at most */
+        const int32_t *first = reader_integers(r, -1, &words), *then = reader_integers(r, -1, &rows);
+        int32_t *both = r->bad ? NULL : reader_alloc(r, words + (size_t)all + 1, sizeof *both);
+        if (!both)
+            return;
+        memcpy(both, first, words * sizeof *both);
+        for (int64_t k = 0; k < all; k++)
+            both[words + (size_t)k] = -1;
+        /* How many, the first entry and the step to the next, the place of the first and the step. */
+        for (const int32_t *row = then; row + 5 <= then + rows; row += 5) {
+            const int64_t count = row[0], last = row[1] + (count - 1) * row[2];
+            if (count < 1 || (spare -= count) < 0 || row[1] < 0 || row[1] >= all || last < 0 || last >= all) {
+                reader_spoil(r, "the results of a function are damaged");
+                return;
+            }
+            for (int64_t each = 0; each < count; each++)
+                both[words + (size_t)(row[1] + each * row[2])] = (int32_t)(row[3] + each * row[4]);
+        }
+        f->wide = both;
+        f->words = words;
+        f->results = (int)all;
+    } else {
+        narrow_function(r, f, known);
+    }
+    if (!r->bad && f->results != all)
+        reader_spoil(r, "a function gives %d numbers in place of %d", f->results, (int)all);
+    checked_function(r, f);
+}
+
+/* Whether a function that the runtime calls takes and gives what it hands over. */
+void function_is_shaped(Reader *r, const char *name, int which, int needed, int inputs, int outputs, ...)
+{
+    const Scene *s = r->scene;
+    const Function *f;
+    va_list lengths;
+    if (r->bad)
+        return;
+    if (which < 0 || which >= s->function_count) {
+        if (which != -1 || needed)
+            reader_spoil(r, "there is no function %s", name);
+        return;
+    }
+    f = s->functions + which;
+    if (f->inputs != inputs || f->outputs != outputs) {
+        reader_spoil(r, "the function %s has %d arguments and %d results", name, f->inputs, f->outputs);
+        return;
+    }
+    va_start(lengths, outputs);
+    for (int k = 0; k < inputs + outputs; k++) {
+        const int wanted = va_arg(lengths, int);
+        if (f->lengths[k] != wanted)
+            reader_spoil(r, "the function %s has %d numbers where %d are wanted", name, f->lengths[k], wanted);
+    }
+    va_end(lengths);
+}
+
+void functions_read(Reader *r)
+{
+    Scene *s = r->scene;
+    const int n = s->n, l = s->l, P = s->own + s->held, K = scene_settings_length(s), ties = s->ties;
+    Function *made;
+    size_t count;
+    s->constants = reader_reals(r, &count);
+    s->constant_count = (int)count;
+    s->registers = s->constant_count;
+    count = reader_length(r);
+    made = reader_has(r, count, 20) ? reader_alloc(r, count + 1, sizeof *made) : NULL;
+    for (size_t k = 0; k < count && !r->bad; k++)
+        function(r, made + k);
+    s->functions = made;
+    s->function_count = (int)count;
+    function_is_shaped(r, "dynamics", s->dynamics, 1, 5, 4, n, n, scene_driven(s), P, 1, s->mass.entries, s->constraint.entries, n, l);
+    function_is_shaped(r, "constraints", s->constraints, 1, 3, 4, n, n, P, s->mass.entries, s->constraint.entries, l, l);
+    function_is_shaped(r, "energy", s->energy, 1, 3, 2, n, n, P, 1, 1);
+    function_is_shaped(r, "closure", s->closure, 1, 3, 4, n, P, s->starts, s->gaps.entries, s->tie_rows.entries, l, ties);
+    function_is_shaped(r, "guesses", s->guesses, 1, 3, 2, P, s->starts, s->starts, n, n);
+    function_is_shaped(r, "displacements", s->displacements, s->held > 0, 2, 1, n, P, s->held);
+    function_is_shaped(r, "sliding", s->sliding, s->frictions > 0, 3, 1, n, n, P, s->frictions);
+    function_is_shaped(r, "breaks", s->breaks, s->break_count > 0, 4, 1, 1, s->inputs, s->inputs, P, 2 * s->break_count);
+    function_is_shaped(r, "pivots", s->pivots, l > 0, 3, 4, n, P, K, n, n, n, 1);
+    function_is_shaped(r, "place", s->place, l > 0, 3, 1, n, P, K, n);
+    function_is_shaped(r, "bring", s->bring, l > 0, 5, 2, n, n, n, P, K, n, n);
+    function_is_shaped(r, "settle", s->settle, l > 0, 4, 3, n, n, P, K, n, 1, 2);
+}

@@ -1,0 +1,15 @@
+/* Reads the functions of a scene file and checks every place in them. */
+
+#ifndef ALFMU_SCENE_FUNCTIONS_H
+#define ALFMU_SCENE_FUNCTIONS_H
+
+#include "scene_reader.h"
+
+#include "internal_begin.h"
+
+void function_is_shaped(Reader *r, const char *name, int which, int needed, int inputs, int outputs, ...);
+void functions_read(Reader *r);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,18 @@
+/* Reads the programs of a scene file and checks every place in them. */
+
+#ifndef ALFMU_SCENE_PROGRAMS_H
+#define ALFMU_SCENE_PROGRAMS_H
+
+#include "scene.h"
+#include "scene_reader.h"
+
+#include "internal_begin.h"
+
+/* The program that leads to the end of a step by a formulation. */
+int scene_move_program(const Scene *s, int formulation);
+
+void programs_read(Reader *r);
+
+#include "internal_end.h"
+
+#endif

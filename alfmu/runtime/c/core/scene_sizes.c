@@ -1,0 +1,45 @@
+/* Sizes that follow from the tables of a scene. */
+
+#include "scene_sizes.h"
+
+#include <stddef.h>
+
+#include "layout.h"
+#include "scene.h"
+
+int scene_variable_count(const Scene *s)
+{
+    return scene_first_output(s) + s->outputs + s->entries;
+}
+
+/* Reference of the first output. */
+int scene_first_output(const Scene *s)
+{
+    return s->parameters + s->choices + s->inputs + s->switches;
+}
+
+int scene_settings_length(const Scene *s)
+{
+    return SETTINGS + 2 * s->l + s->n + s->compliances + (s->brakes ? s->l * s->l : 0);
+}
+
+size_t scene_state_length(const Scene *s)
+{
+    return (size_t)s->near + 1;
+}
+
+/* They stand between the work and the time. */
+int scene_states(const Scene *s)
+{
+    return s->time - s->work - 1;
+}
+
+int scene_driven(const Scene *s)
+{
+    return s->inputs + scene_states(s);
+}
+
+size_t scene_peaks_length(const Scene *s)
+{
+    return s->peaks ? (size_t)s->peaks + STATE_BEFORE + 2 * (size_t)s->n : 0;
+}

@@ -1,0 +1,28 @@
+/* Sizes that follow from the tables of a scene. */
+
+#ifndef ALFMU_SCENE_SIZES_H
+#define ALFMU_SCENE_SIZES_H
+
+#include <stddef.h>
+
+#include "scene.h"
+
+#include "internal_begin.h"
+
+/* What is kept beside the peaks: whether the begin of the step before is known, its time, q and v. */
+enum { KNOWN_BEFORE, TIME_BEFORE, STATE_BEFORE };
+
+int scene_variable_count(const Scene *s);
+int scene_first_output(const Scene *s);
+int scene_settings_length(const Scene *s);
+size_t scene_state_length(const Scene *s);
+
+/* Quantities of first-order equations, and the length of what the equations call u: inputs, and behind them states. */
+int scene_states(const Scene *s);
+
+int scene_driven(const Scene *s);
+size_t scene_peaks_length(const Scene *s);
+
+#include "internal_end.h"
+
+#endif

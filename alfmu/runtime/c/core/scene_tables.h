@@ -1,0 +1,32 @@
+/* Reads the tables of a scene file: variables, switches, patterns of matrices, orders of unknowns. */
+
+#ifndef ALFMU_SCENE_TABLES_H
+#define ALFMU_SCENE_TABLES_H
+
+#include "linear.h"
+#include "scene.h"
+#include "scene_reader.h"
+
+#include "internal_begin.h"
+
+/* Places of nonzeros as a graph: which nodes meet in which edges. */
+typedef struct {
+    const Pattern *pattern;
+    int shift; /* of its rows */
+} Part;
+
+void tables_read_numbers(Reader *r);
+void tables_read_variables(Reader *r);
+void tables_read_choices(Reader *r);
+void tables_read_switches(Reader *r);
+void tables_read_frictions(Reader *r);
+void tables_read_names(Reader *r);
+void tables_read_followed(Reader *r);
+void tables_read_jacobian(Reader *r);
+void tables_read_pattern(Reader *r, Pattern *made, int rows, int columns);
+void tables_order_envelope(Reader *r, Envelope *made, int count, int edge_count, int by_rows, const Part *parts, int part_count);
+void tables_read_leaps(Reader *r);
+
+#include "internal_end.h"
+
+#endif

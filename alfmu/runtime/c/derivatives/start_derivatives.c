@@ -1,0 +1,434 @@
+/* Derivatives of the start: of each Gauss-Newton step that closed the loops, and of the corrections that made velocities
+   consistent.
+
+   A step x = J+ r, and lam with x = J' lam, has the differential dx = J+ (dr - dJ x) + (1 - J+ J) dJ' lam; what it leaves
+   out lies in the rows of J, where the last step, at closed loops, sets it anew. Both parts are corrections of least norm,
+   so that their ranks are those of the start. */
+
+#include "start_derivatives.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "function_adjoints.h"
+#include "function_tangents.h"
+#include "gradient.h"
+#include "instance.h"
+#include "lanes.h"
+#include "layout.h"
+#include "least_squares.h"
+#include "linear.h"
+#include "record.h"
+#include "scene.h"
+
+/* An entry read again. */
+typedef struct {
+    const int32_t *places;
+    const double *closure, *constraints, *held, *x, *lam;
+    double part;
+} Correction;
+
+static Correction correction(const Gradient *g, const Entry *e)
+{
+    const Scene *s = g->instance->scene;
+    const double *at = g->tape->numbers + e->numbers;
+    Correction c = {g->tape->words + e->words, at, NULL, NULL, NULL, NULL, 0.0};
+    at += arguments_of(s->functions + s->closure);
+    if (e->kind == RATED) {
+        c.constraints = at;
+        at += arguments_of(s->functions + s->constraints);
+    }
+    c.held = at;
+    c.x = c.held + s->l;
+    c.lam = c.x + s->n;
+    c.part = c.lam[s->l + s->ties];
+    return c;
+}
+
+/* Where the results of a function begin among all of them. */
+static size_t before_result(const Function *f, int which)
+{
+    size_t count = 0;
+    for (int j = 0; j < which; j++)
+        count += (size_t)f->lengths[f->inputs + j];
+    return count;
+}
+
+/* Results of `closure`: gaps' and ties' matrices, their residues. Of `constraints`: M, C, Phi, C v. */
+enum { GAPS, TIES, GAP_LEFT, TIES_LEFT };
+enum { OF_MASS, OF_C, OF_PHI, OF_CV };
+
+/* The rows of J in the present registers, of a function and from one of its results on. */
+static void fill(const Function *f, int which, const double *r, const Pattern *pattern, const double *held, double *values)
+{
+    const size_t from = before_result(f, which);
+    for (int e = 0; e < pattern->entries; e++) {
+        values[e] = r[function_result_place(f, from + (size_t)e)];
+        if (held)
+            values[e] *= held[pattern->indices[e]];
+    }
+}
+
+/* Tangents of the arguments of a function, `places` being where they stand, and of its registers. */
+static void lanes_through(Gradient *g, int which, const double *r, const int32_t *places, const Lanes *t)
+{
+    const Function *f = g->instance->scene->functions + which;
+    const Flat *flat = gradient_flat(g, which);
+    Lanes *d = g->lane_registers + g->instance->scene->constant_count;
+    for (int j = 0; j < f->inputs; d += f->lengths[j++])
+        if (places[j] < 0)
+            memset(d, 0, (size_t)f->lengths[j] * sizeof *d);
+        else
+            memcpy(d, t + places[j], (size_t)f->lengths[j] * sizeof *d);
+    if (flat)
+        tangents_through(flat, r, g->lane_registers);
+}
+
+/* Adds the adjoints of the arguments of a function whose results have theirs in `g->registers`, cleared before. */
+static void back_through(Gradient *g, int which, const double *r, const int32_t *places)
+{
+    const Function *f = g->instance->scene->functions + which;
+    const Flat *flat = gradient_flat(g, which);
+    const double *d = g->registers + g->instance->scene->constant_count;
+    if (flat)
+        adjoints_through(flat, r, g->registers);
+    for (int j = 0; j < f->inputs; d += f->lengths[j++])
+        for (int e = 0; places[j] >= 0 && e < f->lengths[j]; e++)
+            g->adjoints[places[j] + e] += d[e];
+}
+
+static void clear_registers(Gradient *g, int which)
+{
+    const Scene *s = g->instance->scene;
+    memset(g->registers + s->constant_count, 0,
+        (size_t)(s->functions[which].registers - s->constant_count) * sizeof *g->registers);
+}
+
+/* The derivative of x = J+ r along one direction: `right` is dr - dJ x, `row` is dJ' lam. */
+static void change_of(Instance *i, const Rows *J, double *right, const double *row, double *dx)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties);
+    double *made = arena_alloc(i, count), *lam = arena_alloc(i, count);
+    rows_times(J, row, made);
+    for (size_t k = 0; k < count; k++)
+        right[k] -= made[k];
+    rows_least_multipliers(i, J, right, CORRECTIONS, lam, dx);
+    for (int c = 0; c < s->n; c++)
+        dx[c] += row[c];
+    arena_release(i, arena);
+}
+
+/* Adds what a change of a matrix, by its nonzeros in one lane, does: right -= dA x, row += dA' lam. */
+static void changed_rows(const Function *f, int which, const Lanes *dr, int lane, const Pattern *p, const double *held,
+    const double *x, const double *lam, double *right, double *row)
+{
+    const size_t from = before_result(f, which);
+    for (int c = 0; c < p->columns; c++)
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+            const int r = p->indices[e];
+            const double d = dr[function_result_place(f, from + (size_t)e)].lane[lane] * (held ? held[r] : 1.0);
+            right[r] -= d * x[c];
+            row[c] += d * lam[r];
+        }
+}
+
+void closed_tangents(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->closure;
+    const Correction k = correction(g, e);
+    const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
+    const Rows J = {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)};
+    double *right = arena_alloc(i, count), *row = arena_alloc(i, n), *dx = arena_alloc(i, n);
+    const double *r = gradient_values_again(g, s->closure, k.closure);
+    const size_t left = before_result(f, GAP_LEFT), ties_left = before_result(f, TIES_LEFT);
+    fill(f, GAPS, r, &s->gaps, k.held, J.constraints.values);
+    fill(f, TIES, r, &s->tie_rows, NULL, J.ties.values);
+    for (int block = 0; block < g->blocks; block++) {
+        Lanes *t = g->tangents + (size_t)block * g->places;
+        lanes_through(g, s->closure, r, k.places, t);
+        for (int lane = 0; lane < LANES; lane++) {
+            memset(row, 0, n * sizeof *row);
+            for (int j = 0; j < s->l; j++)
+                right[j] = k.held[j] * g->lane_registers[function_result_place(f, left + (size_t)j)].lane[lane];
+            for (int j = 0; j < s->ties; j++)
+                right[s->l + j] = g->lane_registers[function_result_place(f, ties_left + (size_t)j)].lane[lane];
+            changed_rows(f, GAPS, g->lane_registers, lane, &s->gaps, k.held, k.x, k.lam, right, row);
+            changed_rows(
+                f, TIES, g->lane_registers, lane, &s->tie_rows, NULL, k.x, k.lam + s->l, right + s->l, row);
+            change_of(i, &J, right, row, dx);
+            for (int c = 0; c < s->n; c++)
+                t[k.places[PLACE_Q] + c].lane[lane] -= k.part * dx[c];
+        }
+    }
+    arena_release(i, arena);
+}
+
+/* Adjoints of the nonzeros of a matrix, added to those of the registers: of r by w, of rows by z. */
+static void matrix_back(const Function *f, int which, double *ar, const Pattern *p, const double *held, const double *x,
+    const double *lam, const double *w, const double *z)
+{
+    const size_t from = before_result(f, which);
+    for (int c = 0; c < p->columns; c++)
+        for (int e = p->offsets[c]; e < p->offsets[c + 1]; e++) {
+            const int r = p->indices[e];
+            ar[function_result_place(f, from + (size_t)e)] += (held ? held[r] : 1.0) * (lam[r] * z[c] - w[r] * x[c]);
+        }
+}
+
+/* w = J+' y and z = (1 - J+ J) y */
+static void split(Instance *i, const Rows *J, const double *y, double *w, double *z)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *made = arena_alloc(i, (size_t)(s->l + s->ties)), *x = arena_alloc(i, (size_t)s->n);
+    rows_times(J, y, made);
+    rows_least_multipliers(i, J, made, CORRECTIONS, w, x);
+    for (int c = 0; c < s->n; c++)
+        z[c] = y[c] - x[c];
+    arena_release(i, arena);
+}
+
+void closed_adjoints(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->closure;
+    const Correction k = correction(g, e);
+    const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
+    const Rows J = {matrix_new(i, &s->gaps), matrix_new(i, &s->tie_rows)};
+    double *w = arena_alloc(i, count), *z = arena_alloc(i, n), *y = arena_alloc(i, n);
+    const double *r = gradient_values_again(g, s->closure, k.closure);
+    const size_t left = before_result(f, GAP_LEFT), ties_left = before_result(f, TIES_LEFT);
+    fill(f, GAPS, r, &s->gaps, k.held, J.constraints.values);
+    fill(f, TIES, r, &s->tie_rows, NULL, J.ties.values);
+    for (int c = 0; c < s->n; c++)
+        y[c] = -k.part * g->adjoints[k.places[PLACE_Q] + c];
+    split(i, &J, y, w, z);
+    clear_registers(g, s->closure);
+    for (int j = 0; j < s->l; j++)
+        g->registers[function_result_place(f, left + (size_t)j)] += k.held[j] * w[j];
+    for (int j = 0; j < s->ties; j++)
+        g->registers[function_result_place(f, ties_left + (size_t)j)] += w[s->l + j];
+    matrix_back(f, GAPS, g->registers, &s->gaps, k.held, k.x, k.lam, w, z);
+    matrix_back(f, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
+    back_through(g, s->closure, r, k.places);
+    arena_release(i, arena);
+}
+
+/* J of the velocities: C of the constraints, and the ties of the closure. */
+static Rows rated_rows(Gradient *g, const Correction *k)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    fill(s->functions + s->closure, TIES, gradient_values_again(g, s->closure, k->closure), &s->tie_rows, NULL, J.ties.values);
+    fill(s->functions + s->constraints, OF_C, gradient_values_again(g, s->constraints, k->constraints), &s->constraint, k->held,
+        J.constraints.values);
+    return J;
+}
+
+/* The left-hand side of a correction of velocities is - C v - Phi_t of the constraints, and the rates of the ties less
+   what v gives them. */
+void rated_tangents(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *closure = s->functions + s->closure, *constraints = s->functions + s->constraints;
+    const Correction k = correction(g, e);
+    const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
+    const Rows J = rated_rows(g, &k);
+    const int32_t of_constraints[] = {k.places[PLACE_Q], k.places[PLACE_V], k.places[PLACE_P]};
+    const double *v = k.constraints + s->n;
+    double *rights = arena_alloc(i, count * LANES), *rows = arena_alloc(i, n * LANES), *dx = arena_alloc(i, n), *dv = arena_alloc(i, n);
+    double *of_ties = arena_alloc(i, count);
+    const size_t cv = before_result(constraints, OF_CV);
+    for (int block = 0; block < g->blocks; block++) {
+        Lanes *t = g->tangents + (size_t)block * g->places;
+        memset(rows, 0, n * LANES * sizeof *rows);
+        memset(rights, 0, count * LANES * sizeof *rights);
+        lanes_through(g, s->closure, gradient_values_again(g, s->closure, k.closure), k.places, t);
+        for (int lane = 0; lane < LANES; lane++) {
+            double *right = rights + lane * (int)count + s->l, *unused = dx;
+            changed_rows(closure, TIES, g->lane_registers, lane, &s->tie_rows, NULL, v, k.lam + s->l, right, unused);
+            changed_rows(closure, TIES, g->lane_registers, lane, &s->tie_rows, NULL, k.x, k.lam + s->l, right,
+                rows + lane * s->n);
+            for (int c = 0; c < s->n; c++)
+                dv[c] = t[k.places[PLACE_V] + c].lane[lane];
+            rows_times(&J, dv, of_ties);
+            for (int j = 0; j < s->ties; j++)
+                right[j] += t[k.places[PLACE_RATES] + s->tied[j]].lane[lane] - of_ties[s->l + j];
+        }
+        lanes_through(g, s->constraints, gradient_values_again(g, s->constraints, k.constraints), of_constraints, t);
+        for (int lane = 0; lane < LANES; lane++) {
+            double *right = rights + lane * (int)count, *row = rows + lane * s->n;
+            for (int j = 0; j < s->l; j++)
+                right[j] -= k.held[j] * g->lane_registers[function_result_place(constraints, cv + (size_t)j)].lane[lane];
+            changed_rows(
+                constraints, OF_C, g->lane_registers, lane, &s->constraint, k.held, k.x, k.lam, right, row);
+            change_of(i, &J, right, row, dx);
+            for (int c = 0; c < s->n; c++)
+                t[k.places[PLACE_V] + c].lane[lane] += dx[c];
+        }
+    }
+    arena_release(i, arena);
+}
+
+void rated_adjoints(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *closure = s->functions + s->closure, *constraints = s->functions + s->constraints;
+    const Correction k = correction(g, e);
+    const size_t arena = arena_mark(i), count = (size_t)(s->l + s->ties), n = (size_t)s->n;
+    const Rows J = rated_rows(g, &k);
+    const int32_t of_constraints[] = {k.places[PLACE_Q], k.places[PLACE_V], k.places[PLACE_P]};
+    const double *v = k.constraints + s->n, *r;
+    double *w = arena_alloc(i, count), *z = arena_alloc(i, n), *y = arena_alloc(i, n), *none = arena_alloc(i, n), *back = arena_alloc(i, n);
+    const size_t cv = before_result(constraints, OF_CV);
+    for (int c = 0; c < s->n; c++)
+        y[c] = g->adjoints[k.places[PLACE_V] + c];
+    memset(none, 0, n * sizeof *none);
+    split(i, &J, y, w, z);
+    for (int j = 0; j < s->ties; j++)
+        g->adjoints[k.places[PLACE_RATES] + s->tied[j]] += w[s->l + j];
+    /* T v of the ties: what constraints make of v goes through their function. */
+    {
+        double *of_ties = arena_alloc(i, count);
+        memset(of_ties, 0, count * sizeof *of_ties);
+        memcpy(of_ties + s->l, w + s->l, (size_t)s->ties * sizeof *of_ties);
+        rows_times_back(&J, of_ties, back);
+        for (int c = 0; c < s->n; c++)
+            g->adjoints[k.places[PLACE_V] + c] -= back[c];
+    }
+    r = gradient_values_again(g, s->constraints, k.constraints);
+    clear_registers(g, s->constraints);
+    for (int j = 0; j < s->l; j++)
+        g->registers[function_result_place(constraints, cv + (size_t)j)] -= k.held[j] * w[j];
+    matrix_back(constraints, OF_C, g->registers, &s->constraint, k.held, k.x, k.lam, w, z);
+    back_through(g, s->constraints, r, of_constraints);
+    r = gradient_values_again(g, s->closure, k.closure);
+    clear_registers(g, s->closure);
+    matrix_back(closure, TIES, g->registers, &s->tie_rows, NULL, k.x, k.lam + s->l, w + s->l, z);
+    matrix_back(closure, TIES, g->registers, &s->tie_rows, NULL, v, k.lam + s->l, w + s->l, none);
+    back_through(g, s->closure, r, k.places);
+    arena_release(i, arena);
+}
+
+/* An entry read again: roots of penalties over that of the largest, and b, v and sizes. */
+typedef struct {
+    int32_t places[3];
+    int32_t matrix;
+    const double *penalty, *values;
+    double largest, *root, *b, *v, *sizes;
+} Holding;
+
+static Holding holding(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->constraints;
+    const int32_t *words = g->tape->words + e->words;
+    const double *arguments = g->tape->numbers + e->numbers;
+    const Pattern *p = &s->constraint;
+    const size_t l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    Holding h = {{words[0], -1, words[1]}, words[2], arguments + arguments_of(f), NULL, 0.0, NULL, NULL, NULL, NULL};
+    h.largest = h.penalty[l];
+    h.root = arena_alloc(i, l);
+    h.b = arena_alloc(i, n * l);
+    h.v = arena_alloc(i, l * l);
+    h.sizes = arena_alloc(i, l);
+    h.values = gradient_values_again(g, s->constraints, arguments);
+    for (int r = 0; r < s->l; r++)
+        h.root[r] = sqrt(h.penalty[r]);
+    memset(h.b, 0, n * l * sizeof *h.b);
+    for (int c = 0; c < s->n; c++)
+        for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++)
+            h.b[p->indices[k] * s->n + c] = h.root[p->indices[k]] * h.values[function_result_place(f, from + (size_t)k)];
+    linear_singular_values(s->n, s->l, h.b, h.v, h.sizes);
+    return h;
+}
+
+void held_tangents(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->constraints;
+    const Pattern *p = &s->constraint;
+    const size_t arena = arena_mark(i), l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    const int rank = e->what;
+    const Holding h = holding(g, e);
+    double *turned = arena_alloc(i, n * l), *dP = arena_alloc(i, l * l);
+    for (int block = 0; block < g->blocks; block++) {
+        Lanes *t = g->tangents + (size_t)block * g->places;
+        lanes_through(g, s->constraints, h.values, h.places, t);
+        for (int lane = 0; lane < LANES; lane++) {
+            memset(turned, 0, n * l * sizeof *turned); /* dA v, by columns */
+            memset(dP, 0, l * l * sizeof *dP);
+            for (int c = 0; c < s->n; c++)
+                for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++) {
+                    const int r = p->indices[k];
+                    const double d = h.root[r] * g->lane_registers[function_result_place(f, from + (size_t)k)].lane[lane];
+                    for (int j = 0; j < s->l && d != 0.0; j++)
+                        turned[j * s->n + c] += d * h.v[j * s->l + r];
+                }
+            for (int k = 0; k < rank; k++)
+                for (int j = rank; j < s->l; j++) {
+                    double by = 0.0;
+                    for (int c = 0; c < s->n; c++)
+                        by += h.b[k * s->n + c] * turned[j * s->n + c] + h.b[j * s->n + c] * turned[k * s->n + c];
+                    by /= h.sizes[k] * h.sizes[k] - h.sizes[j] * h.sizes[j];
+                    for (int a = 0; a < s->l; a++)
+                        for (int b = 0; b < s->l; b++)
+                            dP[a * s->l + b] += by
+                                * (h.v[j * s->l + a] * h.v[k * s->l + b] + h.v[k * s->l + a] * h.v[j * s->l + b]);
+                }
+            for (int a = 0; a < s->l; a++)
+                for (int b = 0; b < s->l; b++)
+                    t[h.matrix + a * s->l + b].lane[lane] = h.root[a] * dP[a * s->l + b] * h.root[b] / h.largest;
+        }
+    }
+    arena_release(i, arena);
+}
+
+void held_adjoints(Gradient *g, const Entry *e)
+{
+    Instance *i = g->instance;
+    const Scene *s = i->scene;
+    const Function *f = s->functions + s->constraints;
+    const Pattern *p = &s->constraint;
+    const size_t arena = arena_mark(i), l = (size_t)s->l, n = (size_t)s->n, from = before_result(f, OF_C);
+    const int rank = e->what;
+    const Holding h = holding(g, e);
+    double *of_P = arena_alloc(i, l * l), *of_A = arena_alloc(i, n * l);
+    memset(of_A, 0, n * l * sizeof *of_A);
+    for (int a = 0; a < s->l; a++)
+        for (int b = 0; b < s->l; b++) {
+            double *own = g->adjoints + h.matrix + a * s->l + b;
+            of_P[a * s->l + b] = h.root[a] * *own * h.root[b] / h.largest;
+            *own = 0.0;
+        }
+    for (int k = 0; k < rank; k++)
+        for (int j = rank; j < s->l; j++) {
+            double by = 0.0;
+            for (int a = 0; a < s->l; a++)
+                for (int b = 0; b < s->l; b++)
+                    by += of_P[a * s->l + b]
+                        * (h.v[j * s->l + a] * h.v[k * s->l + b] + h.v[k * s->l + a] * h.v[j * s->l + b]);
+            by /= h.sizes[k] * h.sizes[k] - h.sizes[j] * h.sizes[j];
+            for (int r = 0; r < s->l; r++)
+                for (int c = 0; c < s->n; c++)
+                    of_A[r * s->n + c] +=
+                        by * (h.v[j * s->l + r] * h.b[k * s->n + c] + h.v[k * s->l + r] * h.b[j * s->n + c]);
+        }
+    clear_registers(g, s->constraints);
+    for (int c = 0; c < s->n; c++)
+        for (int k = p->offsets[c]; k < p->offsets[c + 1]; k++)
+            g->registers[function_result_place(f, from + (size_t)k)] += h.root[p->indices[k]] * of_A[p->indices[k] * s->n + c];
+    back_through(g, s->constraints, h.values, h.places);
+    arena_release(i, arena);
+}

@@ -1,0 +1,20 @@
+/* Derivatives of the start: of the assembly, the start velocities and a frozen rank. */
+
+#ifndef ALFMU_START_DERIVATIVES_H
+#define ALFMU_START_DERIVATIVES_H
+
+#include "gradient.h"
+#include "record.h"
+
+#include "internal_begin.h"
+
+void closed_tangents(Gradient *g, const Entry *e);
+void closed_adjoints(Gradient *g, const Entry *e);
+void rated_tangents(Gradient *g, const Entry *e);
+void rated_adjoints(Gradient *g, const Entry *e);
+void held_tangents(Gradient *g, const Entry *e);
+void held_adjoints(Gradient *g, const Entry *e);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,15 @@
+/* Tangents along a tape. */
+
+#ifndef ALFMU_TANGENT_H
+#define ALFMU_TANGENT_H
+
+#include "gradient.h"
+#include "record.h"
+
+#include "internal_begin.h"
+
+void tangents_along(Gradient *g, Mark from);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,92 @@
+/* What FMI 2 and FMI 3 share: an instance behind a handle, its phase of life, what it logs, and every function that the
+   two have in common. Functions that end in an argument `call` answer the function of FMI of that name. */
+
+#ifndef ALFMU_COMPONENT_H
+#define ALFMU_COMPONENT_H
+
+#include <math.h>
+#include <stddef.h>
+
+#include "instance.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+/* What a call comes to, with the numbers of fmi2Status and fmi3Status. */
+typedef enum { STATUS_OK, STATUS_WARNING, STATUS_DISCARD, STATUS_ERROR } Status;
+
+typedef enum { ALL, WARNING, DISCARD, ERROR_, FATAL, CATEGORIES } Category;
+
+/* What values are in the host's arrays, and which variables have such. */
+typedef enum {
+    AS_DOUBLE,  /* double: real ones, and time in FMI 3 */
+    AS_INT,    /* int: whole ones */
+    AS_FMI2_INTEGER, /* int: whole ones and choices, as in FMI 2 */
+    AS_INT64,   /* int64_t: choices, as in FMI 3 */
+    AS_INT_BOOLEAN,   /* int: Boolean ones, as in FMI 2 */
+    AS_BOOL,  /* bool: Boolean ones, as in FMI 3 */
+    VALUE_TYPES
+} Value_type;
+
+/* Lets the host look after an internal step that ends at a time. Where the host wants to return early, `until` becomes
+   the time from which on. */
+typedef void Look(void *host, double time, int can_return, double *until);
+
+/* A saved state: the bytes of the instance follow. */
+typedef struct {
+    unsigned magic;
+    size_t size;
+    unsigned char bytes[];
+} State;
+
+typedef struct {
+    unsigned magic;
+    Scene *scene;
+    Instance *instance;
+    char *name;
+    void (*log)(void *host, const char *name, Category category, const char *text);
+    Look *look;
+    void *host;
+    State *before, *after; /* a step that the host looks into */
+    unsigned logged; /* categories, as bits */
+    int has_time;    /* whether time is a variable, behind all others */
+} Component;
+
+extern const char *const category_names[CATEGORIES];
+
+int component_phase(const Component *c);
+
+/* NULL where there can be no component, and why; a host of so many bytes comes with it. */
+Component *component_new(
+    const char *name, const char *guid, const char *resources, size_t host, char *why, size_t why_size);
+
+void component_free(Component *c);
+int component_good(const Component *c);
+void component_say(Component *c, Category category, const char *text);
+Status component_refuse(Component *c, Category category, const char *call, const char *why);
+Status component_refused(Component *c, Status status);
+int component_begun(Component *c);
+int component_in(Component *c, int phases, const char *call);
+Status component_logging(Component *c, int on, size_t count, const char *const categories[], const char *call);
+
+/* `tolerance` is 0 where the host asks for none, `stop` is NULL where it says no stop time. */
+Status component_begin(Component *c, double start, const double *stop, double tolerance, const char *call);
+
+Status component_enter(Component *c, const char *call);
+Status component_initialized(Component *c, const char *call);
+Status component_terminated(Component *c, const char *call);
+Status component_reset(Component *c, const char *call);
+
+/* `early` may be NULL where the host cannot be asked. */
+Status component_step(Component *c, double point, double step, int *early, const char *call);
+
+Status component_save(Component *c, void **state, const char *call);
+Status component_restore(Component *c, void *state, const char *call);
+Status component_forget(Component *c, void **state, const char *call);
+Status component_state_size(Component *c, void *state, size_t *size, const char *call);
+Status component_write(Component *c, void *state, void *bytes, size_t size, const char *call);
+Status component_read(Component *c, const void *bytes, size_t size, void **state, const char *call);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,221 @@
+/* Values and derivatives of a component, by arrays of references. */
+
+#include "component_values.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "component.h"
+#include "instance.h"
+#include "instant_derivatives.h"
+#include "outputs.h"
+#include "run.h"
+#include "scene.h"
+#include "scene_sizes.h"
+#include "variables.h"
+
+static int is_time(const Component *c, unsigned reference)
+{
+    return c->has_time && reference == (unsigned)scene_variable_count(c->instance->scene);
+}
+
+/* Whether a variable has values of a form. */
+static int component_has_form(const Variable *v, Value_type form)
+{
+    static const unsigned kept[VALUE_TYPES] = {
+        1u << REAL, 1u << INTEGER, 1u << INTEGER | 1u << STRING, 1u << STRING, 1u << BOOLEAN, 1u << BOOLEAN};
+    return (kept[form] >> (v->kind == CHOICE ? STRING : v->type)) & 1u;
+}
+
+/* Whether arrays can be looked at, and hold references of variables that have values of a form. */
+static int check_references(Component *c, const unsigned *references, size_t count, const void *values, size_t value_count,
+    Value_type form, const char *call)
+{
+    const Scene *s = c->instance->scene;
+    const char *why = count != value_count ? "every variable is a scalar: as many values as references"
+        : count && (!references || !values) ? "there is no array"
+                                            : NULL;
+    for (size_t k = 0; !why && k < count; k++)
+        if (!(form == AS_DOUBLE && is_time(c, references[k]))
+            && (references[k] >= (unsigned)scene_variable_count(s) || !component_has_form(s->variables + references[k], form)))
+            why = "no variable of this type has this value reference";
+    if (why)
+        component_refuse(c, ERROR_, call, why);
+    return !why;
+}
+
+/* The same, where all are of a kind. */
+static int check_references_of(Component *c, const unsigned *references, size_t count, const void *values,
+    size_t value_count, Kind kind, const char *call)
+{
+    if (!check_references(c, references, count, values, value_count, AS_DOUBLE, call))
+        return 0;
+    for (size_t k = 0; k < count; k++)
+        if (is_time(c, references[k]) || c->instance->scene->variables[references[k]].kind != kind) {
+            component_refuse(c, ERROR_, call, kind == INPUT ? "inputs alone have such" : "outputs alone have such");
+            return 0;
+        }
+    return 1;
+}
+
+static void put_value(void *values, size_t k, Value_type form, double value)
+{
+    const int whole = fabs(value) <= 2147483647.0 ? (int)value : 0;
+    switch (form) {
+    case AS_DOUBLE:
+        ((double *)values)[k] = value;
+        break;
+    case AS_INT64:
+        ((int64_t *)values)[k] = whole;
+        break;
+    case AS_INT_BOOLEAN:
+        ((int *)values)[k] = value != 0.0;
+        break;
+    case AS_BOOL:
+        ((bool *)values)[k] = value != 0.0;
+        break;
+    default:
+        ((int *)values)[k] = whole;
+    }
+}
+
+static double take_value(const void *values, size_t k, Value_type form)
+{
+    switch (form) {
+    case AS_DOUBLE:
+        return ((const double *)values)[k];
+    case AS_INT64:
+        return (double)((const int64_t *)values)[k];
+    case AS_INT_BOOLEAN:
+        return ((const int *)values)[k] != 0;
+    case AS_BOOL: /* A byte of a host may be neither. */
+        return ((const unsigned char *)values)[k * sizeof(bool)] != 0;
+    default:
+        return ((const int *)values)[k];
+    }
+}
+
+Status component_get(Component *c, const unsigned *references, size_t count, void *values, size_t value_count,
+    Value_type form, const char *call)
+{
+    Instance *i;
+    int outputs = 0, finite = 1;
+    /* FMI 3 gives start values as soon as there is an instance, FMI 2 when initialisation has begun. */
+    const int phases = component_good(c) && c->has_time ? KNOWN | INSTANTIATED : KNOWN;
+    if (!component_in(c, phases, call) || !check_references(c, references, count, values, value_count, form, call))
+        return STATUS_ERROR;
+    i = c->instance;
+    for (size_t k = 0; k < count; k++)
+        outputs |= !is_time(c, references[k]) && i->scene->variables[references[k]].kind == OUTPUT;
+    if (outputs && !i->flags.initialized) {
+        if (component_phase(c) != INITIALIZING)
+            return component_refuse(c, ERROR_, call, "outputs are known after initialising");
+        if (!component_begun(c))
+            return component_refused(c, STATUS_ERROR);
+    }
+    if (outputs)
+        instance_read(i);
+    for (size_t k = 0; k < count; k++) {
+        const double value = is_time(c, references[k]) ? *instance_time(i) : instance_get(i, (int)references[k]);
+        put_value(values, k, form, value);
+        finite &= isfinite(value) != 0;
+    }
+    return finite ? STATUS_OK : component_refused(c, STATUS_DISCARD);
+}
+
+/* Values that are refused leave those before them in force; the others are taken. */
+Status component_set(Component *c, const unsigned *references, size_t count, const void *values, size_t value_count,
+    Value_type form, const char *call)
+{
+    Status status = STATUS_OK;
+    if (!component_in(c, BORN, call) || !check_references(c, references, count, values, value_count, form, call))
+        return STATUS_ERROR;
+    for (size_t k = 0; k < count; k++) {
+        const Kind kind = is_time(c, references[k]) ? OUTPUT : c->instance->scene->variables[references[k]].kind;
+        if (kind == OUTPUT)
+            return component_refuse(c, ERROR_, call, "an output cannot be set");
+        if ((kind == PARAMETER || kind == CHOICE) && component_phase(c) == STEPPING)
+            return component_refuse(c, ERROR_, call, "a parameter is fixed once the run has begun");
+    }
+    for (size_t k = 0; k < count; k++)
+        if (instance_set(c->instance, (int)references[k], take_value(values, k, form)) != DONE)
+            status = component_refused(c, STATUS_DISCARD);
+    return status;
+}
+
+Status component_slopes(Component *c, const unsigned *references, size_t count, const int *orders,
+    const double *values, const char *call)
+{
+    Status status = STATUS_OK;
+    if (!component_in(c, BORN, call) || !check_references_of(c, references, count, values, count, INPUT, call))
+        return STATUS_ERROR;
+    for (size_t k = 0; k < count; k++)
+        if (!orders || orders[k] != 1)
+            return component_refuse(c, ERROR_, call, "there are first derivatives of inputs alone");
+    for (size_t k = 0; k < count; k++)
+        if (instance_set_slope(c->instance, (int)references[k], values[k]) != DONE)
+            status = component_refused(c, STATUS_DISCARD);
+    return status;
+}
+
+Status component_output_derivatives(Component *c, const unsigned *references, size_t count, const int *orders,
+    double *values, size_t value_count, const char *call)
+{
+    const Scene *s;
+    if (!component_in(c, RUN, call) || !check_references_of(c, references, count, values, value_count, OUTPUT, call))
+        return STATUS_ERROR;
+    s = c->instance->scene;
+    for (size_t k = 0; k < count; k++)
+        if (!orders || orders[k] < 1 || orders[k] > 2)
+            return component_refuse(c, ERROR_, call, "outputs have derivatives of orders 1 and 2");
+        else if ((int)references[k] >= scene_first_output(s) + s->outputs)
+            return component_refuse(c, ERROR_, call, "derivatives over a step are discrete, and have no rate");
+    if (count && instance_output_derivatives(c->instance, references, orders, count, values) != DONE)
+        return component_refused(c, STATUS_DISCARD);
+    return STATUS_OK;
+}
+
+/* Whether outputs can be differentiated by these variables now. */
+static int addressed_knowns(
+    Component *c, const unsigned *references, size_t count, const void *values, size_t value_count, const char *call)
+{
+    const Scene *s = c->instance->scene;
+    const char *why = NULL;
+    if (!check_references(c, references, count, values, value_count, AS_DOUBLE, call))
+        return 0;
+    for (size_t k = 0; k < count && !why; k++)
+        if (is_time(c, references[k]) || !variable_has_derivatives(s, (int)references[k]))
+            why = "there are derivatives by inputs, parameters and start values alone";
+        else if (s->variables[references[k]].kind == PARAMETER && component_phase(c) != INITIALIZING)
+            why = "parameters and start values are fixed once the run has begun; ask for derivatives by them before";
+    if (why)
+        component_refuse(c, ERROR_, call, why);
+    return !why;
+}
+
+/* Along a direction of what is known, or back from one of what is not. */
+Status component_derivative(Component *c, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *seed, size_t seed_count, double *found, size_t found_count, int back, const char *call)
+{
+    const size_t *of_unknowns = back ? &seed_count : &found_count, *of_knowns = back ? &found_count : &seed_count;
+    int inputs = 1;
+    Instance *i;
+    Outcome outcome;
+    if (!component_in(c, KNOWN, call)
+        || !check_references_of(c, unknowns, unknown_count, back ? seed : found, *of_unknowns, OUTPUT, call)
+        || !addressed_knowns(c, knowns, known_count, back ? found : seed, *of_knowns, call))
+        return STATUS_ERROR;
+    i = c->instance;
+    if (!i->flags.initialized && (component_phase(c) != INITIALIZING || !component_begun(c)))
+        return component_refuse(c, ERROR_, call, "outputs are known after initialising");
+    for (size_t k = 0; k < known_count; k++)
+        inputs &= i->scene->variables[knowns[k]].kind == INPUT && !instance_moves_start(i);
+    outcome = instance_read(i);
+    if (outcome == DONE && inputs && !back) /* What the scene has for them, which is evaluated at once. */
+        outcome = instance_derivative(i, unknowns, unknown_count, knowns, known_count, seed, found);
+    else if (outcome == DONE)
+        outcome = instance_sweep(i, unknowns, unknown_count, knowns, known_count, seed, back, found);
+    return outcome == DONE ? STATUS_OK : component_refused(c, STATUS_DISCARD);
+}

@@ -1,0 +1,248 @@
+/* FMI 2.0 for co-simulation. */
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "border.h"
+#include "component.h"
+#include "component_values.h"
+#include "driving_inputs.h"
+#include "fmi.h"
+#include "instance.h"
+
+/* What FMI hands over beside the component. */
+typedef struct {
+    fmi2CallbackLogger logger;
+    fmi2ComponentEnvironment environment;
+} Host;
+
+static void logged(void *host, const char *name, Category category, const char *text)
+{
+    static const fmi2Status statuses[CATEGORIES] = {fmi2OK, fmi2Warning, fmi2Discard, fmi2Error, fmi2Fatal};
+    const Host *h = host;
+    h->logger(h->environment, name, statuses[category], category_names[category], text);
+}
+
+API const char *fmi2GetTypesPlatform(void)
+{
+    return fmi2TypesPlatform;
+}
+
+API const char *fmi2GetVersion(void)
+{
+    return fmi2Version;
+}
+
+API fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+    const fmi2CallbackFunctions *functions, fmi2Boolean visible, fmi2Boolean logging)
+{
+    char why[500] = "it is for co-simulation alone";
+    const Border border = border_in();
+    Component *c
+        = type == fmi2CoSimulation ? component_new(name, guid, resources, sizeof(Host), why, sizeof why) : NULL;
+    Host *host;
+    border_out(&border);
+    (void)visible;
+    if (!c) {
+        char text[600] = "cannot be instantiated: ";
+        strncat(text, why, sizeof text - strlen(text) - 1);
+        if (functions && functions->logger)
+            functions->logger(functions->componentEnvironment, name ? name : "", fmi2Error, "logStatusError", text);
+        return NULL;
+    }
+    host = c->host;
+    if (functions && functions->logger) {
+        host->logger = functions->logger;
+        host->environment = functions->componentEnvironment;
+        c->log = logged;
+    }
+    component_logging(c, logging, 0, NULL, "fmi2Instantiate");
+    return c;
+}
+
+API void fmi2FreeInstance(fmi2Component c)
+{
+    component_free(c);
+}
+
+API fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count, const fmi2String categories[])
+{
+    INSIDE(fmi2Status, component_logging(c, on, count, categories, "fmi2SetDebugLogging"));
+}
+
+API fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real start,
+    fmi2Boolean has_stop, fmi2Real stop)
+{
+    INSIDE(fmi2Status,
+        component_begin(c, start, has_stop ? &stop : NULL, has_tolerance ? tolerance : 0.0, "fmi2SetupExperiment"));
+}
+
+API fmi2Status fmi2EnterInitializationMode(fmi2Component c)
+{
+    INSIDE(fmi2Status, component_enter(c, "fmi2EnterInitializationMode"));
+}
+
+API fmi2Status fmi2ExitInitializationMode(fmi2Component c)
+{
+    INSIDE(fmi2Status, component_initialized(c, "fmi2ExitInitializationMode"));
+}
+
+API fmi2Status fmi2Terminate(fmi2Component c)
+{
+    INSIDE(fmi2Status, component_terminated(c, "fmi2Terminate"));
+}
+
+API fmi2Status fmi2Reset(fmi2Component c)
+{
+    INSIDE(fmi2Status, component_reset(c, "fmi2Reset"));
+}
+
+#define VALUES(TYPE, FORM) \
+    API fmi2Status fmi2Get##TYPE( \
+        fmi2Component c, const fmi2ValueReference references[], size_t count, fmi2##TYPE values[]) \
+    { \
+        INSIDE(fmi2Status, component_get(c, references, count, values, count, FORM, "fmi2Get" #TYPE)); \
+    } \
+    API fmi2Status fmi2Set##TYPE( \
+        fmi2Component c, const fmi2ValueReference references[], size_t count, const fmi2##TYPE values[]) \
+    { \
+        INSIDE(fmi2Status, component_set(c, references, count, values, count, FORM, "fmi2Set" #TYPE)); \
+    }
+
+VALUES(Real, AS_DOUBLE)
+VALUES(Integer, AS_FMI2_INTEGER)
+VALUES(Boolean, AS_INT_BOOLEAN)
+
+/* A call for variables of which there are none. */
+static fmi2Status none(Component *c, int phases, size_t count, const char *call)
+{
+    if (!component_in(c, phases, call))
+        return fmi2Error;
+    return count ? (fmi2Status)component_refuse(c, ERROR_, call, "no variable is a string") : fmi2OK;
+}
+
+API fmi2Status fmi2GetString(
+    fmi2Component c, const fmi2ValueReference references[], size_t count, fmi2String values[])
+{
+    (void)references;
+    (void)values;
+    return none(c, KNOWN, count, "fmi2GetString");
+}
+
+API fmi2Status fmi2SetString(
+    fmi2Component c, const fmi2ValueReference references[], size_t count, const fmi2String values[])
+{
+    (void)references;
+    (void)values;
+    return none(c, BORN, count, "fmi2SetString");
+}
+
+API fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknowns[], size_t unknown_count,
+    const fmi2ValueReference knowns[], size_t known_count, const fmi2Real directions[], fmi2Real changes[])
+{
+    INSIDE(fmi2Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, directions, known_count,
+        changes, unknown_count, 0, "fmi2GetDirectionalDerivative"));
+}
+
+API fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
+    const fmi2Integer orders[], const fmi2Real values[])
+{
+    INSIDE(fmi2Status, component_slopes(c, references, count, orders, values, "fmi2SetRealInputDerivatives"));
+}
+
+API fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference references[], size_t count,
+    const fmi2Integer orders[], fmi2Real values[])
+{
+    INSIDE(fmi2Status, component_output_derivatives(
+        c, references, count, orders, values, count, "fmi2GetRealOutputDerivatives"));
+}
+
+API fmi2Status fmi2DoStep(fmi2Component c, fmi2Real point, fmi2Real step, fmi2Boolean no_way_back)
+{
+    (void)no_way_back;
+    INSIDE(fmi2Status, component_step(c, point, step, NULL, "fmi2DoStep"));
+}
+
+API fmi2Status fmi2CancelStep(fmi2Component c)
+{
+    return component_in(c, ANY, "fmi2CancelStep")
+        ? (fmi2Status)component_refuse(c, ERROR_, "fmi2CancelStep", "no step is ever pending")
+        : fmi2Error;
+}
+
+/* What is asked for is in `found`, 1 where there is such a status; all other ones are of pending steps. */
+static fmi2Status status_of(Component *c, int found, const char *call)
+{
+    if (!component_in(c, RUN, call))
+        return fmi2Error;
+    return found ? fmi2OK : (fmi2Status)component_refuse(c, DISCARD, call, "no step is ever pending");
+}
+
+API fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
+{
+    (void)kind;
+    (void)value;
+    return status_of(c, 0, "fmi2GetStatus");
+}
+
+API fmi2Status fmi2GetRealStatus(fmi2Component component, const fmi2StatusKind kind, fmi2Real *value)
+{
+    Component *c = component;
+    const fmi2Status status = status_of(c, kind == fmi2LastSuccessfulTime && value, "fmi2GetRealStatus");
+    if (status == fmi2OK)
+        *value = *instance_time(c->instance);
+    return status;
+}
+
+API fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
+{
+    (void)kind;
+    (void)value;
+    return status_of(c, 0, "fmi2GetIntegerStatus");
+}
+
+API fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
+{
+    const fmi2Status status = status_of(c, kind == fmi2Terminated && value, "fmi2GetBooleanStatus");
+    if (status == fmi2OK)
+        *value = fmi2False; /* A run never ends by itself. */
+    return status;
+}
+
+API fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
+{
+    (void)kind;
+    (void)value;
+    return status_of(c, 0, "fmi2GetStringStatus");
+}
+
+API fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
+{
+    INSIDE(fmi2Status, component_save(c, state, "fmi2GetFMUstate"));
+}
+
+API fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
+{
+    INSIDE(fmi2Status, component_restore(c, state, "fmi2SetFMUstate"));
+}
+
+API fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
+{
+    INSIDE(fmi2Status, component_forget(c, state, "fmi2FreeFMUstate"));
+}
+
+API fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
+{
+    INSIDE(fmi2Status, component_state_size(c, state, size, "fmi2SerializedFMUstateSize"));
+}
+
+API fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
+{
+    INSIDE(fmi2Status, component_write(c, state, bytes, size, "fmi2SerializeFMUstate"));
+}
+
+API fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
+{
+    INSIDE(fmi2Status, component_read(c, bytes, size, state, "fmi2DeSerializeFMUstate"));
+}

@@ -1,0 +1,410 @@
+/* FMI 3.0 for co-simulation: scalar variables, no event mode, no clocks. */
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "border.h"
+#include "component.h"
+#include "component_values.h"
+#include "driving_inputs.h"
+#include "fmi.h"
+#include "instance.h"
+
+/* What FMI hands over beside the component. */
+typedef struct {
+    fmi3LogMessageCallback log;
+    fmi3IntermediateUpdateCallback update;
+    fmi3InstanceEnvironment environment;
+    int may_return;
+} Host;
+
+static void logged(void *host, const char *name, Category category, const char *text)
+{
+    static const fmi3Status statuses[CATEGORIES] = {fmi3OK, fmi3Warning, fmi3Discard, fmi3Error, fmi3Fatal};
+    const Host *h = host;
+    (void)name;
+    h->log(h->environment, statuses[category], category_names[category], text);
+}
+
+static void look(void *host, double time, int can_return, double *until)
+{
+    const Host *h = host;
+    fmi3Boolean wanted = fmi3False;
+    fmi3Float64 from = time;
+    h->update(h->environment, time, fmi3False, fmi3True, fmi3True, can_return != 0, &wanted, &from);
+    if (wanted && can_return)
+        *until = from;
+}
+
+/* A call for which there is nothing in this FMU, with the rest of its arguments. */
+static fmi3Status unknown(Component *c, const char *call, ...)
+{
+    return component_good(c) ? (fmi3Status)component_refuse(c, ERROR_, call, "this FMU has nothing of the kind")
+                             : fmi3Error;
+}
+
+/* The same, where nothing is asked for, which is no error. */
+static fmi3Status none(Component *c, size_t count, const char *call, ...)
+{
+    return component_good(c) && !count ? fmi3OK : unknown(c, call);
+}
+
+API const char *fmi3GetVersion(void)
+{
+    return fmi3Version;
+}
+
+static fmi3Instance not_made(fmi3InstanceEnvironment environment, fmi3LogMessageCallback log, const char *why, ...)
+{
+    char text[600] = "cannot be instantiated: ";
+    strncat(text, why, sizeof text - strlen(text) - 1);
+    if (log)
+        log(environment, fmi3Error, "logStatusError", text);
+    return NULL;
+}
+
+API fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+    fmi3Boolean logging, fmi3Boolean event_mode, fmi3Boolean may_return, const fmi3ValueReference intermediate[],
+    size_t intermediate_count, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+    fmi3IntermediateUpdateCallback update)
+{
+    char why[500] = "it has no event mode (hasEventMode is false); leave eventModeUsed false";
+    const Border border = border_in();
+    Component *c = event_mode ? NULL : component_new(name, token, resources, sizeof(Host), why, sizeof why);
+    Host *host;
+    border_out(&border);
+    if (!c)
+        return not_made(environment, log, why, visible, intermediate, intermediate_count);
+    host = c->host;
+    host->log = log;
+    host->update = update;
+    host->environment = environment;
+    host->may_return = may_return;
+    c->log = log ? logged : NULL;
+    c->look = update ? look : NULL;
+    c->has_time = 1;
+    component_logging(c, logging, 0, NULL, "fmi3InstantiateCoSimulation");
+    return c;
+}
+
+API fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
+    fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log)
+{
+    return not_made(environment, log, "it is for co-simulation alone", name, token, resources, visible, logging);
+}
+
+API fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
+    fmi3Boolean visible, fmi3Boolean logging, fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
+    fmi3ClockUpdateCallback clock, fmi3LockPreemptionCallback lock, fmi3UnlockPreemptionCallback unlock)
+{
+    return not_made(environment, log, "it is for co-simulation alone", name, token, resources, visible, logging, clock,
+        lock, unlock);
+}
+
+API void fmi3FreeInstance(fmi3Instance c)
+{
+    component_free(c);
+}
+
+API fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t count, const fmi3String categories[])
+{
+    INSIDE(fmi3Status, component_logging(c, on, count, categories, "fmi3SetDebugLogging"));
+}
+
+API fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean has_tolerance, fmi3Float64 tolerance,
+    fmi3Float64 start, fmi3Boolean has_stop, fmi3Float64 stop)
+{
+    static const char call[] = "fmi3EnterInitializationMode";
+    const Border border = border_in();
+    const Status begun = component_begin(c, start, has_stop ? &stop : NULL, has_tolerance ? tolerance : 0.0, call);
+    border_out(&border);
+    if (begun <= STATUS_WARNING)
+        component_enter(c, call);
+    return (fmi3Status)begun;
+}
+
+API fmi3Status fmi3ExitInitializationMode(fmi3Instance c)
+{
+    INSIDE(fmi3Status, component_initialized(c, "fmi3ExitInitializationMode"));
+}
+
+API fmi3Status fmi3Terminate(fmi3Instance c)
+{
+    INSIDE(fmi3Status, component_terminated(c, "fmi3Terminate"));
+}
+
+API fmi3Status fmi3Reset(fmi3Instance c)
+{
+    INSIDE(fmi3Status, component_reset(c, "fmi3Reset"));
+}
+
+#define GET(TYPE) \
+    API fmi3Status fmi3Get##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3##TYPE values[], \
+        size_t value_count)
+#define SET(TYPE) \
+    API fmi3Status fmi3Set##TYPE(fmi3Instance c, const fmi3ValueReference references[], size_t count, \
+        const fmi3##TYPE values[], size_t value_count)
+
+#define VALUES(TYPE, FORM) \
+    GET(TYPE) \
+    { \
+        INSIDE(fmi3Status, component_get(c, references, count, values, value_count, FORM, "fmi3Get" #TYPE)); \
+    } \
+    SET(TYPE) \
+    { \
+        INSIDE(fmi3Status, component_set(c, references, count, values, value_count, FORM, "fmi3Set" #TYPE)); \
+    }
+
+VALUES(Float64, AS_DOUBLE)
+VALUES(Int32, AS_INT)
+VALUES(Int64, AS_INT64) /* choices */
+VALUES(Boolean, AS_BOOL)
+
+/* Types that no variable has. */
+#define NO_VALUES(TYPE) \
+    GET(TYPE) \
+    { \
+        return none(c, count + value_count, "fmi3Get" #TYPE, references, values); \
+    } \
+    SET(TYPE) \
+    { \
+        return none(c, count + value_count, "fmi3Set" #TYPE, references, values); \
+    }
+
+NO_VALUES(Float32)
+NO_VALUES(Int8)
+NO_VALUES(UInt8)
+NO_VALUES(Int16)
+NO_VALUES(UInt16)
+NO_VALUES(UInt32)
+NO_VALUES(UInt64)
+NO_VALUES(String)
+
+API fmi3Status fmi3GetBinary(fmi3Instance c, const fmi3ValueReference references[], size_t count, size_t sizes[],
+    fmi3Binary values[], size_t value_count)
+{
+    return none(c, count + value_count, "fmi3GetBinary", references, sizes, values);
+}
+
+API fmi3Status fmi3SetBinary(fmi3Instance c, const fmi3ValueReference references[], size_t count, const size_t sizes[],
+    const fmi3Binary values[], size_t value_count)
+{
+    return none(c, count + value_count, "fmi3SetBinary", references, sizes, values);
+}
+
+API fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 point, fmi3Float64 step, fmi3Boolean no_way_back,
+    fmi3Boolean *events, fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *reached)
+{
+    Component *c = instance;
+    int returned = component_good(c) && ((Host *)c->host)->may_return;
+    const Border border = border_in();
+    const Status status = component_step(c, point, step, &returned, "fmi3DoStep");
+    border_out(&border);
+    (void)no_way_back;
+    if (status == STATUS_ERROR)
+        return fmi3Error;
+    if (events)
+        *events = fmi3False;
+    if (terminate)
+        *terminate = fmi3False;
+    if (early)
+        *early = returned != 0;
+    if (reached)
+        *reached = *instance_time(c->instance);
+    return (fmi3Status)status;
+}
+
+API fmi3Status fmi3GetDirectionalDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
+    const fmi3ValueReference knowns[], size_t known_count, const fmi3Float64 seed[], size_t seed_count,
+    fmi3Float64 sensitivity[], size_t sensitivity_count)
+{
+    INSIDE(fmi3Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
+        sensitivity, sensitivity_count, 0, "fmi3GetDirectionalDerivative"));
+}
+
+API fmi3Status fmi3GetAdjointDerivative(fmi3Instance c, const fmi3ValueReference unknowns[], size_t unknown_count,
+    const fmi3ValueReference knowns[], size_t known_count, const fmi3Float64 seed[], size_t seed_count,
+    fmi3Float64 sensitivity[], size_t sensitivity_count)
+{
+    INSIDE(fmi3Status, component_derivative(c, unknowns, unknown_count, knowns, known_count, seed, seed_count,
+        sensitivity, sensitivity_count, 1, "fmi3GetAdjointDerivative"));
+}
+
+API fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+    const fmi3Int32 orders[], fmi3Float64 values[], size_t value_count)
+{
+    INSIDE(fmi3Status, component_output_derivatives(
+        c, references, count, orders, values, value_count, "fmi3GetOutputDerivatives"));
+}
+
+API fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state)
+{
+    INSIDE(fmi3Status, component_save(c, state, "fmi3GetFMUState"));
+}
+
+API fmi3Status fmi3SetFMUState(fmi3Instance c, fmi3FMUState state)
+{
+    INSIDE(fmi3Status, component_restore(c, state, "fmi3SetFMUState"));
+}
+
+API fmi3Status fmi3FreeFMUState(fmi3Instance c, fmi3FMUState *state)
+{
+    INSIDE(fmi3Status, component_forget(c, state, "fmi3FreeFMUState"));
+}
+
+API fmi3Status fmi3SerializedFMUStateSize(fmi3Instance c, fmi3FMUState state, size_t *size)
+{
+    INSIDE(fmi3Status, component_state_size(c, state, size, "fmi3SerializedFMUStateSize"));
+}
+
+API fmi3Status fmi3SerializeFMUState(fmi3Instance c, fmi3FMUState state, fmi3Byte bytes[], size_t size)
+{
+    INSIDE(fmi3Status, component_write(c, state, bytes, size, "fmi3SerializeFMUState"));
+}
+
+API fmi3Status fmi3DeserializeFMUState(fmi3Instance c, const fmi3Byte bytes[], size_t size, fmi3FMUState *state)
+{
+    INSIDE(fmi3Status, component_read(c, bytes, size, state, "fmi3DeserializeFMUState"));
+}
+
+/* A call without arguments. */
+#define UNKNOWN(NAME) \
+    API fmi3Status NAME(fmi3Instance c) \
+    { \
+        return unknown(c, #NAME); \
+    }
+
+UNKNOWN(fmi3EnterEventMode)
+UNKNOWN(fmi3EnterStepMode)
+UNKNOWN(fmi3EnterConfigurationMode)
+UNKNOWN(fmi3ExitConfigurationMode)
+UNKNOWN(fmi3EnterContinuousTimeMode)
+UNKNOWN(fmi3EvaluateDiscreteStates)
+
+API fmi3Status fmi3GetNumberOfVariableDependencies(fmi3Instance c, fmi3ValueReference reference, size_t *count)
+{
+    return unknown(c, "fmi3GetNumberOfVariableDependencies", reference, count);
+}
+
+API fmi3Status fmi3GetVariableDependencies(fmi3Instance c, fmi3ValueReference dependent, size_t elements[],
+    fmi3ValueReference independents[], size_t independent_elements[], fmi3DependencyKind kinds[], size_t count)
+{
+    return unknown(c, "fmi3GetVariableDependencies", dependent, elements, independents, independent_elements, kinds,
+        count);
+}
+
+API fmi3Status fmi3GetClock(fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3Clock values[])
+{
+    return none(c, count, "fmi3GetClock", references, values);
+}
+
+API fmi3Status fmi3SetClock(fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Clock values[])
+{
+    return none(c, count, "fmi3SetClock", references, values);
+}
+
+API fmi3Status fmi3GetIntervalDecimal(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+    fmi3Float64 intervals[], fmi3IntervalQualifier qualifiers[])
+{
+    return none(c, count, "fmi3GetIntervalDecimal", references, intervals, qualifiers);
+}
+
+API fmi3Status fmi3GetIntervalFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+    fmi3UInt64 counters[], fmi3UInt64 resolutions[], fmi3IntervalQualifier qualifiers[])
+{
+    return none(c, count, "fmi3GetIntervalFraction", references, counters, resolutions, qualifiers);
+}
+
+API fmi3Status fmi3GetShiftDecimal(
+    fmi3Instance c, const fmi3ValueReference references[], size_t count, fmi3Float64 shifts[])
+{
+    return none(c, count, "fmi3GetShiftDecimal", references, shifts);
+}
+
+API fmi3Status fmi3GetShiftFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+    fmi3UInt64 counters[], fmi3UInt64 resolutions[])
+{
+    return none(c, count, "fmi3GetShiftFraction", references, counters, resolutions);
+}
+
+API fmi3Status fmi3SetIntervalDecimal(
+    fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Float64 intervals[])
+{
+    return none(c, count, "fmi3SetIntervalDecimal", references, intervals);
+}
+
+API fmi3Status fmi3SetIntervalFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+    const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
+{
+    return none(c, count, "fmi3SetIntervalFraction", references, counters, resolutions);
+}
+
+API fmi3Status fmi3SetShiftDecimal(
+    fmi3Instance c, const fmi3ValueReference references[], size_t count, const fmi3Float64 shifts[])
+{
+    return none(c, count, "fmi3SetShiftDecimal", references, shifts);
+}
+
+API fmi3Status fmi3SetShiftFraction(fmi3Instance c, const fmi3ValueReference references[], size_t count,
+    const fmi3UInt64 counters[], const fmi3UInt64 resolutions[])
+{
+    return none(c, count, "fmi3SetShiftFraction", references, counters, resolutions);
+}
+
+API fmi3Status fmi3UpdateDiscreteStates(fmi3Instance c, fmi3Boolean *again, fmi3Boolean *terminate, fmi3Boolean *nominals,
+    fmi3Boolean *values, fmi3Boolean *has_next, fmi3Float64 *next)
+{
+    return unknown(c, "fmi3UpdateDiscreteStates", again, terminate, nominals, values, has_next, next);
+}
+
+API fmi3Status fmi3CompletedIntegratorStep(
+    fmi3Instance c, fmi3Boolean no_way_back, fmi3Boolean *enter, fmi3Boolean *terminate)
+{
+    return unknown(c, "fmi3CompletedIntegratorStep", no_way_back, enter, terminate);
+}
+
+API fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time)
+{
+    return unknown(c, "fmi3SetTime", time);
+}
+
+API fmi3Status fmi3SetContinuousStates(fmi3Instance c, const fmi3Float64 states[], size_t count)
+{
+    return unknown(c, "fmi3SetContinuousStates", states, count);
+}
+
+API fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance c, fmi3Float64 derivatives[], size_t count)
+{
+    return unknown(c, "fmi3GetContinuousStateDerivatives", derivatives, count);
+}
+
+API fmi3Status fmi3GetEventIndicators(fmi3Instance c, fmi3Float64 indicators[], size_t count)
+{
+    return unknown(c, "fmi3GetEventIndicators", indicators, count);
+}
+
+API fmi3Status fmi3GetContinuousStates(fmi3Instance c, fmi3Float64 states[], size_t count)
+{
+    return unknown(c, "fmi3GetContinuousStates", states, count);
+}
+
+API fmi3Status fmi3GetNominalsOfContinuousStates(fmi3Instance c, fmi3Float64 nominals[], size_t count)
+{
+    return unknown(c, "fmi3GetNominalsOfContinuousStates", nominals, count);
+}
+
+API fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance c, size_t *count)
+{
+    return unknown(c, "fmi3GetNumberOfEventIndicators", count);
+}
+
+API fmi3Status fmi3GetNumberOfContinuousStates(fmi3Instance c, size_t *count)
+{
+    return unknown(c, "fmi3GetNumberOfContinuousStates", count);
+}
+
+API fmi3Status fmi3ActivateModelPartition(fmi3Instance c, fmi3ValueReference clock, fmi3Float64 time)
+{
+    return unknown(c, "fmi3ActivateModelPartition", clock, time);
+}

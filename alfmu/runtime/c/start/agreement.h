@@ -1,0 +1,15 @@
+/* Finds redundant constraints that contradict each other. */
+
+#ifndef ALFMU_AGREEMENT_H
+#define ALFMU_AGREEMENT_H
+
+#include "instance.h"
+
+#include "internal_begin.h"
+
+Outcome agreement_check(Instance *i, const unsigned char *held, const double *q, const double *open, const char *per);
+void agreement_warn_of_second_order(Instance *i, const unsigned char *held, const double *q);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,17 @@
+/* Start values that the assembly missed or that were given in degrees, and assemblies beyond the limits of stops. */
+
+#ifndef ALFMU_GUESSES_H
+#define ALFMU_GUESSES_H
+
+#include "instance.h"
+#include "loops.h"
+#include "record.h"
+
+#include "internal_begin.h"
+
+void guesses_check(Instance *i, Loops *loops, const double *guess, const double *q);
+void guesses_keep_limits(Instance *i, Loops *loops, const double *guess, double *q, Mark begin);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,39 @@
+/* The matrix of the assembly, and corrections of least norm by it. */
+
+#ifndef ALFMU_LEAST_SQUARES_H
+#define ALFMU_LEAST_SQUARES_H
+
+#include "instance.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+/* A matrix of nonzeros. */
+typedef struct {
+    const Pattern *pattern;
+    double *values;
+} Matrix;
+
+/* The matrix J of an assembly: derivatives of constraints or gaps, and below them of the start values that are kept. */
+typedef struct {
+    Matrix constraints, ties;
+} Rows;
+
+Matrix matrix_new(Instance *i, const Pattern *pattern);
+void matrix_times(Matrix a, const double *x, double *y);
+void matrix_weigh_rows(Matrix a, const double *weights);
+
+/* y = J x, and x = J' y */
+void rows_times(const Rows *J, const double *x, double *y);
+
+void rows_times_back(const Rows *J, const double *y, double *x);
+double rows_squared(Instance *i, const Rows *J, double *a);
+
+/* x (n) of least norm with J x = r as nearly as possible, and lam with x = J' lam. */
+void rows_least_multipliers(Instance *i, const Rows *J, const double *r, int most, double *lam, double *x);
+
+void rows_least_correction(Instance *i, const Rows *J, const double *r, int most, double *x);
+
+#include "internal_end.h"
+
+#endif

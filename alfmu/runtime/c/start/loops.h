@@ -1,0 +1,36 @@
+/* The residue of an assembly, and Gauss-Newton steps that close its loops. */
+
+#ifndef ALFMU_LOOPS_H
+#define ALFMU_LOOPS_H
+
+#include <stddef.h>
+
+#include "instance.h"
+#include "least_squares.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+/* What an assembly closes: the gaps of the rows that are held, and the start values. */
+typedef struct {
+    const unsigned char *held;
+    int count; /* of both */
+    int untied; /* whether start values are guesses, too */
+    Rows J;
+    double *residue, *trial;
+} Loops;
+
+const double *loops_starts(const Instance *i);
+void loops_evaluate(Instance *i, Loops *loops, const double *q);
+Loops loops_new(Instance *i, const unsigned char *held);
+int loops_close(Instance *i, Loops *loops, const double *q);
+double loops_follow(Instance *i, Loops *loops, double *q);
+double coordinate_shortest_way(const Scene *s, int coordinate, double change);
+double coordinates_apart(const Scene *s, const double *from, const double *to);
+void loops_beside_guess(const Scene *s, const double *guess, double size, int k, double *q);
+const char *loops_gap_label(Instance *i, const Loops *loops, char *label, size_t size);
+double coordinates_way(const Scene *s, const double *from, const double *to, int *most);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,415 @@
+/* Ranks of the constraints: degrees of freedom, redundancy, scales of pivots, and the rank that a step freezes. */
+
+#include "rank.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "equations.h"
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "least_squares.h"
+#include "linear.h"
+#include "message.h"
+#include "record.h"
+#include "row_units.h"
+#include "scene.h"
+
+/* Phi and C at q, each row times its weight. */
+void rank_weighted_rows(Instance *i, const double *q, const double *weights, Matrix C, double *phi)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *zeros = arena_alloc(i, (size_t)s->n);
+    memset(zeros, 0, (size_t)s->n * sizeof *zeros);
+    constraints_evaluate(i, q, zeros, NULL, C.values, phi, NULL);
+    matrix_weigh_rows(C, weights);
+    for (int r = 0; r < s->l; r++)
+        phi[r] *= weights[r];
+    arena_release(i, arena);
+}
+
+/* Singular values of C that are more than nothing. */
+static int rank_of_matrix(Instance *i, Matrix C)
+{
+    const Scene *s = i->scene;
+    const int wide = s->l < s->n, few = wide ? s->l : s->n, many = wide ? s->n : s->l;
+    const size_t arena = arena_mark(i);
+    double *a = arena_alloc(i, (size_t)many * (size_t)few), *V = arena_alloc(i, (size_t)few * (size_t)few);
+    double *sizes = arena_alloc(i, (size_t)few);
+    const double least = 1e-7 * fmax(1.0, linear_largest(C.values, C.pattern->entries));
+    int rank = 0;
+    if (wide) {
+        memset(a, 0, (size_t)many * (size_t)few * sizeof *a);
+        for (int c = 0; c < s->n; c++)
+            for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
+                a[C.pattern->indices[e] * s->n + c] = C.values[e];
+    } else
+        pattern_spread(C.pattern, C.values, a, s->l);
+    linear_singular_values(many, few, a, V, sizes);
+    while (rank < few && sizes[rank] > least)
+        rank++;
+    arena_release(i, arena);
+    return rank;
+}
+
+/* The same of many coordinates: rows that those before them do not make up, by the pivots of C C'. */
+static int rank_of_many(Instance *i, const Rows *J)
+{
+    const Envelope *e = &i->scene->closing;
+    const size_t arena = arena_mark(i);
+    double *a = arena_alloc(i, e->entries), most = rows_squared(i, J, a);
+    int rank = 0;
+    envelope_factor(e, a, DBL_MIN);
+    for (int r = 0; r < i->scene->l; r++)
+        rank += *envelope_entry(e, a, r, r) > DEPENDENT * most;
+    arena_release(i, arena);
+    return rank;
+}
+
+/* How many of these constraints are independent at q. */
+int rank_at(Instance *i, const double *q, const unsigned char *held)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    double *weights = arena_alloc(i, (size_t)s->l), *phi = arena_alloc(i, (size_t)(s->l + s->ties));
+    int rank;
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = held[r];
+    rank_weighted_rows(i, q, weights, J.constraints, phi);
+    rank = s->n > DENSE ? rank_of_many(i, &J) : rank_of_matrix(i, J.constraints);
+    arena_release(i, arena);
+    return rank;
+}
+
+/* The correction of least norm with which a rank is told: where coordinates are few, it takes what C hardly holds. */
+void rank_correction(Instance *i, const Rows *J, const double *r, double *x)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *C;
+    if (s->n > DENSE) {
+        rows_least_correction(i, J, r, CORRECTIONS, x);
+        return;
+    }
+    C = arena_alloc(i, (size_t)s->l * (size_t)s->n);
+    pattern_spread(J->constraints.pattern, J->constraints.values, C, s->l);
+    linear_least_norm(s->l, s->n, C, r, 1e-8, x, arena_alloc(i, linear_least_norm_work(s->l, s->n)));
+    arena_release(i, arena);
+}
+
+/* S1: degrees of freedom at regular positions near q, and at q itself; `place` is one where the rank is largest. */
+static int rank_freedom_near(Instance *i, const double *q, const unsigned char *held, int *here, double *place)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l, count = l + (size_t)s->ties;
+    const int many = s->n > DENSE, places = many ? FEW_RANKED : RANKED;
+    const double size = 0.3 * fmin(fmax(1.0, instance_largest(i, q)), ALIKE) / sqrt(s->n);
+    const Rows J = {matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    const Matrix C = J.constraints;
+    double *phi = arena_alloc(i, count), *weights = arena_alloc(i, l), *units = arena_alloc(i, l), *near = arena_alloc(i, n), *dq = arena_alloc(i, n);
+    double *side_places = arena_alloc(i, n), most = 1.0;
+    int rank, found;
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    memset(phi, 0, count * sizeof *phi);
+    for (int r = 0; r < s->l; r++) {
+        weights[r] = held[r];
+        units[r] = 0.0;
+    }
+    for (int k = -1; k < places && !many; k++) { /* Rows in other units are as independent as before. */
+        for (int c = 0; c < s->n; c++)
+            near[c] = q[c] + (k < 0 ? 0.0 : size * (coordinate_is_length(s, c) ? *i->length : 1.0) * s->normal[k * s->n + c]);
+        rank_weighted_rows(i, near, weights, C, phi);
+        for (int e = 0; e < s->constraint.entries; e++)
+            units[s->constraint.indices[e]] = fmax(units[s->constraint.indices[e]], fabs(C.values[e]));
+    }
+    most = fmax(most, linear_largest(units, s->l));
+    for (int r = 0; r < s->l; r++) /* A row of round-off alone stays small. */
+        weights[r] = held[r] / (units[r] > SAME * most ? units[r] : 1.0);
+    rank_weighted_rows(i, q, weights, C, phi);
+    rank = many ? rank_of_many(i, &J) : rank_of_matrix(i, C);
+    *here = s->n - rank;
+    memcpy(place, q, n * sizeof *q);
+    for (int k = 0; k < places; k++) {
+        for (int c = 0; c < s->n; c++)
+            side_places[c] = size * (coordinate_is_length(s, c) ? *i->length : 1.0) * s->normal[k * s->n + c];
+        if (many) { /* Along the motion: in a long chain any other way leads far from an assembly. */
+            double most;
+            rank_weighted_rows(i, q, weights, C, phi);
+            matrix_times(C, side_places, phi);
+            rows_least_correction(i, &J, phi, CORRECTIONS, dq);
+            for (int c = 0; c < s->n; c++)
+                side_places[c] -= dq[c];
+            most = fmax(instance_largest(i, side_places), 1e-300);
+            for (int c = 0; c < s->n; c++)
+                side_places[c] *= 0.3 / most;
+        }
+        for (int c = 0; c < s->n; c++)
+            near[c] = q[c] + side_places[c];
+        if (s->timed) /* Where time stands still, what is prescribed may have no regular position. */
+            near[s->n - 1] += (k % 2 ? -LATER : LATER) * pow(0.1, (k / 2) % 4);
+        for (int pass = 0;; pass++) {
+            rank_weighted_rows(i, near, weights, C, phi);
+            if (pass == 30 || linear_largest(phi, s->l) <= 1e-16 * linear_largest(near, s->n))
+                break;
+            rank_correction(i, &J, phi, dq);
+            for (int c = 0; c < s->n; c++)
+                near[c] -= dq[c];
+        }
+        if (linear_largest(phi, s->l) < 1e-9 && (found = many ? rank_of_many(i, &J) : rank_of_matrix(i, C)) > rank) {
+            rank = found;
+            memcpy(place, near, n * sizeof *near);
+        }
+    }
+    arena_release(i, arena);
+    return s->n - rank;
+}
+
+/* S5: combinations (l x l, by columns) of constraints weighted by the root of the penalty, and their sizes at q. */
+static void row_combinations(Instance *i, const double *q, double *combinations, double *sizes)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l;
+    const Matrix C = matrix_new(i, &s->constraint);
+    double *turned = arena_alloc(i, l * n), *zeros = arena_alloc(i, n);
+    memset(zeros, 0, n * sizeof *zeros);
+    memset(turned, 0, l * n * sizeof *turned);
+    constraints_evaluate(i, q, zeros, NULL, C.values, NULL, NULL);
+    for (int c = 0; c < s->n; c++)
+        for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++)
+            turned[C.pattern->indices[e] * s->n + c] = sqrt(i->penalty[C.pattern->indices[e]]) * C.values[e];
+    linear_singular_values(s->n, s->l, turned, combinations, sizes);
+    arena_release(i, arena);
+}
+
+/* S5: whether constraints that are redundant at q become independent beside the motion, and so would stop it. */
+static int rank_changes_along(Instance *i, const double *q, const double *way)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n, l = (size_t)s->l;
+    const int rank = (int)*i->rank;
+    const Matrix C = matrix_new(i, &s->constraint);
+    double *combinations = arena_alloc(i, l * l), *sizes = arena_alloc(i, l), *there = arena_alloc(i, n), found = 0.0;
+    row_combinations(i, q, combinations, sizes);
+    for (int c = 0; c < s->n; c++)
+        there[c] = q[c] + side_places[SIDE_PLACES - 1] * way[c];
+    constraints_evaluate(i, there, way, NULL, C.values, NULL, NULL);
+    for (int k = rank; k < s->l; k++)
+        for (int c = 0; c < s->n; c++) {
+            double sum = 0.0;
+            for (int e = C.pattern->offsets[c]; e < C.pattern->offsets[c + 1]; e++) {
+                const int r = C.pattern->indices[e];
+                sum += combinations[k * s->l + r] * sqrt(i->penalty[r]) * C.values[e];
+            }
+            found = fmax(found, fabs(sum));
+        }
+    arena_release(i, arena);
+    return sizes[rank - 1] >= REGULAR * sizes[0] && found > REGULAR * REGULAR * REGULAR * sizes[0];
+}
+
+/* The same for any place on the motion near the start. */
+static int rank_changes_near(Instance *i, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n, count = (size_t)(s->l + s->ties);
+    Rows J;
+    double *way, *weights, *phi, *near, *dq, size;
+    int active = 0, found = 0;
+    for (int r = 0; r < s->l; r++)
+        active += i->penalty[r] > 0.0;
+    if (*i->rank >= active || *i->rank < 1.0 || s->n > DENSE)
+        return 0;
+    J = (Rows){matrix_new(i, &s->constraint), matrix_new(i, &s->tie_rows)};
+    way = arena_alloc(i, n);
+    near = arena_alloc(i, n);
+    dq = arena_alloc(i, n);
+    phi = arena_alloc(i, count);
+    weights = arena_alloc(i, (size_t)s->l);
+    memset(phi, 0, count * sizeof *phi);
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = i->penalty[r] > 0.0;
+    memcpy(way, v, n * sizeof *way);
+    if (linear_largest(v, scene_coordinates(s)) == 0.0) { /* Any motion will do. */
+        rank_weighted_rows(i, q, weights, J.constraints, phi);
+        matrix_times(J.constraints, s->normal, phi);
+        rows_least_correction(i, &J, phi, CORRECTIONS, dq);
+        for (int c = 0; c < s->n; c++)
+            way[c] = s->normal[c] - dq[c];
+    }
+    size = fmax(instance_largest(i, way), 1e-300);
+    for (int c = 0; c < s->n; c++)
+        way[c] /= size;
+    for (int a = 0; a < SIDE_PLACES && !found; a++) {
+        for (int c = 0; c < s->n; c++)
+            near[c] = q[c] + side_places[a] * way[c];
+        for (int pass = 0; pass <= CORRECTIONS; pass++) {
+            rank_weighted_rows(i, near, weights, J.constraints, phi);
+            if (pass == CORRECTIONS || linear_largest(phi, s->l) <= TOLERANCE)
+                break;
+            rows_least_correction(i, &J, phi, CORRECTIONS, dq);
+            for (int c = 0; c < s->n; c++)
+                near[c] -= dq[c];
+        }
+        found = linear_largest(phi, s->l) <= GROSS && rank_changes_along(i, near, way);
+    }
+    arena_release(i, arena);
+    return found;
+}
+
+/* S5: freezes the rank of C at the state before a step. */
+void rank_freeze(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), l = (size_t)s->l;
+    const int rank = (int)*i->rank;
+    double *combinations, *sizes, *matrix = instance_field(i, s->k) + SETTINGS + 2 * s->l + s->n + s->compliances;
+    if (rank < 1 || rank > s->l || s->n > DENSE)
+        return;
+    combinations = arena_alloc(i, l * l);
+    sizes = arena_alloc(i, l);
+    /* S5: at a singular position the combinations of the place before it are kept. */
+    row_combinations(i, instance_field(i, s->z), combinations, sizes);
+    if (sizes[rank - 1] > REGULAR * sizes[0]) {
+        for (int a = 0; a < s->l; a++)
+            for (int b = 0; b < s->l; b++) {
+                double sum = 0.0;
+                for (int k = 0; k < rank; k++)
+                    sum += combinations[k * s->l + a] * combinations[k * s->l + b];
+                matrix[a * s->l + b] = sqrt(i->penalty[a]) * sum * sqrt(i->penalty[b]) / *i->largest_penalty;
+            }
+        tape_holding(i, instance_field(i, s->z), matrix);
+    }
+    arena_release(i, arena);
+}
+
+/* Sorts upwards; there are few. */
+static void sort(double *x, int count)
+{
+    for (int a = 1; a < count; a++)
+        for (int b = a; b > 0 && x[b] < x[b - 1]; b--) {
+            const double swapped = x[b];
+            x[b] = x[b - 1];
+            x[b - 1] = swapped;
+        }
+}
+
+/* S1: scales of coordinates, pivots contributed by masses, degrees of freedom, rank. */
+void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    const double *p = instance_field(i, s->p);
+    double *k = instance_field(i, s->k), *inverse_scales = k + SETTINGS + 2 * s->l, margin;
+    double *way = arena_alloc(i, n), *there = arena_alloc(i, n), *near = arena_alloc(i, n), *found = arena_alloc(i, SIDE_PLACES + 1);
+    double *pivots = arena_alloc(i, n), *diagonal = arena_alloc(i, n), *columns = arena_alloc(i, n), *touched = arena_alloc(i, n);
+    double *places = arena_alloc(i, (SIDE_PLACES + 1) * n), *rate = arena_alloc(i, n), *together = arena_alloc(i, SIDE_PLACES + 1), size;
+    int freedom = s->freedom + s->timed, count = 1, second, here;
+    if (!usual || s->freedom < 0)
+        freedom = rank_freedom_near(i, q, held, &here, there);
+    *i->rank = s->n - freedom;
+    /* Masses are not known yet. */
+    k[SETTINGS_NOTHING] = 0.0;
+    for (int c = 0; c < s->n; c++)
+        inverse_scales[c] = 1.0;
+    memcpy(way, v, n * sizeof *way);
+    memset(touched, 0, n * sizeof *touched);
+    memset(i->scales, 0, n * sizeof *i->scales);
+    if (linear_largest(v, scene_coordinates(s)) == 0.0) {
+        const double *x[] = {q, there, v, p, k};
+        double *y[] = {way, rate};
+        for (int c = 0; c < s->n; c++)
+            there[c] = q[c] + (coordinate_is_length(s, c) ? *i->length : 1.0) * s->normal[c];
+        function_call(i, s->bring, x, y);
+        for (int c = 0; c < s->n; c++)
+            way[c] -= q[c];
+    }
+    size = fmax(instance_largest(i, way), 1e-300);
+    for (int c = 0; c < s->n; c++)
+        way[c] /= size;
+    memcpy(places, q, n * sizeof *q);
+    for (int a = 0; a < SIDE_PLACES; a++) {
+        const double *x[] = {there, p, k}, *from[] = {near, p, k}, *beside[] = {near, there, v, p, k};
+        double *y[] = {pivots, diagonal, columns, &margin}, *to[] = {near}, *both[] = {near, rate};
+        int row;
+        for (int c = 0; c < s->n; c++)
+            there[c] = q[c] + side_places[a] * way[c];
+        function_call(i, s->pivots, x, y);
+        for (int c = 0; c < s->n; c++) {
+            touched[c] += columns[c];
+            i->scales[c] = fmax(i->scales[c], *i->largest_penalty * diagonal[c]);
+        }
+        function_call(i, s->place, x, to);
+        function_call(i, s->place, from, to);
+        function_call(i, s->bring, beside, both);
+        function_call(i, s->place, from, to);
+        if (constraints_widest(i, near, v, 0, &row) <= GROSS)
+            memcpy(places + count++ * n, near, n * sizeof *near);
+    }
+    *i->freedom = freedom;
+    for (int c = 0; c < s->n; c++) {
+        *i->freedom -= touched[c] == 0.0;
+        inverse_scales[c] = *i->largest_penalty / i->scales[c];
+    }
+    i->flags.brakes = rank_changes_near(i, q, v);
+    for (int a = 0; a < count; a++) {
+        const double *x[] = {places + a * n, p, k};
+        double *y[] = {pivots, diagonal, columns, &margin};
+        int bad = 0;
+        function_call(i, s->pivots, x, y);
+        for (int c = 0; c < s->n; c++)
+            bad |= !(pivots[c] > 0.0);
+        sort(pivots, bad ? 0 : s->n);
+        found[a] = together[a] = 0.0;
+        for (int c = 0; c < s->n; c++) {
+            const double part = log(bad ? 1e-300 : fmax(pivots[c], 1e-300));
+            found[a] += c < *i->freedom ? part : 0.0;
+            together[a] += part;
+        }
+    }
+    /* Where a coordinate cannot tell the motion its pivot is far larger; at a singular position it may be smaller, and the
+       start, which may be one, is there twice. */
+    sort(together, count);
+    *i->regular = (together[(count - 1) / 2] + together[count / 2]) / 2 + log(REGULAR_PRODUCT);
+    sort(found, count);
+    second = found[1] == found[0] ? 2 : 1;
+    while (count > second && !(found[count - 1] <= found[second] + FAR_RATIO))
+        count--;
+    *i->masses = floor((found[(count - 1) / 2] + found[count / 2]) / 2 * COARSE + 0.5) / COARSE;
+    for (int c = 0; c < s->n; c++)
+        i->scales[c] = (float)i->scales[c];
+    arena_release(i, arena);
+}
+
+/* Of the constraints in force, of all of them, or of those in force without what dry friction holds; also a place (n) near the
+   present one at which they are told. */
+Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place)
+{
+    const Scene *s = i->scene;
+    unsigned char *held;
+    arena_reset(i);
+    memcpy(place, instance_field(i, s->z), (size_t)s->n * sizeof *place);
+    *freedom = *here = scene_coordinates(s);
+    *redundant = 0;
+    if (!i->flags.initialized)
+        return instance_say(i, REFUSED, "%s: its degrees of freedom are known after initialising", s->name);
+    if (!s->l)
+        return DONE;
+    held = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    for (int r = 0; r < s->l; r++)
+        held[r] = which == ALL_ROWS || i->penalty[r] > 0.0;
+    for (int k = 0; k < s->frictions && which == NO_FRICTION; k++)
+        held[s->friction[k].row] = 0;
+    for (int r = 0; r < s->l; r++)
+        *redundant += held[r];
+    *freedom = rank_freedom_near(i, instance_field(i, s->z), held, here, place) - s->timed;
+    *here -= s->timed;
+    *redundant -= scene_coordinates(s) - *freedom;
+    arena_reset(i);
+    return DONE;
+}

@@ -1,0 +1,20 @@
+/* Ranks of the constraints: degrees of freedom, redundancy, scales of pivots, and the rank that a step freezes. */
+
+#ifndef ALFMU_RANK_H
+#define ALFMU_RANK_H
+
+#include "instance.h"
+#include "least_squares.h"
+
+#include "internal_begin.h"
+
+void rank_weighted_rows(Instance *i, const double *q, const double *weights, Matrix C, double *phi);
+int rank_at(Instance *i, const double *q, const unsigned char *held);
+void rank_correction(Instance *i, const Rows *J, const double *r, double *x);
+void rank_freeze(Instance *i);
+void rank_calibrate(Instance *i, const double *q, const double *v, const unsigned char *held, int usual);
+Outcome instance_mobility(Instance *i, Counted_rows which, int *freedom, int *redundant, int *here, double *place);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,43 @@
+/* The length of a mechanism and the units of its constraints, found from their coefficients. */
+
+#ifndef ALFMU_ROW_UNITS_H
+#define ALFMU_ROW_UNITS_H
+
+#include "instance.h"
+#include "layout.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+/* S1: displacements to places beside the start, the start first. */
+static const double side_places[] = {0.0, ASIDE};
+#define SIDE_PLACES (int)(sizeof side_places / sizeof *side_places)
+
+/* A number at several places: at the start, least and largest. */
+typedef struct {
+    double first, least, most;
+} Range;
+
+/* What some coefficients of a row come to together. */
+typedef struct {
+    double squares, count;
+} Sum;
+
+/* What the coefficients of a row tell of its unit. */
+typedef struct {
+    Sum lengths, euler;
+    double most, constant, constant_length, angular;
+} Row_units;
+
+void range_widen(Range *range, double x);
+int range_is_constant(Range range);
+void units_sample_coefficients(Instance *i, const double *q, double *M, Range *sizes, Range *amplitudes);
+void units_tell(const Scene *s, const Range *sizes, const Range *amplitudes, Row_units *told);
+double units_own_length(Instance *i, const double *q);
+double units_constant(const Row_units *row);
+int units_are_telling(const Row_units *row, Sum sum);
+double units_of_row(const Row_units *row);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,137 @@
+/* Makes the start velocities consistent with the constraints. */
+
+#include "velocities.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "equations.h"
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "least_squares.h"
+#include "linear.h"
+#include "loops.h"
+#include "message.h"
+#include "record.h"
+#include "scene.h"
+#include "scene_sizes.h"
+
+/* Velocities that keep the loops closed and have the rates of start values, nearest to the guess v; what they leave. */
+static void solve_rates(Instance *i, Loops *loops, const double *q, const double *rate, double *v, double *left)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *made = arena_alloc(i, (size_t)loops->count), *dv = arena_alloc(i, (size_t)s->n), *weights = arena_alloc(i, (size_t)s->l);
+    double *lam = arena_alloc(i, (size_t)loops->count);
+    const Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
+    loops_evaluate(i, loops, q);
+    constraints_evaluate(i, q, v, NULL, J.constraints.values, NULL, NULL);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = loops->held[r];
+    matrix_weigh_rows(J.constraints, weights);
+    for (int pass = 0; pass < 3; pass++) {
+        rows_times(&J, v, made);
+        if (s->timed) { /* Also what constraints move by themselves. */
+            constraints_evaluate(i, q, v, NULL, NULL, NULL, made);
+            for (int r = 0; r < s->l; r++)
+                made[r] *= weights[r];
+        }
+        for (int r = 0; r < loops->count; r++)
+            left[r] = (r < s->l ? 0.0 : rate[s->tied[r - s->l]]) - made[r];
+        if (pass == 2)
+            break;
+        rows_least_multipliers(i, &J, left, CORRECTIONS, lam, dv);
+        tape_rating(i, loops->held, q, v, dv, lam);
+        for (int c = 0; c < s->n; c++)
+            v[c] += dv[c];
+    }
+    arena_release(i, arena);
+}
+
+/* Velocities that keep the loops closed and have the start rates, nearest to the guess v. */
+Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v)
+{
+    const Scene *s = i->scene;
+    const size_t n = (size_t)s->n, l = (size_t)s->l, count = (size_t)loops->count;
+    const double *rate = loops_starts(i) + s->starts;
+    double *left = arena_alloc(i, count), *made = arena_alloc(i, count), *dv = arena_alloc(i, n), *weights = arena_alloc(i, l);
+    double *F = arena_alloc(i, n), *zeros = arena_alloc(i, (size_t)scene_driven(s) + 1), *M = arena_alloc(i, (size_t)s->mass.entries);
+    double lost = 0.0, most;
+    const double zero = 0.0;
+    Rows J = {matrix_new(i, &s->constraint), loops->J.ties};
+    int worst = 0;
+    solve_rates(i, loops, q, rate, v, left);
+    for (int r = 0; r < s->l; r++)
+        weights[r] = loops->held[r];
+    for (int r = 1; r < loops->count; r++)
+        if (fabs(left[r]) > fabs(left[worst]))
+            worst = r;
+    if (!(linear_largest(left, loops->count) <= ROUGH * fmax(1.0, instance_largest(i, v))))
+        return instance_say(i, FAILED,
+            "%s: no motion has the given start rates; %s is missed by %.3g per second; give the rates of fewer "
+            "coordinates, or rates that belong together",
+            s->name,
+            worst < s->l ? s->rows[worst].name
+                         : s->variables[s->own + s->starts + s->tied[worst - s->l]].name,
+            fabs(left[worst]));
+    if (!s->l)
+        return DONE;
+    {
+        const double *x[] = {q, v, zeros, instance_field(i, s->p), &zero};
+        double *y[] = {M, J.constraints.values, F, left};
+        memset(zeros, 0, ((size_t)scene_driven(s) + 1) * sizeof *zeros);
+        function_call(i, s->dynamics, x, y);
+    }
+    for (int r = 0; r < s->l; r++)
+        weights[r] = loops->held[r] / (!strcmp(s->rows[r].unit, "m") ? *i->length : 1.0);
+    matrix_weigh_rows(J.constraints, weights);
+    for (int c = 0; c < s->n; c++)
+        for (int e = s->constraint.offsets[c]; coordinate_is_length(s, c) && e < s->constraint.offsets[c + 1]; e++)
+            J.constraints.values[e] *= *i->length;
+    memset(J.ties.values, 0, (size_t)s->tie_rows.entries * sizeof *J.ties.values);
+    memset(left + l, 0, (size_t)s->ties * sizeof *left);
+    for (int r = 0; r < s->l; r++)
+        left[r] *= weights[r];
+    /* A motion keeps what C hardly holds within that times its acceleration: two passes leave it. */
+    rows_least_correction(i, &J, left, 2, dv);
+    matrix_times(J.constraints, dv, made);
+    most = linear_largest(left, s->l);
+    for (int r = 0; r < s->l; r++)
+        if (fabs(left[r] - made[r]) > lost) {
+            lost = fabs(left[r] - made[r]);
+            worst = r;
+        }
+    if (lost > 1e-3 * fmax(1.0, most))
+        return instance_say(i, FAILED,
+            "%s: the start is a singular position, and its rates belong to none of the motions possible there (%s "
+            "would open by %.3g %s/s2); start a little beside it",
+            s->name, s->rows[worst].name, lost / weights[worst], s->rows[worst].unit);
+    return DONE;
+}
+
+/* The direction of a motion that starts at rest, as a velocity that is nothing: that of equal rates of the start values;
+   it stays at rest where there is no such motion. */
+void start_set_off(Instance *i, const unsigned char *held, const double *q, double *v)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    const int paused = tape_pause(i, 1);
+    double *guess = arena_alloc(i, n), *way = arena_alloc(i, n), *equal = arena_alloc(i, (size_t)s->starts), size;
+    const double *x[] = {instance_field(i, s->p), loops_starts(i), equal};
+    double *y[] = {guess, way};
+    Loops loops = loops_new(i, held);
+    for (int k = 0; k < s->starts; k++)
+        equal[k] = 1.0;
+    function_call(i, s->guesses, x, y);
+    if (s->timed)
+        way[s->n - 1] = 0.0;
+    solve_rates(i, &loops, q, equal, way, loops.residue);
+    size = linear_largest(way, s->n);
+    if (size > 0.0 && linear_largest(loops.residue, loops.count) <= ROUGH * size)
+        for (int c = 0; c < scene_coordinates(s); c++)
+            v[c] = DIRECTION / size * way[c];
+    tape_pause(i, paused);
+    arena_release(i, arena);
+}

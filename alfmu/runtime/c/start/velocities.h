@@ -1,0 +1,16 @@
+/* Makes the start velocities consistent with the constraints. */
+
+#ifndef ALFMU_VELOCITIES_H
+#define ALFMU_VELOCITIES_H
+
+#include "instance.h"
+#include "loops.h"
+
+#include "internal_begin.h"
+
+Outcome start_rates(Instance *i, Loops *loops, const double *q, double *v);
+void start_set_off(Instance *i, const unsigned char *held, const double *q, double *v);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,320 @@
+/* Internal steps of a method that controls its error. */
+
+#include "adaptive.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "fixed.h"
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "message.h"
+#include "scene.h"
+
+/* Last digits of a time that a step takes at least. */
+#define LEAST_DIGITS 16
+
+/* Jumps by the motion that are crossed by steps as short as may be, before a step that is so many times as long. */
+#define CROSSINGS 4
+#define AWAY_FROM_IT 1e3
+
+/* Whether constraints may depend on each other here that usually do not. */
+static int is_irregular(Instance *i)
+{
+    const Scene *s = i->scene;
+    double found = 1.0;
+    const double *x[] = {i->m + s->z, i->m + s->p, i->m + s->k};
+    double *y[] = {&found};
+    if (s->irregular >= 0)
+        function_call(i, s->irregular, x, y);
+    return found != 0.0;
+}
+
+/* The numbers of step control for short steps in place of those for steps of the method, or the other way round. */
+static void switch_step_kind(double *pace, int kind)
+{
+    double *own = pace + PACE_DT, *other = pace + PACE_OTHER_DT;
+    if (kind == (pace[PACE_SHORT] != 0.0))
+        return;
+    for (int k = 0; k < 3; k++) {
+        const double kept = own[k];
+        own[k] = other[k];
+        other[k] = kept;
+    }
+    if (own[0] == 0.0) { /* No short step has been tried. */
+        own[0] = other[0];
+        own[1] = LEAST_BEFORE;
+    }
+    pace[PACE_SHORT] = kind;
+    pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+}
+
+/* Whether short steps reach the end with clearly fewer evaluations than those of the method; they are made for penalties
+   that are scaled with the masses, of constraints that are all in force. */
+static int short_steps_serve(const Instance *i, double left)
+{
+    const Scene *s = i->scene;
+    const double *pace = i->m + s->pace;
+    const int kind = pace[PACE_SHORT] != 0.0;
+    const double own = pace[PACE_DT], other = pace[PACE_OTHER_DT] > 0.0 ? pace[PACE_OTHER_DT] : own;
+    if (s->short_step < 0 || pace[PACE_FIXED] != 0.0 || i->m[s->control + CONTROL_TIER] != 0.0)
+        return 0;
+    return EXACTER * s->short_cost * ceil(left / (kind ? own : other))
+        <= s->method_cost * ceil(left / (kind ? other : own));
+}
+
+/* A try of a short step, on the branch near a singular position; 0 where it cannot be judged, or there is not accepted: the
+   limits taken there are less exact for short steps. */
+static int try_short_step(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
+    double kept[PACE];
+    const int onward = s->short_onward >= 0 && step_can_reuse(i);
+    int near = onward && s->short_beside >= 0 && step_reuse_is_near(i);
+    tally[TALLY_SHORT_TRIES] += 1.0;
+    if (near)
+        i->shared += s->short_cost; /* None of them is made. */
+    else {
+        program_run(i, onward ? s->short_onward : s->short_step);
+        i->shared += onward;
+        if (after[s->trouble] == 0.0)
+            return 1;
+        near = after[s->near] != 0.0;
+        if (!near)
+            pace[PACE_DT] *= SHORTENED;
+    }
+    if (!near || s->short_beside < 0)
+        return 0;
+    memcpy(kept, pace, sizeof kept);
+    program_run(i, s->short_beside);
+    tally[TALLY_SHORT_BESIDE] += 1.0;
+    tally[TALLY_SHORT_LIMITS] += after[s->near];
+    if (after[s->trouble] == 0.0 && pace[PACE_ACCEPTED] != 0.0)
+        return 1;
+    memcpy(pace, kept, sizeof kept);
+    return 0;
+}
+
+/* Whether the error of a step is what round-off leaves of it. */
+static int error_is_round_off(const Instance *i)
+{
+    return i->m[i->scene->pace + PACE_FLOOR] * i->scene->share > NOISE;
+}
+
+/* A try of an explicit step in place of one of the method, from the same numbers of step control; whether it can be judged.
+   What only round-off excuses cannot. */
+static int try_explicit_step(Instance *i, const double *kept, int regular)
+{
+    const Scene *s = i->scene;
+    const double *after = i->m + s->after;
+    double *pace = i->m + s->pace, *tally = i->m + s->tally;
+    memcpy(pace, kept, PACE * sizeof *pace);
+    program_run(i, regular ? s->regular_step : s->beside);
+    pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+    tally[regular ? TALLY_REGULAR_TRIES : TALLY_BESIDE] += 1.0;
+    tally[TALLY_BESIDE_LIMITS] += regular ? 0.0 : after[s->near];
+    return after[s->trouble] == 0.0 && !(pace[PACE_ACCEPTED] != 0.0 && error_is_round_off(i));
+}
+
+/* A step on the branch in place of one that could not be judged. In place of an implicit one there is another explicit step,
+   whose constraints alone tell whether it is near a singular position: it comes first where they are regular, as where a
+   mechanism moves no mass to speak of, and else where that on the branch cannot be judged or has too large an error. */
+static void try_branch_step(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *after = i->m + s->after, *accepted = i->m + s->pace + PACE_ACCEPTED;
+    double kept[PACE];
+    int first, lost;
+    if (after[s->trouble] == 0.0 || s->beside < 0)
+        return;
+    memcpy(kept, i->m + s->pace, sizeof kept);
+    first = s->regular_step >= 0 && !is_irregular(i);
+    if ((try_explicit_step(i, kept, first) && (first || *accepted != 0.0)) || s->regular_step < 0)
+        return;
+    lost = after[s->trouble] != 0.0;
+    try_explicit_step(i, kept, !first);
+    if (after[s->trouble] != 0.0 && !lost)
+        try_explicit_step(i, kept, first);
+}
+
+/* A try of the other of explicit and implicit steps; they go on where it keeps the tolerance, and 0 where it does not.
+   Explicit steps that are so much shorter than a stable method makes them are kept short by stability. */
+static int try_other_method(Instance *i, double left)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *pace = m + s->pace, kept[PACE];
+    const int stiff = pace[PACE_STIFF] != 0.0;
+    const double wanted = pace[PACE_DT] * (stiff ? 1.0 : LONGER), patience = fmax(pace[PACE_PATIENCE], PATIENCE);
+    if (pace[PACE_SINCE] < patience || pace[PACE_FIXED] != 0.0 || (!stiff && wanted > left))
+        return 0;
+    memcpy(kept, pace, sizeof kept);
+    switch_step_kind(pace, 0);
+    pace[PACE_DT] = wanted;
+    pace[PACE_LAST] = 0.0;
+    program_run(i, stiff ? s->method_step : s->stiff_step);
+    m[s->tally + (stiff ? TALLY_TRIES : TALLY_STIFF_TRIES)] += 1.0;
+    if (m[s->after + s->trouble] == 0.0 && pace[PACE_ACCEPTED] != 0.0) {
+        pace[PACE_STIFF] = !stiff;
+        pace[PACE_SINCE] = pace[PACE_PATIENCE] = 0.0;
+        return 1;
+    }
+    memcpy(pace, kept, sizeof kept);
+    pace[PACE_SINCE] = 0.0;
+    pace[PACE_PATIENCE] = fmin(2.0 * patience, MOST_PATIENCE);
+    return 0;
+}
+
+/* A try of a short step, of the method of the scene where that is not possible. By few multiplier iterations; by more
+   where they were not enough, or the error of an explicit step is too large, as what they leave is part of it; on the
+   branch near a singular position. */
+static void try_any_step(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
+    const double left = pace[PACE_END] - m[s->z + s->time];
+    double dt, before, refused;
+    int careful;
+    if (s->stiff_step >= 0 && try_other_method(i, left))
+        return;
+    switch_step_kind(pace, pace[PACE_STIFF] == 0.0 && short_steps_serve(i, left));
+    if (pace[PACE_SHORT] != 0.0) {
+        if (try_short_step(i))
+            return;
+        switch_step_kind(pace, 0);
+    }
+    if (pace[PACE_STIFF] != 0.0) {
+        program_run(i, s->stiff_step);
+        tally[TALLY_STIFF_TRIES] += 1.0;
+        try_branch_step(i);
+        return;
+    }
+    dt = pace[PACE_DT], before = pace[PACE_BEFORE], refused = pace[PACE_REFUSED];
+    careful = s->method_careful >= 0 && (pace[PACE_CAREFUL] > 0.0 || (pace[PACE_CAREFUL] <= -UNSEEN && !s->implicit));
+    if (careful)
+        pace[PACE_CAREFUL] = fmax(pace[PACE_CAREFUL], 1.0) - 1.0;
+    else {
+        pace[PACE_CAREFUL] -= 1.0;
+        program_run(i, s->method_step);
+        tally[TALLY_TRIES] += 1.0;
+        if (s->method_careful >= 0 && (after[s->trouble] != 0.0 || (pace[PACE_ACCEPTED] == 0.0 && !s->implicit))
+            && !(after[s->near] != 0.0 && is_irregular(i))) {
+            careful = 1;
+            pace[PACE_CAREFUL] = STAYS_CAREFUL;
+            pace[PACE_DT] = dt;
+            pace[PACE_BEFORE] = before;
+            pace[PACE_REFUSED] = refused;
+        }
+    }
+    if (careful) {
+        program_run(i, s->method_careful);
+        tally[TALLY_TRIES] += 1.0;
+        tally[TALLY_CAREFUL_TRIES] += 1.0;
+        if (after[s->trouble] == 0.0 && pace[PACE_FLOOR] > SEEN_FLOOR)
+            pace[PACE_CAREFUL] = STAYS_CAREFUL;
+    }
+    try_branch_step(i);
+}
+
+/* The shortest step that a method with error control may make here. */
+static double shortest_step(const Instance *i)
+{
+    return fmax(GIVEN_UP, LEAST_DIGITS * DBL_EPSILON * fabs(i->m[i->scene->z + i->scene->time]));
+}
+
+/* Steps go on from a jump that was crossed. */
+static void note_crossing(Instance *i, double least)
+{
+    double *pace = i->m + i->scene->pace;
+    i->crossings++;
+    pace[PACE_DT] = LONGER * least;
+    pace[PACE_BEFORE] = LEAST_BEFORE;
+    pace[PACE_REFUSED] = pace[PACE_LAST] = 0.0;
+}
+
+/* Whether a step is as short as it may be and yet has too large an error, as where something jumps by the motion: it is
+   taken, as the error is that jump over no time. Where this happens again and again there is another cause. */
+static int cross_jump(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *pace = m + s->pace;
+    const double least = shortest_step(i), tried = m[s->after + s->time] - m[s->z + s->time];
+    if (pace[PACE_FIXED] != 0.0 || !(pace[PACE_DT] < least) || !isfinite(m[s->after + s->change]))
+        return 0;
+    if (tried > 2.0 * least) {
+        pace[PACE_DT] = least;
+        return 0;
+    }
+    if (i->crossings == CROSSINGS)
+        return 0;
+    note_crossing(i, least);
+    return 1;
+}
+
+/* The same where an implicit step does not even converge, however short it is: RK4 makes it. */
+static int cross_jump_by_rk4(Instance *i)
+{
+    const double least = shortest_step(i), left = i->m[i->scene->pace + PACE_END] - i->m[i->scene->z + i->scene->time];
+    if (i->crossings == CROSSINGS || i->m[i->scene->pace + PACE_FIXED] != 0.0 || step_fixed(i, 1, fmin(least, left)) != 1)
+        return 0;
+    note_crossing(i, least);
+    return 1;
+}
+
+/* Steps by the method of the scene up to an end, or so many tries; 0 where one could not be judged. */
+int step_adaptive(Instance *i, double end, long tries)
+{
+    const Scene *s = i->scene;
+    double *m = i->m, *after = m + s->after, *pace = m + s->pace, *tally = m + s->tally;
+    double judged = 0.0; /* step of the first try that could not be judged, since one that could */
+    double until = -INFINITY;
+    int stuck = 0;
+    pace[PACE_END] = end;
+    for (; m[s->z + s->time] < end && tries != 0 && i->left > 0; tries--, i->left--) {
+        if (run_is_ended(i))
+            return 0;
+        try_any_step(i);
+        if (after[s->trouble] != 0.0 && judged == 0.0)
+            judged = pace[PACE_DT];
+        if (after[s->trouble] != 0.0) {
+            const double wanted = fmin(pace[PACE_DT], end - m[s->z + s->time]), shorter = SHORTENED * wanted;
+            if (after[s->near] != 0.0 && m[s->z + s->time] > until) {
+                until = m[s->z + s->time] + wanted;
+                stuck = 0;
+            }
+            stuck += after[s->near] != 0.0;
+            if (shorter < GIVEN_UP && after[s->near] == 0.0 && cross_jump_by_rk4(i))
+                continue;
+            if (pace[PACE_FIXED] != 0.0 || shorter < GIVEN_UP || stuck == STUCK) {
+                /* Near a singular position it is not the length of the step that is wrong. */
+                pace[PACE_DT] = after[s->near] != 0.0 ? judged : fmin(pace[PACE_DT], shorter);
+                return 0;
+            }
+            pace[PACE_DT] = shorter;
+            pace[PACE_REFUSED] = 1.0;
+            tally[TALLY_REFUSED] += 1.0;
+            continue;
+        }
+        judged = 0.0;
+        /* The tolerance of a step is a share of that of the run. */
+        if (pace[PACE_ACCEPTED] != 0.0 && error_is_round_off(i))
+            instance_warn(i, WARNED_OF_ROUND_OFF,
+                "%s, t = %.6g s: round-off leaves an error of some %.1g; solver.relative_tolerance %g cannot be had here, "
+                "and the motion goes on at that",
+                s->name, m[s->z + s->time], i->values[s->relative_tolerance] * pace[PACE_FLOOR] * s->share / NOISE,
+                i->values[s->relative_tolerance]);
+        if (pace[PACE_ACCEPTED] != 0.0 && m[s->after + s->time] - m[s->z + s->time] > AWAY_FROM_IT * shortest_step(i))
+            i->crossings = 0;
+        if (pace[PACE_ACCEPTED] != 0.0 || cross_jump(i)) {
+            /* Steps that are refused regain nothing: short ones and those of the method would take turns for ever. */
+            if (pace[PACE_OTHER_DT] < end - m[s->z + s->time])
+                pace[PACE_OTHER_DT] *= REGAINED;
+            pace[PACE_SINCE] += 1.0;
+            step_commit(i);
+        }
+        tally[pace[PACE_ACCEPTED] != 0.0 ? TALLY_COVERED : TALLY_REFUSED] += 1.0;
+    }
+    return 1;
+}

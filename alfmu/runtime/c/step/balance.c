@@ -1,0 +1,92 @@
+/* The energy balance of a run, and the warnings that follow from it. */
+
+#include "balance.h"
+
+#include <math.h>
+
+#include "equations.h"
+#include "instance.h"
+#include "layout.h"
+#include "message.h"
+#include "record.h"
+#include "scene.h"
+#include "settings.h"
+
+/* Displacement [m, rad] of a communication step, between ends at which the motion is as slow, that is rest: a hundredth of
+   the default tolerance. */
+#define RESTING 1e-8
+
+/* Whether the last communication step begins and ends at rest in one place. The work of a large force is then that of the
+   last digits of the velocities, and its energy none. */
+static int is_at_rest(Instance *i, double kinetic)
+{
+    const Scene *s = i->scene;
+    const double *now = instance_field(i, s->z), *begin = instance_field(i, s->begin);
+    for (int c = 0; c < scene_coordinates(s); c++)
+        if (!(fabs(now[c] - begin[c]) <= RESTING && fabs(now[s->n + c]) <= SLOW_MOTION
+                && fabs(begin[s->n + c]) <= SLOW_MOTION))
+            return 0;
+    /* Places may move although no coordinate does. */
+    return !s->timed || kinetic <= energy_at_speed(i, SLOW_MOTION);
+}
+
+/* Where no work is done, a balance that is off by a part of the energy puts rates off by half of that, so that the place
+   comes off by as much of the way. */
+static void warn_of_drift(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *now = instance_field(i, s->z), *begin = instance_field(i, s->begin), h = now[s->time] - begin[s->time];
+    double *c = i->counts, rate = 0.0;
+    if (now[s->work] != 0.0)
+        return;
+    for (int k = 0; k < scene_coordinates(s); k++)
+        rate = fmax(rate, (fabs(now[s->n + k]) + fabs(begin[s->n + k])) / 2);
+    c[DRIFT] += c[BALANCE] / c[ENERGY_SCALE] / 2 * rate * h;
+    if (fabs(c[DRIFT]) > UNBALANCED)
+        instance_warn(i, WARNED_OF_DRIFT,
+            "%s, t = %.6g s: by the drift of its energy the motion has come off by some %.1g rad (or m), and it comes off more and "
+            "more; %s, and judge the run by one with --check",
+            s->name, now[s->time], fabs(c[DRIFT]), settings_method(i) == 1 ? "take a smaller solver.relative_tolerance" : "take shorter steps");
+}
+
+/* The balance of energies after a communication step, where anybody reads of it. */
+void instance_balance(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *z = instance_field(i, s->z), work = z[s->work];
+    double *c = i->counts, found, kinetic, off;
+    if (!s->balances)
+        return;
+    found = energy_evaluate(i, z + s->n, &kinetic);
+    off = found - c[ENERGY_START] - work - c[AT_REST];
+    if (is_at_rest(i, kinetic)) {
+        c[AT_REST] += off - c[BALANCE];
+        off = c[BALANCE];
+    }
+    c[ENERGY_SCALE] = fmax(c[ENERGY_SCALE], fmax(kinetic, fabs(work)));
+    c[STEP_ERROR] = fabs(off - c[BALANCE]) / c[ENERGY_SCALE];
+    c[BALANCE] = off;
+    c[RUN_ERROR] = fmax(c[RUN_ERROR], fabs(off) / c[ENERGY_SCALE]);
+    warn_of_drift(i);
+    if (!(c[RUN_ERROR] <= UNBALANCED))
+        instance_warn(i, WARNED_OF_BALANCE,
+            "%s, t = %.6g s: the balance of energies is off by %.2g of the energy of the motion; %s", s->name,
+            z[s->time], c[RUN_ERROR],
+            settings_method(i) == 1 ? "use a smaller solver.relative_tolerance"
+            : s->l && !settings_continue(i)
+                ? "near singular positions solver.formulation residual with solver.branch continue keeps it; elsewhere take "
+                  "a smaller solver.step_size"
+                : "steps of solver.step_size are too long: take shorter ones, or solver.method explicit or stiff, which "
+                  "control their error");
+}
+
+/* What the last communication step changed of the balance, where somebody reads it. */
+void balance_tell_step_error(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *told = i->m + s->seen + s->monitor_step_error;
+    if (s->monitor_step_error >= 0) {
+        *told = i->counts[STEP_ERROR];
+        tape_clearing(i, told, 1);
+    }
+}

@@ -1,0 +1,244 @@
+/* The start of a run: assembly, penalties, settings, and Boolean inputs that take effect. */
+
+#include "begin.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "agreement.h"
+#include "assemble.h"
+#include "balance.h"
+#include "diagnosis.h"
+#include "driving_inputs.h"
+#include "equations.h"
+#include "friction.h"
+#include "instance.h"
+#include "interpret.h"
+#include "jumps.h"
+#include "layout.h"
+#include "linear.h"
+#include "masses.h"
+#include "message.h"
+#include "peaks.h"
+#include "penalties.h"
+#include "projection.h"
+#include "record.h"
+#include "scene.h"
+#include "scene_sizes.h"
+#include "settings.h"
+#include "topology.h"
+#include "velocities.h"
+
+/* What the Boolean inputs ask for put in force at this instant. */
+Outcome begin_take_effect(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    Outcome outcome;
+    peaks_broken(i);
+    if (s->held) {
+        double *displacements = arena_alloc(i, (size_t)s->held);
+        const double *x[] = {instance_field(i, s->z), instance_field(i, s->p)};
+        double *y[] = {displacements};
+        function_call_recorded(i, s->displacements, x, y);
+        for (int k = 0; k < s->switches; k++)
+            if (s->switched[k].value >= 0 && i->requested[k] != 0.0 && i->active[k] == 0.0) {
+                i->discrete[s->switched[k].value] = displacements[s->switched[k].value];
+                tape_copy(i, i->discrete + s->switched[k].value, displacements + s->switched[k].value, 1);
+            }
+        settings_upload_parameters(i);
+    }
+    if (s->frictions) {
+        friction_reset(i); /* An impact takes no friction; what sticks is told again after it. */
+        settings_upload_parameters(i);
+    }
+    outcome = topology_change(i, i->requested);
+    if (outcome == DONE)
+        outcome = friction_begin(i);
+    if (outcome == DONE)
+        memcpy(i->active, i->requested, (size_t)s->switches * sizeof *i->active);
+    i->flags.pending = 0;
+    arena_release(i, arena);
+    return outcome;
+}
+
+static Outcome read_compliances(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int first = s->own + 2 * s->starts;
+    int given = 0;
+    for (int k = 0; k < s->compliances; k++) {
+        i->compliances[k] = i->values[first + k];
+        given += i->compliances[k] > 0.0;
+    }
+    if (!given || given == s->compliances)
+        return DONE;
+    for (int k = 0;; k++)
+        if (i->compliances[k] == 0.0)
+            return instance_say(i, REFUSED, "%s: %s is 0 and others are not; give each constraint a compliance, or none",
+                s->name, s->variables[first + k].name);
+}
+
+/* DONE where constraints agree as well as steps under error control ask for. */
+static Outcome check_agreed(Instance *i, const unsigned char *held, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), l = (size_t)s->l;
+    double *C = arena_alloc(i, (size_t)s->constraint.entries), *phi = arena_alloc(i, l), *cv = arena_alloc(i, l);
+    Outcome outcome = DONE;
+    constraints_evaluate(i, q, v, NULL, C, phi, cv);
+    if (!projection_is_closed(i, phi, C, q))
+        outcome = agreement_check(i, held, q, phi, "");
+    if (outcome == DONE && !projection_is_closed(i, cv, C, v))
+        outcome = agreement_check(i, held, q, cv, "/s");
+    arena_release(i, arena);
+    return outcome;
+}
+
+/* Computed angles begin near their start values. */
+static void begin_angles(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *z = instance_field(i, s->z);
+    for (int k = 0; k < s->angles; k++) {
+        const double *angle = s->angle_starts[k] < 0 ? NULL : i->values + s->own + s->angle_starts[k];
+        z[2 * s->n + k] = angle ? *angle : 0.0;
+        if (angle)
+            tape_copy(i, z + 2 * s->n + k, angle, 1);
+    }
+}
+
+/* The motion begins at q and v; nothing has been counted. */
+static void begin_motion(Instance *i, const double *q, const double *v, double time)
+{
+    const Scene *s = i->scene;
+    double *z = instance_field(i, s->z), kinetic;
+    const double *first = i->values + s->own + 2 * s->starts + s->compliances;
+    memset(z, 0, scene_state_length(s) * sizeof *z);
+    memcpy(z, q, (size_t)s->n * sizeof *q);
+    memcpy(z + s->n, v, (size_t)s->n * sizeof *v);
+    tape_clearing(i, z, scene_state_length(s));
+    tape_copy(i, z, q, (size_t)s->n);
+    tape_copy(i, z + s->n, v, (size_t)s->n);
+    begin_angles(i);
+    memcpy(instance_states(i), first, (size_t)scene_states(s) * sizeof *z);
+    tape_copy(i, instance_states(i), first, (size_t)scene_states(s));
+    z[s->time] = time;
+    memset(i->impulses, 0, (size_t)s->impulses * sizeof *i->impulses);
+    memset(i->jacobian, 0, (size_t)s->entries * sizeof *i->jacobian);
+    memset(i->peaks, 0, scene_peaks_length(s) * sizeof *i->peaks);
+    *i->dissipated = 0.0;
+    memset(instance_field(i, s->pace), 0, PACE * sizeof(double));
+    instance_field(i, s->pace)[PACE_DT] = FIRST_STEP;
+    instance_field(i, s->pace)[PACE_BEFORE] = LEAST_BEFORE;
+    memset(i->counts, 0, COUNTED * sizeof *i->counts);
+    memset(instance_field(i, s->tally), 0, TALLY * sizeof(double));
+    i->counts[ENERGY_START] = energy_evaluate(i, z + s->n, &kinetic);
+    /* A motion slower than this is none. */
+    i->counts[ENERGY_SCALE] = fabs(energy_at_speed(i, SLOW_MOTION)) + DBL_MIN;
+    i->flags.warned = i->warns = 0;
+    i->shared = 0;
+}
+
+static Outcome begin_run(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t l = (size_t)s->l, n = (size_t)s->n;
+    double *q = arena_alloc(i, n), *v = arena_alloc(i, n), alpha = i->values[s->penalty], heavy = 0.0;
+    int light = -1; /* a constraint whose penalty is below the mass that it holds */
+    unsigned char *held = (unsigned char *)arena_alloc(i, l);
+    const double time = *instance_time(i);
+    Outcome outcome;
+    inputs_begin(i, time);
+    friction_reset(i);
+    begin_angles(i);
+    settings_upload_parameters(i);
+    for (int k = 0; k < s->switches; k++)
+        i->active[k] = i->requested[k] != 0.0 && !s->switched[k].holds;
+    settings_in_force(i, i->active, held);
+    for (int r = 0; r < s->l; r++)
+        held[r] &= !(i->flags.given && i->given[r] == 0.0);
+    outcome = start_assemble(i, held, q, v);
+    if (outcome == DONE)
+        outcome = masses_check(i, q, held);
+    if (outcome == DONE)
+        outcome = read_compliances(i);
+    if (outcome != DONE)
+        return outcome;
+    penalties_default(i, q, i->full);
+    /* Whether the penalty is the one for which the quick step of the kernel is known to be enough. */
+    i->flags.scaled = alpha == 0.0 && !i->flags.given;
+    for (int r = 0; r < s->l; r++) {
+        const double mass = i->full[r] / PENALTY_RATIO;
+        i->flags.scaled &= s->weighted || i->full[r] == i->full[0];
+        i->full[r] = i->flags.given ? i->given[r] : alpha > 0.0 ? alpha : i->full[r];
+        if (held[r] && i->full[r] < mass * (1 - 1e-9) && mass > heavy)
+            heavy = mass, light = r;
+    }
+    for (int r = 0; r < s->l; r++)
+        i->penalty[r] = held[r] ? i->full[r] : 0.0;
+    settings_set_penalties(i);
+    if (s->l && settings_project(i))
+        outcome = projection_apply(i, q, v);
+    if (outcome == DONE)
+        outcome = topology_update_rank(i, q, v);
+    if (outcome == DONE && s->l && settings_method(i) == 1)
+        outcome = check_agreed(i, held, q, v);
+    if (outcome != DONE)
+        return outcome;
+    begin_motion(i, q, v, time);
+    if (s->l)
+        agreement_warn_of_second_order(i, held, q);
+    if (light >= 0)
+        instance_warn(i, WARNED_OF_PENALTY,
+            "%s: solver.penalty %g is below the mass %g that %s %s holds, so that multipliers may be wrong; use 0, which "
+            "scales it with the masses",
+            s->name, i->full[light], heavy, s->rows[light].name, s->rows[light].direction);
+    settings_upload(i);
+    /* At rest near a singular position nothing else tells the direction along which a limit is taken. */
+    if (s->l && settings_continue(i) && linear_largest(v, scene_coordinates(s)) == 0.0 && settings_margin(i) < BRANCH_MARGIN)
+        start_set_off(i, held, q, instance_field(i, s->z) + s->n);
+    for (int k = 0; k < s->switches; k++)
+        if (i->requested[k] != i->active[k])
+            return begin_take_effect(i);
+    return friction_begin(i);
+}
+
+Outcome instance_initialize(Instance *i)
+{
+    const Scene *s = i->scene;
+    Outcome outcome;
+    if (s->entries && diagnose_derivatives(i) != DONE)
+        return REFUSED;
+    if (settings_method(i) && !settings_all_serve(i))
+        return instance_say(i, REFUSED,
+            "%s: solver.method %s takes solver.formulation residual with projections here; choose that, or export with "
+            "solver.method rk4",
+            s->name, settings_method_name(i));
+    if (s->frictions && !settings_all_serve(i))
+        return instance_say(i, REFUSED,
+            "%s: dry friction is solved for in the multiplier iteration of solver.formulation residual with projections; "
+            "choose that",
+            s->name);
+    arena_reset(i);
+    i->flags.initialized = i->flags.known = i->flags.pending = 0;
+    settings_upload_arguments(i);
+    outcome = begin_run(i);
+    arena_reset(i);
+    outcome = laws_begun(i, outcome);
+    i->flags.initialized = outcome == DONE;
+    return outcome;
+}
+
+/* Where a run begins, and the time past which the host does not step. */
+Outcome instance_begin(Instance *i, double start, double stop)
+{
+    if (!(stop >= start))
+        return instance_say(
+            i, REFUSED, "%s: the stop time is %g s; it must not be before the start at %g s", i->scene->name, stop, start);
+    *instance_time(i) = start;
+    i->stop = stop;
+    return DONE;
+}

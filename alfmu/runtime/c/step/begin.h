@@ -1,0 +1,16 @@
+/* The start of a run: assembly, penalties, settings, and Boolean inputs that take effect. */
+
+#ifndef ALFMU_BEGIN_H
+#define ALFMU_BEGIN_H
+
+#include "instance.h"
+
+#include "internal_begin.h"
+
+Outcome begin_take_effect(Instance *i);
+Outcome instance_initialize(Instance *i);
+Outcome instance_begin(Instance *i, double start, double stop);
+
+#include "internal_end.h"
+
+#endif

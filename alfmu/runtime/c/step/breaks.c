@@ -1,0 +1,285 @@
+/* Times at which forces, laws of motion or rates of states jump or bend by themselves, looked for over each communication
+   step before it is made: steps end there.
+
+   Something smooth changes its sign at each of them. Where between two times it is as a cubic through both ends, that tells
+   how often it does; elsewhere both halves are looked at. What depends on something that jumps itself is looked at between the jumps of that, level by level. */
+
+#include "breaks.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "instance.h"
+#include "interpret.h"
+#include "message.h"
+#include "scene.h"
+
+/* Halves of halves of a step. */
+#define DEPTH 48
+
+/* What is off a cubic by less, over sizes, is as this. */
+#define EXPLAINED 1e-4
+
+/* Extremum over the largest value: one that is as near zero is looked at itself. */
+#define TOUCHING 0.01
+
+/* Last digits of a time between which something changes its sign. */
+#define DIGITS 4
+
+/* Doublings of the last digits of a time over which something may be zero about its change of sign. */
+#define FLAT 24
+
+/* Chords, more than a change of sign of finite numbers takes. */
+#define MOST_PASSES 300
+
+/* Where cubics are looked at: at no part of a way that a wave divides it in. */
+#define POINTS 3
+static const double points[POINTS] = {0.1127016653792583, 0.4393201, 0.8172983346207417};
+
+size_t breaks_room(const Scene *s)
+{
+    return s->break_count ? (size_t)(2 * s->inputs + DEPTH) + (size_t)(8 + 2 * DEPTH) * (size_t)s->break_count : 0;
+}
+
+/* What is looked at, and its rates behind it. */
+static void values_at(Instance *i, double time, double *found)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *u = arena_alloc(i, (size_t)s->inputs), *du = arena_alloc(i, (size_t)s->inputs), *y[] = {found};
+    const double *x[] = {&time, u, du, instance_field(i, s->p)};
+    for (int k = 0; k < s->inputs; k++) {
+        du[k] = isfinite(i->slopes[1 + k]) ? i->slopes[1 + k] : 0.0;
+        u[k] = i->m[s->u + k] + du[k] * (time - *instance_time(i));
+    }
+    function_call(i, s->breaks, x, y);
+    arena_release(i, arena);
+}
+
+static double digit(double time)
+{
+    return DIGITS * DBL_EPSILON * fmax(fabs(time), 1e-3);
+}
+
+/* 0 where there is no room. */
+static int add(Instance *i, double left, double right)
+{
+    if (i->broken == MOST_BREAKS)
+        return 0;
+    i->breaks[2 * i->broken] = left - digit(left);
+    i->breaks[2 * i->broken++ + 1] = right;
+    return 1;
+}
+
+/* Two times between which one of them changes its sign, and what it is there. */
+typedef struct {
+    double low, high, at_low, at_high;
+} Bracket;
+
+/* The bracket on one side of a time within it. */
+static void asked(Instance *i, int which, double time, Bracket *b)
+{
+    const size_t arena = arena_mark(i);
+    double *now = arena_alloc(i, 2 * (size_t)i->scene->break_count);
+    values_at(i, time, now);
+    if ((now[which] > 0.0) == (b->at_high > 0.0)) {
+        b->high = time;
+        b->at_high = now[which];
+    } else {
+        b->low = time;
+        b->at_low = now[which];
+    }
+    arena_release(i, arena);
+}
+
+/* The first time from one on, in a direction, at which it is not zero to the last digit, and as far beyond, where round-off
+   moves it no more. */
+static double beyond(Instance *i, int which, double time, double way)
+{
+    const size_t arena = arena_mark(i);
+    double *now = arena_alloc(i, 2 * (size_t)i->scene->break_count), step = digit(time);
+    double to = time;
+    values_at(i, to, now);
+    for (int pass = 0; pass < FLAT && now[which] == 0.0; pass++, step *= 2) {
+        to += way * step;
+        values_at(i, to, now);
+    }
+    arena_release(i, arena);
+    return to + (to - time);
+}
+
+/* Where one of them changes its sign between two times at which it has different ones: by chords, each with a look beyond,
+   and by halves in between. */
+static int narrowed(Instance *i, int which, double low, double high, double at_low, double at_high)
+{
+    Bracket b = {low, high, at_low, at_high};
+    for (int pass = 0; b.high - b.low > digit(b.high); pass++) {
+        const double near = digit(b.high) / 2, low_before = b.low;
+        double t = b.low + (b.high - b.low) * (pass % 3 == 2 ? 0.5 : b.at_low / (b.at_low - b.at_high));
+        t = fmin(fmax(t, b.low + near), b.high - near); /* That of no number is the first. */
+        if (pass == MOST_PASSES)
+            return 1; /* Nothing that is finite changes its sign here. */
+        asked(i, which, t, &b);
+        t += b.low > low_before ? near : -near;
+        if (t > b.low && t < b.high)
+            asked(i, which, t, &b);
+    }
+    return add(i, beyond(i, which, b.low, -1.0), beyond(i, which, b.high, 1.0));
+}
+
+/* The cubic through both ends of a way. */
+typedef struct {
+    double value, slope, square, cube;
+} Cubic;
+
+static Cubic through(double before, double after, double slope, double end)
+{
+    const double change = after - before;
+    const Cubic c = {before, slope, 3 * change - 2 * slope - end, slope + end - 2 * change};
+    return c;
+}
+
+static double cubic_at(Cubic c, double x)
+{
+    return c.value + x * (c.slope + x * (c.square + x * c.cube));
+}
+
+/* Where on the way it turns round as near zero as is worth a look, or beyond it; below zero where it does not. */
+static double turns_at(Cubic c, double after, double end)
+{
+    const double root = sqrt(fmax(c.square * c.square - 3 * c.cube * c.slope, 0.0));
+    double x, there;
+    if (!(c.value > 0.0 ? c.slope < 0.0 && end > 0.0 : c.slope > 0.0 && end < 0.0))
+        return -1.0;
+    x = -c.slope / (c.square + (c.slope < 0.0 ? root : -root));
+    there = cubic_at(c, x);
+    if (!(x > 0.0 && x < 1.0) || ((there > 0.0) == (c.value > 0.0) && fabs(there) > TOUCHING * fmax(fabs(c.value), fabs(after))))
+        return -1.0;
+    return x;
+}
+
+/* Whether all of a level are as cubics through both ends of a way. */
+static int smooth(Instance *i, int level, double a, double b, const double *first, const double *last)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), count = (size_t)s->break_count;
+    double *now = arena_alloc(i, 2 * count);
+    int all = 1;
+    for (int each = 0; each < POINTS && all; each++) {
+        values_at(i, a + points[each] * (b - a), now);
+        for (size_t k = 0; k < count; k++) {
+            const double slope = (b - a) * first[count + k], end = (b - a) * last[count + k];
+            const double off = now[k] - cubic_at(through(first[k], last[k], slope, end), points[each]);
+            all &= s->break_levels[k] != level
+                || !(fabs(off) > EXPLAINED * (fabs(first[k]) + fabs(last[k]) + fabs(slope) + fabs(end)));
+        }
+    }
+    arena_release(i, arena);
+    return all;
+}
+
+/* Changes of sign of a level between two times; 0 where there are too many. */
+static int looked(Instance *i, int level, double a, double b)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), count = (size_t)s->break_count;
+    double *first = arena_alloc(i, 2 * count), *middle = arena_alloc(i, 2 * count), *ends = arena_alloc(i, DEPTH), *last[DEPTH];
+    int top = 0, enough = 1;
+    long left = MOST_STEPS;
+    last[0] = arena_alloc(i, 2 * count);
+    ends[0] = b;
+    values_at(i, a, first);
+    values_at(i, b, last[0]);
+    while (top >= 0 && enough) {
+        double *end = last[top];
+        b = ends[top];
+        if (top + 1 < DEPTH && b - a > 8 * digit(b) && !smooth(i, level, a, b, first, end)) {
+            if (--left < 0)
+                enough = 0;
+            ends[++top] = a + (b - a) / 2;
+            last[top] = arena_alloc(i, 2 * count);
+            values_at(i, ends[top], last[top]);
+            continue;
+        }
+        for (int k = 0; k < s->break_count && enough; k++) {
+            double x, slope, stop;
+            if (s->break_levels[k] != level || !(isfinite(first[k]) && isfinite(end[k])))
+                continue;
+            if ((first[k] > 0.0) != (end[k] > 0.0)) {
+                enough = narrowed(i, k, a, b, first[k], end[k]);
+                continue;
+            }
+            slope = (b - a) * first[count + (size_t)k];
+            stop = (b - a) * end[count + (size_t)k];
+            x = turns_at(through(first[k], end[k], slope, stop), end[k], stop);
+            if (x < 0.0)
+                continue;
+            x = a + x * (b - a);
+            values_at(i, x, middle);
+            if ((first[k] > 0.0) != (middle[k] > 0.0))
+                enough = narrowed(i, k, a, x, first[k], middle[k]) && narrowed(i, k, x, b, middle[k], end[k]);
+        }
+        memcpy(first, end, 2 * count * sizeof *first);
+        a = b;
+        top--;
+        i->used -= 2 * count; /* That of this end. */
+    }
+    arena_release(i, arena);
+    return enough;
+}
+
+/* In their order, those that overlap as one. */
+static void ordered(Instance *i)
+{
+    double *x = i->breaks;
+    int kept = 0;
+    for (int k = 1; k < i->broken; k++) {
+        const double left = x[2 * k], right = x[2 * k + 1];
+        int j = k;
+        for (; j > 0 && x[2 * j - 2] > left; j--)
+            memcpy(x + 2 * j, x + 2 * j - 2, 2 * sizeof *x);
+        x[2 * j] = left;
+        x[2 * j + 1] = right;
+    }
+    for (int k = 0; k < i->broken; k++)
+        if (kept && x[2 * k] <= x[2 * kept - 1])
+            x[2 * kept - 1] = fmax(x[2 * kept - 1], x[2 * k + 1]);
+        else {
+            x[2 * kept] = x[2 * k];
+            x[2 * kept++ + 1] = x[2 * k + 1];
+        }
+    i->broken = kept;
+}
+
+/* Finds them from one time to another: each as a pair of times just before and just after it. */
+Outcome breaks_found(Instance *i, double begin, double end)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    int enough = 1, most = 0;
+    i->broken = 0;
+    if (!s->break_count)
+        return DONE;
+    for (int k = 0; k < s->break_count; k++)
+        most = s->break_levels[k] > most ? s->break_levels[k] : most;
+    for (int level = 0; level <= most && enough; level++) {
+        const int known = i->broken;
+        double from = begin - digit(begin);
+        for (int k = 0; k <= known && enough; k++) {
+            const double to = k < known ? i->breaks[2 * k] : end + 2 * digit(end);
+            if (to > from)
+                enough = looked(i, level, from, to);
+            from = k < known ? i->breaks[2 * k + 1] : to;
+        }
+        ordered(i);
+    }
+    arena_release(i, arena);
+    if (!enough)
+        return instance_say(i, FAILED,
+            "%s, t = %.6g s: forces or laws of time jump or bend more than %d times up to %.6g s; take shorter communication "
+            "steps",
+            s->name, begin, MOST_BREAKS, end);
+    return DONE;
+}

@@ -1,0 +1,21 @@
+/* Times at which forces, laws of motion or rates of states jump or bend by themselves. */
+
+#ifndef ALFMU_BREAKS_H
+#define ALFMU_BREAKS_H
+
+#include <stddef.h>
+
+#include "instance.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+/* Most times in a communication step at which something jumps or bends by itself. */
+#define MOST_BREAKS 4096
+
+size_t breaks_room(const Scene *s);
+Outcome breaks_found(Instance *i, double begin, double end);
+
+#include "internal_end.h"
+
+#endif

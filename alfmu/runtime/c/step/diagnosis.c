@@ -1,0 +1,143 @@
+/* Finds the reason why a step or an evaluation failed. */
+
+#include "diagnosis.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "equations.h"
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "linear.h"
+#include "message.h"
+#include "scene.h"
+#include "scene_sizes.h"
+#include "settings.h"
+
+/* FAILED where an evaluation, by what it says of itself, left so much of a given penalty's multiplier iteration that it
+   is no acceleration of this motion; less is counted. */
+Outcome diagnose_convergence(Instance *i, const double *watch, double t)
+{
+    const Scene *s = i->scene;
+    const double tolerance = i->values[s->tolerance], alpha = i->values[s->penalty];
+    const double left = sqrt(watch[WATCH_CHANGE] / (watch[WATCH_SIZE] + DBL_MIN));
+    if (watch[WATCH_CHANGE] <= tolerance * tolerance * watch[WATCH_SIZE] + DBL_MIN)
+        return DONE;
+    i->counts[UNCONVERGED] += 1.0;
+    if (!(left > UNFINISHED) || !penalty_is_given(i) || instance_field(i, s->k)[SETTINGS_CONTINUES] == 0.0) {
+        instance_warn(i, WARNED_OF_UNCONVERGED,
+            "%s, t = %.6g s: an evaluation ended without convergence after %g passes of the multiplier iteration; %s, or "
+            "raise solver.max_iterations",
+            s->name, t, i->values[s->max_iterations], settings_remedy(i));
+        return DONE;
+    }
+    return instance_say(i, FAILED,
+        "%s, t = %.6g s: with solver.penalty %g the multiplier iteration still changes accelerations by %.1e of themselves "
+        "after %g passes, more than %.0e; %s, or raise solver.max_iterations",
+        s->name, t, alpha > 0.0 ? alpha : linear_largest(i->penalty, s->l), left, i->values[s->max_iterations], UNFINISHED,
+        settings_remedy(i));
+}
+
+/* DONE where accelerations can be computed at q, v; `pivot` is the smallest of what was factorised there. */
+Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t, double pivot)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *M = arena_alloc(i, (size_t)s->mass.entries), *C = arena_alloc(i, (size_t)s->constraint.entries);
+    double *F = arena_alloc(i, (size_t)s->n), *xi = arena_alloc(i, (size_t)s->l), *u = arena_alloc(i, (size_t)scene_driven(s));
+    const double *x[] = {q, v, u, instance_field(i, s->p), &t};
+    double *y[] = {M, C, F, xi};
+    Outcome outcome = DONE;
+    memcpy(u, instance_field(i, s->u), (size_t)s->inputs * sizeof *u);
+    memcpy(u + s->inputs, instance_states(i), (size_t)scene_states(s) * sizeof *u);
+    function_call(i, s->dynamics, x, y);
+    if (!isfinite(linear_largest(M, s->mass.entries)) || !isfinite(linear_largest(F, s->n)) || !isfinite(linear_largest(xi, s->l)))
+        outcome = instance_say(i, FAILED, "%s, t = %.6g s: the equations of motion are not finite; %s", s->name, t, settings_or_shorter(i));
+    else if (!(pivot > 0.0))
+        outcome = instance_say(i, FAILED,
+            "%s, t = %.6g s: the augmented mass matrix is singular; give the massless body a mass, or hold it by "
+            "constraints%s",
+            s->name, t, settings_or_penalty(i));
+    arena_release(i, arena);
+    return outcome;
+}
+
+/* FAILED where a move from `start` ends at no finite state, in the words of its first stage that went wrong. */
+Outcome diagnose_state(Instance *i, double start, double dt)
+{
+    const Scene *s = i->scene;
+    const double *w = i->workspace;
+    const struct {
+        int watch, q, v;
+        double t;
+    } stages[] = {{s->watch1, s->q1, s->v1, start}, {s->watch2, s->q2, s->v2, start + dt / 2},
+        {s->watch3, s->q3, s->v3, start + dt / 2}, {s->watch4, s->q4, s->v4, start + dt}};
+    if (isfinite(linear_norm(w + s->q, s->n)) && isfinite(linear_norm(w + s->v, s->n)))
+        return DONE;
+    for (int k = 0; k < 4; k++) {
+        const double pivot = w[stages[k].watch + WATCH_PIVOT];
+        const Outcome outcome = diagnose_failure(i, w + stages[k].q, w + stages[k].v, stages[k].t, pivot);
+        if (outcome != DONE)
+            return outcome;
+    }
+    return instance_say(i, FAILED, "%s, t = %.6g s: the state is not finite; reduce solver.step_size", s->name, start + dt);
+}
+
+/* FAILED where a move that ends at the positions in the workspace is too long to mean anything, or opens a constraint
+   that projections should close. */
+Outcome diagnose_length(Instance *i, double t)
+{
+    const Scene *s = i->scene;
+    const double *q = i->workspace + s->q, *v = i->workspace + s->v, *from = instance_field(i, s->z);
+    double turned = 0.0, moved = 0.0, gap;
+    char label[100];
+    int worst = 0, row;
+    for (int c = 0; c < scene_coordinates(s); c++) {
+        const double size = fabs(q[c] - from[c]);
+        moved = fmax(moved, strcmp(s->coordinates[c].unit, "m") ? size : size / *i->length);
+        if (!strcmp(s->coordinates[c].unit, "rad") && size > turned) {
+            turned = size;
+            worst = c;
+        }
+    }
+    if (turned > TURN)
+        return instance_say(i, FAILED,
+            "%s, t = %.6g s: %s turned by %.3g rad in one step, more than half a turn; reduce solver.step_size",
+            s->name, t, s->coordinates[worst].name, turned);
+    if (!settings_project(i))
+        return DONE;
+    gap = constraints_widest(i, q, v, 0, &row);
+    if (gap > TORN * moved && gap > GROSS)
+        return instance_say(i, FAILED, "%s, t = %.6g s: a step of %.3g opened %s by %.3g; reduce solver.step_size", s->name, t,
+            moved, instance_row_label(i, row, label, sizeof label), gap);
+    return DONE;
+}
+
+/* What a communication step comes to that takes more work than a call may do. */
+Outcome diagnose_too_much(Instance *i)
+{
+    return instance_say(i, FAILED,
+        "%s, t = %.6g s: more than %d internal steps in one communication step (steps tried again count; patient ones "
+        "count as %d); take shorter communication steps, or increase solver.step_size or the tolerances",
+        i->scene->name, *instance_time(i), MOST_STEPS, PATIENT_STEP);
+}
+
+/* What is said where the caller of a run ends it within a communication step. */
+Outcome diagnose_interrupted(Instance *i)
+{
+    return instance_say(i, FAILED, "%s, t = %.6g s: interrupted", i->scene->name, *instance_time(i));
+}
+
+Outcome diagnose_derivatives(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (s->frictions)
+        return instance_say(i, REFUSED,
+            "%s: derivatives of a run with dry friction are not known: when joints stick and slide changes with each "
+            "number; take the friction out, or make it viscous",
+            s->name);
+    return DONE;
+}

@@ -1,0 +1,23 @@
+/* Finds the reason why a step or an evaluation failed. */
+
+#ifndef ALFMU_DIAGNOSIS_H
+#define ALFMU_DIAGNOSIS_H
+
+#include "instance.h"
+
+#include "internal_begin.h"
+
+/* As many of them as a patient step, whose loops stop on convergence, takes the time of. */
+#define PATIENT_STEP 10
+
+Outcome diagnose_convergence(Instance *i, const double *watch, double t);
+Outcome diagnose_failure(Instance *i, const double *q, const double *v, double t, double pivot);
+Outcome diagnose_state(Instance *i, double start, double dt);
+Outcome diagnose_length(Instance *i, double t);
+Outcome diagnose_too_much(Instance *i);
+Outcome diagnose_interrupted(Instance *i);
+Outcome diagnose_derivatives(Instance *i);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,420 @@
+/* Dry friction that follows from the load: when joints stick and slide, and steps up to these events.
+
+   While a joint slides, its direction s is 1 or -1 and accelerations contain its friction; while it sticks, s is 0 and the
+   constraint of the joint is in force. What changes s is an event: the rate of a joint that slides goes through zero, or
+   the multiplier of one that sticks exceeds its limit. A step over an event is taken back and made again up to it.
+
+   As many joints stick as there are motions to hold; others at rest are held by them, at their limit (LIMITED) or with a
+   share of it (SHARED). */
+
+#include "friction.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "message.h"
+#include "projection.h"
+#include "rank.h"
+#include "scene.h"
+#include "settings.h"
+#include "topology.h"
+
+double *friction_slip(const Instance *i, int k)
+{
+    return i->discrete + i->scene->friction[k].slip;
+}
+
+int friction_count_sticking(const Instance *i)
+{
+    int count = 0;
+    for (int k = 0; k < i->scene->frictions; k++)
+        count += *friction_slip(i, k) == 0.0;
+    return count;
+}
+
+/* Before anything is known, and before an impact: no joint sticks. */
+void friction_reset(Instance *i)
+{
+    for (int k = 0; k < i->scene->frictions; k++)
+        *friction_slip(i, k) = 1.0;
+}
+
+void friction_rates(Instance *i, double *rates)
+{
+    const Scene *s = i->scene;
+    const double *z = instance_field(i, s->z), *x[] = {z, z + s->n, instance_field(i, s->p)};
+    double *y[] = {rates};
+    function_call(i, s->sliding, x, y);
+}
+
+/* What `gripping` gives: multipliers, limits, second rates; what is left of the laws, the least pivot. */
+const double *friction_gripped(Instance *i)
+{
+    program_run(i, i->scene->gripping);
+    return i->workspace + i->scene->grip;
+}
+
+/* Whether laws of friction have no solution here, or are about to have none. */
+int friction_jammed(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *grip;
+    if (!s->frictions || s->gripping < 0)
+        return 0;
+    grip = friction_gripped(i) + 3 * s->frictions;
+    return !(grip[0] <= JAM_SETTLED * JAM_SETTLED) || !(grip[1] > JAM_PIVOT);
+}
+
+/* The name of a joint behind others. */
+static void append_name(const Instance *i, int k, char *names, size_t size)
+{
+    const Scene *s = i->scene;
+    char part[64];
+    snprintf(part, sizeof part, "%s%.40s", *names ? ", " : "", s->rows[s->friction[k].row].name);
+    strncat(names, part, size - strlen(names) - 1);
+}
+
+Outcome friction_say_jam(Instance *i)
+{
+    const Scene *s = i->scene;
+    char names[300] = "";
+    for (int k = 0; k < s->frictions; k++)
+        if (fabs(*friction_slip(i, k)) == 1.0 || *friction_slip(i, k) == SHARED)
+            append_name(i, k, names, sizeof names);
+    return instance_say(i, FAILED,
+        "%s, t = %.6g s: a jam: no sliding motion has friction as large as its load (%s)%s; the load grows with its own "
+        "friction without bound: take smaller coefficients of friction, smaller radii or a longer guide",
+        s->name, *instance_time(i), names, s->timed ? ", and a law of time asks for one" : "");
+}
+
+/* Constraints of joints that stick put in force, and those of others not. */
+static void take_hold(Instance *i)
+{
+    const Scene *s = i->scene;
+    for (int k = 0; k < s->frictions; k++) {
+        const int row = s->friction[k].row;
+        i->penalty[row] = *friction_slip(i, k) == 0.0 ? i->full[row] : 0.0;
+    }
+    settings_upload_parameters(i);
+    settings_set_penalties(i);
+}
+
+/* Where a joint sticks from now on. */
+static void stick(Instance *i, int k)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *displacements = arena_alloc(i, (size_t)s->held);
+    const double *x[] = {instance_field(i, s->z), instance_field(i, s->p)};
+    double *y[] = {displacements};
+    function_call(i, s->displacements, x, y);
+    i->discrete[s->friction[k].value] = displacements[s->friction[k].value];
+    *friction_slip(i, k) = 0.0;
+    arena_release(i, arena);
+}
+
+/* The second rate of a joint at rest that holds with a share of its limit; below zero beyond a jam, where no load is enough
+   for the friction that it makes. */
+static double second_rate(Instance *i, int k, double share)
+{
+    const int count = i->scene->frictions;
+    const double *grip;
+    i->discrete[i->scene->friction[k].value] = share;
+    settings_upload_parameters(i);
+    grip = friction_gripped(i);
+    if (!(grip[3 * count] <= JAM_SETTLED * JAM_SETTLED && grip[3 * count + 1] > 0.0))
+        return NAN;
+    return grip[2 * count + k];
+}
+
+/* The share of its limit that holds a joint at rest, others being as they are: 1 or -1 where that is not enough. */
+static double holding_share(Instance *i, int k, double share, double idle)
+{
+    double now = second_rate(i, k, share), low, high, at_low, at_high;
+    const double way = now > 0.0 ? 1.0 : -1.0;
+    if (isnan(now))
+        return 0.0;
+    if (fabs(now) <= idle)
+        return share;
+    if (share == way)
+        return share;
+    at_high = way * second_rate(i, k, way);
+    if (at_high >= 0.0)
+        return way;
+    low = way * share, high = 1.0, at_low = way * now;
+    for (int pass = 0; pass < SEARCHED && high - low > 4 * DBL_EPSILON; pass++) {
+        /* Beyond a jam nothing is known but the direction. */
+        const double at = isnan(at_high) || pass % 4 == 3 ? (low + high) / 2 : low + (high - low) * at_low / (at_low - at_high);
+        now = way * second_rate(i, k, way * at);
+        if (fabs(now) <= idle) {
+            low = at;
+            break;
+        }
+        if (now > 0.0) {
+            low = at;
+            at_low = now;
+        } else {
+            high = at;
+            at_high = now;
+        }
+    }
+    second_rate(i, k, way * low);
+    return way * low;
+}
+
+/* The joint at rest that moves most in spite of all of its limit slides from now on; 0 where there is none. */
+static int one_slides(Instance *i, unsigned char *rests, double idle)
+{
+    const Scene *s = i->scene;
+    const int count = s->frictions;
+    const double *seconds = friction_gripped(i) + 2 * count;
+    double most = idle;
+    int which = -1;
+    for (int k = 0; k < count; k++) {
+        const double share = i->discrete[s->friction[k].value];
+        if (rests[k] && fabs(share) == 1.0 && share * seconds[k] > most) {
+            most = share * seconds[k];
+            which = k;
+        }
+    }
+    if (which < 0)
+        return 0;
+    *friction_slip(i, which) = i->discrete[s->friction[which].value];
+    rests[which] = 0;
+    return 1;
+}
+
+/* A joint that began to slide, and does not as others slide too, is at rest again; 0 where there is none. */
+static int one_rests(Instance *i, unsigned char *rests, unsigned char *began, double idle)
+{
+    const int count = i->scene->frictions;
+    const double *seconds = friction_gripped(i) + 2 * count;
+    for (int k = 0; k < count; k++)
+        if (began[k] && !rests[k] && *friction_slip(i, k) * seconds[k] < -idle) {
+            rests[k] = 1;
+            began[k] = 0; /* Once. */
+            return 1;
+        }
+    return 0;
+}
+
+/* Joints that began to slide and do not move, as others hold them then, are at rest with the share that they have. */
+static void come_to_rest(Instance *i, unsigned char *rests, const unsigned char *began, double idle)
+{
+    const Scene *s = i->scene;
+    const int count = s->frictions;
+    const double *grip = friction_gripped(i);
+    for (int k = 0; k < count; k++)
+        if (began[k] && !rests[k] && fabs(grip[2 * count + k]) <= idle) {
+            rests[k] = 1;
+            *friction_slip(i, k) = SHARED;
+            i->discrete[s->friction[k].value] = fmin(fmax(grip[k] / (grip[count + k] + DBL_MIN), -1.0), 1.0);
+        }
+    settings_upload_parameters(i);
+}
+
+/* Of joints at rest with these shares of their limits as many stick as there are motions to hold, those with most room first;
+   others are held by them. */
+static void hold_still(Instance *i, const unsigned char *rests)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    const int count = s->frictions;
+    const double *q = instance_field(i, s->z);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l), *seen = (unsigned char *)arena_alloc(i, (size_t)count);
+    double *room = arena_alloc(i, (size_t)count);
+    int rank;
+    memcpy(room, friction_gripped(i) + count, (size_t)count * sizeof *room);
+    for (int r = 0; r < s->l; r++)
+        held[r] = i->penalty[r] > 0.0;
+    for (int k = 0; k < count; k++) {
+        const double share = i->discrete[s->friction[k].value];
+        seen[k] = !rests[k] || fabs(share) > 1.0 - NO_ROOM;
+        room[k] *= 1.0 - fabs(share);
+        if (rests[k] && seen[k])
+            *friction_slip(i, k) = share > 0.0 ? LIMITED : -LIMITED;
+    }
+    rank = rank_at(i, q, held);
+    for (;;) {
+        int which = -1, more;
+        for (int k = 0; k < count; k++)
+            if (!seen[k] && (which < 0 || room[k] > room[which]))
+                which = k;
+        if (which < 0)
+            break;
+        seen[which] = 1;
+        held[s->friction[which].row] = 1;
+        more = rank_at(i, q, held);
+        if (more > rank) {
+            rank = more;
+            stick(i, which);
+        } else
+            held[s->friction[which].row] = 0;
+    }
+    arena_release(i, arena);
+}
+
+/* Joints at their limit that nothing holds, and that begin to move, slide. */
+static void let_go(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int count = s->frictions;
+    const double *seconds = friction_gripped(i) + 2 * count;
+    double most = 1.0;
+    for (int k = 0; k < count; k++)
+        most = fmax(most, fabs(seconds[k]));
+    for (int k = 0; k < count; k++)
+        if (fabs(*friction_slip(i, k)) == LIMITED && *friction_slip(i, k) * seconds[k] > IDLE * most)
+            *friction_slip(i, k) /= LIMITED;
+    settings_upload_parameters(i);
+}
+
+/* Which joints at rest stick, and where the others go: each in turn takes the share of its limit that holds it, until none
+   moves but by all of its limit. Friction opposes motion, so that this ends: what one takes others need not. The joint that
+   moves most then slides, and the others are asked again. */
+static Outcome decide(Instance *i, unsigned char *rests)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    const int count = s->frictions;
+    unsigned char *began = (unsigned char *)arena_alloc(i, (size_t)count);
+    double settled = 0.0;
+    memcpy(began, rests, (size_t)count);
+    for (int again = 0; again <= SLIDING_ROUNDS * count; again++) {
+        double idle = IDLE;
+        int moves = 1, any = 0;
+        for (int k = 0; k < count; k++)
+            if (rests[k]) {
+                *friction_slip(i, k) = SHARED;
+                i->discrete[s->friction[k].value] = 0.0;
+                any = 1;
+            }
+        take_hold(i);
+        if (friction_jammed(i)) {
+            arena_release(i, arena);
+            return friction_say_jam(i);
+        }
+        for (int k = 0; k < count; k++)
+            idle = fmax(idle, IDLE * fabs((i->workspace + s->grip)[2 * count + k]));
+        for (int pass = 0; any && moves && pass < SHARING_ROUNDS; pass++) {
+            moves = 0;
+            for (int k = 0; k < count; k++)
+                if (rests[k]) {
+                    const double before = i->discrete[s->friction[k].value], share = holding_share(i, k, before, idle);
+                    moves |= fabs(share - before) > STEADY_SHARE;
+                    i->discrete[s->friction[k].value] = share;
+                }
+            settings_upload_parameters(i);
+        }
+        settled = IDLER * idle;
+        if (!one_slides(i, rests, idle) && !one_rests(i, rests, began, idle))
+            break;
+    }
+    come_to_rest(i, rests, began, settled);
+    hold_still(i, rests);
+    take_hold(i);
+    let_go(i);
+    arena_release(i, arena);
+    return DONE;
+}
+
+/* Joints put at rest or let go as the load wants it; velocities of those that stick from now on vanish. Those with `stopped`
+   have come to rest, others where their rate says so. */
+Outcome friction_event(Instance *i, const unsigned char *stopped)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    const int count = s->frictions, brakes = i->flags.brakes;
+    double *q = instance_field(i, s->z), *v = q + s->n, *rates = arena_alloc(i, (size_t)count), *before = arena_alloc(i, (size_t)count);
+    unsigned char *rests = (unsigned char *)arena_alloc(i, (size_t)count);
+    int changed = 0;
+    Outcome outcome;
+    friction_rates(i, rates);
+    for (int k = 0; k < count; k++) {
+        before[k] = *friction_slip(i, k);
+        rests[k] = (stopped && stopped[k]) || !(fabs(rates[k]) > REST);
+        if (!rests[k])
+            *friction_slip(i, k) = rates[k] > 0.0 ? 1.0 : -1.0;
+    }
+    outcome = decide(i, rests);
+    for (int k = 0; k < count; k++)
+        changed |= (before[k] == 0.0) != (*friction_slip(i, k) == 0.0);
+    if (outcome == DONE && friction_count_sticking(i))
+        outcome = projection_apply(i, q, v);
+    if (outcome == DONE && changed) {
+        outcome = topology_update_rank(i, q, v);
+        if (outcome == RANK_CHANGES) /* What sticks beside others is redundant at rest, where nothing brakes. */
+            outcome = DONE;
+        i->flags.brakes = brakes;
+    }
+    if (outcome == DONE)
+        settings_upload(i);
+    instance_field(i, s->pace)[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+    i->flags.known = 0;
+    arena_release(i, arena);
+    return outcome;
+}
+
+/* Whether what joints do agrees with how they move and with what they carry; `inputs` have changed, too. */
+Outcome friction_checked(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    const int count = s->frictions;
+    double *rates = arena_alloc(i, (size_t)count);
+    const double *grip;
+    int wrong = 0;
+    friction_rates(i, rates);
+    for (int k = 0; k < count; k++)
+        wrong |= fabs(*friction_slip(i, k)) == 1.0 ? *friction_slip(i, k) * rates[k] <= REST : fabs(rates[k]) > REST || !friction_count_sticking(i);
+    if (!wrong && friction_count_sticking(i)) {
+        grip = friction_gripped(i);
+        for (int k = 0; k < count; k++)
+            wrong |= *friction_slip(i, k) == 0.0 && !(fabs(grip[k]) <= (1.0 + EXCEEDED) * grip[count + k]);
+    }
+    arena_release(i, arena);
+    return wrong ? friction_event(i, NULL) : DONE;
+}
+
+/* Whether constraints in force depend on each other at regular positions, where no joint sticks. */
+static int redundant(const Instance *i)
+{
+    int held = 0;
+    for (int r = 0; r < i->scene->l; r++)
+        held += i->penalty[r] > 0.0;
+    return held > (int)*i->rank;
+}
+
+/* The start of a run, and where constraints have come into force or not; no joint sticks. */
+Outcome friction_begin(Instance *i)
+{
+    const Scene *s = i->scene;
+    char names[300] = "";
+    const int unsettled = redundant(i) && !(s->compliances && i->compliances[0] > 0.0);
+    int switched = 0;
+    if (!s->frictions)
+        return DONE;
+    for (int k = 0; k < s->frictions; k++)
+        if (unsettled && s->friction[k].shared)
+            append_name(i, k, names, sizeof names);
+    for (int k = 0; k < s->switches; k++)
+        switched |= i->requested[k] != s->switched[k].start;
+    if (unsettled && switched && !*names)
+        instance_warn(i, WARNED_OF_FRICTION,
+            "%s, t = %.6g s: with what is switched on or off constraints are redundant; where they share the load of joints "
+            "with dry friction, it is not unique: the least loads are taken; give compliances of constraints "
+            "(--compliances) to settle it",
+            s->name, *instance_time(i));
+    if (*names)
+        instance_warn(i, WARNED_OF_FRICTION,
+            "%s: redundant constraints share the load of %s, so that its friction is not unique, and the motion is not "
+            "either: the least loads are taken; give compliances of constraints (--compliances) to settle it",
+            s->name, names);
+    return s->gripping < 0 ? DONE : friction_event(i, NULL); /* A start alone has no programs. */
+}

@@ -1,0 +1,23 @@
+/* Dry friction that follows from the load: which joints stick and which slide. */
+
+#ifndef ALFMU_FRICTION_H
+#define ALFMU_FRICTION_H
+
+#include "instance.h"
+
+#include "internal_begin.h"
+
+double *friction_slip(const Instance *i, int k);
+int friction_count_sticking(const Instance *i);
+void friction_reset(Instance *i);
+void friction_rates(Instance *i, double *rates);
+const double *friction_gripped(Instance *i);
+int friction_jammed(Instance *i);
+Outcome friction_say_jam(Instance *i);
+Outcome friction_event(Instance *i, const unsigned char *stopped);
+Outcome friction_checked(Instance *i);
+Outcome friction_begin(Instance *i);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,248 @@
+/* Steps up to the events of dry friction. */
+
+#include "friction_events.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "fixed.h"
+#include "friction.h"
+#include "instance.h"
+#include "layout.h"
+#include "message.h"
+#include "robust.h"
+#include "scene.h"
+#include "scene_sizes.h"
+#include "settings.h"
+
+/* How far each joint is from its event, below zero beyond it: the rate in the direction in which it slides, the room of the
+   multiplier where it sticks, over its limit, the rate that it lacks to move where others hold it. */
+static void distances_to_events(Instance *i, double *found)
+{
+    const Scene *s = i->scene;
+    friction_rates(i, found);
+    if (friction_count_sticking(i)) {
+        const double *grip = friction_gripped(i);
+        for (int k = 0; k < s->frictions; k++)
+            if (*friction_slip(i, k) == 0.0)
+                found[k] = 1.0 + EXCEEDED - fabs(grip[k]) / (grip[s->frictions + k] + DBL_MIN);
+    }
+    for (int k = 0; k < s->frictions; k++)
+        if (fabs(*friction_slip(i, k)) == 1.0)
+            found[k] *= *friction_slip(i, k);
+        else if (*friction_slip(i, k) != 0.0)
+            found[k] = MOVING * REST - fabs(found[k]);
+}
+
+/* The least of those that meet an event in this step. */
+static double least_distance(const double *rooms, const unsigned char *meets, int count)
+{
+    double found = INFINITY;
+    for (int k = 0; k < count; k++)
+        if (meets[k] && !(rooms[k] >= found))
+            found = rooms[k];
+    return found;
+}
+
+/* Second rates in the direction in which joints slide. */
+static void second_rates(Instance *i, double *found)
+{
+    const double *grip = friction_gripped(i);
+    for (int k = 0; k < i->scene->frictions; k++)
+        found[k] = fabs(*friction_slip(i, k)) == 1.0 ? *friction_slip(i, k) * grip[2 * i->scene->frictions + k] : 0.0;
+}
+
+/* Whether the rate of a joint, by the cubic through both ends of a step of length h, goes through zero and back in it. */
+static int crosses_and_returns(double before, double after, double bend_before, double bend_after, double h)
+{
+    const double slope = bend_before * h, end = bend_after * h, change = after - before;
+    const double square = 3 * change - 2 * slope - end, cube = slope + end - 2 * change;
+    if (!(slope < 0.0 && end > 0.0))
+        return 0;
+    for (int k = 1; k < SEEN_BETWEEN; k++) {
+        const double x = (double)k / SEEN_BETWEEN;
+        if (before + x * (slope + x * (square + x * cube)) < -REST)
+            return 1;
+    }
+    return 0;
+}
+
+/* Whether a jam is here or within an internal step ahead, as where links are nearly aligned. */
+static int find_jam_ahead(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *z = instance_field(i, s->z), *kept = arena_alloc(i, (size_t)s->n);
+    int found = friction_jammed(i);
+    memcpy(kept, z, (size_t)s->n * sizeof *z);
+    for (double ahead = i->values[s->step_size]; !found && ahead > JAM_AHEAD; ahead /= JAM_SHORTER) {
+        for (int c = 0; c < s->n; c++)
+            z[c] = kept[c] + ahead * z[s->n + c];
+        found = friction_jammed(i);
+    }
+    memcpy(z, kept, (size_t)s->n * sizeof *z);
+    arena_release(i, arena);
+    return found;
+}
+
+/* One step, or as many as it takes to the end where `all` says so; each is made by the method of the scene. */
+static Outcome make_step(Instance *i, double end, double dt, int all)
+{
+    double *time = instance_time(i);
+    Outcome outcome = DONE;
+    do {
+        const double from = *time, left = end - from;
+        const int last = left <= dt * (1 + ONE_STEP);
+        if (run_is_ended(i) || settings_method(i)) {
+            outcome = step_adaptive_to(i, end, dt, 1);
+        } else {
+            const double step = last ? left : dt;
+            outcome = step_rk4(i, from, step);
+            if (outcome == DONE)
+                *time = last ? end : from + step;
+        }
+        if (outcome == DONE && i->left <= 0 && *time < end)
+            outcome = step_adaptive_to(i, end, dt, 1);
+    } while (all && outcome == DONE && *time < end);
+    if (outcome != DONE && !i->ended && i->left > 0 && find_jam_ahead(i))
+        return friction_say_jam(i);
+    return outcome;
+}
+
+typedef struct {
+    double *state, *pace, *peaks; /* before the step */
+    size_t size, count;
+} Step_memory;
+
+static void restore_step(Instance *i, const Step_memory *kept)
+{
+    memcpy(instance_field(i, i->scene->z), kept->state, kept->size);
+    settings_count_turns(i);
+    memcpy(i->peaks, kept->peaks, scene_peaks_length(i->scene) * sizeof *i->peaks);
+    memcpy(instance_field(i, i->scene->pace), kept->pace, kept->count * sizeof *kept->pace);
+}
+
+/* The step just made is taken back and made again up to the first event in it, which joints meet. */
+static Outcome locate_event(Instance *i, const Step_memory *kept, const double *before, const double *after,
+    const unsigned char *meets, double dt)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    const int count = s->frictions;
+    double *now = arena_alloc(i, (size_t)count);
+    const double start = kept->state[s->time];
+    double low = start, high = *instance_time(i), at_low = least_distance(before, meets, count), at_high = least_distance(after, meets, count);
+    double scale = fmax(fmax(fabs(at_low), fabs(at_high)), NEARLY_STOPPED * REST / STOPPED), weight_low = 1.0, weight_high = 1.0;
+    double there = at_high;
+    Outcome outcome = DONE;
+    for (int pass = 0; pass < SEARCHED && outcome == DONE; pass++) {
+        double t;
+        if (fabs(there) <= STOPPED * scale || high - low <= 4 * DBL_EPSILON * fmax(fabs(high), EARLIEST))
+            break;
+        if (at_low <= 0.0) /* It has only begun to move: the event may be right here, or later. */
+            t = low + (high - low) * RIGHT_THERE;
+        else if (pass % 8 == 7)
+            t = (low + high) / 2;
+        else
+            t = low + (high - low) * (weight_low * at_low) / (weight_low * at_low - weight_high * at_high);
+        if (!(t > low && t < high))
+            t = (low + high) / 2;
+        restore_step(i, kept);
+        outcome = make_step(i, t, dt, 1);
+        if (outcome != DONE)
+            break;
+        distances_to_events(i, now);
+        there = least_distance(now, meets, count);
+        if (there < 0.0) {
+            if (at_low <= 0.0) { /* It goes the wrong way from the begin on. */
+                restore_step(i, kept);
+                break;
+            }
+            high = t;
+            at_high = there;
+            weight_high = 1.0;
+            weight_low /= 2.0;
+        } else {
+            low = t;
+            at_low = there;
+            weight_low = 1.0;
+            weight_high /= 2.0;
+        }
+    }
+    arena_release(i, arena);
+    return outcome;
+}
+
+/* Steps with dry friction up to the end of a communication step, internal ones of RK4 of length dt. */
+Outcome friction_cover(Instance *i, double start, double h, double dt)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), count = (size_t)s->frictions, past = (size_t)(s->past + s->past_size - s->pace);
+    const double end = start + h;
+    double *time = instance_time(i), *before = arena_alloc(i, count), *after = arena_alloc(i, count);
+    double *bend_before = arena_alloc(i, count), *bend_after = arena_alloc(i, count), within = INFINITY;
+    const int looks = settings_method(i) != 0; /* Steps of RK4 are as short as the user wants them. */
+    unsigned char *meets = (unsigned char *)arena_alloc(i, count);
+    Step_memory kept = {arena_alloc(i, scene_state_length(s)), arena_alloc(i, past), arena_alloc(i, scene_peaks_length(s)), scene_state_length(s) * sizeof(double), past};
+    int at_once = 0;
+    Outcome outcome = friction_checked(i);
+    while (outcome == DONE && *time < end) {
+        const double from = *time;
+        double limit = end;
+        int any = 0;
+        /* What a joint that sticks carries is looked at as often as that. */
+        if (friction_count_sticking(i) && end - from > i->values[s->step_size] * (1 + ONE_STEP))
+            limit = from + i->values[s->step_size];
+        limit = fmin(limit, from + within);
+        within = INFINITY;
+        memcpy(kept.state, instance_field(i, s->z), kept.size);
+        memcpy(kept.pace, instance_field(i, s->pace), past * sizeof(double));
+        memcpy(kept.peaks, i->peaks, scene_peaks_length(s) * sizeof(double));
+        distances_to_events(i, before);
+        if (looks && friction_count_sticking(i) < (int)count)
+            second_rates(i, bend_before);
+        outcome = make_step(i, limit, dt, 0);
+        if (outcome != DONE)
+            break;
+        distances_to_events(i, after);
+        for (size_t k = 0; k < count; k++) {
+            meets[k] = !(after[k] >= (fabs(*friction_slip(i, (int)k)) == 1.0 ? -REST : 0.0));
+            any |= meets[k];
+        }
+        if (!any && looks && friction_count_sticking(i) < (int)count && *time - from > LOOKED_INTO) {
+            second_rates(i, bend_after);
+            for (size_t k = 0; k < count; k++)
+                if (fabs(*friction_slip(i, (int)k)) == 1.0 && crosses_and_returns(before[k], after[k], bend_before[k], bend_after[k], *time - from))
+                    within = (*time - from) / 2;
+            if (within < INFINITY) { /* Made again in halves. */
+                restore_step(i, &kept);
+                continue;
+            }
+        }
+        if (!any) {
+            at_once = 0;
+            continue;
+        }
+        outcome = locate_event(i, &kept, before, after, meets, dt);
+        if (outcome != DONE)
+            break;
+        distances_to_events(i, after);
+        {
+            const double first = least_distance(after, meets, (int)count);
+            for (size_t k = 0; k < count; k++)
+                meets[k] = meets[k] && fabs(*friction_slip(i, (int)k)) == 1.0 && after[k] <= fmax(fabs(first), REST);
+        }
+        at_once = *time > from ? 0 : at_once + 1;
+        if (at_once == AT_ONCE)
+            outcome = instance_say(i, FAILED,
+                "%s, t = %.6g s: joints with dry friction neither stick nor slide here in a way that agrees with their "
+                "loads; change coefficients of friction a little",
+                s->name, *time);
+        else
+            outcome = friction_event(i, meets);
+    }
+    arena_release(i, arena);
+    return outcome;
+}

@@ -1,0 +1,106 @@
+/* Derivatives of what is read at an instant, for hosts: of outputs by inputs, and while the run begins by parameters and
+   start values too, along a direction or back from one. What is read, or the start and what is read, is written on a tape
+   and swept; the instance is left as it was. */
+
+#include "instant_derivatives.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#include "adjoint.h"
+#include "begin.h"
+#include "diagnosis.h"
+#include "gradient.h"
+#include "instance.h"
+#include "message.h"
+#include "outputs.h"
+#include "record.h"
+#include "scene.h"
+#include "state.h"
+#include "tangent.h"
+#include "variables.h"
+
+/* Numbers that a run can be differentiated by: parameters and start values, quantities of first-order equations, inputs. */
+int variable_has_derivatives(const Scene *s, int reference)
+{
+    const int starts = s->own + 2 * s->starts, states = starts + s->compliances;
+    const Variable *v = s->variables + reference;
+    if (v->kind == INPUT)
+        return 1;
+    return v->kind == PARAMETER && (reference < starts || (reference >= states && reference < s->parameters - s->solver));
+}
+
+/* Whether inputs move places while the run begins. */
+int instance_moves_start(const Instance *i)
+{
+    return i->scene->followed_count && !(i->flags.phase & RUN);
+}
+
+/* What is read now, or the start too, on the tape. */
+static Outcome written(Instance *i, Gradient *g, int of_start)
+{
+    Outcome outcome = DONE;
+    tape_clear(g->tape);
+    if (of_start)
+        outcome = diagnose_derivatives(i);
+    i->tape = g->tape;
+    if (outcome == DONE && of_start)
+        outcome = instance_initialize(i);
+    i->flags.known = i->onward = 0;
+    if (outcome == DONE)
+        outcome = instance_read(i);
+    i->tape = NULL;
+    if (outcome == DONE && g->tape->lost)
+        outcome = instance_say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
+    return outcome;
+}
+
+static int32_t place_of_variable(const Instance *i, unsigned reference)
+{
+    return tape_place_of(i, instance_place(i, (int)reference));
+}
+
+Outcome instance_sweep(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *seed, int back, double *found)
+{
+    const Mark begin = {0, 0, 0};
+    const size_t count = back ? known_count : unknown_count;
+    Gradient *g;
+    Outcome outcome;
+    int of_start = 0;
+    for (size_t k = 0; k < known_count; k++)
+        of_start |= i->scene->variables[knowns[k]].kind == PARAMETER || instance_moves_start(i);
+    if (!i->gradient)
+        i->gradient = gradient_new(i, 1);
+    g = i->gradient;
+    if (!g)
+        return instance_say(i, FAILED, "%s: there is no memory for derivatives", i->scene->name);
+    instance_remember(i);
+    outcome = written(i, g, of_start);
+    instance_go_back(i);
+    arena_reset(i);
+    if (outcome != DONE)
+        return outcome;
+    if (back) {
+        memset(g->adjoints, 0, g->places * sizeof *g->adjoints);
+        for (size_t k = 0; k < unknown_count; k++)
+            g->adjoints[place_of_variable(i, unknowns[k])] += seed[k];
+        adjoints_along(g, begin);
+        for (size_t k = 0; k < known_count; k++)
+            found[k] = g->adjoints[place_of_variable(i, knowns[k])];
+    } else {
+        memset(g->tangents, 0, g->places * sizeof *g->tangents);
+        for (size_t k = 0; k < known_count; k++)
+            g->tangents[place_of_variable(i, knowns[k])].lane[0] += seed[k];
+        tangents_along(g, begin);
+        for (size_t k = 0; k < unknown_count; k++)
+            found[k] = g->tangents[place_of_variable(i, unknowns[k])].lane[0];
+    }
+    arena_reset(i);
+    for (size_t k = 0; k < count; k++)
+        if (!isfinite(found[k]))
+            return instance_say(i, FAILED, "%s, t = %.6g s: derivatives cannot be computed here", i->scene->name, *instance_time(i));
+    return DONE;
+}

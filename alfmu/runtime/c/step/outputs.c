@@ -1,0 +1,274 @@
+/* Evaluates the outputs at this instant, by the first of several tiers that can. */
+
+#include "outputs.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "balance.h"
+#include "diagnosis.h"
+#include "friction.h"
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "message.h"
+#include "rank.h"
+#include "record.h"
+#include "scene.h"
+#include "scene_sizes.h"
+#include "settings.h"
+#include "variables.h"
+
+/* Share of a direction of inputs by which outputs are changed for a difference, where they do not change evenly. */
+#define SMALL_CHANGE 1e-4
+
+/* Inputs above this are tried before they are taken: some outputs may not be finite with them. */
+#define TRIED 1e30
+
+static Outcome set_input(Instance *i, int reference, double value)
+{
+    const Scene *s = i->scene;
+    const int k = reference - s->parameters - s->choices;
+    double *u = i->m + s->u + k, *slope = i->slopes + 1 + k;
+    const double u_before = *u, slope_before = *slope;
+    *u = value;
+    *slope = s->no_slope;
+    i->flags.known = 0;
+    if (fabs(value) <= TRIED || !i->flags.initialized || instance_read(i) == DONE) {
+        variable_changed_start(i, value != u_before || slope_before != s->no_slope);
+        return DONE;
+    }
+    *u = u_before;
+    *slope = slope_before;
+    return instance_say(i, REFUSED, "%s: %s = %g %s: outputs are not finite with it; give a smaller value", s->name,
+        s->variables[reference].name, value, s->variables[reference].unit);
+}
+
+/* A choice is set by its number, from 1 on. A value that is refused leaves the one before it in force. */
+Outcome instance_set(Instance *i, int reference, double value)
+{
+    const Variable *v = i->scene->variables + reference;
+    Outcome outcome;
+    if (v->kind == OUTPUT)
+        return instance_say(i, REFUSED, "%s: %s is an output and cannot be set", i->scene->name, v->name);
+    if (v->kind == CHOICE)
+        return variable_set_choice(i, reference, value);
+    outcome = variable_check(i, v, value);
+    if (outcome != DONE)
+        return outcome;
+    if (v->kind == INPUT)
+        return set_input(i, reference, value);
+    if (v->kind == SWITCH)
+        return variable_set_switch(i, reference, value);
+    outcome = check_changeable(i, v);
+    if (outcome == DONE)
+        i->values[reference] = value;
+    return outcome;
+}
+
+/* The tolerance of a run that the host wants, where the method controls its error. */
+Outcome instance_tolerate(Instance *i, double tolerance)
+{
+    return i->scene->method == 1 ? instance_set(i, i->scene->relative_tolerance, tolerance) : DONE;
+}
+
+/* The first output that is not finite, with its value; NULL where all are. */
+static const char *find_not_finite(const Instance *i, double *value)
+{
+    const Scene *s = i->scene;
+    const double *seen = i->m + s->seen;
+    const int first = scene_first_output(s);
+    for (int k = 0; k < s->outputs; k++)
+        if (!isfinite(*value = instance_get(i, first + k)))
+            return s->variables[first + k].name;
+    for (int k = s->outputs - s->event_count; k < s->seen_size; k++)
+        if (!isfinite(*value = seen[k]))
+            return "|Phi-ddot|";
+    return NULL;
+}
+
+/* Whether all outputs are finite, as `find_not_finite` finds it: zero times what is not finite is not a number. */
+static int are_finite(const Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *seen = i->m + s->seen;
+    double sums[4] = {0.0, 0.0, 0.0, 0.0}, events = *i->dissipated * 0.0;
+    int k = 0;
+    for (; k + 4 <= s->seen_size; k += 4)
+        for (int j = 0; j < 4; j++)
+            sums[j] += seen[k + j] * 0.0;
+    for (; k < s->seen_size; k++)
+        sums[0] += seen[k] * 0.0;
+    for (k = 0; k < s->impulses; k++)
+        events += i->impulses[k] * 0.0;
+    return sums[0] + sums[1] + sums[2] + sums[3] + events == 0.0;
+}
+
+/* The largest errors that were read; not a number where nobody watches. */
+static void track_errors(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *seen = instance_field(i, s->seen);
+    double *c = i->counts;
+    c[READS] += 1.0;
+    c[POSITION_ERROR] = s->monitor_position < 0 ? NAN : fmax(c[POSITION_ERROR], seen[s->monitor_position]);
+    c[VELOCITY_ERROR] = s->monitor_velocity < 0 ? NAN : fmax(c[VELOCITY_ERROR], seen[s->monitor_velocity]);
+    c[ACCELERATION_ERROR] = fmax(c[ACCELERATION_ERROR], instance_diagnostic(i, SEEN_ACCELERATION_ERROR));
+    c[ENERGY_ERROR] = s->monitor_energy < 0
+        ? NAN
+        : fmax(c[ENERGY_ERROR],
+              fabs(seen[s->monitor_energy] - c[ENERGY_START] - instance_field(i, s->z)[s->work]));
+}
+
+/* What can be read at this instant, by loops that stop on convergence. */
+static Outcome evaluate_patiently(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int instant = settings_instant(s, settings_formulation(i));
+    Outcome outcome = DONE;
+    int limited = 0;
+    double value;
+    i->iterations = 0;
+    program_run(i, instant);
+    if (instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit_patient >= 0) {
+        program_run(i, s->limit_patient);
+        limited = !find_not_finite(i, &value);
+        if (!limited)
+            program_run(i, instant);
+    }
+    if (s->l && instant != s->instant && !limited)
+        outcome = diagnose_convergence(i, i->workspace + s->watch0, *instance_time(i));
+    if (s->monitor_iterations >= 0 && i->iterations > 0)
+        i->m[s->seen + s->monitor_iterations] = i->iterations;
+    return outcome;
+}
+
+/* Whether what can be read here has been read, away from any pole. */
+int outputs_read_away(Instance *i)
+{
+    const Scene *s = i->scene;
+    if (!(i->flags.fast && outputs_read_quickly(i)))
+        program_run(i, settings_instant(s, settings_formulation(i)));
+    return are_finite(i) && instance_diagnostic(i, SEEN_NEAR) == 0.0;
+}
+
+Outcome instance_read(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *z = instance_field(i, s->z);
+    Outcome outcome = DONE;
+    const char *name = NULL;
+    char closer[120];
+    double value;
+    if (i->flags.known)
+        return DONE;
+    arena_reset(i);
+    if (i->tape)
+        i->tape->reading = i->tape->used;
+    settings_upload_arguments(i);
+    if (i->flags.brakes)
+        rank_freeze(i);
+    if (!(i->flags.fast && outputs_read_quickly(i) && are_finite(i))) {
+        outcome = evaluate_patiently(i);
+        name = find_not_finite(i, &value);
+    }
+    if (outcome != DONE)
+        return outcome;
+    i->flags.known = !name;
+    if (!name) {
+        track_errors(i);
+        balance_tell_step_error(i);
+        return DONE;
+    }
+    if (friction_jammed(i))
+        return friction_say_jam(i);
+    if (settings_instant(s, settings_formulation(i)) != s->instant)
+        outcome = diagnose_failure(i, z, z + s->n, z[s->time], i->workspace[s->watch0 + WATCH_PIVOT]);
+    if (outcome != DONE)
+        return outcome;
+    return instance_say(i, FAILED,
+        "%s, t = %.6g s: %s would be %g, as accelerations and reactions cannot be computed here; use smaller inputs%s%s%s",
+        s->name, *instance_time(i), name, message_number(value),
+        settings_moving(i) ? ", another start or a smaller solver.step_size" : " or another start", settings_or_penalty(i), settings_or_compliances(i, closer, sizeof closer));
+}
+
+/* Outputs (readings) that the inputs in `direction` change, by a difference: exact where they change evenly. */
+static void derivative_by_differences(Instance *i, const double *direction, double *change)
+{
+    const Scene *s = i->scene;
+    const int instant = settings_instant(s, settings_formulation(i));
+    double *u = instance_field(i, s->u), *seen = instance_field(i, s->seen), *before = arena_alloc(i, (size_t)s->inputs);
+    const double share = s->frictions ? SMALL_CHANGE : 1.0; /* Loads of friction do not change evenly. */
+    memcpy(before, u, (size_t)s->inputs * sizeof *u);
+    memset(change, 0, (size_t)s->readings * sizeof *change);
+    for (int side = -1; side < 2; side += 2) {
+        for (int k = 0; k < s->inputs; k++)
+            u[k] = before[k] + side * share * direction[k];
+        program_run(i, instant);
+        for (int k = 0; k < s->readings; k++)
+            change[k] += side * seen[k] / (2 * share);
+    }
+    memcpy(u, before, (size_t)s->inputs * sizeof *u);
+    program_run(i, instant);
+}
+
+Outcome instance_derivative(Instance *i, const unsigned *unknowns, size_t unknown_count, const unsigned *knowns,
+    size_t known_count, const double *directions, double *changes)
+{
+    const Scene *s = i->scene;
+    const int first = s->parameters + s->choices, outputs = scene_first_output(s);
+    double *w = i->workspace;
+    arena_reset(i);
+    settings_upload_arguments(i);
+    memset(changes, 0, unknown_count * sizeof *changes);
+    if (s->sensitivity < 0)
+        return DONE;
+    if (i->flags.brakes)
+        rank_freeze(i);
+    memset(w + s->du, 0, (size_t)s->inputs * sizeof *w);
+    for (size_t k = 0; k < known_count; k++)
+        w[s->du + (int)knowns[k] - first] += directions[k];
+    if ((s->l && settings_formulation(i) > CLASSIC_FORMULATION) || s->frictions)
+        derivative_by_differences(i, w + s->du, w + s->dy);
+    else /* Where a limit is read, its derivative is. */
+        program_run(i, instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit_sensitivity >= 0 ? s->limit_sensitivity
+                                                                                    : s->sensitivity);
+    for (size_t k = 0; k < unknown_count; k++)
+        if ((int)unknowns[k] - outputs < s->readings)
+            changes[k] = w[s->dy + (int)unknowns[k] - outputs];
+    for (size_t k = 0; k < unknown_count; k++)
+        if (!isfinite(changes[k]))
+            return instance_say(i, FAILED, "%s, t = %.6g s: directional derivatives cannot be computed here", s->name,
+                *instance_time(i));
+    return DONE;
+}
+
+/* What can be read at this instant by few iterations, as the first of a quick step; 0 where more are needed. */
+static int evaluate_by_few_iterations(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double *control = i->m + s->control;
+    if (s->instant_quick < 0 || control[CONTROL_TIER] != 0.0 || (control[CONTROL_METHOD] != 0.0 && s->short_onward < 0))
+        return 0;
+    program_run(i, s->instant_quick);
+    memcpy(i->read_at, i->m + s->z, 2 * (size_t)s->n * sizeof *i->m);
+    memcpy(i->read_at + 2 * s->n, i->m + s->u, (size_t)s->inputs * sizeof *i->m);
+    i->onward = s->onward >= 0 || s->short_onward >= 0;
+    return instance_diagnostic(i, SEEN_TROUBLE) == 0.0 && instance_diagnostic(i, SEEN_NEAR) == 0.0;
+}
+
+/* What can be read at this instant; 0 where the unrolled loops were not enough. */
+int outputs_read_quickly(Instance *i)
+{
+    const Scene *s = i->scene;
+    i->onward = 0;
+    if (evaluate_by_few_iterations(i)) {
+        i->counts[QUICK_READS] += 1.0;
+        return 1;
+    }
+    program_run(i, s->instant);
+    if (instance_diagnostic(i, SEEN_NEAR) != 0.0 && s->limit >= 0)
+        program_run(i, s->limit);
+    return instance_diagnostic(i, SEEN_TROUBLE) == 0.0;
+}

@@ -1,0 +1,149 @@
+/* Largest magnitudes of outputs within a communication step.
+
+   Behind each internal step what is asked for is read at places within it, on the polynomial through the state there, at its
+   begin and, as long as nothing jumps, at the begin of the one before, with their rates; and where the parabola through the
+   largest and its neighbours has its top. Near a singular position, where it may have a pole, it is left out. */
+
+#include "peaks.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "instance.h"
+#include "outputs.h"
+#include "record.h"
+#include "scene.h"
+#include "scene_sizes.h"
+
+/* Places in a step beside its begin, evenly. */
+#define BETWEEN_STEPS 4
+
+/* States that a polynomial goes through, each with its rates. */
+#define STATES 3
+
+size_t peaks_room(const Scene *s)
+{
+    return s->peaks ? 2 * scene_state_length(s) + (size_t)s->seen_size + (size_t)(s->inputs + 4 * s->n)
+            + (BETWEEN_STEPS + 2) * (size_t)s->peaks
+        : 0;
+}
+
+static double *beside(Instance *i)
+{
+    return i->peaks + i->scene->peaks;
+}
+
+/* Something jumps here. */
+void peaks_broken(Instance *i)
+{
+    if (i->scene->peaks)
+        beside(i)[KNOWN_BEFORE] = 0.0;
+}
+
+void peaks_begin(Instance *i)
+{
+    const Scene *s = i->scene;
+    memset(i->peaks, 0, (size_t)s->peaks * sizeof *i->peaks);
+    if (s->inputs)
+        peaks_broken(i);
+}
+
+/* Magnitudes of what was read, and the largest so far. */
+static void noted(Instance *i, double *magnitudes)
+{
+    const Scene *s = i->scene;
+    for (int k = 0; k < s->peaks; k++) {
+        double sum = 0.0;
+        for (int part = 0; part < 3; part++)
+            if (s->peak_parts[3 * k + part] >= 0)
+                sum = hypot(sum, i->m[s->seen + s->peak_parts[3 * k + part]]);
+        magnitudes[k] = sum;
+        i->peaks[k] = fmax(i->peaks[k], sum);
+    }
+}
+
+/* The polynomial through states at times, and its rate: Newton's form, each of the times twice. */
+static void interpolated(int states, const double *times, const double *const *q, const double *const *v, int c, double t,
+    double *value, double *rate)
+{
+    double z[2 * STATES], f[2 * STATES];
+    const int count = 2 * states;
+    for (int k = 0; k < count; k++) {
+        z[k] = times[k / 2];
+        f[k] = q[k / 2][c];
+    }
+    for (int order = 1; order < count; order++)
+        for (int k = count - 1; k >= order; k--)
+            f[k] = z[k] != z[k - order] ? (f[k] - f[k - 1]) / (z[k] - z[k - order]) : v[k / 2][c];
+    *value = f[count - 1];
+    *rate = 0.0;
+    for (int k = count - 2; k >= 0; k--) {
+        *rate = *value + (t - z[k]) * *rate;
+        *value = f[k] + (t - z[k]) * *value;
+    }
+}
+
+/* Behind a step from a state `begin` (as z). */
+void peaks_along(Instance *i, const double *begin)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n, size = scene_state_length(s);
+    double *z = instance_field(i, s->z), *before = beside(i), *end = arena_alloc(i, size), *seen = arena_alloc(i, (size_t)s->seen_size);
+    double *u = arena_alloc(i, (size_t)s->inputs), *found = arena_alloc(i, (BETWEEN_STEPS + 1) * (size_t)s->peaks);
+    double *top = arena_alloc(i, (size_t)s->peaks);
+    const double from = begin[s->time], h = z[s->time] - from;
+    const int known = before[KNOWN_BEFORE] != 0.0 && before[TIME_BEFORE] < from, states = known ? 3 : 2;
+    const double times[STATES] = {from, from + h, before[TIME_BEFORE]};
+    const double *q[STATES] = {begin, end, before + STATE_BEFORE}, *v[STATES] = {begin + n, end + n, before + STATE_BEFORE + n};
+    int good = 1, paused;
+    if (!(h > 0.0)) {
+        arena_release(i, arena);
+        return;
+    }
+    paused = tape_pause(i, 1);
+    memcpy(end, z, size * sizeof *z);
+    memcpy(seen, instance_field(i, s->seen), (size_t)s->seen_size * sizeof *seen);
+    memcpy(u, instance_field(i, s->u), (size_t)s->inputs * sizeof *u);
+    for (int each = 0; each <= BETWEEN_STEPS + s->peaks; each++) {
+        double x = (double)each / BETWEEN_STEPS, t, *here = each <= BETWEEN_STEPS ? found + each * s->peaks : top;
+        if (each > BETWEEN_STEPS) { /* The top of one of them. */
+            const double *y = found + (each - BETWEEN_STEPS - 1);
+            int most = 0;
+            double bend;
+            if (!good)
+                break;
+            for (int k = 1; k <= BETWEEN_STEPS; k++)
+                if (y[k * s->peaks] > y[most * s->peaks])
+                    most = k;
+            if (most == 0 || most == BETWEEN_STEPS)
+                continue;
+            bend = y[(most - 1) * s->peaks] - 2 * y[most * s->peaks] + y[(most + 1) * s->peaks];
+            if (!(bend < 0.0))
+                continue;
+            x = (most + (y[(most - 1) * s->peaks] - y[(most + 1) * s->peaks]) / (2 * bend)) / BETWEEN_STEPS;
+        }
+        t = from + x * h;
+        for (int c = 0; c < scene_coordinates(s); c++)
+            interpolated(states, times, q, v, c, t, z + c, z + n + c);
+        for (size_t k = 0; k < (size_t)scene_states(s); k++)
+            z[s->work + 1 + (int)k] = begin[s->work + 1 + (int)k] + x * (end[s->work + 1 + (int)k] - begin[s->work + 1 + (int)k]);
+        for (int k = 0; k < s->inputs; k++)
+            if (isfinite(i->slopes[1 + k]))
+                i->m[s->u + k] = u[k] + i->slopes[1 + k] * (t - i->slopes[0]);
+        instance_set_time(i, t);
+        if (outputs_read_away(i))
+            noted(i, here);
+        else
+            good = 0;
+    }
+    memcpy(z, end, size * sizeof *z);
+    memcpy(instance_field(i, s->seen), seen, (size_t)s->seen_size * sizeof *seen);
+    memcpy(instance_field(i, s->u), u, (size_t)s->inputs * sizeof *u);
+    before[KNOWN_BEFORE] = 1.0;
+    before[TIME_BEFORE] = from;
+    memcpy(before + STATE_BEFORE, begin, 2 * n * sizeof *before);
+    i->onward = 0;
+    tape_pause(i, paused);
+    arena_release(i, arena);
+}

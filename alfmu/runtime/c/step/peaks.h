@@ -1,0 +1,20 @@
+/* Largest magnitudes of outputs within a communication step. */
+
+#ifndef ALFMU_PEAKS_H
+#define ALFMU_PEAKS_H
+
+#include <stddef.h>
+
+#include "instance.h"
+#include "scene.h"
+
+#include "internal_begin.h"
+
+size_t peaks_room(const Scene *s);
+void peaks_broken(Instance *i);
+void peaks_begin(Instance *i);
+void peaks_along(Instance *i, const double *begin);
+
+#include "internal_end.h"
+
+#endif

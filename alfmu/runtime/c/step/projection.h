@@ -1,0 +1,17 @@
+/* Projections (10) onto the constraints, by loops that stop on convergence. */
+
+#ifndef ALFMU_PROJECTION_H
+#define ALFMU_PROJECTION_H
+
+#include "instance.h"
+
+#include "internal_begin.h"
+
+int projection_is_closed(Instance *i, const double *residue, const double *C, const double *x);
+Outcome projection_apply(Instance *i, double *q, double *v);
+Outcome projection_close(Instance *i, double t);
+void projection_watch_gaps(Instance *i);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,257 @@
+/* Steps for where the tiers of the kernel fail: by loops that stop on convergence, in halves, or by RK4 with error
+   control. */
+
+#include "robust.h"
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "adaptive.h"
+#include "diagnosis.h"
+#include "equations.h"
+#include "fixed.h"
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "linear.h"
+#include "message.h"
+#include "projection.h"
+#include "rank.h"
+#include "record.h"
+#include "scene.h"
+#include "scene_programs.h"
+#include "scene_sizes.h"
+#include "settings.h"
+#include "text.h"
+
+/* S2 to S5: one internal step by loops that stop on convergence, and whether it came near a singular position. */
+static Outcome step_patient(Instance *i, double start, double dt, int *near)
+{
+    const Scene *s = i->scene;
+    const int watch[] = {s->watch1, s->watch2, s->watch3, s->watch4};
+    double *m = i->m, *w = i->workspace, *after = m + s->after;
+    const double t = start + dt;
+    Outcome outcome;
+    *near = 0;
+    i->left -= PATIENT_STEP;
+    if (i->left < 0)
+        return diagnose_too_much(i);
+    if (!s->l)
+        return instance_say(i, FAILED,
+            "%s, t = %.6g s: the state is not finite, or turned by more than half a turn in one step; reduce "
+            "solver.step_size",
+            s->name, t);
+    m[s->dt] = dt;
+    instance_set_time(i, start);
+    if (i->flags.brakes)
+        rank_freeze(i);
+    program_run(i, scene_move_program(s, settings_formulation(i)));
+    outcome = diagnose_state(i, start, dt);
+    if (outcome != DONE)
+        return outcome;
+    for (int k = 0; k < 4; k++)
+        *near |= w[watch[k] + WATCH_NEAR] != 0.0;
+    *near = *near && instance_field(i, s->k)[SETTINGS_CONTINUES] != 0.0;
+    if (*near) {
+        program_run(i, s->move_on_branch);
+        for (int k = 0; k < 4; k++)
+            if (w[watch[k]] == INFINITY) /* What `reached` says of it. */
+                return instance_say(i, CONSTRAINT_OPEN,
+                    "%s, t = %.6g s: the branch of the motion leaves a constraint open ahead; reduce solver.step_size",
+                    s->name, start);
+    }
+    outcome = diagnose_state(i, start, dt);
+    if (outcome == DONE)
+        outcome = diagnose_length(i, t);
+    if (outcome == DONE && settings_project(i))
+        outcome = projection_close(i, t);
+    else if (outcome == DONE) {
+        program_run(i, s->keep);
+        projection_watch_gaps(i);
+    }
+    if (outcome == DONE && !isfinite(linear_norm(after + s->work + 1, scene_states(s))))
+        outcome = instance_say(i, FAILED, "%s, t = %.6g s: a state is not finite; reduce solver.step_size", s->name, t);
+    for (int k = 0; k < 4 && outcome == DONE; k++)
+        outcome = diagnose_convergence(i, w + watch[k], t);
+    if (outcome != DONE)
+        return outcome;
+    after[s->trouble] = 0.0;
+    step_commit(i);
+    return DONE;
+}
+
+/* S5: an internal step near a singular position in shorter ones. */
+static Outcome step_bisected(Instance *i, double start, double dt)
+{
+    const Scene *s = i->scene;
+    const double *q = instance_field(i, s->z);
+    double t = 0.0, h = dt / 2;
+    char where[400] = "";
+    int near;
+    while (t < dt && h > dt * SHORTEST) {
+        const Outcome outcome = step_patient(i, start + t, h, &near);
+        if (outcome == DONE) {
+            const double rest = dt - t - h;
+            t += h;
+            h = fmin(2 * h, rest);
+        } else if (outcome == CONSTRAINT_OPEN)
+            h /= 2;
+        else
+            return outcome;
+    }
+    if (t >= dt)
+        return DONE;
+    for (int c = 0; c < s->n && c < SAID; c++) {
+        char part[64];
+        write_text(part, sizeof part, "%s%.40s = %.6g", c ? ", " : "", s->coordinates[c].name, q[c]);
+        strncat(where, part, sizeof where - strlen(where) - 1);
+    }
+    return instance_say(i, FAILED,
+        "%s, t = %.6g s: locked up at %s; no motion goes on from this singular position (distance %.1e); turn round "
+        "before it, or change lengths or start",
+        s->name, start + t, where, sqrt(settings_margin(i)));
+}
+
+Outcome step_robust(Instance *i, double start, double dt)
+{
+    int near;
+    const Outcome outcome = step_patient(i, start, dt, &near);
+    if (outcome == CONSTRAINT_OPEN && near)
+        return step_bisected(i, start, dt);
+    return outcome;
+}
+
+/* The error of a step of RK4 that led to `whole` in one, and to the state in halves, over the tolerance. Beside a singular
+   position velocities count by their energy: in a direction that C hardly holds they are round-off. */
+static double halves_error(Instance *i, const double *begin, const double *whole, int near)
+{
+    const Scene *s = i->scene;
+    const double *z = i->m + s->z, *k = i->m + s->k, relative = k[SETTINGS_RELATIVE];
+    double found = 0.0, kinetic, other;
+    for (int c = 0; c < s->time; c++) {
+        const char *unit = c < 2 * s->n ? s->coordinates[c % s->n].unit : "";
+        const double size = fmax(fmax(fabs(begin[c]), fabs(z[c])), fabs(whole[c]));
+        const double one = !strcmp(unit, "m") ? *i->length : 1.0, most = *unit && c < s->n && strcmp(unit, "1") ? one : size;
+        const double allowed = (*unit ? k[SETTINGS_ABSOLUTE] * one : 0.0) + relative * fmin(size, most);
+        if (*unit ? !near || c < s->n : c > s->work)
+            found = fmax(found, fabs(z[c] - whole[c]) / (allowed + ROUND_OFF * size + DBL_MIN));
+    }
+    if (near) {
+        energy_evaluate(i, z + s->n, &kinetic);
+        energy_evaluate(i, whole + s->n, &other);
+        found = fmax(found, fabs(kinetic - other) / (2.0 * relative * kinetic + DBL_MIN));
+    }
+    return found / 15.0; /* by extrapolation */
+}
+
+/* A step of RK4, whatever the method of the scene: by the kernel, or by loops that stop on convergence. */
+Outcome step_rk4(Instance *i, double start, double dt)
+{
+    Outcome outcome;
+    i->left--;
+    if (i->flags.brakes)
+        rank_freeze(i);
+    if (i->flags.fast && step_fixed(i, 1, dt) == 1)
+        return DONE;
+    outcome = step_robust(i, start, dt);
+    i->counts[PATIENT_STEPS] += outcome == DONE;
+    return outcome;
+}
+
+/* A step of RK4 by loops that stop on convergence, so long that its error is within the tolerance, where the method of the
+   scene cannot go on; beside a singular position round-off can leave more, and then within the tolerance of the run. */
+static Outcome step_rk4_controlled(Instance *i, double end)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), size = scene_state_length(s) * sizeof(double);
+    double *z = instance_field(i, s->z), *begin = arena_alloc(i, scene_state_length(s)), *whole = arena_alloc(i, scene_state_length(s));
+    const double start = *instance_time(i), left = end - start;
+    const int near = instance_field(i, s->after)[s->near] != 0.0;
+    const Mark mark = tape_mark(i);
+    double h = fmin(left, i->values[s->step_size]), error = INFINITY, before;
+    Outcome outcome = FAILED;
+    memcpy(begin, z, size);
+    for (; h >= fmin(GIVEN_UP, left) && i->left > 0 && !run_is_ended(i); h *= SHORTENED) {
+        before = error;
+        error = INFINITY;
+        outcome = step_robust(i, start, h);
+        if (outcome == DONE) {
+            memcpy(whole, z, size);
+            memcpy(z, begin, size);
+            tape_cut(i, mark);
+            outcome = step_robust(i, start, h / 2);
+            if (outcome == DONE)
+                outcome = step_robust(i, start + h / 2, h / 2);
+            error = outcome == DONE ? halves_error(i, begin, whole, near) : INFINITY;
+        }
+        if (error <= 1.0 || (error >= before && error * s->share <= 1.0))
+            break;
+        memcpy(z, begin, size);
+        tape_cut(i, mark);
+        outcome = outcome == DONE ? NO_STEP_ON : outcome; /* It could be made. */
+    }
+    arena_release(i, arena);
+    if (outcome == DONE) {
+        i->counts[PATIENT_STEPS] += 2.0;
+        instance_set_time(i, h < left * (1 - ONE_STEP) ? start + h : end);
+        instance_field(i, s->pace)[PACE_DT] = h;
+        instance_field(i, s->pace)[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+        return DONE;
+    }
+    if (i->ended)
+        return diagnose_interrupted(i);
+    if (i->left <= 0)
+        return diagnose_too_much(i);
+    if (near && outcome != NO_STEP_ON)
+        return outcome;
+    if (!settings_moving(i))
+        return instance_say(i, FAILED,
+            "%s, t = %.6g s: the motion cannot begin: accelerations jump here or are not finite, or constraints cannot be kept; "
+            "check forces, laws and constraints at this time%s",
+            s->name, start, settings_or_penalty(i));
+    return instance_say(i, FAILED,
+        "%s, t = %.6g s: no step however short meets the tolerance; raise solver.relative_tolerance, or use smaller "
+        "inputs%s",
+        s->name, start, settings_or_penalty(i));
+}
+
+/* Steps by the method of the scene up to the end of a communication step, or one of them; those of one length take dt. */
+Outcome step_adaptive_to(Instance *i, double end, double dt, int once)
+{
+    const Scene *s = i->scene;
+    double *time = instance_time(i), *pace = instance_field(i, s->pace);
+    const double from = *time;
+    if (!once)
+        pace[PACE_LAST] = 0.0;
+    pace[PACE_FIXED] = settings_method(i) == 2 ? dt : 0.0;
+    while (*time < end && !(once && *time > from)) {
+        if (i->left <= 0)
+            return diagnose_too_much(i);
+        if (end - *time <= instance_least_step(i)) {
+            const Outcome outcome = step_rk4(i, *time, end - *time);
+            pace[PACE_LAST] = 0.0; /* What the method keeps from step to step does not lead on from here. */
+            if (outcome == DONE)
+                *time = end;
+            return outcome;
+        }
+        if (i->flags.brakes)
+            rank_freeze(i);
+        if (step_adaptive(i, end, once || i->flags.brakes ? 1 : i->left))
+            continue;
+        if (i->ended)
+            return diagnose_interrupted(i);
+        if (settings_method(i) == 1) {
+            const Outcome outcome = step_rk4_controlled(i, end);
+            if (outcome != DONE)
+                return outcome;
+            continue;
+        }
+        return instance_say(i, FAILED,
+            "%s, t = %.6g s: a step by solver.method %s failed; near singular positions, and where constraints stay open, "
+            "use explicit or rk4%s",
+            s->name, *time, settings_method_name(i), settings_or_penalty(i));
+    }
+    return DONE;
+}

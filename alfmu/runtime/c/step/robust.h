@@ -1,0 +1,17 @@
+/* Steps for where the tiers of the kernel fail: by loops that stop on convergence, in halves, or by RK4 with error
+   control. */
+
+#ifndef ALFMU_ROBUST_H
+#define ALFMU_ROBUST_H
+
+#include "instance.h"
+
+#include "internal_begin.h"
+
+Outcome step_robust(Instance *i, double start, double dt);
+Outcome step_rk4(Instance *i, double start, double dt);
+Outcome step_adaptive_to(Instance *i, double end, double dt, int once);
+
+#include "internal_end.h"
+
+#endif

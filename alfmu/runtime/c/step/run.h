@@ -1,0 +1,20 @@
+/* Communication steps: what a host calls, from the checks before to the outputs behind. */
+
+#ifndef ALFMU_RUN_H
+#define ALFMU_RUN_H
+
+#include <stddef.h>
+
+#include "instance.h"
+
+#include "internal_begin.h"
+
+Outcome instance_can_step(Instance *i, double start, double h);
+Outcome instance_ready(Instance *i, double start, double h);
+Outcome instance_step(Instance *i, double start, double h);
+Outcome instance_output_derivatives(
+    Instance *i, const unsigned *references, const int *orders, size_t count, double *values);
+
+#include "internal_end.h"
+
+#endif

@@ -1,0 +1,251 @@
+/* Settings of a run: formulation, method, tolerances and penalties, handed on to the programs of the scene. */
+
+#include "settings.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "linear.h"
+#include "rank.h"
+#include "record.h"
+#include "scene.h"
+#include "text.h"
+
+/* Reads by loops that stop on convergence, where accelerations are read at all. */
+int settings_instant(const Scene *s, int formulation)
+{
+#define OF(name) , s->instant_##name
+    const int programs[] = {s->instant_patient SCENE_OTHERS(OF)};
+#undef OF
+    return programs[formulation] < 0 ? s->instant : programs[formulation];
+}
+
+int settings_formulation(const Instance *i)
+{
+    return i->flags.choice[i->scene->formulation];
+}
+
+/* Whether steps end with projections (10). */
+int settings_project(const Instance *i)
+{
+    static const int usual[] = {PROJECTED};
+    return *i->projection < 0.0 ? usual[settings_formulation(i)] : *i->projection > 0.0;
+}
+
+/* Whether all programs of the scene are those of what is chosen, not `move` and `instant` alone. */
+int settings_all_serve(const Instance *i)
+{
+    return !i->scene->l || (settings_formulation(i) == RESIDUAL_FORMULATION && settings_project(i));
+}
+
+/* Whether the penalty is not the one that is scaled with the masses. */
+int penalty_is_given(const Instance *i)
+{
+    return i->values[i->scene->penalty] > 0.0 || i->flags.given;
+}
+
+/* What else may help where something fails. */
+const char *settings_or_penalty(const Instance *i)
+{
+    return penalty_is_given(i) ? "; or solver.penalty 0, which scales it with the masses" : "";
+}
+
+/* What to do, too, where loads are shared by compliances that are too far apart for the passes there are. */
+const char *settings_or_compliances(const Instance *i, char *text, size_t size)
+{
+    double least = INFINITY;
+    *text = '\0';
+    for (int r = 0; r < i->scene->compliances; r++)
+        least = fmin(least, i->compliances[r]);
+    if (least > 0.0 && least < INFINITY)
+        write_text(text, size, "; or compliances of constraints that are closer together (they differ by a factor of %.1g)",
+            linear_largest(i->compliances, i->scene->compliances) / least);
+    return text;
+}
+
+/* Whether a step has been made, so that its length may be at fault. */
+int settings_moving(const Instance *i)
+{
+    const double *tally = i->m + i->scene->tally;
+    double made = i->counts[PATIENT_STEPS] + tally[TALLY_COVERED];
+    for (int tier = TALLY_QUICK; tier <= TALLY_BRANCH; tier++)
+        made += tally[tier];
+    return made > 0.0;
+}
+
+/* What to do where something is wrong that shorter steps may mend. */
+const char *settings_or_shorter(const Instance *i)
+{
+    return settings_moving(i) ? "reduce solver.step_size" : "check forces, dimensions and start values";
+}
+
+/* What to do where a loop ends before it converges. */
+const char *settings_remedy(const Instance *i)
+{
+    return penalty_is_given(i) ? "use solver.penalty 0, which scales it with the masses" : settings_or_shorter(i);
+}
+
+/* What programs need beside the memory. */
+void settings_upload_arguments(Instance *i)
+{
+    const Scene *s = i->scene;
+    const double iterations = i->values[s->max_iterations];
+    i->workspace[s->most] = fmax(iterations - 1, 1.0);
+    i->workspace[s->patient] = PATIENT * iterations - 1;
+    i->workspace[s->again] = iterations - 1;
+    memcpy(i->workspace + s->stabilisation, i->stabilisation, 2 * sizeof(double));
+    i->workspace[s->projects] = settings_project(i);
+    memcpy(i->workspace + s->slopes, i->slopes, (size_t)(s->inputs + 1) * sizeof(double));
+    if (s->reach >= 0)
+        i->workspace[s->within] = i->within;
+}
+
+/* Penalties, units and shares of constraints handed on to the kernel; redundant constraints as they are. */
+void settings_set_penalties(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *k = instance_field(i, s->k), *rows = k + SETTINGS, most = linear_largest(i->penalty, s->l), least = INFINITY;
+    double *shares = rows + 2 * s->l + s->n, *matrix = shares + s->compliances;
+    *i->largest_penalty = most = most > 0.0 ? most : 1.0;
+    k[SETTINGS_ALPHA] = most;
+    k[SETTINGS_TOLERANCE] = i->values[s->tolerance];
+    for (int r = 0; r < s->l; r++) {
+        rows[r] = i->penalty[r] / most;
+        rows[s->l + r] = 1 / i->units[r];
+        for (int c = 0; s->brakes && c < s->l; c++)
+            matrix[r * s->l + c] = r == c ? rows[r] : 0.0;
+    }
+    if (s->brakes)
+        tape_clearing(i, matrix, (size_t)s->l * (size_t)s->l);
+    for (int r = 0; r < s->compliances; r++)
+        least = fmin(least, i->compliances[r]);
+    for (int r = 0; r < s->compliances; r++)
+        shares[r] = least > 0.0 ? (i->penalty[r] > 0.0) * least / i->compliances[r] : rows[r];
+}
+
+/* Whether a motion goes on along its branch near a singular position. */
+int settings_continue(const Instance *i)
+{
+    return settings_all_serve(i) && i->flags.choice[i->scene->branch] == i->scene->continues;
+}
+
+/* What makes the steps: 0 RK4, 1 the method of the scene with error control, 2 the same in steps of one length. What `auto`
+   stands for takes one formulation alone, and passes singular positions along the branch. */
+int settings_method(const Instance *i)
+{
+    const Scene *s = i->scene;
+    const int rk4 = i->flags.choice[s->method_choice] == s->rk4_choice || (s->automatic && s->l && !settings_continue(i));
+    return rk4 ? 0 : s->method;
+}
+
+/* The tolerance of a step for that of a run; in proportion for explicit methods, and less where it is loose. */
+static double step_tolerance(double share, double exponent, double run)
+{
+    return share * pow(run, exponent) * (exponent == 1.0 ? pow(fmin(1.0, STEADY / run), LOOSER) : 1.0);
+}
+
+/* The kernel told what the settings ask for. */
+void settings_upload(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *k = instance_field(i, s->k), *rows = k + SETTINGS, *control = instance_field(i, s->control);
+    const double relative = i->values[s->relative_tolerance], absolute = i->values[s->absolute_tolerance];
+    const double pivot_of_mass = *i->freedom > 0.0 ? exp(*i->masses / *i->freedom) : 0.0;
+    settings_set_penalties(i);
+    k[SETTINGS_FREEDOM] = *i->freedom;
+    k[SETTINGS_MASSES] = *i->masses;
+    k[SETTINGS_REGULAR] = exp(*i->regular);
+    k[SETTINGS_NOTHING] = NOISE_FLOOR * pivot_of_mass;
+    k[SETTINGS_LEAST_DISTANCE] = fmax(LEAST_DISTANCE, CONVERGENCE * sqrt(pivot_of_mass));
+    k[SETTINGS_CONTINUES] = s->l && settings_continue(i);
+    k[SETTINGS_RELATIVE] = s->method ? step_tolerance(s->share, s->exponent, relative) : 0.0;
+    k[SETTINGS_ABSOLUTE] = s->method ? step_tolerance(s->share, s->exponent, absolute > 0.0 ? absolute : relative) : 0.0;
+    k[SETTINGS_ABSOLUTE_LENGTH] = k[SETTINGS_ABSOLUTE] * *i->length;
+    k[SETTINGS_INVERSE_LENGTH] = 1 / *i->length;
+    k[SETTINGS_BESIDE] =
+        s->method == 1 ? step_tolerance(s->beside_share, s->beside_exponent, relative) / k[SETTINGS_RELATIVE] : 1.0;
+    k[SETTINGS_SHORT] = s->method == 1 ? s->short_share * pow(relative, s->short_exponent) / k[SETTINGS_RELATIVE] : 0.0;
+    k[SETTINGS_STIFF] =
+        s->method == 1 ? step_tolerance(s->stiff_share, s->stiff_exponent, relative) / k[SETTINGS_RELATIVE] : 1.0;
+    for (int c = 0; c < s->n; c++)
+        rows[2 * s->l + c] = *i->largest_penalty / (s->l ? i->scales[c] : 1.0);
+    instance_field(i, s->dt)[0] = control[CONTROL_STEP_SIZE] = i->values[s->step_size];
+    control[CONTROL_TIER] = !(i->flags.scaled || s->same_tiers);
+    control[CONTROL_METHOD] = settings_method(i);
+    i->flags.fast = !s->l || (settings_all_serve(i) && i->values[s->max_iterations] >= s->careful_iterations);
+    i->flags.whole = i->flags.fast && !i->flags.brakes;
+    if (i->flags.brakes)
+        rank_freeze(i);
+}
+
+/* Angles whose turns count as they are now: where they were last, for what comes. Nothing changes with them but turns. */
+void settings_count_turns(Instance *i)
+{
+    const Scene *s = i->scene;
+    const int behind = s->counted + (s->timed ? 1 + s->followed_count * POLYNOMIAL : 0);
+    if (s->counted)
+        memcpy(instance_field(i, s->p) + s->own + s->held - behind, instance_field(i, s->z) + s->work - s->counted,
+            (size_t)s->counted * sizeof(double));
+}
+
+void settings_upload_parameters(Instance *i)
+{
+    const Scene *s = i->scene;
+    double *p = instance_field(i, s->p);
+    memcpy(p, i->values, (size_t)s->own * sizeof *p);
+    memcpy(p + s->own, i->discrete, (size_t)s->held * sizeof *p);
+    tape_copy(i, p, i->values, (size_t)s->own);
+    tape_copy(i, p + s->own, i->discrete, (size_t)s->held);
+    settings_count_turns(i);
+}
+
+void settings_in_force(const Instance *i, const double *on, unsigned char *held)
+{
+    const Scene *s = i->scene;
+    memset(held, 1, (size_t)s->l);
+    for (int k = 0; k < s->switches; k++)
+        for (int r = 0; r < s->switched[k].count; r++)
+            held[s->switched[k].rows[r]] = (on[k] != 0.0) == s->switched[k].holds;
+    for (int k = 0; k < s->frictions; k++)
+        held[s->friction[k].row] = i->discrete[s->friction[k].slip] == 0.0;
+}
+
+/* Whether the constraints in force are the usual ones. */
+int settings_usual(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    double *off = arena_alloc(i, (size_t)s->switches);
+    int same = 1;
+    memset(off, 0, (size_t)s->switches * sizeof *off);
+    settings_in_force(i, off, held);
+    for (int k = 0; k < s->frictions; k++)
+        held[s->friction[k].row] = 0;
+    for (int r = 0; r < s->l; r++)
+        same &= (i->penalty[r] > 0.0) == held[r];
+    arena_release(i, arena);
+    return same;
+}
+
+const char *settings_method_name(const Instance *i)
+{
+    const Scene *s = i->scene;
+    return s->choice[s->method_choice].values[i->flags.choice[s->method_choice]];
+}
+
+double settings_margin(Instance *i)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i), n = (size_t)s->n;
+    double found;
+    const double *x[] = {instance_field(i, s->z), instance_field(i, s->p), instance_field(i, s->k)};
+    double *y[] = {arena_alloc(i, n), arena_alloc(i, n), arena_alloc(i, n), &found};
+    function_call(i, s->pivots, x, y);
+    arena_release(i, arena);
+    return found;
+}

@@ -1,0 +1,147 @@
+/* Changes of the constraints in force: ranks, impacts, penalties. */
+
+#include "topology.h"
+
+#include <math.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "equations.h"
+#include "instance.h"
+#include "interpret.h"
+#include "layout.h"
+#include "masses.h"
+#include "message.h"
+#include "rank.h"
+#include "record.h"
+#include "scene.h"
+#include "settings.h"
+#include "state.h"
+
+/* What an impact leaves of Phi-dot, in units of its row, where no velocities serve all constraints in force: a thousand times
+   what a step may leave. */
+#define CONTRADICTION 1e-3
+
+Outcome topology_update_rank(Instance *i, const double *q, const double *v)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    Outcome outcome = DONE;
+    for (int r = 0; r < s->l; r++)
+        held[r] = i->penalty[r] > 0.0;
+    *i->freedom = s->n;
+    *i->masses = 0.0;
+    if (s->l)
+        rank_calibrate(i, q, v, held, settings_usual(i));
+    if (i->flags.brakes && !s->brakes)
+        outcome = instance_say(i, RANK_CHANGES,
+            "%s: redundant constraints would brake the motion with these parameters; export it with them (--set)",
+            s->name);
+    arena_release(i, arena);
+    return outcome;
+}
+
+/* Warns that dry friction took no part in an impact, where it took as much kinetic energy [J] as a balance tells. */
+static void warn_of_impact(Instance *i, const double *v, double lost)
+{
+    const Scene *s = i->scene;
+    double kinetic;
+    energy_evaluate(i, v, &kinetic);
+    if (lost > UNBALANCED * (kinetic + lost))
+        instance_warn(i, WARNED_OF_IMPACT,
+            "%s, t = %.6g s: an impact took %.3g J, and dry friction took no part in it: impulses of joints that rub, such "
+            "as %s, have no friction",
+            s->name, *instance_time(i), lost, s->rows[s->friction[0].row].name);
+}
+
+/* Other constraints from now on; what comes into force must be closed, and makes the velocity consistent. */
+Outcome topology_change(Instance *i, const double *on)
+{
+    const Scene *s = i->scene;
+    const size_t arena = arena_mark(i);
+    double *q = instance_field(i, s->z), *v = q + s->n, *w = i->workspace, *work = q + s->work, gap;
+    double *energies = arena_alloc(i, 4);
+    unsigned char *held = (unsigned char *)arena_alloc(i, (size_t)s->l), *new = (unsigned char *)arena_alloc(i, (size_t)s->l);
+    char label[100];
+    int row, any = 0;
+    Outcome outcome;
+    settings_in_force(i, on, held);
+    for (int r = 0; r < s->l; r++) {
+        const int before = i->penalty[r] > 0.0;
+        i->penalty[r] = held[r] ? i->full[r] : 0.0;
+        held[r] = i->penalty[r] > 0.0;
+        new[r] = held[r] && !before;
+        any |= new[r];
+    }
+    settings_set_penalties(i);
+    gap = constraints_widest(i, q, v, 0, &row);
+    if (!(gap <= GROSS))
+        outcome = instance_say(i, REFUSED,
+            "%s, t = %.6g s: a constraint that is open by %.3g at %s cannot be switched on; wait until it closes",
+            s->name, *instance_time(i), gap, instance_row_label(i, row, label, sizeof label));
+    else
+        outcome = masses_check(i, q, held);
+    if (outcome == DONE && any) {
+        const double *lost[] = {work, w + s->lost}, factors[] = {1.0, 1.0}, once_less[] = {1.0, -1.0};
+        if (s->timed)
+            energy_record(i, v, energies);
+        program_run(i, s->impact);
+        memcpy(v, w + s->struck, (size_t)s->n * sizeof *v);
+        tape_copy(i, v, w + s->struck, (size_t)s->n);
+        if (s->timed) /* What comes into force while it moves does work, too. */
+            energy_add_jump(i, energies);
+        else {
+            *work += -w[s->lost];
+            tape_sum(i, work, 2, lost, once_less);
+        }
+        *i->dissipated += w[s->lost];
+        lost[0] = i->dissipated;
+        tape_sum(i, i->dissipated, 2, lost, factors);
+        for (int k = 0; k < s->impulses; k++)
+            if (new[s->impulse_rows[k]]) {
+                i->impulses[k] = w[s->impulse + s->impulse_rows[k]];
+                tape_copy(i, i->impulses + k, w + s->impulse + s->impulse_rows[k], 1);
+            }
+        if (s->frictions)
+            warn_of_impact(i, v, w[s->lost]);
+        gap = constraints_widest(i, q, v, 1, &row);
+        if (!(gap <= CONTRADICTION))
+            outcome = instance_say(i, REFUSED,
+                "%s, t = %.6g s: what is switched on asks for another motion than what is in force: no velocities serve both, "
+                "as %s is missed by %.3g per second; switch one of them off",
+                s->name, *instance_time(i), instance_row_label(i, row, label, sizeof label), gap);
+    }
+    if (outcome == DONE)
+        outcome = topology_update_rank(i, q, v);
+    if (outcome == DONE)
+        settings_upload(i);
+    i->flags.known = 0;
+    arena_release(i, arena);
+    return outcome;
+}
+
+Outcome instance_penalize(Instance *i, const double *penalties)
+{
+    const Scene *s = i->scene;
+    Outcome outcome;
+    for (int r = 0; r < s->l; r++)
+        if (!(isfinite(penalties[r]) && penalties[r] >= 0.0))
+            return instance_say(i, REFUSED, "%s: solver.penalty of constraint %d is %g; it must be a finite number, 0 or above",
+                s->name, r + 1, penalties[r]);
+    if (!i->flags.initialized) {
+        memcpy(i->given, penalties, (size_t)s->l * sizeof *penalties);
+        i->flags.given = 1;
+        return DONE;
+    }
+    arena_reset(i);
+    settings_upload_arguments(i);
+    instance_remember(i);
+    memcpy(i->full, penalties, (size_t)s->l * sizeof *penalties);
+    i->flags.scaled = 0;
+    outcome = topology_change(i, i->active);
+    if (outcome != DONE)
+        instance_go_back(i);
+    arena_reset(i);
+    return outcome;
+}
