@@ -7,6 +7,9 @@
 #include <time.h>
 
 #include "component.h"
+#include "fixed.h"
+#include "outputs.h"
+#include "settings.h"
 #include "fmi2Functions.h"
 
 /* Of this process alone, whatever else the machine does. */
@@ -42,10 +45,10 @@ int main(int count, char **argv)
         fmi2FreeInstance(c);
         c = begun(argv[4]);
         i = ((Component *)c)->instance;
-        hand_over(i);
+        settings_upload_arguments(i);
         start = now();
         for (int k = 0; k < steps; k++)
-            if (advance(i, 1, h) != 1 || !read_quickly(i))
+            if (step_fixed(i, 1, h) != 1 || !outputs_read_quickly(i))
                 return 3;
         printf("%.9g %.9g %.9g\n", ready, stepped, (now() - start) / steps);
         fmi2FreeInstance(c);

@@ -424,16 +424,15 @@ def _own_runtime() -> None:
 
     source = ROOT / "alfmu" / "runtime"
     header = layout_header()
-    if header == (source / "layout.h").read_text(encoding="utf-8"):
+    if header == (source / "c" / "core" / "layout.h").read_text(encoding="utf-8"):
         return
     with tempfile.TemporaryDirectory(prefix="alfmu_thresholds_") as made:
         folder = Path(made)
-        for path in source.glob("*.[ch]"):
-            shutil.copy(path, folder)
+        shutil.copytree(source / "c", folder / "c")
         # To optimise takes longer than the runs, and changes no number.
         script = (source / "build.py").read_text(encoding="utf-8").replace('"-O2"', '"-O0"')
         (folder / "build.py").write_text(script, encoding="utf-8")
-        (folder / "layout.h").write_text(header, encoding="utf-8")
+        (folder / "c" / "core" / "layout.h").write_text(header, encoding="utf-8")
         subprocess.run([sys.executable, folder / "build.py"], check=True, capture_output=True)
         loaded = library.library(folder)
     library.library = lambda: loaded

@@ -5,7 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "alfmu.h"
+#include "instance.h"
+#include "interpret.h"
 #include "operations.h"
 
 #if defined(_WIN32)
@@ -53,12 +54,12 @@ static int made(Instance *i, const Scene *s)
     i->scene = s;
     i->registers = malloc((size_t)s->registers * sizeof(double) + 1);
     room = malloc(LANES * ((size_t)s->lane_registers + 1) * sizeof(double));
-    i->lanes = room ? lanes_from(room) : NULL;
+    i->lanes = room ? lanes_align(room) : NULL;
     i->before = room; /* which nothing here has a use for */
     i->spare = malloc((size_t)s->spare * sizeof(double) + 1);
     i->m = calloc((size_t)s->size + (size_t)s->workspace + 1, sizeof(double));
     if (i->registers && room)
-        registers_begin(i);
+        registers_load(i);
     return i->registers && room && i->spare && i->m;
 }
 
@@ -83,7 +84,7 @@ int host_call(const Scene *s, int which, const double *x, double *y)
     for (int k = 0; k < f->outputs; y += f->lengths[f->inputs + k++])
         results[k] = y;
     if (done)
-        call(&i, which, arguments, results);
+        function_call(&i, which, arguments, results);
     unmade(&i);
     return done;
 }
@@ -101,7 +102,7 @@ int host_run(const Scene *s, int quick, double *m)
     const int done = made(&i, s);
     if (done) {
         memcpy(i.m, m, (size_t)host_length(s) * sizeof *m);
-        run(&i, quick ? s->quick : s->instant);
+        program_run(&i, quick ? s->quick : s->instant);
         memcpy(m, i.m, (size_t)host_length(s) * sizeof *m);
     }
     unmade(&i);
@@ -171,7 +172,7 @@ static int tried(const unsigned char *bytes, size_t size)
         && s->registers <= MOST_ROOM && s->lane_registers <= MOST_ROOM / LANES && s->size + s->workspace <= MOST_ROOM) {
         Instance i;
         if (made(&i, s))
-            run(&i, s->quick);
+            program_run(&i, s->quick);
         unmade(&i);
     }
     scene_free(s);

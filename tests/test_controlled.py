@@ -126,10 +126,10 @@ def test_the_linear_algebra_of_the_runtime(tmp_path, n, s):
         '#include "linear.h"\n'
         "void both(int n, int s, int terms, const double *w, const double *const *parts, double *a,\n"
         "    double *o, const double *const *b, double *x)\n{\n"
-        "    factor(n, s, terms, w, parts, a, o);\n    solve(n, s, a, o, b, x);\n}\n"
+        "    linear_factor(n, s, terms, w, parts, a, o);\n    linear_solve(n, s, a, o, b, x);\n}\n"
     )
     (tmp_path / "both.c").write_text(source)
-    folder = Path(runtime.__file__).parent
+    folder = Path(runtime.__file__).parent / "c" / "core"
     flags = ["-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", f"-I{folder}", "both.c", folder / "linear.c"]
     subprocess.run([*command, *flags, "-o", "both.so", "-lm"], cwd=tmp_path, check=True)
     both = ctypes.CDLL(str(tmp_path / "both.so")).both

@@ -112,7 +112,7 @@ def archive(tmp_path_factory) -> tuple[str, set[str]]:
 def test_the_source_archive_has_what_builds_and_no_library_of_this_machine(archive):
     _, names = archive
     assert {"pyproject.toml", "setup.py", "scripts/packaging/backend.py", "scripts/packaging/links.py"} <= names
-    assert {path.relative_to(ROOT).as_posix() for path in (ROOT / "alfmu" / "runtime").glob("*.[ch]")} <= names
+    assert {path.relative_to(ROOT).as_posix() for path in (ROOT / "alfmu" / "runtime" / "c").rglob("*.[ch]")} <= names
     assert not [name for name in names if name.startswith("alfmu/runtime/alfmu-")]
 
 
@@ -177,7 +177,7 @@ def templates() -> list[list[str]]:
                 found.append("".join(x.value if isinstance(x, ast.Constant) else HOLE for x in node.values))
             elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                 found.append(node.value)
-    for path in (ROOT / "alfmu" / "runtime").glob("*.c"):
+    for path in (ROOT / "alfmu" / "runtime" / "c").rglob("*.c"):
         text = re.sub(r'"\s*"', "", path.read_text(encoding="utf-8"))
         found += [re.sub(r"%[-+ .\d]*[a-z]", HOLE, each) for each in re.findall(r'"((?:[^"\\\n]|\\.)*)"', text)]
     return [each.split(HOLE) for each in found]

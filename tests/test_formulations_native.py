@@ -135,7 +135,7 @@ def test_directional_derivatives_are_those_of_the_formulation(built, formulation
 # Numbers that are no variables ----------------------------------------------------------------------------------------
 
 COUNTED, UNCONVERGED = 15, 3
-"""What an instance counts, as in alfmu.h, and where the evaluations that did not converge are in it."""
+"""What an instance counts, as in instance.h, and where the evaluations that did not converge are in it."""
 
 
 def numbers(fmu: Fmu, layout: Layout) -> np.ndarray:

@@ -11,4 +11,4 @@ from alfmu.kernel.tables import layout_header
 
 @pytest.mark.parametrize(("name", "made"), [("operations.h", operations_header), ("layout.h", layout_header)])
 def test_headers_are_those_of_python(name, made):
-    assert (Path(runtime.__file__).parent / name).read_text() == made()
+    assert (Path(runtime.__file__).parent / "c" / "core" / name).read_text() == made()

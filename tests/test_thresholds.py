@@ -53,7 +53,7 @@ def test_names_in_the_page_exist(study):
     assert set(re.findall(r"`([A-Z_]{4,})`", PAGE)) <= names
     for path in re.findall(r"\]\(([^)#:]+)\)", PAGE):
         assert (ROOT / "docs" / path).is_file()
-    for path in re.findall(r"`((?:runtime|kernel|method)/\w+\.\w+)`", PAGE):
+    for path in re.findall(r"`((?:runtime|kernel|method)/[\w/]+\.\w+)`", PAGE):
         assert (ROOT / "alfmu" / path).is_file()
 
 

@@ -34,8 +34,9 @@ def checked(equations: Equations) -> None:
 
 
 def sources() -> dict[str, str]:
-    """The C files of the runtime by name, the same in every FMU: what a compiler reads, without comments."""
-    return {path.name: _without_comments(path.read_text(encoding="ascii")) for path in build.sources()}
+    """The C files of the runtime by name, the same in every FMU: without comments and without `binding`."""
+    folders = [each for each in build.FOLDERS if each != "binding"]
+    return {path.name: _without_comments(path.read_text(encoding="ascii")) for path in build.sources(folders)}
 
 
 _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/""", re.DOTALL)

@@ -2,7 +2,7 @@
 
 What depends on time and inputs alone is known before a step is made. Where it has a comparison, a maximum, a whole
 number and the like, something smooth changes its sign there, which the runtime looks for over each communication step
-(`runtime/breaks.c`). Steps end at these times, so that no pulse is stepped over, and no step tries to cross a jump.
+(`step/breaks.c`). Steps end at these times, so that no pulse is stepped over, and no step tries to cross a jump.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The file is little-endian and the same bytes for the same equations. A function works on one array of numbers: the
 constants of the scene, then its arguments, then what each of its operations gives, in order. Of an operation the places
 of its operands are stored alone, and equal operations follow each other, so that the runtime chooses what to do once a
-run (`runtime/interpret.c`). What repeats in a long function is a loop over places that go by a step.
+run (`core/interpret.c` of the runtime). What repeats in a long function is a loop over places that go by a step.
 """
 
 from __future__ import annotations
@@ -35,7 +35,13 @@ CALLS = (Call, Choice, Loop, Factor, Solve, LeastNorm, Lanes)
 
 def operations_header() -> str:
     """operations.h: what operations compute from a, b and c, in C."""
-    lines = ["/* What operations of a scene compute; generated from alfmu/kernel/scene.py. */", ""]
+    lines = [
+        "/* What operations of a scene compute; generated from alfmu/kernel/scene.py. */",
+        "",
+        "#ifndef ALFMU_OPERATIONS_H",
+        "#define ALFMU_OPERATIONS_H",
+        "",
+    ]
     named = set(KINDS) - {ca.OP_DIV}
     for name, table in (("BINARY_OPERATIONS", BINARY), ("UNARY_OPERATIONS", UNARY)):
         rows = [f"    X({KINDS.index(each)}, {text.format('a', 'b')})" for each, text in table.items() if each in named]
@@ -56,6 +62,8 @@ def operations_header() -> str:
         f"#define OPERAND_COUNTS {counts}",
         "#define VALUES_OF(kind) ((kind) == SINE_COSINE_KIND ? 2 : 1)",
         f"enum {{ {', '.join(f'{_macro(step.__name__)}_CODE' for step in CALLS)} }};",
+        "",
+        "#endif",
     ]
     return "\n".join([*lines, ""])
 

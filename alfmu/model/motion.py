@@ -1,7 +1,7 @@
 """Inputs, signals (inputs that move something), and laws of time.
 
 Inside a communication step a signal is a polynomial of time from where the motion is, so that its rate and its
-acceleration are known and its position never jumps (`alfmu/runtime/signals.c` has the rule).
+acceleration are known and its position never jumps (`core/driving_inputs.c` of the runtime has the rule).
 """
 
 from __future__ import annotations

@@ -16,10 +16,23 @@ import struct
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-__all__ = ["HERE", "PLATFORMS", "WEB", "Platform", "build", "compiler", "file_name", "needed", "sources"]
+__all__ = [
+    "FOLDERS",
+    "HERE",
+    "PLATFORMS",
+    "WEB",
+    "Platform",
+    "build",
+    "compiler",
+    "file_name",
+    "including",
+    "needed",
+    "sources",
+]
 
 
 @dataclass(frozen=True)
@@ -61,8 +74,17 @@ HERE = _MACHINES.get((sys.platform, platform.machine().lower()), "")
 _FLAGS = ("-std=c99", "-fPIC", "-fno-math-errno", "-ffp-contract=off", "-fvisibility=hidden", "-DNDEBUG")
 """`-ffp-contract=off`: a sum of products is rounded as it is written, so that compiled scenes give the same numbers."""
 
-_OFTEN = ("adjoint.c", "interpret.c", "linear.c", "step.c", "tangent.c")
-"""What runs in every step; without tangents among it, one with derivatives takes three to six times as long."""
+_OFTEN = {
+    "adaptive.c",
+    "adjoint.c",
+    "fixed.c",
+    "function_adjoints.c",
+    "function_tangents.c",
+    "interpret.c",
+    "linear.c",
+    "tangent.c",
+}
+"""Files that run in every step; without tangents among them, one with derivatives takes three to six times as long."""
 
 _FAST, _SMALL = ("-O2", "-fno-unroll-loops", "-fno-tree-vectorize", "-fno-tree-slp-vectorize"), ("-Os",)
 """Of what runs often, and of the rest: an FMU carries the library, which is 25 to 30 % smaller so, and as fast. Vectors
@@ -77,19 +99,27 @@ _NO_UNWINDING = ("-fno-asynchronous-unwind-tables", "-fno-unwind-tables", "-fomi
 _WINDOWS_FLAGS = ("-D__USE_MINGW_ANSI_STDIO=0",)
 """The C library of Windows prints numbers by the standard; a second one would add a tenth."""
 
-_OF_HOSTS = ("arrange.c", "component.c", "fmi2.c", "fmi3.c", "files.c", "resources.c", "gradient.c")
-"""What a page has no use for: the functions of FMI, files, runs with derivatives, and what makes
-scenes."""
+FOLDERS = ("core", "start", "derivatives", "step", "fmi", "binding")
+"""Folders of the C files, from the bottom up: each calls only functions of itself and of those before it."""
+
+_LIBRARY = "library.c"
+"""The one file of `binding` and `fmi` that a page needs."""
 
 _WEB_FLAGS = ("-mexec-model=reactor", "-Wl,--export-dynamic", "-Wl,--export=malloc", "-Wl,--export=free")
 """A library that the page calls, with memory that the page may ask for."""
 
 _FOLDER = Path(__file__).parent
+_SOURCES = _FOLDER / "c"
 
 
-def sources() -> list[Path]:
-    """The C files and headers of the runtime."""
-    return sorted(_FOLDER.glob("*.[ch]"))
+def sources(folders: Iterable[str] = FOLDERS) -> list[Path]:
+    """The C files and headers of the runtime, of these folders; their names differ, so that they may stand in one."""
+    return [path for folder in folders for path in sorted((_SOURCES / folder).glob("*.[ch]"))]
+
+
+def including() -> list[str]:
+    """Arguments with which a compiler finds the headers where they stand."""
+    return [f"-I{_SOURCES / folder}" for folder in FOLDERS]
 
 
 def file_name(name: str) -> str:
@@ -127,7 +157,9 @@ def build(name: str, path: Path, release: bool = False) -> None:
         command = [*command, "-target", "wasm32-wasi" if name == WEB else PLATFORMS[name].target]
     with tempfile.TemporaryDirectory(prefix="alfmu_") as folder:
         made = Path(folder) / file_name(name)
-        files = [each for each in sources() if each.suffix == ".c" and (name != WEB or each.name not in _OF_HOSTS)]
+        files = [each for each in sources() if each.suffix == ".c"]
+        if name == WEB:
+            files = [each for each in files if each.parent.name not in ("fmi", "binding") or each.name == _LIBRARY]
         libraries = ["-lm"] if name != "win64" else []
         flags = [x for x in _FLAGS if x != "-fPIC"] if name == WEB else [*_FLAGS, *_WINDOWS_FLAGS * (name == "win64")]
         small = [*_SMALL, *_SMALLER * ("ziglang" in command)]
@@ -135,7 +167,7 @@ def build(name: str, path: Path, release: bool = False) -> None:
         for file in files:
             objects.append(str(Path(folder) / f"{file.stem}.o"))
             optimised = _FAST if file.name in _OFTEN else small
-            _run([*command, *flags, *optimised, *_NO_UNWINDING, "-c", str(file), "-o", objects[-1]])
+            _run([*command, *flags, *optimised, *_NO_UNWINDING, *including(), "-c", str(file), "-o", objects[-1]])
         form = _WEB_FLAGS if name == WEB else ("-shared",)
         _run([*command, "-O2", *form, "-s", *objects, "-o", str(made), *libraries])
         partial = path.with_name(f".{path.name}.{os.getpid()}")

@@ -25,7 +25,7 @@ __all__ = ["FLAGS", "SUFFIX", "build", "cache", "compiled_scene", "kept", "verif
 FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC")
 """`-ffp-contract=off`: the same operations as the interpreter makes, so the same numbers."""
 
-_BASELINE = Path(__file__).with_name("baseline.h")
+_BASELINE = Path(__file__).parent / "c" / "core" / "baseline.h"
 """A header before all others, so that compiled scenes run where the runtime does."""
 
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")

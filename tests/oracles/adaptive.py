@@ -55,7 +55,7 @@ Rule = Explicit | Collocation | implicit.Newmark
 
 
 def tolerance(method: Explicit | Collocation, run: float) -> float:
-    """The tolerance of a step that keeps a run within a tolerance, as the runtime has it (`of_step` in instance.c)."""
+    """The tolerance of a step that keeps a run within a tolerance, as `step_tolerance` of the runtime does."""
     factor, exponent = share(method)
     long = isinstance(method, Explicit) and method is not EXPLICIT5_SHORT
     return factor * run**exponent * (min(1.0, STEADY / run) ** LOOSER if long else 1.0)

@@ -179,7 +179,7 @@ class Complex:
         self.m["z"] = self.m["after"].copy()
 
     def rk4(self, steps: int, dt: float) -> None:
-        """Internal steps by the first tier that can make them, as `advance` in step.c."""
+        """Internal steps by the first tier that can make them, as `step_fixed` in step/fixed.c."""
         self.m["dt"][:] = dt
         for _ in range(steps):
             for tier in ("quick", "careful", "branch"):
@@ -191,7 +191,7 @@ class Complex:
             self._accept()
 
     def method(self, end: float) -> None:
-        """Steps of the method up to an end, as `cover` in step.c, where none needs more than the method itself."""
+        """Steps of the method up to an end, as `step_adaptive`, where none needs more than the method itself."""
         pace = PACE.index
         self.m["pace"][pace("last")] = 0.0
         self.m["pace"][pace("end")] = end
