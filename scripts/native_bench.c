@@ -6,10 +6,7 @@
 #include <stdlib.h>
 #include <time.h>
 
-#include "component.h"
-#include "fixed.h"
-#include "outputs.h"
-#include "settings.h"
+#include "alfmu.h"
 #include "fmi2Functions.h"
 
 /* Of this process alone, whatever else the machine does. */

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ..equations import Equations
@@ -33,10 +33,47 @@ def checked(equations: Equations) -> None:
     raise ExportError(f"{e.name}: an FMU has no {what}")
 
 
-def sources() -> dict[str, str]:
-    """The C files of the runtime by name, the same in every FMU: without comments and without `binding`."""
-    folders = [each for each in build.FOLDERS if each != "binding"]
-    return {path.name: _without_comments(path.read_text(encoding="ascii")) for path in build.sources(folders)}
+def sources(fmi: int) -> dict[str, str]:
+    """The C files by name, the same in every FMU of a version: one header, and one file per folder of the runtime.
+
+    They have no comments, and neither `binding` nor the functions of the other version of FMI.
+    """
+    files = {path.name: _without_comments(path.read_text(encoding="ascii")) for path in build.sources(_FOLDERS)}
+    header = _with_headers("".join(f'#include "{name}"\n' for name in files if name.endswith(".h")), files, set())
+    found = {"alfmu.h": header}
+    for folder in _FOLDERS:
+        own = [path.name for path in build.sources([folder]) if path.suffix == ".c" and path.name not in _APART]
+        texts = [_SYSTEM.findall(files[name]) for name in own]
+        system = "".join(sorted({line for lines in texts for line in lines}))
+        bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
+        found[f"{folder}.c"] = f'#include "alfmu.h"\n{system}{bodies}'
+    for name in ("files.c", f"fmi{fmi}.c"):
+        found[name] = re.sub(_INCLUDE, "", files[name]).replace("#include <", '#include "alfmu.h"\n#include <', 1)
+    return found
+
+
+_FOLDERS = tuple(each for each in build.FOLDERS if each != "binding")
+"""Folders of the runtime that an FMU needs."""
+
+_APART = ("files.c", "fmi2.c", "fmi3.c")
+"""Files that stay files of their own: names of the system's headers, and those of the two versions, exclude each other."""
+
+_INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)
+_SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)
+
+
+def _with_headers(text: str, headers: Mapping[str, str], there: set[str]) -> str:
+    """A text with each header in place of its first inclusion."""
+
+    def header(found: re.Match[str]) -> str:
+        name = found[1]
+        if name in there:
+            return ""
+        if not name.startswith("internal_"):  # which stand where declarations begin and end, each time
+            there.add(name)
+        return _with_headers(headers[name], headers, there)
+
+    return _INCLUDE.sub(header, text)
 
 
 _COMMENT = re.compile(r"""("(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*')|[ \t]*/\*.*?\*/""", re.DOTALL)
