@@ -7,6 +7,7 @@
 
 #include "instance.h"
 #include "interpret.h"
+#include "lanes.h"
 #include "operations.h"
 
 #if defined(_WIN32)
