@@ -22,19 +22,8 @@ from . import oracle
 from .result import OFF, Check, Result, Signal
 
 __all__ = [
-    "Progress",
-    "Unit",
-    "by_name",
-    "checked",
-    "communication_points",
-    "finer",
-    "instance",
-    "names_in",
-    "run",
-    "settings_of",
-    "signals_of",
-    "table_of",
-    "values_of",
+    *("Progress", "Unit", "by_name", "checked", "communication_points", "finer"),
+    *("instance", "names_in", "run", "settings_of", "signals_of", "table_of", "values_of"),
 ]
 
 MOST = 500_000_000
