@@ -3,8 +3,9 @@
 Other rooms import `oracle`, `result`.
 """
 
+from ..kernel import KERNELS
+from ..runtime.prepare import prepared, with_defaults
 from .driver import (
-    KERNELS,
     Progress,
     Unit,
     by_name,
@@ -13,16 +14,13 @@ from .driver import (
     finer,
     instance,
     names_in,
-    prepared,
-    read_inputs,
     run,
     settings_of,
     signals_of,
     table_of,
     values_of,
-    with_defaults,
 )
-from .result import Result
+from .result import Result, read_inputs
 
 __all__ = [
     "KERNELS",

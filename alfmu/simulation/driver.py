@@ -12,34 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..equations import Equations, Variable
-from ..kernel import KERNELS
 from ..model.errors import AlfmuError, InputError
 from ..model.mechanism import Mechanism
 from ..model.settings import FIXED, Settings
 from ..model.words import shown
 from ..runtime import Instance
-from ..runtime.prepare import prepared, with_defaults
+from ..runtime.prepare import prepared
 from . import oracle
-from .result import OFF, Check, Result, Signal, read_inputs
+from .result import OFF, Check, Result, Signal
 
 __all__ = [
-    "KERNELS",
-    "Result",
-    "Unit",
-    "by_name",
-    "checked",
-    "communication_points",
-    "finer",
-    "instance",
-    "names_in",
-    "prepared",
-    "read_inputs",
-    "run",
-    "settings_of",
-    "signals_of",
-    "table_of",
-    "values_of",
-    "with_defaults",
+    *("Progress", "Unit", "by_name", "checked", "communication_points", "finer"),
+    *("instance", "names_in", "run", "settings_of", "signals_of", "table_of", "values_of"),
 ]
 
 MOST = 500_000_000
