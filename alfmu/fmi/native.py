@@ -56,7 +56,7 @@ _FOLDERS = tuple(each for each in build.FOLDERS if each != "binding")
 """Folders of the runtime that an FMU needs."""
 
 _APART = ("files.c", "fmi2.c", "fmi3.c")
-"""Files that stay files of their own: names of the system's headers, and those of the two versions, exclude each other."""
+"""Files that stay files of their own, as headers of the system and the two versions of FMI share names."""
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"\n', re.MULTILINE)
 _SYSTEM = re.compile(r"^#include <[^>]+>\n", re.MULTILINE)
