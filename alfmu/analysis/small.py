@@ -103,7 +103,7 @@ class Small:
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
         """Of A [1/s], the slowest first, the upper one of a pair first."""
-        return ordered(np.linalg.eigvals(self.A))[0]
+        return ordered(np.linalg.eigvals(self.A).astype(complex))[0]
 
     def stability(self, isolated: bool) -> tuple[str, str]:
         """What the small motions tell of a position of rest, and by what: Lagrange's and Lyapunov's theorems."""

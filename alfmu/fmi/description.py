@@ -155,13 +155,13 @@ def model_description3(
     structure = ET.SubElement(root, "ModelStructure")
     inputs = [str(i) for i, (causality, v) in enumerate(variables) if causality == "input" and v.type == "Real"]
     outputs = [(str(i), v) for i, (causality, v) in enumerate(variables) if causality == "output"]
-    for reference, v in outputs:
+    for number, v in outputs:
         on = inputs if v.instant else []
         kinds = " ".join("dependent" for _ in on)
-        ET.SubElement(structure, "Output", valueReference=reference, dependencies=" ".join(on), dependenciesKind=kinds)
-    for reference, v in outputs:
-        on = " ".join(str(i) for i in _at_the_start(e, variables, v))
-        ET.SubElement(structure, "InitialUnknown", valueReference=reference, dependencies=on)
+        ET.SubElement(structure, "Output", valueReference=number, dependencies=" ".join(on), dependenciesKind=kinds)
+    for number, v in outputs:
+        needed = " ".join(str(i) for i in _at_the_start(e, variables, v))
+        ET.SubElement(structure, "InitialUnknown", valueReference=number, dependencies=needed)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 

@@ -286,12 +286,12 @@ def _owned(variables: Sequence[Variable]) -> tuple[list[str], list[int]]:
     for owner, rests in parts.items():
         alike.setdefault(tuple(rests), []).append(owner)
     texts = []
-    for rests, owners in alike.items():
-        alone = not any(rests)
-        by_name = len(rests) <= _FEW and not rests[0].startswith("[")
-        known = ", ".join(rests) if by_name else f"{len(rests)}{' each' * (len(owners) > 1)}"
+    for names, owners in alike.items():
+        alone = not any(names)
+        by_name = len(names) <= _FEW and not names[0].startswith("[")
+        known = ", ".join(names) if by_name else f"{len(names)}{' each' * (len(owners) > 1)}"
         texts.append(", ".join(_ranges(owners)) + f" ({known})" * (not alone))
-    return texts, [len(rests) * len(owners) for rests, owners in alike.items()]
+    return texts, [len(names) * len(owners) for names, owners in alike.items()]
 
 
 def _ranges(names: Sequence[str]) -> list[str]:

@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fmpy import read_model_description
+from fmpy.model_description import ModelDescription
 
 from . import calls, motion, values
 from .registry import (
@@ -97,7 +98,7 @@ def main(folder: Path) -> int:
     return 0
 
 
-def _one(folder: Path, check: Check, description: object, task: dict, given: Task) -> None:
+def _one(folder: Path, check: Check, description: ModelDescription, task: dict, given: Task) -> None:
     """Write the finding of one check."""
     version = description.fmiVersion[:1]
     result, detail, session = UNJUDGED, "", None

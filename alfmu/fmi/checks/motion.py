@@ -383,7 +383,8 @@ def _directional(s: Session) -> str:
 def directional(s: Session, task: Task) -> str:
     _directional(s)
     unit, outputs, inputs, J, error = _by_differences(s)
-    faults, worst, zeros = [], 0.0, not J.any()
+    faults: list[str] = []
+    worst, zeros = 0.0, not J.any()
     seeds = [*np.eye(len(inputs)), np.cos(1.0 + np.arange(len(inputs)))]
     claimed = []
     for seed in seeds:

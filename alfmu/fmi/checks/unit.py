@@ -108,7 +108,7 @@ class Variable:
     @classmethod
     def of(cls, v: ModelVariable, version: str) -> Variable:
         kind = {"Enumeration": "Integer" if version == "2" else "Int64"}.get(v.type, v.type)
-        simple, items = v.declaredType, ()
+        simple, items = v.declaredType, tuple[int, ...]()
         if v.type == "Enumeration" and simple is not None:
             items = tuple(int(item.value) for item in simple.items)
 
@@ -231,6 +231,7 @@ class Session:
             raise Once(_ONCE)
         out, into = os.pipe()
         if (child := os.fork()) == 0:
+            said: tuple[bool, object]
             try:
                 said = True, run()
             except Exception as error:  # goes on where this process would have gone on with it
