@@ -6,8 +6,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
-from email import message_from_bytes
 from pathlib import Path
 
 import pytest
@@ -88,55 +86,6 @@ def test_the_film_of_the_readme_is_small_and_moves(tmp_path):
         assert 3 < again.n_frames < frames.n_frames
 
 
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory) -> tuple[str, set[str]]:
-    """The description for a package index, and the files, of the source archive."""
-    folder = tmp_path_factory.mktemp("archive")
-    left = shutil.ignore_patterns(
-        ".git", ".venv", "_build", "made", "results", "build", "dist", "*.egg-info", "__pycache__"
-    )
-    shutil.copytree(ROOT, folder / "alfmu", ignore=left)
-    code = "from setuptools import build_meta as b; b.build_sdist('..')"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder / "alfmu", capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
-    with tarfile.open(next(folder.glob("*.tar.gz"))) as packed:
-        names = {name.partition("/")[2] for name in packed.getnames()}
-        top = packed.getnames()[0].split("/")[0]
-        about = message_from_bytes(packed.extractfile(f"{top}/PKG-INFO").read())
-    return about.get_payload(decode=True).decode(), names
-
-
-def test_the_source_archive_has_what_builds_and_no_library_of_this_machine(archive):
-    _, names = archive
-    assert {"pyproject.toml", "setup.py", "scripts/packaging/backend.py", "scripts/packaging/links.py"} <= names
-    assert {path.relative_to(ROOT).as_posix() for path in (ROOT / "alfmu" / "runtime").glob("*.[ch]")} <= names
-    assert not [name for name in names if name.startswith("alfmu/runtime/alfmu-")]
-
-
-def relative(text: str) -> list[str]:
-    """Where the links and pictures of a page in Markdown lead to beside it."""
-    return [path for path in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"[a-z]+:|#", path)]
-
-
-def test_links_of_the_readme_lead_to_files_of_the_source_archive(archive):
-    _, names = archive
-    paths = relative((ROOT / "README.md").read_text(encoding="utf-8"))
-    assert len(paths) > 15
-    for path in paths:
-        assert (ROOT / path).exists(), path
-        assert any(name == path.rstrip("/") or name.startswith(f"{path.rstrip('/')}/") for name in names), path
-
-
-def test_a_package_index_shows_no_link_that_leads_nowhere(archive):
-    text, names = archive
-    assert "docs/tutorial.md" in text
-    assert relative(text) == []
-    for path in re.findall(r"`((?:docs|scripts|fmus|mechanisms)/[\w./-]*)`", text):
-        assert any(name == path.rstrip("/") or name.startswith(path) for name in names), path
-
-
 def test_links_become_absolute_where_the_source_is_known():
     text = "![film](docs/a.gif)\n\n[the page](docs/b.md) and [site](https://x.org), [here](#c)\n"
     assert links.for_an_index(text, "https://git.org/a/b/", "1.0") == (
@@ -211,7 +160,14 @@ def test_a_quoted_message_is_one_of_the_package(message, texts):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
-    """The pages, with the pictures of the tutorial and of one example of the gallery; a warning fails."""
+    """The pages, with the pictures of the tutorial and of one example of the gallery; a warning fails.
+
+    SITE is a folder with the whole site, where it is built anyway.
+    """
+    if built := os.environ.get("SITE"):
+        return Path(built)
+    if os.environ.get("SNIPPETS") == "site":
+        pytest.skip("SNIPPETS=site: the site is built, too; SITE=FOLDER runs this test on it")
     folder = tmp_path_factory.mktemp("site")
     left = shutil.ignore_patterns("_build", "made", "__pycache__", "*.gif.tmp")
     for each in ("docs", "mechanisms"):
@@ -333,6 +289,6 @@ def test_pictures_of_pages_are_those_that_they_leave():
     """A page shows pictures of its own folder alone, and no other page's."""
     for page in OWN:
         folder = (DOCS / snippets.MADE / page.relative_to(DOCS)).with_suffix("")
-        for path in relative(page.read_text(encoding="utf-8")):
+        for path in links.relative(page.read_text(encoding="utf-8")):
             if f"{snippets.MADE}/" in path:
                 assert (page.parent / path).resolve().parent == folder, f"{page}: {path}"

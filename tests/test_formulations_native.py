@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import fmpy
@@ -31,18 +32,10 @@ SOFT = {"solver.penalty": 100.0, "solver.method": "rk4", "solver.step_size": 0.0
 """A penalty with which (5) can be integrated by RK4, and (8) as printed loses two digits in place of eight."""
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Callable[..., Path]:
-    """`built("five_bar")`: the path of that native FMU, made on first use."""
-    folder, made = tmp_path_factory.mktemp("formulations"), {}
-
-    def get(mechanism: str | alfmu.Mechanism, key: str = "", **given) -> Path:
-        name = getattr(mechanism, "name", mechanism) + key
-        if name not in made:
-            made[name] = alfmu.export(mechanism, folder / f"{name}.fmu", kind="native", reference=False, **given)
-        return made[name]
-
-    return get
+@pytest.fixture(scope="session")
+def built(fmu_of) -> Callable[..., Path]:
+    """`built("five_bar")`: the path of that native FMU."""
+    return partial(fmu_of, kind="native", reference=False)
 
 
 def unlike(got, library, motion: bool) -> float:
@@ -105,7 +98,7 @@ def test_inputs_and_switched_constraints(built):
     """A lock that comes and goes leaves zero rows in (9)."""
     m = alfmu.load("slider_crank")
     m.lock("B")
-    path = built(m, "locked")
+    path = built(m)
     inputs = {"A.torque": lambda t: np.sin(5 * t), "B.locked": lambda t: 0.2 < t < 0.5}
     for formulation in ("dae", "penalty"):
         values = {"solver.formulation": formulation}

@@ -33,18 +33,13 @@ on_glibc = pytest.mark.skipif(
 kinds = pytest.mark.parametrize("kind", ["native2", "native3", "python2"])
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Callable[..., Path]:
-    """`made("native3", "five_bar", ...)`: the path of that FMU, made on first use."""
-    folder, known = tmp_path_factory.mktemp("hosts"), {}
+@pytest.fixture(scope="session")
+def made(fmu_of) -> Callable[..., Path]:
+    """`made("native3", "five_bar", ...)`: the path of that FMU."""
 
     def get(kind: str, name: str = "five_bar", **parameters) -> Path:
-        key = "_".join([kind, name, *map(str, parameters.values())])
-        if key not in known:
-            given = {f"solver.{each}": value for each, value in parameters.items()}
-            options = {"kind": kind[:-1], "fmi": int(kind[-1]), "parameters": given, "reference": False}
-            known[key] = alfmu.export(name, folder / f"{key}.fmu", **options)
-        return known[key]
+        given = {f"solver.{each}": value for each, value in parameters.items()}
+        return fmu_of(name, kind=kind[:-1], fmi=int(kind[-1]), parameters=given, reference=False)
 
     return get
 

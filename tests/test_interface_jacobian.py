@@ -35,18 +35,13 @@ STENCIL = {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}
 """Of a central difference of order 4."""
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Callable[..., Path]:
-    """`built("five_bar", "native", 2)`: an FMU with its interface Jacobian, made on first use."""
-    folder, made = tmp_path_factory.mktemp("jacobian"), {}
+@pytest.fixture(scope="session")
+def built(fmu_of) -> Callable[..., Path]:
+    """`built("five_bar", "native", 2)`: an FMU with its interface Jacobian."""
 
     def get(name: str, kind: str, fmi: int, **given) -> Path:
-        key = f"{name}_{kind}_{fmi}_{'_'.join(given)}"
-        if key not in made:
-            outputs = ["*", *(f"{output}/*" for output in OUTPUTS[name])]
-            how = {"kind": kind, "fmi": fmi, "outputs": outputs, "reference": False, **given}
-            made[key] = alfmu.export(name, folder / f"{key}.fmu", **how)
-        return made[key]
+        outputs = ["*", *(f"{output}/*" for output in OUTPUTS[name])]
+        return fmu_of(name, **{"kind": kind, "fmi": fmi, "outputs": outputs, "reference": False, **given})
 
     return get
 

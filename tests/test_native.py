@@ -9,6 +9,7 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -44,18 +45,10 @@ each_case = pytest.mark.parametrize(("name", "options"), CASES, ids=["_".join([n
 by_a_compiler = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Callable[..., Path]:
-    """`built("five_bar", ...)`: the path of that native FMU, made on first use."""
-    folder, made = tmp_path_factory.mktemp("native"), {}
-
-    def get(mechanism, key="", options=None, **given):
-        name = "_".join([getattr(mechanism, "name", mechanism), key, *(options or {}).values()])
-        if name not in made:
-            made[name] = alfmu.export(mechanism, folder / f"{name}.fmu", options=options, kind="native", **given)
-        return made[name]
-
-    return get
+@pytest.fixture(scope="session")
+def built(fmu_of) -> Callable[..., Path]:
+    """`built("five_bar", ...)`: the path of that native FMU."""
+    return partial(fmu_of, kind="native")
 
 
 def state_of(fmu: Fmu, layout: Layout) -> np.ndarray:
@@ -102,7 +95,7 @@ METHODS = [
 @pytest.mark.parametrize(("name", "method"), METHODS)
 def test_methods_of_integration_give_the_numbers_of_the_library(built, name, method):
     """To the last bit; FMI's tolerance is heard by those that control their error."""
-    path, stop, results = built(name, method, parameters={"solver.method": method}), 0.2, {}
+    path, stop, results = built(name, parameters={"solver.method": method}), 0.2, {}
     for tolerance in (1e-8, 1e-4):
         chosen = {"solver.method": method, "solver.relative_tolerance": tolerance}
         library = alfmu.simulate(name, stop, 0.1, parameters=chosen)  # long enough that error control decides
@@ -184,7 +177,7 @@ def test_everything_that_a_scene_asks_for(built, scene):
     if scene == "compliances":
         m.compliances()
         values = {v.name: 1e-6 for v in alfmu.derive(m).compliances} | values
-    with Fmu(built(m, scene if scene in ("locks", "compliances") else "")) as fmu:
+    with Fmu(built(m)) as fmu:
         got = run(fmu, 2.0, 0.04, inputs, values)
     library = alfmu.simulate(alfmu.derive(m), 2.0, 0.04, inputs=inputs, parameters=values)
     assert same(got, library)
@@ -192,7 +185,7 @@ def test_everything_that_a_scene_asks_for(built, scene):
 
 def test_what_is_left_out_and_frozen(built):
     given = {"outputs": ["link*.angle", "monitor.energy"], "freeze": ["all"], "parameters": {"m2": 0.5}}
-    with Fmu(built("five_bar", "frozen", **given)) as fmu:
+    with Fmu(built("five_bar", **given)) as fmu:
         got = run(fmu, 1.0, 0.02)
     assert got.names == (*(f"link{k}.angle" for k in (1, 2, 3, 4)), "monitor.energy", "A.torque", "D.torque")
     assert same(got, alfmu.simulate("five_bar", 1.0, 0.02, **given))
@@ -349,7 +342,7 @@ def test_inputs_are_extrapolated_as_in_the_library(built, name, method, order):
     given = {"solver.method": method, "solver.input_order": order}
     library = alfmu.Instance(prepared(with_defaults(derived(name), given)))
     library.initialize()
-    with Fmu(built(name, f"{method}_{order}", parameters=given)) as fmu:
+    with Fmu(built(name, parameters=given)) as fmu:
         fmu.initialize()
         got, wanted = driven(fmu, range(100)), driven(library, range(100))
         assert np.array_equal(past(fmu, library.layout), past(library, library.layout))
@@ -362,7 +355,7 @@ def test_a_sampled_torque_keeps_the_order(built, order, least):
     """As in the library, where held inputs are of order 1."""
     errors = []
     for step in (0.04, 0.02):
-        with Fmu(built("four_bar", f"order_{order}", parameters={"solver.input_order": order})) as fmu:
+        with Fmu(built("four_bar", parameters={"solver.input_order": order})) as fmu:
             fmu.set("start.angle", -1.0)
             fmu.set("start.angular_velocity", 0.0)
             fmu.initialize()
@@ -379,7 +372,7 @@ def locked_slider_crank() -> alfmu.Mechanism:
 def test_past_inputs_through_events_refused_steps_states_and_resets(built):
     given = {"solver.method": "rk4", "solver.input_order": 2}
     library = alfmu.Instance(prepared(with_defaults(alfmu.derive(locked_slider_crank()), given)))
-    layout, path = library.layout, built(locked_slider_crank(), "past", parameters=given)
+    layout, path = library.layout, built(locked_slider_crank(), parameters=given)
     with Fmu(path) as fmu, Fmu(path) as other:
         rows = {}
         for unit in (library, fmu):
@@ -409,7 +402,7 @@ def test_past_inputs_through_events_refused_steps_states_and_resets(built):
 
 def test_past_inputs_where_the_host_looks_and_returns_early(built, slave):
     """Points between internal steps are no communication points; where the host returned, the next one is."""
-    path = built("slider_crank", "fmi3_past", fmi=3, parameters={"solver.method": "rk4", "solver.input_order": 2})
+    path = built("slider_crank", fmi=3, parameters={"solver.method": "rk4", "solver.input_order": 2})
     asked = []
 
     def look(environment, time, set_requested, get_allowed, finished, can_return, wanted, until):
@@ -440,7 +433,7 @@ def test_past_inputs_where_the_host_looks_and_returns_early(built, slave):
 
 def test_derivatives_by_the_host_come_before_past_inputs(built):
     """One input has a derivative, the other goes on along a line, which is a derivative where none is extrapolated."""
-    paths = built("slider_crank", "rk4_1", parameters={"solver.input_order": 1}), built("slider_crank")
+    paths = built("slider_crank", parameters={"solver.input_order": 1}), built("slider_crank")
     h = 0.04
     with Fmu(paths[0]) as fmu, Fmu(paths[1]) as held:
         references = [
@@ -470,7 +463,7 @@ def test_derivatives_by_the_host_come_before_past_inputs(built):
 def test_only_a_scene_that_asks_keeps_past_inputs(built):
     found = []
     for given in ({}, {"solver.input_order": 1}):
-        with Fmu(built("slider_crank", "rk4_1" if given else "", parameters=given)) as fmu:
+        with Fmu(built("slider_crank", parameters=given)) as fmu:
             with pytest.raises(alfmu.StepError, match=r"solver.input_order = 2 1 is outside"):
                 fmu.set("solver.input_order", 2)
             fmu.initialize()
@@ -588,7 +581,7 @@ def test_the_c_is_free_of_warnings(built, tmp_path):
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):
     """From those that the description names, alone; the library in its place finds its scene and gives the numbers."""
-    path = built("particle_on_circle", f"fmi{fmi}", fmi=fmi)
+    path = built("particle_on_circle", fmi=fmi)
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)
         names = archive.namelist()
@@ -609,7 +602,7 @@ def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):
 
 def test_the_sources_are_the_same_in_every_fmu_and_the_scene_is_in_its_resources(built):
     found, scenes = [], []
-    for path in (built("particle_on_circle"), built("five_bar"), built("five_bar", "fmi3", fmi=3)):
+    for path in (built("particle_on_circle"), built("five_bar"), built("five_bar", fmi=3)):
         with zipfile.ZipFile(path) as archive:
             names = [n for n in archive.namelist() if n.startswith("sources/") and n.endswith((".c", ".h"))]
             found.append({Path(n).name: archive.read(n).decode() for n in names})
@@ -697,7 +690,7 @@ def slave(built) -> Callable[..., fmpy.fmi3.FMU3Slave]:
     made = []
 
     def make(path: Path | None = None, **given) -> fmpy.fmi3.FMU3Slave:
-        path = path or built("five_bar", "fmi3", fmi=3)
+        path = path or built("five_bar", fmi=3)
         description, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
         unit = fmpy.fmi3.FMU3Slave(
             instanceName="one",
@@ -716,7 +709,7 @@ def slave(built) -> Callable[..., fmpy.fmi3.FMU3Slave]:
 
 
 def test_fmi_3_validates_and_gives_the_numbers_of_the_library(built):
-    path = built("five_bar", "fmi3", fmi=3)
+    path = built("five_bar", fmi=3)
     assert validate(path) == []
     result = fmpy.simulate_fmu(str(path), stop_time=2.0, output_interval=0.02)
     library = alfmu.simulate(prepared(derived("five_bar")), 2.0, 0.02)
@@ -735,7 +728,7 @@ def test_fmi_3_validates_and_gives_the_numbers_of_the_library(built):
 
 
 def test_fmi_3_is_driven_as_fmi_2_is(built, tmp_path):
-    path = built("five_bar", "fmi3", fmi=3)
+    path = built("five_bar", fmi=3)
     values = {"start.angle": 0.4, "m2": 0.5, "solver.max_iterations": 9, "solver.branch": "continue"}
     results = []
     for each in (path, built("five_bar")):
@@ -793,7 +786,7 @@ def test_fmi_3_saves_derives_and_refuses(slave):
 
 
 def test_fmi_3_returns_early_where_the_host_asks_and_where_a_motion_ends(built, slave):
-    seen, path = [], built("five_bar", "fmi3_rk4", fmi=3, parameters={"solver.method": "rk4"})
+    seen, path = [], built("five_bar", fmi=3, parameters={"solver.method": "rk4"})
 
     def look(environment, time, set_requested, get_allowed, finished, can_return, wanted, until):
         seen.append(time)

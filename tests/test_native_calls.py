@@ -23,18 +23,13 @@ from alfmu.runtime import build
 by_a_compiler = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Callable[..., Path]:
-    """`made("five_bar", ...)`: the path of that native FMU, made on first use."""
-    folder, known = tmp_path_factory.mktemp("native"), {}
+@pytest.fixture(scope="session")
+def made(fmu_of) -> Callable[..., Path]:
+    """`made("five_bar", ...)`: the path of that native FMU."""
 
     def get(mechanism, fmi=2, **parameters):
-        name = "_".join([getattr(mechanism, "name", mechanism), str(fmi), *map(str, parameters.values())])
-        if name not in known:
-            given = {f"solver.{key}": value for key, value in parameters.items()}
-            path = folder / f"{name}.fmu"
-            known[name] = alfmu.export(mechanism, path, kind="native", fmi=fmi, parameters=given, reference=False)
-        return known[name]
+        given = {f"solver.{key}": value for key, value in parameters.items()}
+        return fmu_of(mechanism, kind="native", fmi=fmi, parameters=given, reference=False)
 
     return get
 

@@ -169,13 +169,9 @@ def test_a_last_digit_is_no_difference(springs, monkeypatch, version):
     assert set(found.values()) == {PASSED}
 
 
-def native(name: str, folder: Path, fmi: int) -> Path:
-    return alfmu.export(name, folder / f"{name}{fmi}.fmu", kind="native", fmi=fmi)
-
-
 @pytest.mark.parametrize(("kind", "version"), [("native", "2"), ("native", "3"), ("python", "2")])
-def test_fmus_of_alfmu_pass(exported, tmp_path, kind, version):
-    path = exported("slider_crank") if kind == "python" else native("slider_crank", tmp_path, int(version))
+def test_fmus_of_alfmu_pass(fmu_of, kind, version):
+    path = fmu_of("slider_crank") if kind == "python" else fmu_of("slider_crank", kind=kind, fmi=int(version))
     report = examine(path)
     assert report.problems == []
     counts = report.counts()
@@ -370,8 +366,8 @@ def test_a_library_for_another_machine_is_not_run(springs, tmp_path, capsys):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return native("slider_crank", tmp_path_factory.mktemp("recorded"), 2)
+def recorded(fmu_of: Callable[..., Path]) -> Path:
+    return fmu_of("slider_crank", kind="native", fmi=2)
 
 
 def summed(path: Path, target: Path, changes: dict[str, Callable[[bytes], bytes]]) -> Path:
