@@ -46,7 +46,7 @@ def fmu_of(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequ
 @pytest.fixture(scope="session")
 def exported(fmu_of: Callable[..., Path]) -> Callable[..., Path]:
     """`exported("slider_crank", coordinates="joint")`: the path of that FMU of kind python."""
-    return lambda name, **options: fmu_of(name, options)
+    return lambda name, **options: fmu_of(name, options, kind="python")
 
 
 @pytest.fixture

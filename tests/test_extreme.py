@@ -10,7 +10,7 @@ import pytest
 from oracles import ode
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
-from scenes import by_the_oracle, derived, made
+from scenes import by_the_oracle, cusp, derived, made
 
 import alfmu
 from alfmu.fmi.drive import Fmu
@@ -213,17 +213,10 @@ def test_a_torque_step_of_a_million_is_refused_until_the_step_suits_it(coordinat
         assert abs(fine.q[0] - exact[k]) <= 5e-9 * max(1.0, abs(exact[k]))
 
 
-def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
-    """A point on y^2 = x^3 at constant speed comes to the cusp, where the curve has no way on, at 0.7986 s."""
-    m = alfmu.Mechanism("cusp")
-    x = m.coordinate("x", "m", start=1.0, rate=-1.0, independent=True)
-    y = m.coordinate("y", "m", start=1.0)
-    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
-    m.constraint("curve", y**2 - x**3, "m")
-    m.output("place", x, "m")
+def test_a_motion_that_ends_is_said_to_be_locked_up():
     arrival = (13**1.5 - 8) / 27 / np.hypot(1.0, 1.5)
     for kernel in ("oracle", "vm"):
-        i = made(alfmu.derive(m), kernel)
+        i = made(alfmu.derive(cusp()), kernel)
         i.set("solver.method", "rk4")
         i.set("solver.step_size", 0.005)
         i.initialize()
@@ -238,13 +231,6 @@ def test_a_motion_that_ends_is_said_to_be_locked_up(tmp_path):
         assert float(str(said.value).split("t = ")[1].split(" s")[0]) == pytest.approx(arrival, rel=0.005)
         assert np.hypot(*i.v) == pytest.approx(np.hypot(1.0, 1.5), rel=1e-5)
         assert np.isfinite(i.read()).all()  # so near that there is no limit to be read
-    with Fmu(
-        alfmu.export(m, tmp_path / "cusp.fmu", parameters={"solver.method": "rk4", "solver.step_size": 0.005})
-    ) as fmu:
-        fmu.initialize()
-        with pytest.raises(alfmu.StepError, match="locked up at x = "):
-            fmu.step(1.0, 0.0)
-        fmu.step(0.5, 0.0)
 
 
 @pytest.mark.parametrize("communication", [0.1, 0.0371])

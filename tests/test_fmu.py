@@ -125,9 +125,17 @@ def test_outputs_are_consistent_after_initialisation_and_follow_the_inputs(expor
         assert after["crank.angle"] == before["crank.angle"]
 
 
-@each_case
-def test_state_is_saved_restored_and_serialised_bit_by_bit(exported, name, options):
-    with Fmu(exported(name, **options)) as fmu, Fmu(exported(name, **options)) as other:
+@pytest.mark.parametrize(
+    ("kind", "name", "options"),
+    [
+        *(("python", *case) for case in CASES),
+        *(("native", name, {}) for name in ("five_bar", "particle_on_circle", "flexible_four_bar", "bennett")),
+    ],
+    ids=str,
+)
+def test_state_is_saved_restored_and_serialised_bit_by_bit(fmu_of, kind, name, options):
+    path = fmu_of(name, options, kind=kind)
+    with Fmu(path) as fmu, Fmu(path) as other:
         fmu.initialize()
         for i in range(7):
             fmu.step(0.05, 0.05 * i)
@@ -136,10 +144,10 @@ def test_state_is_saved_restored_and_serialised_bit_by_bit(exported, name, optio
         for i in range(7, 12):
             fmu.step(0.05, 0.05 * i)
             expected.append(fmu.read())
-        fmu.restore(state)
-        other.restore(state)
-        for i, row in zip(range(7, 12), expected, strict=True):
-            for unit in (fmu, other):
+        for unit in (fmu, other):
+            unit.restore(state)
+            assert unit.save() == state
+            for i, row in zip(range(7, 12), expected, strict=True):
                 unit.step(0.05, 0.05 * i)
                 assert np.array_equal(unit.read(), row)
 
