@@ -13,6 +13,8 @@ from studies import agree, number, rows, tables
 import alfmu
 from alfmu.model.registry import mechanisms
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
 

@@ -47,6 +47,7 @@ def name_of(page: Path) -> str:
 # Snippets ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in RUN if page.name != "tutorial.md"], ids=name_of)
 def test_a_page_shows_what_is_so(page, tmp_path):
     """Every block runs, and prints what the page says; the tutorial runs where the site is built."""
@@ -55,6 +56,7 @@ def test_a_page_shows_what_is_so(page, tmp_path):
     assert snippets.in_folder(page, tmp_path / "made") == ""
 
 
+@pytest.mark.slow
 def test_a_page_that_shows_something_else_is_told(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("# A\n\n```python\nprint(1 + 1)\n```\n\n```output\n3\n```\n")
@@ -72,6 +74,7 @@ def test_the_readme_is_one_page():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 110
 
 
+@pytest.mark.slow
 def test_the_film_of_the_readme_is_small_and_moves(tmp_path):
     from PIL import Image
 
@@ -194,6 +197,7 @@ def site(tmp_path_factory) -> Path:
     return folder / "site"
 
 
+@pytest.mark.slow
 def test_a_page_that_does_not_run_fails_the_build_without_w_too(tmp_path):
     """Until it is mended, also where it is not read again."""
     shutil.copy(DOCS / "snippets.py", tmp_path)
@@ -231,6 +235,7 @@ def test_the_first_page_has_the_lines_of_what_runs_in_it():
         assert getattr(namespace["m"], "name", "") == name
 
 
+@pytest.mark.slow
 def test_the_gallery_lists_an_example_by_its_film(site):
     if not (site / "mechanisms/gallery/index.html").exists():
         pytest.skip("this copy comes without the gallery")
@@ -242,6 +247,7 @@ def test_the_gallery_lists_an_example_by_its_film(site):
         assert ground == of_film != (255, 255, 255)  # a figure stands on white
 
 
+@pytest.mark.slow
 def test_texts_are_shown_as_they_are_written(site):
     """What reStructuredText takes for markup that does not end is shown in red, and is no warning of Sphinx."""
     marked = [path.name for path in site.rglob("*.html") if 'class="problematic"' in path.read_text(encoding="utf-8")]
@@ -249,6 +255,7 @@ def test_texts_are_shown_as_they_are_written(site):
     assert "“link*.angle,*.force.*”" in (site / "reference" / "cli.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_pages_load_in_a_browser(site, chromium):
     """Pictures are there, nothing is fetched, nothing complains, and a phone shows no page wider than itself."""
     examples = [page for page in ("index", f"plot_{ONE}") if (site / "mechanisms/gallery" / f"{page}.html").exists()]
@@ -274,6 +281,7 @@ def test_pages_load_in_a_browser(site, chromium):
     assert shown > 10
 
 
+@pytest.mark.slow
 def test_texts_of_the_site_are_made_from_the_package(site):
     """Options of every command, arguments of the public functions, and formulas that browsers show by themselves."""
     commands = (site / "reference" / "cli.html").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ from alfmu.runtime import build
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
-pytestmark = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")]
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,8 @@ from studies import agree, number, rows, tables
 
 import alfmu
 
+pytestmark = pytest.mark.slow
+
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 NUMBER = 6
 TABLES = {"environment", "targets", "phases", "hardest", "orders", "steps", "loops", "slider_crank"}

@@ -7,6 +7,8 @@ from studies import prose, rows, script, tables, untraced
 
 from alfmu.studies.cases import POSITION
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def study():

@@ -168,6 +168,7 @@ def test_every_module_of_a_public_name_is_checked():
     assert not {getattr(alfmu, name).__module__ for name in dir(alfmu)} & left
 
 
+@pytest.mark.slow
 def test_a_user_is_told_types_and_mistakes(said):
     assert all("users.py" in line for line in said)
     revealed = [line.partition("Revealed type is ")[2] for line in said if "Revealed type" in line]
@@ -180,6 +181,7 @@ def test_a_user_is_told_types_and_mistakes(said):
     assert all(int(line.split(":")[1]) >= FIRST for line in errors), errors
 
 
+@pytest.mark.slow
 def test_pyright_tells_the_same_and_finds_nothing_in_the_gallery(tmp_path):
     """The gallery as an editor judges it, the user's file in the strict mode, where no type may be unknown."""
     for path in GALLERY:
@@ -203,6 +205,7 @@ def test_pyright_tells_the_same_and_finds_nothing_in_the_gallery(tmp_path):
     assert [note for note in wrong if note[1] != "users.py" or note[2] < FIRST] == []
 
 
+@pytest.mark.slow
 def test_pyright_knows_every_type_of_the_modules_that_public_names_come_from(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))  # an editable installation is nothing that pyright finds
     found = pyright(tmp_path, "--verifytypes", "alfmu", "--ignoreexternal")["typeCompleteness"]
