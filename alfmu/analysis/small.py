@@ -228,7 +228,7 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
         if slides:
             asked = Lq @ dq + Lv @ dv + law + La @ found[1] + Llam @ found[2]
             mu = np.linalg.solve(np.eye(len(slides)) - La @ by_mu[1] - Llam @ by_mu[2], asked)
-            found = tuple(x + y @ mu for x, y in zip(found, by_mu, strict=True))
+            found = found[0] + by_mu[0] @ mu, found[1] + by_mu[1] @ mu, found[2] + by_mu[2] @ mu
         change, da, dlam = found
         return change, Yq @ dq + Yv @ dv + Ya @ da + Ylam @ dlam + y
 

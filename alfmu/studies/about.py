@@ -105,7 +105,9 @@ class About:
             "redundant_constraints": size.redundant,
             "motions_at_start": size.freedom_here - e.resting,
             "not_unique": self.shared,
-            "gravity": evaluated(m, list(m.gravity_vector), {v.name: v.start for v in self.everything.parameters}),
+            "gravity": evaluated(
+                m, list(m.gravity_vector), {v.name: float(v.start) for v in self.everything.parameters}
+            ),
             "notes": self.notes,
             **{name: [asdict(v) for v in getattr(self, name)] for name in ("parameters", "inputs", "outputs")},
             "stop_time": e.stop_time,
@@ -219,7 +221,7 @@ def _friction(a: About) -> list[str]:
 def _gravity(a: About) -> list[str]:
     """What is said of gravity where there are bodies."""
     m = a.mechanism
-    values = {v.name: v.start for v in a.everything.parameters}
+    values = {v.name: float(v.start) for v in a.everything.parameters}
     return [gravity(m, values)] if m.bodies or m.spatial_bodies else []
 
 
