@@ -163,6 +163,7 @@ def test_positions_of_rest_take_inputs_as_runs_do(signal, time, tmp_path, capsys
     assert "inputs: A.torque = 0.5, D.torque = 0" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["joint", "mixed", "absolute"])
 def test_a_four_bar_with_a_spring_rests_and_swings_as_its_reduction_does(coordinates):
     """The position to 1e-11 rad, eigenvalues to 1e-10 of themselves, with and without a torque."""
@@ -180,6 +181,7 @@ def test_a_four_bar_with_a_spring_rests_and_swings_as_its_reduction_does(coordin
         assert np.abs(np.sort_complex(rest.eigenvalues) - np.sort_complex(exact)).max() < 1e-10 * abs(exact[0])
 
 
+@pytest.mark.slow
 def test_redundant_constraints_and_massless_links_change_nothing_of_a_position_of_rest():
     """The five-bar, which starts at a singular position, against the pendulum that it is equal to."""
     for masses in ({}, {"m1": 0.0, "m3": 0.0}, {"m2": 0.0, "m4": 0.0}):
@@ -194,6 +196,7 @@ def test_redundant_constraints_and_massless_links_change_nothing_of_a_position_o
         assert {name: stable.outputs[name] for name in exact} == pytest.approx(exact, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_positions_on_other_branches_are_reached_and_other_assemblies_are_told():
     rests = alfmu.equilibrium("slider_crank")
     assert [(round(each.coordinates["x3"], 6), each.connected) for each in rests] == [
@@ -279,6 +282,7 @@ def test_a_body_on_a_ball_joint_swings_with_its_closed_frequencies_and_spins_fre
     assert alfmu.mobility(m, stop_time=0.0).freedom == 3
 
 
+@pytest.mark.slow
 def test_a_run_starts_at_rest_and_stays_there():
     m, rest = held()
     for start in ("equilibrium", rest):
@@ -379,6 +383,7 @@ def test_along_a_motion_outputs_change_as_the_matrices_say(name):
     assert np.abs(found).max() < 1e-9 * (1 + max(map(abs, lin.values.values())))
 
 
+@pytest.mark.slow
 def test_an_instance_and_instants_of_a_motion_are_linearised_where_they_are():
     first, later = alfmu.linearize("slider_crank", [0.0, 0.25])
     assert later.time == 0.25

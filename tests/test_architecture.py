@@ -136,6 +136,7 @@ def test_imports_point_down(name: str):
     assert "alfmu" not in foreign, f"{name} imports alfmu by its own name, which it has not inside an FMU"
 
 
+@pytest.mark.slow
 def test_the_table_allows_nothing_that_is_not_used():
     pairs = {(name, o) for name, path in MODULES.items() for o in imports(path)[0]}
     used = {(room(name), room(o)) for name, o in pairs}
@@ -149,6 +150,7 @@ def test_the_table_has_no_circle():
         below.add(name)
 
 
+@pytest.mark.slow
 def test_modules_do_not_import_each_other():
     order: set[str] = set()
     rest = {name: imports(path)[0] for name, path in MODULES.items()}

@@ -40,6 +40,7 @@ def error(given: dict, step: float, steps: int, coordinates: str = "mixed") -> t
     return worst, i
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["mixed", "joint"])
 @pytest.mark.parametrize("mass", ["m1", "m2"])
 @pytest.mark.parametrize("ratio", [1e-6, 1e6])
@@ -71,6 +72,7 @@ def test_ten_thousand_radians_per_second():
     assert worst <= 1e-7
 
 
+@pytest.mark.slow
 def test_ten_million_steps_do_not_drift():
     """The particle on its circle, free: radius to round-off, speed to 1e-11."""
     i = alfmu.Instance(prepared(derived("particle_on_circle"), "compiled"))
@@ -111,6 +113,7 @@ EXTREMES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", EXTREMES)
 def test_extreme_scenes_are_the_same_through_an_fmu(exported, case):
     given, step = EXTREMES[case]
@@ -121,6 +124,7 @@ def test_extreme_scenes_are_the_same_through_an_fmu(exported, case):
     assert np.array_equal(result.values, own.values)
 
 
+@pytest.mark.slow
 def test_refused_steps_and_bad_numbers_through_an_fmu(exported):
     with Fmu(exported("four_bar")) as fmu:
         fmu.set("solver.method", "rk4")
@@ -158,6 +162,7 @@ def test_a_kilometre_stays_in_the_kernel():
     assert i.counters.evaluations <= 1.5 * 4 * i.counters.steps  # not by the oracle, step after step
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("crank", "rod"), [(1e-3, 1e3), (1e-3, 1.0), (1.0, 1e3)])
 def test_a_millimetre_and_a_kilometre_in_one_scene(crank, rod):
     """Slider-crank with constraints of very different size: what a crank of its length loses with any rod."""
@@ -182,6 +187,7 @@ def test_a_millimetre_and_a_kilometre_in_one_scene(crank, rod):
     assert i.counters.position_error <= 1e-16 * 1e3 * rod + 1e-13
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["mixed", "joint"])
 @pytest.mark.parametrize("torque", [1e6, -1e6])
 def test_a_torque_step_of_a_million_is_refused_until_the_step_suits_it(coordinates, torque):
@@ -213,6 +219,7 @@ def test_a_torque_step_of_a_million_is_refused_until_the_step_suits_it(coordinat
         assert abs(fine.q[0] - exact[k]) <= 5e-9 * max(1.0, abs(exact[k]))
 
 
+@pytest.mark.slow
 def test_a_motion_that_ends_is_said_to_be_locked_up():
     arrival = (13**1.5 - 8) / 27 / np.hypot(1.0, 1.5)
     for kernel in ("oracle", "vm"):

@@ -31,6 +31,7 @@ def fits() -> list[alfmu.Fit]:
     ]
 
 
+@pytest.mark.slow
 def test_parameters_are_recovered_within_their_deviations(fits):
     """Over twenty sets of noise, errors have the size that each fit says, and no side on which they fall."""
     for name, true in TRUE.items():

@@ -32,6 +32,7 @@ def test_accelerations_are_those_of_mujocos_matrices(name: str):
         np.testing.assert_allclose(found, reference, atol=1e-10 * np.abs(reference).max(), rtol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MJCF)
 def test_accelerations_are_those_stored(name: str):
     """Of hinges and slides, at places and rates that are stored too."""

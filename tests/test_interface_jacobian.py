@@ -325,6 +325,7 @@ def peak() -> int:
     return int(re.search(r"VmHWM:\s+(\d+)", status.read_text())[1])
 
 
+@pytest.mark.slow
 def test_a_step_without_derivative_is_refused_and_leaves_the_state():
     """The root of an input at zero; and a rank that is not sure, where the five-bar passes a singular position by a
     formulation that does not look out for it."""
@@ -363,6 +364,7 @@ def test_a_step_without_derivative_is_refused_and_leaves_the_state():
         through_the_singular_position()
 
 
+@pytest.mark.slow
 def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
     for pattern, says in (
         (
@@ -393,6 +395,7 @@ def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
     assert not (tmp_path / "x.fmu").exists()
 
 
+@pytest.mark.slow
 def test_of_forces_that_may_jump_it_says_so(caplog):
     with caplog.at_level(logging.WARNING, "alfmu"):
         Instance("end_stop", outputs=["*"])
@@ -401,6 +404,7 @@ def test_of_forces_that_may_jump_it_says_so(caplog):
     assert sum("leave out what a jump adds" in each.message for each in caplog.records) == 1
 
 
+@pytest.mark.slow
 def test_recipes_commands_and_runs_have_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("arm.py").write_text(
@@ -449,6 +453,7 @@ def test_units_of_quotients(one, other, name):
 # Directional derivatives ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_every_output_has_its_derivatives_by_every_parameter_start_value_and_input(tmp_path, name, version):
@@ -541,6 +546,7 @@ def test_inputs_that_move_something_move_the_start(tmp_path, kind, version):
     unit.freeInstance()
 
 
+@pytest.mark.slow
 def test_an_fmu_of_kind_python_claims_no_directional_derivatives(built):
     """pythonfmu's library answers the call with an error, and asks no Python code."""
     unit, description = slave_of(built("five_bar", "python", 2), 2)

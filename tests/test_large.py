@@ -44,6 +44,7 @@ def row(off: float = 0.0, *, braced: bool = False, dangling: bool = False, both:
     return alfmu.derive(m)
 
 
+@pytest.mark.slow
 def test_loops_are_closed_as_near_as_small_ones() -> None:
     """From guesses 5 cm off, to round-off, by corrections of least norm as NumPy's singular values give them."""
     e = row(0.05)
@@ -60,6 +61,7 @@ def test_loops_are_closed_as_near_as_small_ones() -> None:
     assert i.v == pytest.approx(np.tile([np.sin(1.1), -np.cos(1.1)], LOOPS + 1), abs=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("braced", "redundant"), [(False, 0), (True, 1)])
 def test_mobility_of_many(braced: bool, redundant: int) -> None:
     """By pivots: one degree of freedom, and the rod that is there twice."""
@@ -67,6 +69,7 @@ def test_mobility_of_many(braced: bool, redundant: int) -> None:
     assert (mobility.freedom, mobility.redundant, mobility.freedom_here) == (1, redundant, 1)
 
 
+@pytest.mark.slow
 def test_all_loops_may_part_where_they_are_in_line() -> None:
     """At a singular position C tells so: every loop may leave its parallelogram."""
     assert started(derived("n_four_bar", loops=LOOPS), {"start.angle": 0.0}).mobility().freedom_here == LOOPS + 1
@@ -84,6 +87,7 @@ def test_a_motion_without_mass_is_refused_among_many() -> None:
         started(row(dangling=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["python", "native"])
 def test_large_scenes_in_every_kind_of_fmu(kind, tmp_path) -> None:
     """153 coordinates: a valid FMU, the motion of the one degree of freedom, the numbers of the library."""

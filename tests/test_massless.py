@@ -18,6 +18,7 @@ PARALLELOGRAMS = [
 ] + [("five_bar", ("m1", "m2", "m3")), ("five_bar", ("m2", "m4"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "massless"), PARALLELOGRAMS, ids=str)
 def test_every_link_of_the_parallelograms_can_be_massless(name, massless):
     """Over 2 s, past a singular position: order 4 against the exact motion, and joints that balance."""
@@ -47,6 +48,7 @@ def test_every_link_of_the_parallelograms_can_be_massless(name, massless):
     assert i.get("A.force.y") + i.get("D.force.y") == pytest.approx(momentum + 9.81 * total, abs=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("massless", [("m1",), ("m2",), ("m3",), ("m2", "m3"), ("m1", "m3")], ids=str)
 @pytest.mark.parametrize("coordinates", ["absolute", "mixed"])
 def test_every_link_of_the_slider_crank_can_be_massless(coordinates, massless):

@@ -270,6 +270,7 @@ def reported() -> dict[str, np.ndarray]:
     return {name: np.array(x) for name, x in found.items()}
 
 
+@pytest.mark.slow
 def test_iterations_that_the_paper_reports(reported: dict) -> None:
     """1 to 3 iterations for |da| <= 1e-15 (alpha = 1e6) are not seen in double precision; what is seen instead.
 

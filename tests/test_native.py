@@ -69,6 +69,7 @@ def same(got, library) -> bool:
 # Numbers --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @each_case
 def test_the_numbers_of_the_library(built, name, options):
     """To the last bit, as both are one: at the start, in all that evolves, and in every output."""
@@ -92,6 +93,7 @@ METHODS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), METHODS)
 def test_methods_of_integration_give_the_numbers_of_the_library(built, name, method):
     """To the last bit; FMI's tolerance is heard by those that control their error."""
@@ -117,6 +119,7 @@ def test_methods_of_integration_give_the_numbers_of_the_library(built, name, met
 some_cases = pytest.mark.parametrize("name", ["five_bar", "particle_on_circle", "flexible_four_bar", "bennett"])
 
 
+@pytest.mark.slow
 @some_cases
 def test_validation_finds_nothing(built, name):
     path = built(name)
@@ -124,6 +127,7 @@ def test_validation_finds_nothing(built, name):
     assert validate(path) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["five_bar", "slider_crank", "particle_on_circle", "flexible_four_bar", "end_stop"])
 def test_variables_are_those_of_the_python_fmu(built, exported, name):
     described = [fmpy.read_model_description(str(path)) for path in (built(name), exported(name))]
@@ -165,6 +169,7 @@ SCENES = {
 """Of a five-bar that is more than its defaults: inputs and values."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 def test_everything_that_a_scene_asks_for(built, scene):
     inputs, values = SCENES[scene]
@@ -183,6 +188,7 @@ def test_everything_that_a_scene_asks_for(built, scene):
     assert same(got, library)
 
 
+@pytest.mark.slow
 def test_what_is_left_out_and_frozen(built):
     given = {"outputs": ["link*.angle", "monitor.energy"], "freeze": ["all"], "parameters": {"m2": 0.5}}
     with Fmu(built("five_bar", **given)) as fmu:
@@ -217,6 +223,7 @@ def test_a_step_is_refused_in_the_words_of_the_library_and_nothing_is_lost(built
         assert fmu.read().tobytes() == instance.read().tobytes()
 
 
+@pytest.mark.slow
 def test_a_motion_that_ends_is_locked_up(fmu_of):
     """The library, and FMUs of both kinds, alike."""
     given = {"solver.method": "rk4", "solver.step_size": 0.005}
@@ -275,6 +282,7 @@ def test_directional_derivatives_are_differences_as_outputs_are_affine_in_the_in
             assert np.abs(found).max() > 0.1
 
 
+@pytest.mark.slow
 def test_inputs_go_on_by_their_derivatives_inside_a_step(tmp_path, built):
     """A torque that grows with time: as an input with a derivative, and in the equations."""
 
@@ -335,6 +343,7 @@ def past(unit, layout: Layout) -> np.ndarray:
     return state_of(unit, layout)[offset : offset + length]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method", "order"), DRIVEN)
 def test_inputs_are_extrapolated_as_in_the_library(built, name, method, order):
     """Over 2.8 s."""
@@ -349,6 +358,7 @@ def test_inputs_are_extrapolated_as_in_the_library(built, name, method, order):
     assert np.array_equal(got, wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "least"), [(1, 1.6), (2, 2.6)])
 def test_a_sampled_torque_keeps_the_order(built, order, least):
     """As in the library, where held inputs are of order 1."""
@@ -503,6 +513,7 @@ def test_a_bad_start_is_refused_in_the_words_of_the_library(built):
             assert str(caught.value) == said
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_a_host_that_does_all_wrong(built, tmp_path):
     """Under AddressSanitizer and UndefinedBehaviorSanitizer; leaks of 1e4 instances and scenes would be told."""
@@ -544,6 +555,7 @@ def double_pendulum_with_a_torque() -> alfmu.Mechanism:
 # Export ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_the_c_is_free_of_warnings(built, tmp_path):
     with zipfile.ZipFile(built("particle_on_circle")) as archive:
@@ -556,6 +568,7 @@ def test_the_c_is_free_of_warnings(built, tmp_path):
         assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):

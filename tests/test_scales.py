@@ -55,6 +55,7 @@ def crank(l1: float, gravity: float, torque: float, start: tuple[float, float], 
     return solve_ivp(rate, (0, times[-1]), start, "DOP853", times, rtol=1e-13, atol=1e-13).y[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
 def test_a_slider_crank_of_any_size_and_mass_moves_alike(coordinates):
     i = unit(alfmu.load("slider_crank", coordinates=coordinates))
@@ -67,6 +68,7 @@ def test_a_slider_crank_of_any_size_and_mass_moves_alike(coordinates):
         assert np.abs(angles(i, second * times, values) - right).max() <= 3e-9, (length, mass)
 
 
+@pytest.mark.slow
 def test_a_linkage_in_space_of_any_size_moves_alike():
     i, times, found = unit(alfmu.load("bennett")), np.arange(21) / 10, []
     for size in (1.0, 1e-5, 1e3):
@@ -108,6 +110,7 @@ def four_bar(bodies: bool) -> Mechanism:
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bodies", [True, False], ids=["bodies", "points"])
 def test_a_place_far_from_the_origin_changes_no_motion(bodies):
     i = unit(four_bar(bodies))
@@ -161,6 +164,7 @@ def test_constraints_that_contradict_each_other_are_named_at_the_start(make, nam
     assert "step" not in str(said.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [rods, motors])
 def test_constraints_that_agree_within_round_off_run(make):
     exactly = {"solver.relative_tolerance": 1e-10}
@@ -199,6 +203,7 @@ ENDED = (
 """Angles [rad], speeds [rad/s] and torques [N.m] of runs that ended: communication points lie on singular positions."""
 
 
+@pytest.mark.slow
 def test_no_phase_of_a_parallelogram_ends_by_default():
     """Without gravity its angle is a parabola: 5/3 kg.m2 under a torque."""
     i, times = unit(alfmu.load("four_bar")), np.arange(126) * 0.02
@@ -213,6 +218,7 @@ def test_no_phase_of_a_parallelogram_ends_by_default():
         assert np.abs(found - angle - w * times - 0.3 * torque * times**2).max() <= 1e-7, (angle, w, torque)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["joint", "natural"])
 def test_no_phase_of_a_slider_crank_with_equal_links_ends_by_default(coordinates):
     i, times = unit(alfmu.load("slider_crank", coordinates=coordinates)), np.arange(126) * 0.02

@@ -114,6 +114,7 @@ def test_crank_turns_more_than_twice() -> None:
     assert exact[-1, 0] - scene.angle > 4 * np.pi
 
 
+@pytest.mark.slow
 @scenes
 def test_coordinate_sets_agree(scene: Scene) -> None:
     """At one state all four say the same of everything: reactions in natural coordinates are as physical as any."""

@@ -117,6 +117,7 @@ def absolute(r: dict[str, float]) -> tuple[list[float], list[float]]:
     return q, v
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["prismatic", "planar"])
 def test_axes_are_expressions_in_parameters_as_well(kind):
     """At another value than the default, closed by constraints and by coordinates, against axes that are numbers."""
@@ -418,6 +419,7 @@ def chain(bodies: int) -> alfmu.Equations:
     return alfmu.derive(m)
 
 
+@pytest.mark.slow
 def test_expressions_of_a_chain_stay_compact():
     """Operations of all that an evaluation takes: no more than the recursion of an articulated body of six links needs
     by count, 300 n - 267 multiplications and 279 n - 259 additions (Featherstone); forces grow with the bodies."""
@@ -480,6 +482,7 @@ def test_pictures_show_every_joint():
     assert (0.0, 0.0, -0.2) in tip
 
 
+@pytest.mark.slow
 def test_an_axis_that_parameters_turn_onto_its_normal_is_told():
     """Normals follow from the axis at the defaults: here they are x and y, and the axis becomes x."""
     m = alfmu.Mechanism("tilted")

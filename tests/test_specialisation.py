@@ -21,6 +21,7 @@ WANTED = ["link*.angle", "A.force.x"]
 BOTH = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 
 
+@pytest.mark.slow
 @BOTH
 def test_only_the_outputs_that_match_are_there_with_the_same_values(kernel):
     some = alfmu.simulate(by_rk4("five_bar"), 1.0, 0.02, outputs=WANTED, kernel=kernel)
@@ -31,6 +32,7 @@ def test_only_the_outputs_that_match_are_there_with_the_same_values(kernel):
         assert np.abs(some[name] - every[name]).max() <= 1e-12 * np.abs(every[name]).max(), name
 
 
+@pytest.mark.slow
 def test_what_is_traced_for_all_outputs_is_traced_again_for_some():
     e = prepared(derived("four_bar"))
     some = alfmu.simulate(e, 0.1, 0.02, outputs=["link1.angle"])
@@ -38,6 +40,7 @@ def test_what_is_traced_for_all_outputs_is_traced_again_for_some():
     assert np.array_equal(some["link1.angle"], alfmu.simulate(e, 0.1, 0.02)["link1.angle"])
 
 
+@pytest.mark.slow
 def test_what_nobody_watches_is_not_a_number_in_the_counters():
     some = alfmu.simulate("five_bar", 0.1, 0.02, outputs=["link1.angle", "monitor.energy"])
     assert math.isnan(some.counters.position_error)
@@ -47,6 +50,7 @@ def test_what_nobody_watches_is_not_a_number_in_the_counters():
     assert math.isnan(alfmu.simulate("five_bar", 0.1, 0.02, outputs=["link1.x"]).counters.energy_error)
 
 
+@pytest.mark.slow
 def test_wrapped_angles_go_on_counting_where_they_are_kept():
     """A crank in natural coordinates over several turns."""
     start = {"start.angular_velocity": 9.0}
@@ -59,6 +63,7 @@ def test_wrapped_angles_go_on_counting_where_they_are_kept():
     assert np.array_equal(none["slider.x"], every["slider.x"])
 
 
+@pytest.mark.slow
 def test_without_reactions_no_reaction_equation_is_left():
     e = prepared(specialised(derived("five_bar"), ["link*.angle"]))
     everything = prepared(derived("five_bar"))
@@ -73,10 +78,12 @@ def test_a_pattern_that_matches_nothing_is_refused(patterns):
         alfmu.simulate("five_bar", 0.1, 0.02, outputs=patterns)
 
 
+@pytest.mark.slow
 def test_a_multiplier_is_found_by_its_name():
     assert "multiplier[3]" in alfmu.simulate("five_bar", 0.1, 0.02, outputs=["multiplier[3]"]).names
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("freeze", [["all"], ["m2", "l"]])
 def test_frozen_parameters_are_constants_at_the_values_given(kernel, freeze):
