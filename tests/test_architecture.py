@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,7 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
+@cache
 def imports(path: Path) -> tuple[set[str], set[str]]:
     """Modules of alfmu, those of LATE in functions left out, and top-level packages from elsewhere, that a file imports
     anywhere in its text."""
@@ -136,7 +138,6 @@ def test_imports_point_down(name: str):
     assert "alfmu" not in foreign, f"{name} imports alfmu by its own name, which it has not inside an FMU"
 
 
-@pytest.mark.slow
 def test_the_table_allows_nothing_that_is_not_used():
     pairs = {(name, o) for name, path in MODULES.items() for o in imports(path)[0]}
     used = {(room(name), room(o)) for name, o in pairs}
@@ -150,7 +151,6 @@ def test_the_table_has_no_circle():
         below.add(name)
 
 
-@pytest.mark.slow
 def test_modules_do_not_import_each_other():
     order: set[str] = set()
     rest = {name: imports(path)[0] for name, path in MODULES.items()}
