@@ -240,6 +240,7 @@ def test_the_spin_of_rods_that_no_load_turns_does_not_make_many_positions_of_one
     assert [each.stability for each in found if each.coordinates["arm_angle"] < 0] == ["not judged"]
 
 
+@pytest.mark.slow
 def test_gears_turn_round_together_before_a_position_comes_again():
     """Wheels of ratio 2 to 3: three turns of one and two of the other."""
     m = alfmu.Mechanism("geared")
@@ -333,6 +334,7 @@ def test_a_double_pendulum_swings_with_its_closed_frequencies_and_shapes():
         assert mode.shape["x"] == pytest.approx(mode.shape["th"] + mode.shape["angle"] / 2, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_small_runs_respond_as_the_linear_system_does():
     """What is left falls with the square of the amplitude."""
     (m, rest), times = held(), np.arange(0.0, 1.0001, 0.01)
@@ -349,6 +351,7 @@ def test_small_runs_respond_as_the_linear_system_does():
     assert (left[1] < left[0] / 9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["five_bar", "bennett", "slider_crank"])
 def test_along_a_motion_outputs_change_as_the_matrices_say(name):
     """Of states beside the start in motion: all outputs, shared reactions among them, by differences of instances."""
@@ -401,6 +404,7 @@ def test_an_instance_and_instants_of_a_motion_are_linearised_where_they_are():
     assert np.array_equal(i.q, q)
 
 
+@pytest.mark.slow
 def test_an_fmu_in_fmpy_changes_as_the_matrices_say(exported):
     """Outputs of an FMU after its initialisation, by differences of start values and of an input."""
     path = exported("slider_crank")
@@ -554,6 +558,7 @@ def test_redundant_constraints_are_named_with_those_they_depend_on():
     assert [set(group.rows) for group in twice.groups] == [{"again length", "TH2 x", "TH2 y"}]
 
 
+@pytest.mark.slow
 def test_constraints_that_hold_nothing_or_are_off_are_named():
     m = alfmu.load("four_bar")
     m.lock("A")
@@ -669,6 +674,7 @@ def test_a_mistake_is_answered_by_what_was_given_and_what_is_possible(call, says
     assert says in str(error.value)
 
 
+@pytest.mark.slow
 def test_the_command_line_shows_writes_and_draws(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("hung.py").write_text(

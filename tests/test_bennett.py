@@ -85,6 +85,7 @@ def at_default() -> list[float]:
     return found
 
 
+@pytest.mark.slow
 def test_multipliers_are_those_of_least_norm():
     """Against a pseudo-inverse of C' from the same equations, to 1e-12 of the largest."""
     i = started(derived("bennett"), {"hinge1.torque": 2.0})

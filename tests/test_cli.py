@@ -501,6 +501,7 @@ def test_a_run_tells_of_gravity_and_of_the_solver_when_it_is_asked(here, capsys)
         )
 
 
+@pytest.mark.slow
 def test_a_mass_that_is_set_in_grams_is_doubted(here, capsys):
     assert main(["info", "five_bar", "--set", "m2=500"]) == 0
     assert "the mass of link2 is 500 kg, 500 times that of any other body; if grams" in capsys.readouterr().err

@@ -288,6 +288,7 @@ def test_several_processes_may_build_at_once(own_cache):
     assert len(list(own_cache.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_without_a_compiler(monkeypatch, own_cache):
     monkeypatch.setattr(build, "compiler", lambda: None)
     monkeypatch.setattr("alfmu.runtime.prepare.compiler", lambda: None)
@@ -391,6 +392,7 @@ def changed(source: Path, target: Path, resources: Mapping[str, bytes | None]) -
     return target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["none", "another platform", "another processor"])
 def test_on_another_platform_the_scene_is_interpreted(five_bar, expected, tmp_path, how):
     """The compiled functions are passed over, and the numbers are the same; no package is needed there either."""

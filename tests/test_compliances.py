@@ -89,6 +89,7 @@ def test_compliances_in_an_fmu(tmp_path):
     assert equal["B.force.y"] == pytest.approx(library["B.force.y"], abs=1e-9)  # unique
 
 
+@pytest.mark.slow
 def test_some_compliances_and_not_all_are_refused():
     i = alfmu.Instance(with_compliances("five_bar"))
     i.set("C.compliance.x", 1e-8)
@@ -133,6 +134,7 @@ def test_an_impact_at_the_start_is_shared_by_compliances(given):
     assert abs(shares[-1]) > 0.1  # else the brake would show nothing
 
 
+@pytest.mark.slow
 def test_compliances_that_are_too_far_apart_are_named():
     """Eight decades are more than the passes share."""
     with pytest.raises(alfmu.StepError, match=r"would be nan.*compliances .* differ by a factor of \d"):

@@ -230,6 +230,7 @@ def test_communication_steps_of_any_length(kernel, method):
         assert i.counters.refused == 0
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("method", ["explicit", "stiff"])
 def test_steps_are_refused_inside(kernel, method):
@@ -265,6 +266,7 @@ def test_the_kernel_passes_singular_positions(kernel):
     assert i.counters.evaluations == 13 * (tries + beside) + careful + beside + 7 * limits + 18
 
 
+@pytest.mark.slow
 @each_kernel
 def test_the_procedure_of_the_paper_takes_no_limits(kernel):
     """`solver.branch` = paper: no step is made on the branch, by whatever makes it."""
@@ -277,6 +279,7 @@ def test_the_procedure_of_the_paper_takes_no_limits(kernel):
     assert abs(i.q[0] - exact) <= 1e-2
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize(("method", "bound"), [("stiff", 1e-6), ("trapezoidal", 0.05), ("generalized_alpha", 0.05)])
 def test_implicit_methods_pass_singular_positions(kernel, method, bound):

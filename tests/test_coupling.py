@@ -34,6 +34,7 @@ def test_the_error_falls_with_its_order(found):
     assert finest["iterated"] > 100 * found.reference_error
 
 
+@pytest.mark.slow
 def test_the_energy_that_coupling_makes_falls_as_well(found):
     assert found.bonds == ["motor.torque and arm.link1.angular_velocity"]
     for master, order in (("held", 1), ("extrapolated", 2), ("iterated", 2)):

@@ -133,8 +133,8 @@ def templates() -> list[list[str]]:
 
 def said(message: str, pieces: list[str]) -> bool:
     """Whether a text with holes can hold a message with holes."""
-    own = [re.escape(piece) for piece in message.split(HOLE)]
-    return bool(re.search(".*".join(own), HOLE.join(pieces), re.DOTALL))
+    own, text = message.split(HOLE), HOLE.join(pieces)
+    return all(piece in text for piece in own) and bool(re.search(".*".join(map(re.escape, own)), text, re.DOTALL))
 
 
 QUOTED = re.findall(

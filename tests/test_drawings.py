@@ -103,6 +103,7 @@ def test_a_drawing_is_at_the_values_that_are_given(at, angle):
     assert drawn.caption == ", ".join(f"{name} = {value:g}" for name, value in at.items())
 
 
+@pytest.mark.slow
 def test_a_dependent_coordinate_holds_and_start_values_give_way():
     mechanism = load("slider_crank", coordinates="joint")
     free = drawing(mechanism)

@@ -120,6 +120,7 @@ def test_the_defaults_are_right_through_two_impacts():
     assert np.abs(r["flywheel.angle"][::500] - want[:, 0]).max() <= 1e-5
 
 
+@pytest.mark.slow
 def test_the_ram_hits_the_stop_and_comes_back():
     """A push of some 200 kN for 10 ms, never a pull; what is lost is what the energy balance says."""
     r = alfmu.simulate(scene(), 1.0, 1e-3, parameters={"solver.method": "rk4", "solver.step_size": 1e-4})

@@ -59,6 +59,7 @@ def test_the_distance_is_an_angle_whatever_mass_a_singular_start_has(ratio):
     assert np.sqrt(margin) == pytest.approx(0.03, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length", "step"), [(1e-3, 2e-4), (1e3, 0.1)])
 def test_lengths(length, step):
     """Millimetres and kilometres: 1e-7 rad over 500 steps that suit the period; place to round-off of the length."""
@@ -240,6 +241,7 @@ def test_a_motion_that_ends_is_said_to_be_locked_up():
         assert np.isfinite(i.read()).all()  # so near that there is no limit to be read
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("communication", [0.1, 0.0371])
 def test_tiny_steps_pass_singular_positions(communication):
     """Five-bar at 2e-4 s past -pi: a motion that goes on is not taken for one that is locked up."""

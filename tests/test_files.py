@@ -186,6 +186,7 @@ def full_disk(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [
@@ -274,6 +275,7 @@ def test_a_run_that_does_not_begin_leaves_nothing(here, capsys):
     assert there(here) == set()
 
 
+@pytest.mark.slow
 def test_the_library_has_the_rows_of_a_run_that_ends_early():
     torque = ([0.0, 0.5, 0.52], [0.0, 0.0, 1e7])
     with pytest.raises(alfmu.StepError) as failed:
@@ -664,6 +666,7 @@ def test_a_bad_check_sum_is_said(good, here, capsys):
     assert there(here) == {"bad.fmu", "cut.fmu"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damage", "words"),
     [

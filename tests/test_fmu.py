@@ -127,6 +127,7 @@ def test_outputs_are_consistent_after_initialisation_and_follow_the_inputs(expor
         assert after["crank.angle"] == before["crank.angle"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "name", "options"),
     [

@@ -66,6 +66,7 @@ BESIDE = 1e-7
 (`monitor.distance`) magnifies differences of the motion by the square of its inverse."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", LIMITS)
 @pytest.mark.parametrize("name", SCENES)
 def test_a_host_chooses_the_formulation_and_has_the_numbers_of_the_oracle(built, name, formulation):
@@ -82,6 +83,7 @@ def test_a_host_chooses_the_formulation_and_has_the_numbers_of_the_oracle(built,
     assert unlike(got, library, motion=False) <= max(read, BESIDE * (name in PASSING))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["classic", "penalty", "stiffness"])
 @pytest.mark.parametrize("name", SCENES)
 def test_with_a_soft_penalty_they_differ_by_round_off(built, name, formulation):
@@ -94,6 +96,7 @@ def test_with_a_soft_penalty_they_differ_by_round_off(built, name, formulation):
     assert unlike(got, library, motion=False) <= (1e-6 if formulation == "classic" else 1e-9)
 
 
+@pytest.mark.slow
 def test_inputs_and_switched_constraints(built):
     """A lock that comes and goes leaves zero rows in (9)."""
     m = alfmu.load("slider_crank")
@@ -270,6 +273,7 @@ def test_only_rk4_has_every_formulation(tmp_path):
             alfmu.export("particle_on_circle", tmp_path, kind=kind, parameters=both)
 
 
+@pytest.mark.slow
 def test_a_scene_is_exported_with_any_formulation_as_its_default(tmp_path):
     path = alfmu.export("slider_crank", tmp_path, kind="native", parameters={"solver.formulation": "baumgarte"})
     library = alfmu.simulate("slider_crank", 0.5, 0.02, parameters={"solver.formulation": "baumgarte"})
@@ -278,6 +282,7 @@ def test_a_scene_is_exported_with_any_formulation_as_its_default(tmp_path):
     assert unlike(got, library, motion=True) <= 1e-12
 
 
+@pytest.mark.slow
 def test_large_scenes_leave_the_dense_system_out(tmp_path, monkeypatch):
     equations = derived("slider_crank")
     refused = with_defaults(equations, {"solver.formulation": "dae"})

@@ -95,6 +95,7 @@ def compared(
 # In FMUs --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rk4", "auto"])
 @pytest.mark.parametrize(("kind", "fmi"), KINDS, ids=[f"{kind}-{fmi}" for kind, fmi in KINDS])
 @pytest.mark.parametrize("name", OUTPUTS)
@@ -110,6 +111,7 @@ def test_in_an_fmu_it_is_that_of_steps_that_are_taken_back(built, name, kind, fm
         assert len(entries(fmu)) == 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "fmi"), KINDS, ids=[f"{kind}-{fmi}" for kind, fmi in KINDS])
 def test_the_description_is_good(built, kind, fmi):
     path = built("slider_crank", kind, fmi)
@@ -208,6 +210,7 @@ def test_other_derivatives_of_it_are_zero_or_refused(built, version):
     unit.freeInstance()
 
 
+@pytest.mark.slow
 def test_without_it_nothing_is_there(tmp_path):
     """Patterns of other outputs match none of it; the file of the scene, and the state, are those without; with it, the
     motion is the same to the last bit."""
@@ -276,6 +279,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("what", "outputs", "given", "how"), CASES, ids=[str(k) for k in range(len(CASES))])
 def test_it_is_that_of_steps_that_are_taken_back(what, outputs, given, how):
     """Inputs that are extrapolated, that have a slope, that move something; implicit and explicit methods, redundant
@@ -287,6 +291,7 @@ def test_it_is_that_of_steps_that_are_taken_back(what, outputs, given, how):
     assert compared(unit, **{"h": 0.05, "steps": 8, **how}).max() <= 1e-8
 
 
+@pytest.mark.slow
 def test_a_step_in_which_a_lock_engages_and_one_in_which_it_lets_go():
     unit = Instance(driven(), outputs=["*", "link*.angular_velocity/*", "motor.current/*"])
     unit.set("solver.relative_tolerance", 1e-11)
@@ -303,6 +308,7 @@ def test_a_step_in_which_a_lock_engages_and_one_in_which_it_lets_go():
     assert max(sizes[3:6]) < 1e-6 * sizes[0]  # nothing moves in between
 
 
+@pytest.mark.slow
 def test_a_step_of_any_length_takes_the_memory_of_one():
     """A million numbers of tape would be thousands of steps; it is that of short steps, one after the other."""
     unit = Instance("slider_crank", outputs=["*", "crank.angle/A.torque"])

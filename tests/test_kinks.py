@@ -181,6 +181,7 @@ def test_auto_goes_over_to_implicit_steps_where_parameters_make_a_scene_stiff(de
     assert np.max(np.abs(ends[0] - ends[1])) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_state_has_which_steps_are_made():
     unit = pressed(alfmu.Instance("end_stop"))
     for _ in range(10):

@@ -75,12 +75,14 @@ def test_all_loops_may_part_where_they_are_in_line() -> None:
     assert started(derived("n_four_bar", loops=LOOPS), {"start.angle": 0.0}).mobility().freedom_here == LOOPS + 1
 
 
+@pytest.mark.slow
 def test_start_values_that_contradict_each_other_in_many_coordinates() -> None:
     said = r"row: the loops .* gap of 0\.0\d+ m at (crank|coupler)\d+\.length; give fewer"
     with pytest.raises(alfmu.AssemblyError, match=said):
         started(row(both=True))
 
 
+@pytest.mark.slow
 def test_a_motion_without_mass_is_refused_among_many() -> None:
     """A light rod at the end of the row swings, and nothing holds it: across itself, along y."""
     with pytest.raises(alfmu.AssemblyError, match="row: the motion along yd has no mass and no constraint"):

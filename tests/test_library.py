@@ -308,6 +308,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_a_mechanism_that_changes_between_runs_is_traced_again(change, traces):
     m = pendulum()
@@ -321,6 +322,7 @@ def test_a_mechanism_that_changes_between_runs_is_traced_again(change, traces):
     assert after.values.tobytes() != before.values.tobytes()
 
 
+@pytest.mark.slow
 def test_what_a_scene_is_traced_with_is_not_shared(traces):
     m = pendulum()
     frozen = [alfmu.simulate(m, 0.5, 0.05, parameters={"l": l}, freeze=["l"]) for l in (1.0, 2.0)]

@@ -27,6 +27,8 @@ from alfmu.simulation import run
 from alfmu.view import live, plane
 from alfmu.view.picture import geometry
 
+pytestmark = pytest.mark.slow
+
 LARGEST = 1_500_000
 """Of a page [bytes]."""
 
@@ -515,7 +517,6 @@ def differences(expected, found, where: str) -> list[str]:
     return [] if same else [f"{where}: {found} instead of {expected}"]
 
 
-@pytest.mark.slow
 def test_bodies_in_space(opened):
     page = opened("flyball_governor")
     page.wait(lambda s: s["now"] > 0.05)
@@ -551,7 +552,6 @@ def test_the_largest_page_is_small(written):
     assert written("flyball_governor").stat().st_size < LARGEST
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gyroscope", "bennett", "flyball_governor"])
 @pytest.mark.parametrize("size", [(1200, 1000), (420, 800)])
 def test_what_moves_in_space_stays_in_the_picture(opened, name, size):
@@ -634,7 +634,6 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "slider_crank_live.html").exists()
 
 
-@pytest.mark.slow
 def test_with_few_outputs_the_picture_has_what_it_needs(tmp_path):
     path = tmp_path / "few.html"
     assert main(["live", "slider_crank", "-o", str(path), "--outputs", "crank.angle", "--freeze", "all"]) == 0

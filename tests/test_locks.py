@@ -113,6 +113,7 @@ def test_every_coordinate_set_stops_alike(coordinates):
     assert i.get("B.impulse") * rate == pytest.approx(-float(momentum @ v), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_redundant_locks_share_the_impulse_and_change_nothing():
     """Parallel four-bar: its lock at B and a brake on link 3 each stop it; both together share.
 

@@ -80,6 +80,7 @@ def test_every_link_of_the_slider_crank_can_be_massless(coordinates, massless):
     assert errors[0] > 8 * errors[1]  # order 4
 
 
+@pytest.mark.slow
 def test_a_massless_link_in_an_fmu(exported):
     given = {"m1": 0.0, "m4": 0.0, "start.angle": 0.4}
     with Fmu(exported("five_bar")) as fmu:
@@ -88,6 +89,7 @@ def test_a_massless_link_in_an_fmu(exported):
     assert np.array_equal(through_fmi.values, library.values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options", "massless", "named"),
     [

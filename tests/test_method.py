@@ -288,6 +288,7 @@ def test_iterations_that_the_paper_reports(reported: dict) -> None:
     assert reported["after three"].max() < 1e-8
 
 
+@pytest.mark.slow
 def test_corrections_that_the_paper_reports(reported: dict) -> None:
     """At most two corrections for |Phi| and |Phi-dot| <= 1e-15 after a step of 0.02 s: seen, but for round-off of v."""
     Phi, rate = reported["Phi"], reported["Phi-dot"]

@@ -33,6 +33,7 @@ def chosen(name: str, method: str, kernel: str = "vm", **given: float | str) -> 
     return i
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["explicit", "stiff"])
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
 def test_the_tolerance_is_held_through_singular_positions(method, tolerance):
@@ -63,6 +64,7 @@ def test_the_distance_of_places_has_a_wide_margin(factor):
     assert i.counters.refused <= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["explicit", "stiff"])
 def test_the_tolerance_is_held_on_the_slider_crank(method):
     times = np.linspace(0.0, 2.0, 5)

@@ -105,6 +105,7 @@ def test_coordinates_and_constraints_leave_one_degree_of_freedom(loops: int) -> 
         assert (mobility.freedom, mobility.redundant) == (1, 0)
 
 
+@pytest.mark.slow
 def test_the_upper_points_start_at_one_metre_per_second_along_x() -> None:
     """Half of it at the centres of the cranks."""
     for coordinates in COORDINATES:
@@ -113,6 +114,7 @@ def test_the_upper_points_start_at_one_metre_per_second_along_x() -> None:
         assert [r["coupler2.x"], r["coupler2.y"], r["coupler2.vx"]] == pytest.approx([1.5, 1.0, 1.0], abs=1e-15)
 
 
+@pytest.mark.slow
 @scenes
 @coordinate_sets
 @states
@@ -317,6 +319,7 @@ def test_long_links_pass_singular_positions(l, given, torque):
     assert long["crank1.angle"] == pytest.approx(usual["crank1.angle"], abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "order8"])
 @pytest.mark.parametrize(
     ("row", "th", "w", "torque"),

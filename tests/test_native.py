@@ -200,6 +200,7 @@ def test_what_is_left_out_and_frozen(built):
 # Steps that cannot be made --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_step_is_refused_in_the_words_of_the_library_and_nothing_is_lost(built):
     instance = alfmu.Instance(prepared(by_rk4("four_bar")))
     with Fmu(built("four_bar")) as fmu:
@@ -261,6 +262,7 @@ def test_a_slow_start_in_a_singular_position(built, rate):
 # Derivatives ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [0, 20])
 @pytest.mark.parametrize("name", ["five_bar", "slider_crank", "particle_on_circle"])
 def test_directional_derivatives_are_differences_as_outputs_are_affine_in_the_inputs(built, name, steps):
@@ -378,6 +380,7 @@ def locked_slider_crank() -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_past_inputs_through_events_refused_steps_states_and_resets(built):
     given = {"solver.method": "rk4", "solver.input_order": 2}
     library = alfmu.Instance(prepared(with_defaults(alfmu.derive(locked_slider_crank()), given)))
@@ -440,6 +443,7 @@ def test_past_inputs_where_the_host_looks_and_returns_early(built, slave):
     assert watched.getFloat64(outputs) == plain.getFloat64(outputs)
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_host_come_before_past_inputs(built):
     """One input has a derivative, the other goes on along a line, which is a derivative where none is extrapolated."""
     paths = built("slider_crank", parameters={"solver.input_order": 1}), built("slider_crank")
@@ -469,6 +473,7 @@ def test_derivatives_by_the_host_come_before_past_inputs(built):
             assert fmu.read()[motion] == pytest.approx(held.read()[motion], rel=1e-10, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_only_a_scene_that_asks_keeps_past_inputs(built):
     found = []
     for given in ({}, {"solver.input_order": 1}):
@@ -486,6 +491,7 @@ def test_only_a_scene_that_asks_keeps_past_inputs(built):
 # Life -----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_bad_start_is_refused_in_the_words_of_the_library(built):
     for name, values in (
         ("five_bar", {"l": 0.3, "start.angle": 0.2}),
@@ -603,6 +609,7 @@ def test_the_sources_are_the_same_in_every_fmu_and_the_scene_is_in_its_resources
     assert scenes[0] != scenes[1] == scenes[2]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (build.compiler() and build.compiler() != build.zig()), reason="needs a preprocessor")
 def test_sources_are_those_of_the_runtime_without_comments(tmp_path):
     """A compiler reads the same."""
@@ -665,6 +672,7 @@ def test_a_library_in_the_cache_is_kept_and_built_again_where_it_was_damaged(mon
     assert made == [other, other]
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path, capsys):
     path = tmp_path / "particle.fmu"
     assert main(["export", "particle_on_circle", "--kind", "native", "-o", str(path)]) == 0
@@ -700,6 +708,7 @@ def slave(built) -> Callable[..., fmpy.fmi3.FMU3Slave]:
         unit.freeInstance()
 
 
+@pytest.mark.slow
 def test_fmi_3_validates_and_gives_the_numbers_of_the_library(built):
     path = built("five_bar", fmi=3)
     assert validate(path) == []
@@ -777,6 +786,7 @@ def test_fmi_3_saves_derives_and_refuses(slave):
     unit.freeFMUState(state)
 
 
+@pytest.mark.slow
 def test_fmi_3_returns_early_where_the_host_asks_and_where_a_motion_ends(built, slave):
     seen, path = [], built("five_bar", fmi=3, parameters={"solver.method": "rk4"})
 

@@ -147,6 +147,7 @@ def test_outputs_that_are_not_finite_are_never_read_as_if_they_were_good(made):
 # Steps ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize(("method", "said"), [("rk4", "internal steps, more than 50"), ("explicit", "more than 50")])
 def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
@@ -168,6 +169,7 @@ def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
         assert np.array_equal(fmu.read(), after)
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_tries_of_error_control_are_bounded_too(made, tmp_path):
     """A tolerance of 1e-13 takes more tries than the largest step would."""
@@ -214,6 +216,7 @@ def test_a_changed_state_is_refused(made):
             other.restore(state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [1e6, -1.0, math.nan, 2.0**40])
 def test_numbers_of_a_state_that_index_are_checked(made, value):
     """Even where the check sum is right."""

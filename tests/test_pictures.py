@@ -417,6 +417,7 @@ class Option {}
 """As much of a browser as a page needs to draw."""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("node") is None, reason="no JavaScript outside a browser here")
 def test_the_script_of_a_page_draws_what_pillow_draws(tmp_path):
     mechanism = load("five_bar")

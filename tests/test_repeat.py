@@ -242,6 +242,7 @@ def test_the_c_of_a_chain_hardly_grows_with_it(chains):
         assert len(source(many)) < 1.15 * len(source(few)), name
 
 
+@pytest.mark.slow
 def test_long_scenes_are_eliminated_as_declared_where_that_costs_little():
     e = prepared(derived("n_four_bar", loops=60))
     assert e.order == list(range(e.n))

@@ -52,6 +52,7 @@ def controlled(name, tolerance, values, **options):
     return unit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("masses", [(1.0, 1.0, 1e6), (1e-6, 1e-6, 1.0), (1e6, 1e6, 1.0)], ids=["a", "b", "reverse"])
 @pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
 def test_masses_that_differ_by_a_million(coordinates, masses):

@@ -156,6 +156,7 @@ def motors(off: float) -> Mechanism:
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "named"), [(rods, "rod2"), (motors, "rod")])
 @pytest.mark.parametrize("off", [1e-6, 1e-9, 1e-12])
 def test_constraints_that_contradict_each_other_are_named_at_the_start(make, named, off):

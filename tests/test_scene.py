@@ -234,6 +234,7 @@ def test_every_operation_gives_the_bits_of_casadi(host, packed):
         assert same_bits(host.call(loaded, first, f, given), expected(f, given)), values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_random_functions_give_the_bits_of_casadi(host, packed, seed):
     rng = np.random.default_rng(seed)

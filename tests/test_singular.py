@@ -105,6 +105,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_masses_penalties_inputs_and_redundancy_change_nothing(case):
     name, *rest = CASES[case]
@@ -225,6 +226,7 @@ def test_hard_scenes_are_the_same_through_an_fmu(exported, case):
     assert np.array_equal(result.values, own.values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["mixed", "joint"])
 def test_random_starting_phases(coordinates):
     """30 phases, several torques, 2.5 s at 0.02 s: no switch of branch; singular positions cost no more than others.
@@ -330,6 +332,7 @@ def test_bounded_reactions_are_given_up_to_the_singular_position(kernel, name, l
     assert r["monitor.distance"] == pytest.approx(distance, rel=0.15, abs=1e-3)
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("torque", [TORQUE, -0.05], ids=["pole", "crosses zero beside"])
 @pytest.mark.parametrize("distance", [1e-6, 1e-5, 1e-4, 1e-3, 3e-3, 5.5e-3, 0.02])

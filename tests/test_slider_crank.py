@@ -80,6 +80,7 @@ def test_reference_keeps_its_energy(scene: Scene) -> None:
     assert np.ptp(energies) <= 1e-10
 
 
+@pytest.mark.slow
 @scenes
 @coordinate_sets
 def test_motion_and_all_reactions(coordinates: str, scene: Scene) -> None:

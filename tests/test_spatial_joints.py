@@ -145,6 +145,7 @@ def test_an_axis_that_moves_or_has_to_be_numbers_is_refused():
         m.universal("J", *at, axis=(1, 0, 0), second_axis=(0, 1, lean))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "kind"), list(enumerate(UNITS)))
 def test_a_tree_and_constraints_agree_and_every_body_balances(seed, kind):
     """At a random state: accelerations and reactions in relative and in absolute coordinates, and Newton and Euler."""

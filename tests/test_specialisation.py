@@ -108,6 +108,7 @@ def test_a_mass_frozen_at_zero_leaves_no_term():
     assert frozen.nonzeros["M"] == cost(prepared(derived("five_bar"))).nonzeros["M"] - 3
 
 
+@pytest.mark.slow
 def test_freezing_what_is_no_parameter_is_refused():
     with pytest.raises(alfmu.InputError, match=r"five_bar has no parameter 'start\.angle' to freeze; it has l, m1"):
         alfmu.simulate("five_bar", 0.1, 0.02, freeze=["start.angle"])
@@ -116,6 +117,7 @@ def test_freezing_what_is_no_parameter_is_refused():
         i.set("m2", 1.0)
 
 
+@pytest.mark.slow
 def test_an_fmu_has_only_what_it_was_asked_for(tmp_path):
     path = alfmu.export("five_bar", tmp_path / "lean.fmu", outputs=WANTED, freeze=["all"], parameters={"m2": 0.5})
     assert validate(path) == []
@@ -134,6 +136,7 @@ def test_operations_are_counted_without_moves():
     assert operations(ca.Function("f", [x], [x[0] * x[1] + 2.5, x[2]])) == 2
 
 
+@pytest.mark.slow
 def test_info_says_what_a_scene_costs_and_what_was_left_out(capsys):
     assert main(["info", "five_bar", "--all", "--outputs", "link*.angle", "--freeze", "all"]) == 0
     text = capsys.readouterr().out
@@ -159,6 +162,7 @@ def test_info_says_what_a_scene_costs_and_what_was_left_out(capsys):
     assert "all accelerations and reactions with them" in text
 
 
+@pytest.mark.slow
 def test_info_of_a_scene_that_needs_everything():
     i = alfmu.Instance(derived("five_bar"))
     i.initialize()
@@ -172,6 +176,7 @@ def test_an_fmu_takes_no_options_of_its_making(tmp_path, capsys):
     assert "give them to `alfmu export`" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = ["simulate", "five_bar", "--stop-time", "0.2", "--outputs", "link1.*,monitor.energy"]
