@@ -1,32 +1,43 @@
 """Measure whether runs hold the tolerance that they are given, on every mechanism over its own stop time.
 
-Writes `tolerances.md`, a CSV file for each of its tables and `tolerances.png` into one folder.
+Run times of `auto` stand beside those of the methods that it chooses from, and run times of alfmu beside those of
+SciPy's integrators at equal error. Writes `tolerances.md`, a CSV file for each of its tables and `tolerances.png` into
+one folder. `alfmu report` runs the same mechanisms in every other way, over shorter times.
 """
 
 from __future__ import annotations
 
+import os
+
+# One thread for everyone; BLAS reads these when NumPy is loaded.
+os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", MKL_NUM_THREADS="1")
+
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
-from _report import Heard, parser, written
+from _report import Heard, Target, judged, parser, written
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
 import alfmu
 from alfmu.catalogue.registry import mechanisms, options
 from alfmu.method.stepping import EXPLICIT8, RADAU9
+from alfmu.runtime.build import compiler
 from alfmu.simulation import prepared, with_defaults
 from alfmu.studies import reference, tables
 from alfmu.studies.cases import POSITION, Case, Judge, exactness, restarting, run, scene
 from alfmu.studies.report import HELD
+from alfmu.studies.rivals import SCIPY, Rival
 from alfmu.studies.tables import Chapter, Row
 
 PACKAGES = ("alfmu", "casadi", "numpy", "scipy", "matplotlib")
 
 METHODS = ("explicit", "stiff")
+"""`auto` chooses from them."""
 
 ORDERS = {"explicit": EXPLICIT8.estimate + 1, "stiff": RADAU9.order + 1}
 """Steps become as many times more as the tolerance becomes smaller, to the power of one over this."""
@@ -46,6 +57,30 @@ POINTS = 11
 COMPARED = 1e-6
 """Tolerance at which run times of methods are compared."""
 
+REPEATS = 5
+"""Runs at that tolerance, of which the median counts; fewer of long ones."""
+
+FASTER = 20.0
+"""Run time of each of SciPy's integrators over alfmu's at equal error that is wanted at least, compiled."""
+
+
+@dataclass(frozen=True)
+class Race:
+    """A motion that SciPy's integrators can follow: they leave the branch at a singular position."""
+
+    method: str
+    horizon: float
+    """Simulated time [s]."""
+    start: Mapping[str, float]
+    tolerances: Sequence[float] = (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
+
+
+RACES = {
+    "slider_crank": Race("explicit", 2.0, {"start.angle": np.pi / 4, "start.angular_velocity": 0.0}),
+    "five_bar": Race("explicit", 2.0, {"start.angle": -0.7}),
+    "flyball_governor": Race("stiff", 1.0, {}, (1e-3, 1e-5, 1e-7)),
+}
+
 
 @dataclass(frozen=True)
 class Effort:
@@ -60,10 +95,11 @@ class Effort:
     """Least number of steps of the reference in a second of simulated time."""
     patience: float
     """Wall time of an integration of the reference [s]."""
+    races: Sequence[str] = tuple(RACES)
 
 
 USUAL = Effort((1e-4, 1e-6, 1e-9, 1e-11), np.inf, 120.0, 100, 120.0)
-QUICK = Effort((1e-6, 1e-9), 1.0, 10.0, 20, 20.0)
+QUICK = Effort((1e-6, 1e-9), 1.0, 10.0, 20, 20.0, ("slider_crank",))
 
 CHAPTERS = {
     "tolerances": Chapter(
@@ -83,9 +119,22 @@ CHAPTERS = {
     ),
     "auto": Chapter(
         "## What `auto` chooses",
-        "By the eigenvalues of small motions at the start. The ratio is the run time of what it chose over that of "
-        "the better method, where both reached the end.",
+        "By the eigenvalues of small motions at the start. The ratio is the run time of `auto`, short steps and "
+        f"changes of method included, over that of the better method at a tolerance of `{COMPARED:g}`.",
         {"Choices": ("mechanism", "chosen", "ratio", "verdict", "reason")},
+    ),
+    "races": Chapter(
+        "## Beside SciPy on (9)",
+        "The ratio is the run time of each of SciPy's runs over that of alfmu at the same error, interpolated between "
+        "its runs; where all of them are more exact, over the fastest. SciPy calls functions of Python in each "
+        "evaluation, which is most of the ratio; (9) is solved by least squares there, constraints may drift, and "
+        "Jacobians are differences.",
+        {"Runs": ("mechanism", "code", "method", "tolerance", POSITION, "median [s]", "ratio", "note")},
+    ),
+    "targets": Chapter(
+        "## Targets",
+        "The least ratio of each method of SciPy. Not measured is what was left out or not finished.",
+        {"Target against measured": ("study", "row", "number", "target", "measured", "verdict")},
     ),
 }
 
@@ -101,9 +150,11 @@ def measured(
     kernel: str = "auto",
     methods: Sequence[str] | None = None,
     chosen: Mapping[str, str] | None = None,
+    start: Mapping[str, float] | None = None,
+    rivals: Sequence[Rival] = (),
 ) -> list[Row]:
-    """Runs of a mechanism, with what is chosen of its options, by every method and tolerance, judged."""
-    equations = alfmu.derive(alfmu.load(name, **(chosen or {})))
+    """Runs of a mechanism with some of its options, by every method and tolerance and by other codes, judged."""
+    equations = with_defaults(alfmu.derive(alfmu.load(name, **(chosen or {}))), start or {})
     name = " ".join([name, *(chosen or {}).values()])
     plain = prepared(equations, "oracle")
     instance = alfmu.Instance(plain)
@@ -117,7 +168,7 @@ def measured(
     judge = Judge(plain, known)
     changes = [row[POSITION] for row in judge.errors_of_reference(times) if row[POSITION] is not None]
     rows: list[Row] = []
-    for method in methods or METHODS:
+    for method in methods or (*METHODS, "auto"):
         try:
             unit = alfmu.Instance(scene(equations, method, kernel))
         except alfmu.InputError as error:
@@ -126,8 +177,11 @@ def measured(
         restart = restarting(unit)
         before: tuple[float, int] | None = None
         for tolerance in effort.tolerances:
+            if method == "auto" and tolerance != COMPARED:
+                continue
+            repeats = REPEATS if rivals or tolerance == COMPARED else 1
             with Heard() as heard:
-                found = run(unit, restart, Case(exactness(method, tolerance), times, effort.limit))
+                found = run(unit, restart, Case(exactness(method, tolerance), times, effort.limit, repeats))
             error = judge.errors(found)[POSITION]
             cost = found.cost()
             over = error / tolerance if found.complete else None
@@ -136,23 +190,68 @@ def measured(
             row = {"mechanism": name, "method": method, "tolerance": tolerance, POSITION: error}
             row |= {"error over tolerance": over, "change of reference": max(changes, default=None)}
             row |= {x: cost[x] for x in ("simulated [s]", "steps", "evaluations", "median [s]")} | {"verdict": verdict}
-            if found.complete and before:
+            if found.complete and before and method in ORDERS:
                 row["trend"] = cost["evaluations"] / before[1] / (before[0] / tolerance) ** (1 / ORDERS[method])
             before = (tolerance, cost["evaluations"]) if found.complete else None
             rows.append(row | {"refused": found.counters.refused if found.counters else None})
             rows[-1]["note"] = cost["note"] or "; ".join(told)
+    for rival in rivals:
+        for tolerance in effort.tolerances:
+            found = rival.run(plain, tolerance, Case({}, times, effort.limit))
+            row = {"mechanism": name, "code": rival.name, "method": rival.method, "tolerance": tolerance}
+            rows.append(row | {POSITION: judge.errors(found)[POSITION]} | found.cost())
     return rows
+
+
+def raced(effort: Effort) -> list[Row]:
+    """Runs of alfmu and of SciPy on the motions that both can follow, with the ratios of run times at equal error."""
+    kernel, rows = "compiled" if compiler() else "vm", []
+    for name in effort.races:
+        race = RACES[name]
+        asked = replace(effort, tolerances=race.tolerances, horizon=race.horizon, parts=100)
+        some = measured(name, asked, kernel, (race.method,), start=race.start, rivals=SCIPY)
+        own = [(row[POSITION], row["median [s]"]) for row in some if "code" not in row and row.get("median [s]")]
+        for row in some:
+            if "code" not in row:
+                row["code"] = f"alfmu, {kernel}"
+            elif row["median [s]"] and (spent := time_at(row[POSITION], own)):
+                row["ratio"] = row["median [s]"] / spent
+        rows += some
+    return rows
+
+
+def time_at(error: float, runs: Sequence[tuple[float, float]]) -> float | None:
+    """Run time at an error, of runs with their errors and times, interpolated in logarithms and never beyond them."""
+    reached = sorted(runs)
+    if not reached or error < reached[0][0]:
+        return None
+    cheap = [t for e, t in reached if e <= error]
+    if error >= reached[-1][0]:
+        return min(cheap)
+    x, y = np.log([max(e, 1e-16) for e, _ in reached]), np.log([t for _, t in reached])
+    return min(*cheap, float(np.exp(np.interp(np.log(max(error, 1e-16)), x, y))))
+
+
+def targets(races: Sequence[Row]) -> list[Row]:
+    """The least ratio of each method of SciPy on each motion against what is wanted."""
+    least: list[Row] = []
+    for name, rival in product(RACES, SCIPY):
+        some = [r["ratio"] for r in races if (r["mechanism"], r["method"]) == (name, rival.method) and "ratio" in r]
+        least.append({"mechanism": name, "method": rival.method, "least ratio": min(some, default=None)})
+    column = "least ratio"
+    wanted = (Target("races", {x: r[x] for x in ("mechanism", "method")}, column, FASTER, at_least=True) for r in least)
+    return [judged(target, {"races": least}) for target in wanted]
 
 
 def choice(name: str, rows: Sequence[Row], chosen: Mapping[str, str]) -> Row:
     """What `auto` chose on a mechanism, and its run time over that of the better method."""
     decided = prepared(with_defaults(alfmu.derive(alfmu.load(name, **chosen)), {"solver.method": "auto"}), "oracle")
     name = " ".join([name, *chosen.values()])
-    made = decided.chosen
     seconds = {r["method"]: r["median [s]"] for r in rows if r.get("tolerance") == COMPARED and r["median [s]"]}
-    ratio = seconds[made] / min(seconds.values()) if made in seconds else None
+    others = [seconds[x] for x in METHODS if x in seconds]
+    ratio = seconds["auto"] / min(others) if others and "auto" in seconds else None
     verdict = "not judged" if ratio is None else "met" if ratio <= TWICE else "not met"
-    return {"mechanism": name, "chosen": made, "ratio": ratio, "verdict": verdict, "reason": decided.reason}
+    return {"mechanism": name, "chosen": decided.chosen, "ratio": ratio, "verdict": verdict, "reason": decided.reason}
 
 
 def picture(rows: Sequence[Row], tolerances: Sequence[float]) -> Figure:
@@ -175,18 +274,26 @@ def picture(rows: Sequence[Row], tolerances: Sequence[float]) -> Figure:
     return figure
 
 
+def save(folder: Path, results: Mapping[str, list[Row]]) -> None:
+    """The CSV files."""
+    for name, chapter in CHAPTERS.items():
+        chapter.write(folder / f"{name}.csv", results[name])
+
+
 def write(folder: Path, effort: Effort, names: Sequence[str], command: str) -> None:
     """Measure and write the results."""
     logging.getLogger("alfmu").addHandler(logging.NullHandler())
     where = tables.where(command, PACKAGES, {"wall time of a run, at most [s]": effort.limit})
-    results: Mapping[str, list[Row]] = {"tolerances": [], "auto": []}
+    results: dict[str, list[Row]] = {name: [] for name in CHAPTERS}
     for name in tqdm(names, "tolerances", unit="mechanism"):
         for chosen in variants(name):
             rows = measured(name, effort, chosen=chosen)
             results["tolerances"] += rows
             results["auto"].append(choice(name, rows, chosen))
-            for table, chapter in CHAPTERS.items():  # as they come, since a run of hours may be ended
-                chapter.write(folder / f"{table}.csv", results[table])
+            save(folder, results)  # as they come, since a run of hours may be ended
+    results["races"] = raced(effort)
+    results["targets"] = targets(results["races"])
+    save(folder, results)
     tables.write_csv(folder / "environment.csv", where)
     picture(results["tolerances"], effort.tolerances).savefig(folder / "tolerances.png", dpi=110)
     parts = ["# Tolerances", tables.shown("Where this was measured", "environment", ("what", "value"), where)]
@@ -197,8 +304,10 @@ def write(folder: Path, effort: Effort, names: Sequence[str], command: str) -> N
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what the command line asks for."""
     names = mechanisms()
-    text = "Measure whether runs hold the tolerance that they are given, on every mechanism over its own stop time."
-    chosen = parser("tolerances", names, text, "a quarter of an hour", "one second each").parse_args(arguments)
+    text = (
+        "Measure whether runs hold their tolerance, on every mechanism over its own stop time, and compare run times."
+    )
+    chosen = parser("tolerances", names, text, "half an hour", "one second each").parse_args(arguments)
 
     def make(studies: list[str], command: str) -> None:
         write(chosen.output, QUICK if chosen.quick else USUAL, studies, command)

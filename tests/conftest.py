@@ -1,32 +1,52 @@
-"""Fixtures shared by the tests: FMUs exported once a session, a browser."""
+"""Fixtures shared by the tests: FMUs exported once for all workers, a browser."""
 
 import gc
+import hashlib
 import shutil
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import alfmu
+from alfmu.model.content import content
+from alfmu.model.files import exclusive
 
 gc.set_threshold(200_000, 20, 50)
 """Traced scenes are millions of objects, which the collector would go through again and again: a fifth of the time."""
 
 
 @pytest.fixture(scope="session")
-def exported(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
-    """`exported("slider_crank", coordinates="joint")`: the path of that FMU, built on first use."""
-    folder = tmp_path_factory.mktemp("fmus")
-    built: dict[str, Path] = {}
+def fmu_of(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Callable[..., Path]:
+    """`fmu_of("five_bar", kind="native")`: the path of an FMU, exported at first use by one of all workers.
 
-    def get(name: str, **options: str) -> Path:
-        key = "_".join([name, *options.values()])
-        if key not in built:
-            built[key] = alfmu.export(name, folder / f"{key}.fmu", options=options)
-        return built[key]
+    Nobody changes these files; tests of the export itself call `alfmu.export`.
+    """
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if hasattr(request.config, "workerinput") else base) / "fmus"
+
+    def get(mechanism: str | alfmu.Mechanism, options: Mapping[str, str] | None = None, **given: Any) -> Path:
+        name, declared = (mechanism, mechanism) if isinstance(mechanism, str) else (mechanism.name, content(mechanism))
+        assert declared, f"{name} cannot be told from other mechanisms; export it in the test"
+        key = hashlib.sha256(repr((declared, sorted((options or {}).items()), sorted(given.items()))).encode())
+        path = folder / key.hexdigest()[:16] / f"{'_'.join([name, *(options or {}).values()])}.fmu"
+        while not path.exists():  # which it does as a whole
+            with exclusive(path.parent) as mine:
+                if mine and not path.exists():
+                    alfmu.export(mechanism, path, options=options, **given)
+            if not mine:
+                time.sleep(0.05)
+        return path
 
     return get
+
+
+@pytest.fixture(scope="session")
+def exported(fmu_of: Callable[..., Path]) -> Callable[..., Path]:
+    """`exported("slider_crank", coordinates="joint")`: the path of that FMU of kind python."""
+    return lambda name, **options: fmu_of(name, options, kind="python")
 
 
 @pytest.fixture

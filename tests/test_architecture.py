@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,7 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
+@cache
 def imports(path: Path) -> tuple[set[str], set[str]]:
     """Modules of alfmu, and top-level packages from elsewhere, that a file imports anywhere in its text: within
     functions and for types alone, too."""

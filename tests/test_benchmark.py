@@ -1,6 +1,5 @@
 """The benchmark script at its smallest effort: files, rows, ratios and verdicts hang together."""
 
-import csv
 import re
 import subprocess
 import sys
@@ -9,9 +8,12 @@ from itertools import product
 from pathlib import Path
 
 import pytest
+from studies import agree, number, rows, tables
 
 import alfmu
 from alfmu.catalogue.registry import mechanisms
+
+pytestmark = pytest.mark.slow
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
@@ -39,33 +41,6 @@ def folder(benchmark, tmp_path_factory):
     return made
 
 
-def rows(folder: Path, name: str) -> list[dict[str, str]]:
-    with (folder / f"{name}.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def number(text: str) -> float | None:
-    return float(text) if text else None
-
-
-def shown_tables(folder: Path) -> list[tuple[str, list[str], list[list[str]]]]:
-    """CSV file, columns and rows of each table in the report."""
-    text = (folder / "benchmark.md").read_text(encoding="utf-8")
-    found = []
-    for name, table in re.findall(r"^\*\*.+\*\* \(`(\w+)\.csv`\)\n\n((?:\|.*\n?)+)", text, re.M):
-        columns, _, *lines = [line.strip("| ").split(" | ") for line in table.strip().splitlines()]
-        found.append((name, columns, lines))
-    return found
-
-
-def agree(shown: str, exact: str) -> bool:
-    """Whether a cell of the report is one of the CSV file, rounded to three digits."""
-    try:
-        return float(shown) == pytest.approx(float(exact), rel=6e-3, abs=1e-300)
-    except ValueError:
-        return shown == (exact.replace("|", "\\|") or "-")
-
-
 def test_everything_that_was_promised_is_there(folder):
     names = {path.name for path in folder.iterdir()}
     studies = ("environment", "targets", "step", "spread", "dostep", "native", "gradient", "scale")
@@ -83,16 +58,16 @@ def test_everything_that_was_promised_is_there(folder):
 
 
 def test_every_table_of_the_report_shows_rows_of_its_csv_file(folder):
-    tables = shown_tables(folder)
+    found = tables(folder / "benchmark.md")
     studies = {"step", "spread", "dostep", "native", "gradient", "scale"}
-    assert {name for name, _, _ in tables} == {"environment", "targets"} | studies
-    for name, columns, lines in tables:
+    assert {name for _, name, _, _ in found} == {"environment", "targets"} | studies
+    for _, name, columns, lines in found:
         kept = rows(folder, name)
         assert len(lines) == len(kept), name
         for line, row in zip(lines, kept, strict=True):
             for column, shown in zip(columns, line, strict=True):
                 assert agree(shown, row[column]), (name, column, shown, row[column])
-    empty = [(n, c) for n, columns, lines in tables for i, c in enumerate(columns) if {x[i] for x in lines} == {"-"}]
+    empty = [(n, c) for _, n, columns, lines in found for i, c in enumerate(columns) if {x[i] for x in lines} == {"-"}]
     assert empty == []  # with a compiler, every column is measured somewhere
 
 

@@ -45,6 +45,7 @@ def reference() -> tuple[ca.Function, np.ndarray, np.ndarray]:
     return acceleration, times, ode.motion(lambda t, x, v: float(acceleration(x, v)), 1.0, 3.0, times)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
 def test_loose_tolerances_are_held_over_the_whole_run(tolerance):
     """Six turns, by steps so long that the estimate misses a part of their errors; few communication points."""
@@ -56,6 +57,7 @@ def test_loose_tolerances_are_held_over_the_whole_run(tolerance):
     assert r.counters.evaluations <= 2_800
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("penalty", [0.0, 1.0, 1e3, 1e6, 1e9, 1e12])
 def test_fourth_order_for_every_penalty(penalty):
     """The same error to 1 % for penalties over twelve decades, the default among them; no redundant row brakes."""
@@ -83,6 +85,7 @@ def at_default() -> list[float]:
     return found
 
 
+@pytest.mark.slow
 def test_multipliers_are_those_of_least_norm():
     """Against a pseudo-inverse of C' from the same equations, to 1e-12 of the largest."""
     i = started(derived("bennett"), {"hinge1.torque": 2.0})
@@ -97,6 +100,7 @@ def test_multipliers_are_those_of_least_norm():
     assert a[0] == pytest.approx(-a[2], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_mobility_and_kernel():
     """One freedom, three redundant rows; run by the kernel, also after a restore."""
     i = alfmu.Instance(prepared(derived("bennett"), "vm"))
@@ -110,6 +114,7 @@ def test_mobility_and_kernel():
     assert np.array_equal(i.read(), other.read())
 
 
+@pytest.mark.slow
 def test_a_linkage_that_has_turned_many_times_goes_on():
     """Digits that turned angles have lost move its redundant rows, by which no velocities make C v vanish."""
     given = {"a": 0.56, "alpha": 0.24, "beta": 0.145, "m1": 0.11, "m2": 4.2, "m3": 6.7, "start.angle": 1.44}
@@ -119,6 +124,7 @@ def test_a_linkage_that_has_turned_many_times_goes_on():
     assert max(abs(energy - energy[0] - work)) < 1e-6 * max(work)
 
 
+@pytest.mark.slow
 def test_through_an_fmu(tmp_path):
     path = alfmu.export("bennett", tmp_path / "bennett.fmu")
     assert validate(path) == []

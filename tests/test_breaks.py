@@ -151,6 +151,7 @@ def test_rates_of_laws_that_jump_are_impacts_at_their_times(caplog):
     assert "changes its rate by 4 m/s at t = 0.5005 s" in caplog.text
 
 
+@pytest.mark.slow
 def test_accelerations_of_laws_that_jump_end_no_run():
     """Explicit steps at 1e-9 ended at 0.5 s. Against the rod on the two pieces, to a tighter tolerance."""
 

@@ -171,6 +171,7 @@ def calls(name: str) -> Iterator[tuple[str, partial]]:
     yield "too many", made(lambda given: [given.pop(x) for x in [*given] if x != "m"], *range(30 * ("m" not in takes)))
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::alfmu.AlfmuWarning")
 @pytest.mark.parametrize("name", [*GOOD, *OTHERS, *OF_PARTS])
 def test_nonsense_is_answered_in_words(name):

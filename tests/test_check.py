@@ -71,6 +71,7 @@ def test_fmus_are_checked(kind, tmp_path, capsys, caplog):
     assert f"{r.check}" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_the_command_line_checks_mechanisms(tmp_path, capsys):
     wanted = ["--set", "solver.relative_tolerance=1e-4", "--stop-time", "2", "-o", str(tmp_path / "run.csv")]
     assert main(["simulate", "slider_crank", "--check", *wanted]) == 0

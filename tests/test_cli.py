@@ -47,6 +47,7 @@ def read(path: Path) -> dict[str, np.ndarray]:
     return {name: np.array([float(row[i]) for row in rows[1:]]) for i, name in enumerate(rows[0])}
 
 
+@pytest.mark.slow
 def test_the_whole_job_export_validate_simulate_plot_animate(here, capsys):
     assert main(["export", "five_bar"]) == 0
     assert main(["validate", "five_bar.fmu"]) == 0
@@ -63,6 +64,7 @@ def test_the_whole_job_export_validate_simulate_plot_animate(here, capsys):
     assert "<canvas" in (here / "film.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_mechanism_of_the_users_own_works_wherever_a_name_does(here, capsys):
     (here / "pendulum.py").write_text(PENDULUM)
     assert main(["info", "pendulum.py"]) == 0
@@ -77,6 +79,7 @@ def test_a_mechanism_of_the_users_own_works_wherever_a_name_does(here, capsys):
     assert (here / "file.gif").read_bytes().startswith(b"GIF89a")
 
 
+@pytest.mark.slow
 def test_another_distribution_can_register_a_mechanism(here, distribution, capsys):
     distribution("their_linkages", PENDULUM, "[alfmu.mechanisms]\ntheir_pendulum = their_linkages:pendulum\n")
     assert main(["list"]) == 0
@@ -105,6 +108,7 @@ def test_what_a_registered_mechanism_raises_is_said_with_its_line(here, distribu
         assert re.search(rf"broken: \S*{name}.py, {says}ibuteError: ", err)
 
 
+@pytest.mark.slow
 def test_options_parameters_and_inputs_reach_the_run(here):
     (here / "in.csv").write_text("time,A.torque\n0,1\n0.5,2\n1,2\n")
     arguments = ["simulate", "slider_crank", "--option", "coordinates=joint", "--set", "b=0.1", "--input", "in.csv"]
@@ -117,6 +121,7 @@ def test_options_parameters_and_inputs_reach_the_run(here):
     assert np.array_equal(result["guide.force"], library["guide.force"])
 
 
+@pytest.mark.slow
 def test_info_of_many_bodies_stays_short(capsys):
     """One line for all that differ in numbers of names alone; every number of a few."""
     assert main(["info", "n_four_bar", "--option", "loops=40", "--all"]) == 0
@@ -140,6 +145,7 @@ def test_list_names_every_registered_mechanism_and_its_options(capsys):
     assert "coordinates=absolute|joint|mixed|natural" in out
 
 
+@pytest.mark.slow
 def test_info_counts_freedoms_and_redundancy_and_shows_names_and_units(capsys):
     assert main(["info", "five_bar", "--all"]) == 0
     out = capsys.readouterr().out
@@ -219,6 +225,7 @@ MISTAKES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "words"), MISTAKES, ids=[" ".join(a) for a, _ in MISTAKES])
 def test_a_mistake_is_one_clear_line_and_exit_code_1(arguments, words, here, capsys):
     (here / "broken.py").write_text("1 / 0\n")
@@ -254,6 +261,7 @@ def test_wrong_usage_is_exit_code_2(capsys):
         assert "usage: alfmu" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_reader_that_stops_listening_gets_no_traceback():
     command = f"{sys.executable} -m alfmu.cli info five_bar | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=120)
@@ -261,6 +269,7 @@ def test_a_reader_that_stops_listening_gets_no_traceback():
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 def test_a_long_run_shows_its_progress_on_a_terminal(tmp_path):
     master, terminal = pty.openpty()
     termios.tcsetwinsize(terminal, (24, 100))
@@ -278,6 +287,7 @@ def test_a_long_run_shows_its_progress_on_a_terminal(tmp_path):
     assert "%" in shown
 
 
+@pytest.mark.slow
 def test_info_shows_what_fmus_carry(capsys, tmp_path):
     assert main(["info", "particle_on_circle", "--sizes"]) == 0
     said = capsys.readouterr().out
@@ -297,6 +307,7 @@ def test_info_shows_what_fmus_carry(capsys, tmp_path):
     assert "directional derivatives" in said
 
 
+@pytest.mark.slow
 def test_info_says_which_reactions_are_unique(capsys):
     assert main(["info", "five_bar", "--all"]) == 0
     line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("not unique"))
@@ -306,6 +317,7 @@ def test_info_says_which_reactions_are_unique(capsys):
     assert "not unique" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", alfmu.mechanisms())
 def test_info_fits_on_a_screen(name, capsys):
     assert main(["info", name]) == 0
@@ -321,6 +333,7 @@ def test_info_fits_on_a_screen(name, capsys):
     assert f"run: {e.stop_time:g} s in steps of {e.interval:g} s, method " in text
 
 
+@pytest.mark.slow
 def test_info_in_short_says_what_was_left_out_of_its_lists(capsys):
     assert main(["info", "n_four_bar", "--option", "loops=40"]) == 0
     out = capsys.readouterr().out
@@ -338,6 +351,7 @@ def test_info_counts_the_outputs_that_it_leaves_out(capsys):
     assert f"outputs (47): {named} and {47 - 3 * 9 - 4 * 2} more" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_info_in_full_has_no_empty_place_for_a_sketch_or_options(tmp_path, capsys):
     file = tmp_path / "held.py"
     file.write_text(
@@ -350,6 +364,7 @@ def test_info_in_full_has_no_empty_place_for_a_sketch_or_options(tmp_path, capsy
     assert "\n\n\n" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_info_as_json_has_all_of_it(capsys):
     assert main(["info", "five_bar", "--json", "--set", "m2=2.5"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -394,6 +409,7 @@ def completions(line: str, folder: Path) -> list[str]:
     return (folder / "offered").read_text().split()
 
 
+@pytest.mark.slow
 def test_a_shell_completes_commands_options_names_and_files(tmp_path, capsys):
     pytest.importorskip("argcomplete")
     for name in ("fourth.fmu", "fox.py", "foo.txt"):
@@ -408,6 +424,7 @@ def test_a_shell_completes_commands_options_names_and_files(tmp_path, capsys):
     assert "alfmu" in script
 
 
+@pytest.mark.slow
 def test_options_of_several_names_may_be_given_many_times(here, capsys):
     """None is lost, as the first of two would be where the second takes its place."""
     for name, sub in _parser()[1].items():
@@ -484,6 +501,7 @@ def test_a_run_tells_of_gravity_and_of_the_solver_when_it_is_asked(here, capsys)
         )
 
 
+@pytest.mark.slow
 def test_a_mass_that_is_set_in_grams_is_doubted(here, capsys):
     assert main(["info", "five_bar", "--set", "m2=500"]) == 0
     assert "the mass of link2 is 500 kg, 500 times that of any other body; if grams" in capsys.readouterr().err

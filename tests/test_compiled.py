@@ -142,6 +142,7 @@ def warnings(command: list[str], files: Mapping[str, str], folder: Path) -> str:
     return said
 
 
+@pytest.mark.slow
 @by_each_compiler
 @scenes
 def test_the_c_is_free_of_warnings(name, options, command, tmp_path):
@@ -150,6 +151,7 @@ def test_the_c_is_free_of_warnings(name, options, command, tmp_path):
     assert warnings(command, files, tmp_path) == ""
 
 
+@pytest.mark.slow
 @by_each_compiler
 def test_the_c_of_the_runtime_is_free_of_warnings(command, tmp_path):
     files = {path.name: path.read_text(encoding="ascii") for path in runtime_build.sources()}
@@ -163,6 +165,7 @@ def values(e: Equations) -> NDArray:
     return run(instance, 1.0, 0.02, parameters={"start.angle": 0.4}).values
 
 
+@pytest.mark.slow
 @scenes
 def test_compiled_scenes_give_the_same_numbers(name, options, monkeypatch, own_cache):
     """To the last bit: interpreted, compiled as whole functions in one file, and in blocks of 30 operations in many."""
@@ -183,6 +186,7 @@ def test_compiled_scenes_give_the_same_numbers(name, options, monkeypatch, own_c
         assert np.array_equal(values(e), expected)
 
 
+@pytest.mark.slow
 def test_a_scene_refuses_the_functions_of_another(own_cache):
     e = prepared(by_rk4("five_bar"), "compiled")
     Scene(packed(e)).compiled_by(e.library)
@@ -190,6 +194,7 @@ def test_a_scene_refuses_the_functions_of_another(own_cache):
         Scene(packed(prepared(derived("particle_on_circle")))).compiled_by(e.library)
 
 
+@pytest.mark.slow
 def test_a_library_is_built_once_and_kept(own_cache, monkeypatch):
     prepared(derived("particle_on_circle"), "compiled")
     (path,) = own_cache.iterdir()
@@ -218,6 +223,7 @@ def spoiled(path: Path, how: str) -> bytes:
 damages = pytest.mark.parametrize("how", ["a bit", "an end", "nothing", "more"])
 
 
+@pytest.mark.slow
 @damages
 def test_a_damaged_library_is_built_again_and_never_loaded(own_cache, how):
     fresh = replace(by_rk4("particle_on_circle"))
@@ -230,6 +236,7 @@ def test_a_damaged_library_is_built_again_and_never_loaded(own_cache, how):
     assert np.array_equal(alfmu.simulate(e, 0.1, 0.02, kernel="compiled").values, expected)
 
 
+@pytest.mark.slow
 @damages
 @pytest.mark.parametrize("kind", ["python", "native"])
 def test_a_damaged_library_is_never_in_an_fmu(own_cache, tmp_path, monkeypatch, kind, how):
@@ -255,6 +262,7 @@ def test_a_damaged_library_is_never_in_an_fmu(own_cache, tmp_path, monkeypatch, 
     assert len(built) == 2 * (kind == "native")
 
 
+@pytest.mark.slow
 @damages
 def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(own_cache, tmp_path, monkeypatch, how):
     def damaged(equations: Equations, scene: bytes) -> Path:
@@ -268,6 +276,7 @@ def test_a_library_that_is_damaged_once_it_is_built_is_not_exported(own_cache, t
     assert not (tmp_path / "it.fmu").exists()
 
 
+@pytest.mark.slow
 def test_several_processes_may_build_at_once(own_cache):
     """Each gets a library that works, and one whole file is left."""
     code = (
@@ -281,6 +290,7 @@ def test_several_processes_may_build_at_once(own_cache):
     assert len(list(own_cache.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_without_a_compiler(monkeypatch, own_cache):
     monkeypatch.setattr(build, "compiler", lambda: None)
     monkeypatch.setattr("alfmu.runtime.prepare.compiler", lambda: None)
@@ -366,6 +376,7 @@ def expected() -> list[str]:
     return [float(result[name][-1]).hex() for name in ("link2.x", "A.force.x")]
 
 
+@pytest.mark.slow
 def test_a_compiled_fmu_needs_no_package(five_bar, expected):
     """The same numbers as with alfmu, in a process where no package can be imported; and compiled functions ran."""
     numbers, loaded = in_fmpy(five_bar, "numpy casadi scipy alfmu")
@@ -383,6 +394,7 @@ def changed(source: Path, target: Path, resources: Mapping[str, bytes | None]) -
     return target
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["none", "another platform", "another processor"])
 def test_on_another_platform_the_scene_is_interpreted(five_bar, expected, tmp_path, how):
     """The compiled functions are passed over, and the numbers are the same; no package is needed there either."""
@@ -408,6 +420,7 @@ def test_a_compiled_fmu_has_the_scene_inside_and_says_what_it_needs(five_bar):
     assert len(needs.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_a_compiled_fmu_validates_saves_and_restores(five_bar):
     assert validate(five_bar) == []
     with Fmu(five_bar) as fmu:
@@ -416,10 +429,12 @@ def test_a_compiled_fmu_validates_saves_and_restores(five_bar):
     assert np.array_equal(result.values, library.values)
 
 
+@pytest.mark.slow
 def test_the_same_export_gives_the_same_bytes(five_bar, tmp_path):
     assert alfmu.export("five_bar", tmp_path / "five_bar.fmu", kernel="compiled").read_bytes() == five_bar.read_bytes()
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["export", "five_bar", "--kernel", "compiled"]) == 0
@@ -429,6 +444,7 @@ def test_from_the_command_line(tmp_path, capsys, monkeypatch):
     assert "fixed when it is exported" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_state_that_is_not_finite_reaches_nobody():
     """NaN through the compiled step: refused with a reason, the state before it kept."""
     e = prepared(by_rk4("five_bar"), "compiled")

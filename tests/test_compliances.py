@@ -20,6 +20,7 @@ def multipliers(i: alfmu.Instance) -> np.ndarray:
     return np.array([i.get(f"multiplier[{k + 1}]") for k in range(i.equations.l)])
 
 
+@pytest.mark.slow
 def test_bennetts_linkage_shares_its_reactions_as_stiff_joints_do():
     """Six constraints of compliances over two decades, three of them redundant; the stiffer, the nearer."""
     e = with_compliances("bennett")
@@ -47,6 +48,7 @@ def test_bennetts_linkage_shares_its_reactions_as_stiff_joints_do():
     assert np.array_equal(plain.q, i.q)  # shares are read, the motion does not know them
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["oracle", "vm"])
 @pytest.mark.parametrize("decades", [0.0, 1.5, 2.5])
 def test_shares_are_those_of_a_weighted_pseudo_inverse(kernel, decades):
@@ -70,6 +72,7 @@ def test_shares_are_those_of_a_weighted_pseudo_inverse(kernel, decades):
     assert i.counters.patient == 0
 
 
+@pytest.mark.slow
 def test_compliances_in_an_fmu(tmp_path):
     m = alfmu.load("five_bar")
     m.compliances()
@@ -86,6 +89,7 @@ def test_compliances_in_an_fmu(tmp_path):
     assert equal["B.force.y"] == pytest.approx(library["B.force.y"], abs=1e-9)  # unique
 
 
+@pytest.mark.slow
 def test_some_compliances_and_not_all_are_refused():
     i = alfmu.Instance(with_compliances("five_bar"))
     i.set("C.compliance.x", 1e-8)
@@ -115,6 +119,7 @@ def held(given: float = 0.0) -> tuple[alfmu.Equations, alfmu.Instance]:
     return e, i
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", [0.0, 2.0])
 def test_an_impact_at_the_start_is_shared_by_compliances(given):
     """Two brakes that come into force at the start; where no compliances are given, in the least norm."""
@@ -129,6 +134,7 @@ def test_an_impact_at_the_start_is_shared_by_compliances(given):
     assert abs(shares[-1]) > 0.1  # else the brake would show nothing
 
 
+@pytest.mark.slow
 def test_compliances_that_are_too_far_apart_are_named():
     """Eight decades are more than the passes share."""
     with pytest.raises(alfmu.StepError, match=r"would be nan.*compliances .* differ by a factor of \d"):

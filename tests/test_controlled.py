@@ -51,6 +51,7 @@ def by_the_oracle(name: str, method: str, order: int = 0, **given: float) -> Ada
     return by_method(begun(name, "rk4", "oracle", order, **given), method, order)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), [("five_bar", "auto"), ("flyball_governor", "stiff")])
 def test_an_error_that_is_no_number_is_refused(name, method):
     """In every program with error control: the largest of numbers leaves out those that are none."""
@@ -166,6 +167,7 @@ SCENES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "given"), SCENES, ids=[name for name, _ in SCENES])
 @pytest.mark.parametrize(
     ("method", "bound"), [("explicit", 1e-13), ("stiff", 1e-11), ("trapezoidal", 1e-10), ("generalized_alpha", 1e-10)]
@@ -196,6 +198,7 @@ def test_a_step_is_that_of_the_oracle(name, given, method, bound):
             assert kernel.memory["after"][layout.change] == pytest.approx(error, rel=1e-4, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
 def test_both_kernels_make_the_same_run(method):
     """The same tries, with results that differ by round-off."""
@@ -209,6 +212,7 @@ def test_both_kernels_make_the_same_run(method):
     assert np.abs(vm.read() - compiled.read()).max() <= 1e-9 * np.abs(vm.read()).max()
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("method", ["explicit", "order8", "stiff", "trapezoidal"])
 def test_communication_steps_of_any_length(kernel, method):
@@ -226,6 +230,7 @@ def test_communication_steps_of_any_length(kernel, method):
         assert i.counters.refused == 0
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("method", ["explicit", "stiff"])
 def test_steps_are_refused_inside(kernel, method):
@@ -240,6 +245,7 @@ def test_steps_are_refused_inside(kernel, method):
     assert i.counters.refused >= 1
 
 
+@pytest.mark.slow
 @each_kernel
 def test_the_kernel_passes_singular_positions(kernel):
     """From a start in one, through others, by steps on the branch; against the exact motion."""
@@ -260,6 +266,7 @@ def test_the_kernel_passes_singular_positions(kernel):
     assert i.counters.evaluations == 13 * (tries + beside) + careful + beside + 7 * limits + 18
 
 
+@pytest.mark.slow
 @each_kernel
 def test_the_procedure_of_the_paper_takes_no_limits(kernel):
     """`solver.branch` = paper: no step is made on the branch, by whatever makes it."""
@@ -272,6 +279,7 @@ def test_the_procedure_of_the_paper_takes_no_limits(kernel):
     assert abs(i.q[0] - exact) <= 1e-2
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize(("method", "bound"), [("stiff", 1e-6), ("trapezoidal", 0.05), ("generalized_alpha", 0.05)])
 def test_implicit_methods_pass_singular_positions(kernel, method, bound):
@@ -314,6 +322,7 @@ def test_only_a_scene_with_the_method_has_it_in_its_kernel():
     assert len(packed(plain)) < min(len(packed(explicit)), len(packed(stiff)))
 
 
+@pytest.mark.slow
 def test_a_scene_may_run_by_another_method_than_its_own():
     """Then it is traced again."""
     ends = []
@@ -365,6 +374,7 @@ def test_the_polynomial_goes_through_past_inputs():
     assert line.at(0.3, 1) == pytest.approx([1.7], rel=1e-14)
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("method", ["rk4", "explicit", "stiff", "trapezoidal"])
 def test_inputs_are_extrapolated_by_the_kernel_as_by_the_oracle(kernel, method):
@@ -400,6 +410,7 @@ def test_inputs_are_extrapolated_by_the_kernel_as_by_the_oracle(kernel, method):
 # FMUs -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("method", ["explicit", "stiff", "generalized_alpha"])
 def test_an_fmu_gives_the_numbers_of_the_library(tmp_path, kernel, method):

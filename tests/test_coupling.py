@@ -23,6 +23,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Coupling:
     return couple(drive(tmp_path_factory.mktemp("couple")), halvings=5)
 
 
+@pytest.mark.slow
 def test_the_error_falls_with_its_order(found):
     assert found.reference_error < 1e-9
     assert found.order("held") == pytest.approx(1.0, abs=0.1)
@@ -33,6 +34,7 @@ def test_the_error_falls_with_its_order(found):
     assert finest["iterated"] > 100 * found.reference_error
 
 
+@pytest.mark.slow
 def test_the_energy_that_coupling_makes_falls_as_well(found):
     assert found.bonds == ["motor.torque and arm.link1.angular_velocity"]
     for master, order in (("held", 1), ("extrapolated", 2), ("iterated", 2)):
@@ -52,6 +54,7 @@ def test_iteration_is_stable_where_the_others_are_not(found):
     assert all(case.tries > 1.5 for case in found.of("iterated"))
 
 
+@pytest.mark.slow
 def test_the_largest_stable_step_is_that_of_the_difference_equation():
     """x' = -x + u, y' = -y + v, u = -g y, v = x, both held: x and y step by exp(-H) and 1 - exp(-H).
 
@@ -154,6 +157,7 @@ def circle(**more) -> System:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*algebraic loop:alfmu.AlfmuWarning")
 @pytest.mark.parametrize("own", ["iterated", "extrapolated"])
 def test_a_master_that_is_refused_leaves_the_others(own, tmp_path):
@@ -177,6 +181,7 @@ def test_a_study_whose_masters_are_all_refused_says_why():
         couple(circle(), masters=["extrapolated"], halvings=1)
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, monkeypatch, capsys):
     drive(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -242,6 +242,7 @@ TEXTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("line", "says"), [*NUMBERS, *SYMBOLS, *UNITS, *KINDS, *TEXTS])
 def test_a_mistake_is_named_at_its_line(declare, line, says):
     path, at = declare(line)
@@ -391,6 +392,7 @@ def test_what_the_command_line_sets_is_hinted_at_too(tmp_path, monkeypatch, caps
     assert millimetres == "alfmu: warning: particle_on_circle: rho is 500 m; if millimetres were meant, give 0.5"
 
 
+@pytest.mark.slow
 def test_the_command_line_says_a_mistake_in_one_line(declare):
     path, at = declare('m.revolute("B", m.ground.at(0.3 * m.rate(th), 0), rod.end)')
     command = [sys.executable, "-m", "alfmu.cli", "simulate", str(path)]
@@ -444,6 +446,7 @@ def hanging(marker: float) -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_a_loop_that_closes_in_another_configuration_is_warned_of():
     """The joint is above the body: to shift the body by 2 m is a longer way than to turn it."""
     i = alfmu.Instance(hanging(1.0))
@@ -455,6 +458,7 @@ def test_a_loop_that_closes_in_another_configuration_is_warned_of():
     assert i.moved == pytest.approx({"b": 2.0})
 
 
+@pytest.mark.slow
 def test_an_assembly_on_the_other_side_of_the_guess_is_warned_of_where_it_is_the_only_one():
     """A body whose height is guessed at 1 m, and which only closes at -1 m; a short way is none."""
     for guess, way in ((1.0, 2.0), (-0.2, 0.8), (0.1, 0.2)):
@@ -499,6 +503,7 @@ def pantograph(inner: float) -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("off", "between"), [(0.0, False), (0.4, False), (-0.4, False), (math.pi, True), (-3.0, True)])
 def test_a_guess_between_two_assemblies_is_warned_of(off, between):
     """Half a turn off in one bar, a pantograph closes as an antiparallelogram, to which its guess is nearer in rad."""
@@ -533,6 +538,7 @@ def test_of_assemblies_that_no_start_value_tells_apart_there_is_no_other():
     assert told_at_the_start(m) == []
 
 
+@pytest.mark.slow
 def test_an_assembly_at_its_guess_says_nothing():
     i = alfmu.Instance(hanging(-1.0))
     i.initialize()
@@ -552,6 +558,7 @@ def test_info_says_how_far_bodies_moved_and_what_no_start_determines(declare, ca
     assert "no start value determines y: what the guesses say is taken" in out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["slider_crank", "four_bar", "five_bar", "n_four_bar", "particle_on_circle"])
 def test_mechanisms_with_starts_for_all_they_do_are_told_nothing(name):
     """At singular starts as well; their guesses are where they begin."""
@@ -594,6 +601,7 @@ def arm(links: int, tip: float) -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("links", [3, 18])
 @pytest.mark.parametrize("method", ["rk4", "auto"])
 def test_a_mass_below_round_off_of_the_others_is_said(links, method):
@@ -603,11 +611,13 @@ def test_a_mass_below_round_off_of_the_others_is_said(links, method):
         alfmu.simulate(arm(links, 1e-12), 0.02, 0.02, parameters={"solver.method": method})
 
 
+@pytest.mark.slow
 def test_many_bodies_that_depend_on_each_other_run():
     result = alfmu.simulate(arm(60, 1.0), 0.02, 0.02, outputs=["link59.*"])
     assert result["link59.x"][-1] == pytest.approx(59.5)
 
 
+@pytest.mark.slow
 def test_two_coordinates_for_one_motion_are_named_among_many():
     m = arm(20, 1.0)
     twice = m.coordinate("twice", "m")

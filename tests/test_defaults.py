@@ -88,6 +88,7 @@ def wiper_poses(th):
     return [(x / 2, y / 2, th), coupler, (BASE + ARM / 2 * ca.cos(sweep), ARM / 2 * ca.sin(sweep), sweep)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.1, 0.02, 0.005])
 def test_a_windscreen_wiper(step):
     r = run(declared(wiper), 10.0, step)
@@ -132,6 +133,7 @@ def lift_poses(th):
     return [*legs, (0.0 * th, STAGES * y, 0.0 * th)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rails", [0, 3])
 def test_a_scissor_lift_of_three_stages(rails):
     r = run(declared(lift, rails), 4.0, 0.02)
@@ -148,6 +150,7 @@ def crank_slider(coordinates):
     return prepared(alfmu.derive(alfmu.load("slider_crank", coordinates=coordinates)), "vm")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.1, 0.02, 0.005])
 @pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
 @pytest.mark.parametrize("masses", [(1.0, 1.0, 1.0), (4.0, 0.5, 0.02)], ids=["equal", "unequal"])
@@ -238,6 +241,7 @@ def squeezer():
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.03, 0.001, 0.0001])
 def test_andrews_mechanism(step):
     r = run(declared(squeezer), 0.03, step)

@@ -7,8 +7,6 @@ import re
 import shutil
 import subprocess
 import sys
-import tarfile
-from email import message_from_bytes
 from pathlib import Path
 
 import pytest
@@ -50,6 +48,7 @@ def name_of(page: Path) -> str:
 # Snippets ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in RUN if page.name != "tutorial.md"], ids=name_of)
 def test_a_page_shows_what_is_so(page, tmp_path):
     """Every block runs, and prints what the page says; the tutorial runs where the site is built."""
@@ -58,6 +57,7 @@ def test_a_page_shows_what_is_so(page, tmp_path):
     assert snippets.in_folder(page, tmp_path / "made") == ""
 
 
+@pytest.mark.slow
 def test_a_page_that_shows_something_else_is_told(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("# A\n\n```python\nprint(1 + 1)\n```\n\n```output\n3\n```\n")
@@ -75,6 +75,7 @@ def test_the_readme_is_one_page():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 110
 
 
+@pytest.mark.slow
 def test_the_film_of_the_readme_is_small_and_moves(tmp_path):
     from PIL import Image
 
@@ -87,55 +88,6 @@ def test_the_film_of_the_readme_is_small_and_moves(tmp_path):
     with Image.open(film) as frames, Image.open(tmp_path / "again.gif") as again:
         assert again.size == frames.size
         assert 3 < again.n_frames < frames.n_frames
-
-
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory) -> tuple[str, set[str]]:
-    """The description for a package index, and the files, of the source archive."""
-    folder = tmp_path_factory.mktemp("archive")
-    left = shutil.ignore_patterns(
-        ".git", ".venv", "_build", "made", "results", "build", "dist", "*.egg-info", "__pycache__"
-    )
-    shutil.copytree(ROOT, folder / "alfmu", ignore=left)
-    code = "from setuptools import build_meta as b; b.build_sdist('..')"
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder / "alfmu", capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
-    with tarfile.open(next(folder.glob("*.tar.gz"))) as packed:
-        names = {name.partition("/")[2] for name in packed.getnames()}
-        top = packed.getnames()[0].split("/")[0]
-        about = message_from_bytes(packed.extractfile(f"{top}/PKG-INFO").read())
-    return about.get_payload(decode=True).decode(), names
-
-
-def test_the_source_archive_has_what_builds_and_no_library_of_this_machine(archive):
-    _, names = archive
-    assert {"pyproject.toml", "setup.py", "scripts/packaging/backend.py", "scripts/packaging/links.py"} <= names
-    assert {path.relative_to(ROOT).as_posix() for path in (ROOT / "alfmu" / "runtime" / "c").rglob("*.[ch]")} <= names
-    assert not [name for name in names if name.startswith("alfmu/runtime/alfmu-")]
-
-
-def relative(text: str) -> list[str]:
-    """Where the links and pictures of a page in Markdown lead to beside it."""
-    return [path for path in re.findall(r"\]\(([^)\s]+)\)", text) if not re.match(r"[a-z]+:|#", path)]
-
-
-def test_links_of_the_readme_lead_to_files_of_the_source_archive(archive):
-    _, names = archive
-    paths = relative((ROOT / "README.md").read_text(encoding="utf-8"))
-    assert len(paths) > 15
-    for path in paths:
-        assert (ROOT / path).exists(), path
-        assert any(name == path.rstrip("/") or name.startswith(f"{path.rstrip('/')}/") for name in names), path
-
-
-def test_a_package_index_shows_no_link_that_leads_nowhere(archive):
-    text, names = archive
-    assert "docs/tutorial.md" in text
-    assert relative(text) == []
-    for path in re.findall(r"`((?:docs|scripts|fmus|mechanisms)/[\w./-]*)`", text):
-        assert any(name == path.rstrip("/") or name.startswith(path) for name in names), path
 
 
 def test_links_become_absolute_where_the_source_is_known():
@@ -185,8 +137,8 @@ def templates() -> list[list[str]]:
 
 def said(message: str, pieces: list[str]) -> bool:
     """Whether a text with holes can hold a message with holes."""
-    own = [re.escape(piece) for piece in message.split(HOLE)]
-    return bool(re.search(".*".join(own), HOLE.join(pieces), re.DOTALL))
+    own, text = message.split(HOLE), HOLE.join(pieces)
+    return all(piece in text for piece in own) and bool(re.search(".*".join(map(re.escape, own)), text, re.DOTALL))
 
 
 QUOTED = re.findall(
@@ -215,7 +167,14 @@ def test_a_quoted_message_is_one_of_the_package(message, texts):
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory) -> Path:
-    """The pages, with the pictures of the tutorial and of one example of the gallery; a warning fails."""
+    """The pages, with the pictures of the tutorial and of one example of the gallery; a warning fails.
+
+    SITE is a folder with the whole site, where it is built anyway.
+    """
+    if built := os.environ.get("SITE"):
+        return Path(built)
+    if os.environ.get("SNIPPETS") == "site":
+        pytest.skip("SNIPPETS=site: the site is built, too; SITE=FOLDER runs this test on it")
     folder = tmp_path_factory.mktemp("site")
     left = shutil.ignore_patterns("_build", "made", "__pycache__", "*.gif.tmp")
     for each in ("docs", "mechanisms"):
@@ -242,6 +201,7 @@ def site(tmp_path_factory) -> Path:
     return folder / "site"
 
 
+@pytest.mark.slow
 def test_a_page_that_does_not_run_fails_the_build_without_w_too(tmp_path):
     """Until it is mended, also where it is not read again."""
     shutil.copy(DOCS / "snippets.py", tmp_path)
@@ -279,6 +239,7 @@ def test_the_first_page_has_the_lines_of_what_runs_in_it():
         assert getattr(namespace["m"], "name", "") == name
 
 
+@pytest.mark.slow
 def test_the_gallery_lists_an_example_by_its_film(site):
     if not (site / "mechanisms/gallery/index.html").exists():
         pytest.skip("this copy comes without the gallery")
@@ -290,6 +251,7 @@ def test_the_gallery_lists_an_example_by_its_film(site):
         assert ground == of_film != (255, 255, 255)  # a figure stands on white
 
 
+@pytest.mark.slow
 def test_texts_are_shown_as_they_are_written(site):
     """What reStructuredText takes for markup that does not end is shown in red, and is no warning of Sphinx."""
     marked = [path.name for path in site.rglob("*.html") if 'class="problematic"' in path.read_text(encoding="utf-8")]
@@ -297,6 +259,7 @@ def test_texts_are_shown_as_they_are_written(site):
     assert "“link*.angle,*.force.*”" in (site / "reference" / "cli.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_pages_load_in_a_browser(site, chromium):
     """Pictures are there, nothing is fetched, nothing complains, and a phone shows no page wider than itself."""
     examples = [page for page in ("index", f"plot_{ONE}") if (site / "mechanisms/gallery" / f"{page}.html").exists()]
@@ -322,6 +285,7 @@ def test_pages_load_in_a_browser(site, chromium):
     assert shown > 10
 
 
+@pytest.mark.slow
 def test_texts_of_the_site_are_made_from_the_package(site):
     """Options of every command, arguments of the public functions, and formulas that browsers show by themselves."""
     commands = (site / "reference" / "cli.html").read_text(encoding="utf-8")
@@ -337,6 +301,6 @@ def test_pictures_of_pages_are_those_that_they_leave():
     """A page shows pictures of its own folder alone, and no other page's."""
     for page in OWN:
         folder = (DOCS / snippets.MADE / page.relative_to(DOCS)).with_suffix("")
-        for path in relative(page.read_text(encoding="utf-8")):
+        for path in links.relative(page.read_text(encoding="utf-8")):
             if f"{snippets.MADE}/" in path:
                 assert (page.parent / path).resolve().parent == folder, f"{page}: {path}"

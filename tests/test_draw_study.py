@@ -3,6 +3,8 @@
 import pytest
 from studies import script
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def study():

@@ -95,6 +95,7 @@ def test_the_icon_of_an_fmu_is_the_drawing():
     assert (apart > 16).mean() < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("at", "angle"), [({"angle": 0.7}, 0.7), ({"start.angle": 2.0}, 2.0), ({"th1": -0.5}, -0.5)])
 def test_a_drawing_is_at_the_values_that_are_given(at, angle):
     drawn = drawing(load("four_bar"), at)
@@ -102,6 +103,7 @@ def test_a_drawing_is_at_the_values_that_are_given(at, angle):
     assert drawn.caption == ", ".join(f"{name} = {value:g}" for name, value in at.items())
 
 
+@pytest.mark.slow
 def test_a_dependent_coordinate_holds_and_start_values_give_way():
     mechanism = load("slider_crank", coordinates="joint")
     free = drawing(mechanism)
@@ -265,6 +267,7 @@ def test_what_is_nearer_hides_what_is_behind():
         assert here.all()
 
 
+@pytest.mark.slow
 def test_a_gif_of_space_moves(tmp_path):
     from alfmu import simulate
 

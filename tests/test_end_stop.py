@@ -36,6 +36,7 @@ def simulated(h: float, stop: float = 1.0, **given: float) -> alfmu.Result:
     return alfmu.simulate(scene(), stop, stop / 10, parameters={"solver.method": "rk4", "solver.step_size": h, **given})
 
 
+@pytest.mark.slow
 def test_the_reference_is_good_to_1e_12_rad():
     """Shorter steps, a looser tolerance and an implicit method through the impact; energy less work is kept."""
     assert np.abs(exact(most=5e-4) - exact())[:, 0].max() <= 1e-12
@@ -87,6 +88,7 @@ def test_accelerations_and_all_joint_forces_at_random_states(seed):
     assert b.lack() <= 1e-11
 
 
+@pytest.mark.slow
 def test_fourth_order_through_the_impact():
     """1 s with one impact, resolved by steps of 0.1 ms and less; higher terms of the error still show in the slope."""
     steps, errors = np.array([1e-4, 5e-5, 2.5e-5]), []
@@ -99,6 +101,7 @@ def test_fourth_order_through_the_impact():
     assert errors[-1] <= 2e-11
 
 
+@pytest.mark.slow
 def test_the_declared_steps_hold_1e_7_rad_through_two_impacts():
     """5 s, with masses a million apart; communication points 1 ms apart, steps of 0.05 ms."""
     r = alfmu.simulate(scene(), parameters={"solver.method": "rk4"})
@@ -108,6 +111,7 @@ def test_the_declared_steps_hold_1e_7_rad_through_two_impacts():
     assert np.abs(r["flywheel.angle"][::500] - want[:, 0]).max() <= 1e-7
 
 
+@pytest.mark.slow
 def test_the_defaults_are_right_through_two_impacts():
     """Short steps, too, see a force that sets in within them."""
     r = alfmu.simulate(scene())
@@ -116,6 +120,7 @@ def test_the_defaults_are_right_through_two_impacts():
     assert np.abs(r["flywheel.angle"][::500] - want[:, 0]).max() <= 1e-5
 
 
+@pytest.mark.slow
 def test_the_ram_hits_the_stop_and_comes_back():
     """A push of some 200 kN for 10 ms, never a pull; what is lost is what the energy balance says."""
     r = alfmu.simulate(scene(), 1.0, 1e-3, parameters={"solver.method": "rk4", "solver.step_size": 1e-4})
@@ -146,6 +151,7 @@ def test_a_stop_a_hundred_times_as_stiff_needs_a_tenth_of_the_step():
     assert np.abs(coarse - want[:, 0]).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_through_an_fmu(tmp_path):
     path = alfmu.export("end_stop", tmp_path / "end_stop.fmu")
     assert validate(path) == []

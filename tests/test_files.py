@@ -186,6 +186,7 @@ def full_disk(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [
@@ -222,6 +223,7 @@ TORQUE = "time,A.torque\n0,0\n0.5,0\n0.52,1e7\n"
 """From 0.52 s on, more than any step can follow."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["vm", "oracle", "held rows", "FMU in Python", "native FMU"])
 def test_a_run_that_fails_leaves_its_rows_its_picture_and_its_film(unit, here, capsys, exported, native):
     (here / "in.csv").write_text(TORQUE)
@@ -245,6 +247,7 @@ def test_a_run_that_fails_leaves_its_rows_its_picture_and_its_film(unit, here, c
         assert main(["animate", "r.csv", "--fps", "5"]) == 0
 
 
+@pytest.mark.slow
 def test_the_reason_is_said_last(here):
     (here / "in.csv").write_text(TORQUE)
     command = [sys.executable, "-m", "alfmu.cli", "simulate", "slider_crank", "--input", "in.csv", "--stop-time", "1"]
@@ -265,12 +268,14 @@ def test_the_reason_is_said_even_where_the_rows_cannot_be_written(here, capsys):
     assert "half a turn" in last
 
 
+@pytest.mark.slow
 def test_a_run_that_does_not_begin_leaves_nothing(here, capsys):
     assert main(["simulate", "slider_crank", "--set", "l2=0.1"]) == 1
     assert "loops cannot be closed" in capsys.readouterr().err
     assert there(here) == set()
 
 
+@pytest.mark.slow
 def test_the_library_has_the_rows_of_a_run_that_ends_early():
     torque = ([0.0, 0.5, 0.52], [0.0, 0.0, 1e7])
     with pytest.raises(alfmu.StepError) as failed:
@@ -282,6 +287,7 @@ def test_the_library_has_the_rows_of_a_run_that_ends_early():
     assert failed.value.result is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("unit", "number"),
     [
@@ -328,6 +334,7 @@ def test_an_interrupt_ends_a_run_of_the_library_where_it_is():
     assert 4 < len(ended.value.result.time) < 1001
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rk4", "explicit"])
 def test_an_interrupt_ends_a_communication_step_that_takes_long(method):
     """One of 900 s, which many thousand internal steps make; the state is the one before it."""
@@ -377,6 +384,7 @@ def test_held_rows_are_those_of_an_importer(unit, native):
     assert held["A.torque"][1:] == pytest.approx(new["A.torque"][:-1])
 
 
+@pytest.mark.slow
 def test_held_rows_from_the_command_line(here):
     (here / "in.csv").write_text("time,A.torque\n0,1\n0.1,2\n0.2,3\n")
     arguments = ["simulate", "slider_crank", "--input", "in.csv", "--stop-time", "0.2", "--step", "0.1"]
@@ -386,6 +394,7 @@ def test_held_rows_from_the_command_line(here):
     assert alfmu.Result.from_csv("slider_crank.csv")["A.torque"].tolist() == [1, 2, 3]
 
 
+@pytest.mark.slow
 def test_a_result_that_fits_in_no_memory_is_refused(here, capsys):
     for end in ("1e15", "1e308"):
         assert main(["simulate", "particle_on_circle", "--stop-time", end]) == 1
@@ -433,6 +442,7 @@ def test_a_table_that_is_none_is_one_clear_line(which, here, capsys):
     assert there(here) == {"in.csv"}
 
 
+@pytest.mark.slow
 def test_a_table_from_a_spreadsheet_is_read(here):
     (here / "in.csv").write_bytes("\ufefftime, A.torque\r\n0,1\r\n\r\n1,2\r\n".encode())
     assert main(["simulate", "slider_crank", "--input", "in.csv", "--stop-time", "0.1"]) == 0
@@ -466,6 +476,7 @@ def test_nothing_of_anyone_elses_is_overwritten(arguments, words, here, capsys):
     assert {path: path.read_bytes() for path in here.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_what_is_replaced_is_said(here, capsys):
     assert main([*RUN, "--plot", "r.svg"]) == 0
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()[-2:]] == ["wrote", "wrote"]
@@ -536,6 +547,7 @@ def result(here, slider_crank) -> Path:
     return here / "r.json"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("facts", ["", "{", DEEP, "[]", "3", '{"mechanism": 3}', b"\xff", '{"mechanism": "five_bar"}'])
 def test_bad_facts_beside_a_result_are_said(facts, result, capsys):
     result.write_bytes(facts if isinstance(facts, bytes) else facts.encode())
@@ -552,6 +564,7 @@ def test_a_drawing_is_the_same_once_it_was_data(name):
     assert from_data(json.loads(json.dumps(as_data(shapes)))) == shapes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "value"),
     [
@@ -653,6 +666,7 @@ def test_a_bad_check_sum_is_said(good, here, capsys):
     assert there(here) == {"bad.fmu", "cut.fmu"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
@@ -712,6 +726,7 @@ def test_linear_algebra_says_nothing_on_the_screen(capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kernel", "method", "given"),
     [

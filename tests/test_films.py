@@ -51,6 +51,7 @@ def hue(image: np.ndarray, color: str) -> np.ndarray:
     return (sizes > 20) & (seen @ wanted > 0.985 * sizes * np.linalg.norm(wanted))
 
 
+@pytest.mark.slow
 def test_a_film_in_space_shows_every_body_and_moves(chromium, films):
     opened(chromium, films["flyball_governor"])
     first = picture(chromium)
@@ -63,6 +64,7 @@ def test_a_film_in_space_shows_every_body_and_moves(chromium, films):
     assert errors(chromium) == []
 
 
+@pytest.mark.slow
 def test_a_film_plays_by_itself_and_stops_by_the_space_bar(chromium, films):
     from selenium.webdriver.common.keys import Keys
 
@@ -82,6 +84,7 @@ def test_a_film_plays_by_itself_and_stops_by_the_space_bar(chromium, films):
     assert errors(chromium) == []
 
 
+@pytest.mark.slow
 def test_the_mouse_turns_and_zooms_the_view_and_a_double_click_brings_it_back(chromium, films):
     from selenium.webdriver import ActionChains
     from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
@@ -103,6 +106,7 @@ def test_the_mouse_turns_and_zooms_the_view_and_a_double_click_brings_it_back(ch
     assert errors(chromium) == []
 
 
+@pytest.mark.slow
 def test_forces_and_moments_are_arrows_that_can_be_hidden(chromium, films):
     opened(chromium, films["flyball_governor"], 0.5)
     red, box = "#d9534a", chromium.find_element("css selector", "input[name=forces]")
@@ -122,6 +126,7 @@ def test_forces_and_moments_are_arrows_that_can_be_hidden(chromium, films):
     assert errors(chromium) == []
 
 
+@pytest.mark.slow
 def test_a_piece_is_where_the_result_puts_it(chromium, films):
     """The middle of the first rod's ball in pixels, against the camera by hand."""
     opened(chromium, films["flyball_governor"], 0.4)
@@ -140,6 +145,7 @@ def test_a_piece_is_where_the_result_puts_it(chromium, films):
     assert hue(image[rows, columns], COLORS[2]).mean() > 0.9
 
 
+@pytest.mark.slow
 def test_names_in_space_keep_apart(chromium, films):
     opened(chromium, films["flyball_governor"], 0.25)
     boxes = chromium.execute_script(
@@ -161,6 +167,7 @@ def test_names_in_space_keep_apart(chromium, films):
     assert overlaps == []
 
 
+@pytest.mark.slow
 def test_a_film_in_the_plane_is_one_small_file_without_a_library(chromium, films):
     assert films["five_bar"].stat().st_size < 60_000
     opened(chromium, films["five_bar"], 0.6)
@@ -171,6 +178,7 @@ def test_a_film_in_the_plane_is_one_small_file_without_a_library(chromium, films
     assert errors(chromium) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["flyball_governor", "bennett", "five_bar"])
 def test_a_film_fits_a_phone(chromium, films, name):
     chromium.set_window_size(390, 800)
@@ -185,6 +193,7 @@ def test_a_film_fits_a_phone(chromium, films, name):
         chromium.set_window_size(640, 620)
 
 
+@pytest.mark.slow
 def test_pages_ask_for_nothing_from_elsewhere(films):
     for path in films.values():
         text = path.read_text(encoding="utf-8")

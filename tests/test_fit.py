@@ -31,6 +31,7 @@ def fits() -> list[alfmu.Fit]:
     ]
 
 
+@pytest.mark.slow
 def test_parameters_are_recovered_within_their_deviations(fits):
     """Over twenty sets of noise, errors have the size that each fit says, and no side on which they fall."""
     for name, true in TRUE.items():
@@ -46,6 +47,7 @@ def test_parameters_are_recovered_within_their_deviations(fits):
     assert np.abs(fits[0].correlation).max() == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_without_noise_the_numbers_are_exact_and_missing_values_count_for_nothing():
     data = measured(noise=0.0)
     values = data.values.copy()
@@ -57,6 +59,7 @@ def test_without_noise_the_numbers_are_exact_and_missing_values_count_for_nothin
     assert np.isnan(found.residuals["link1.angle"]).sum() == 20
 
 
+@pytest.mark.slow
 def test_a_table_of_all_columns_is_fitted_whatever_rests():
     """Link 2 of the four-bar never turns: its angle, which is round-off, and monitors weigh nothing."""
     run = alfmu.simulate("four_bar", 1.0, 0.05, inputs={"A.torque": 4.0})

@@ -50,6 +50,7 @@ def test_references_agree() -> None:
     assert np.abs(gap).max() <= 1e-11
 
 
+@pytest.mark.slow
 def test_motion(run: tuple) -> None:
     """Angle and speed of link 1 within 1.5e-5 rad and 4e-5 rad/s of the exact motion; the links stay parallel.
 
@@ -64,6 +65,7 @@ def test_motion(run: tuple) -> None:
     assert np.abs([r["link2.angle"], r["link4.angle"]]).max() <= np.sqrt(EPS)
 
 
+@pytest.mark.slow
 def test_singular_positions_are_passed(run: tuple) -> None:
     """th = 0 and th = -pi several times each."""
     _, r = run
@@ -72,6 +74,7 @@ def test_singular_positions_are_passed(run: tuple) -> None:
     assert np.count_nonzero(np.diff(np.sign(th + np.pi))) >= 6
 
 
+@pytest.mark.slow
 def test_constraints(run: tuple) -> None:
     """|Phi| below 1e-13 at every step."""
     _, r = run
@@ -82,6 +85,7 @@ def test_constraints(run: tuple) -> None:
     assert c.steps == 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("m2", [1.0, 0.0])
 def test_work_of_the_oracle(m2: float) -> None:
     """Four evaluations a step (readings are shared), three multiplier iterations each, a correction of q and of v."""
@@ -92,6 +96,7 @@ def test_work_of_the_oracle(m2: float) -> None:
     assert c.projection_iterations <= 2.2 * c.steps
 
 
+@pytest.mark.slow
 def test_energy(run: tuple) -> None:
     """The sum of kinetic and potential energy, by hand from the bodies, stays within what RK4 leaves of 25 J."""
     five_bar, r = run
@@ -107,6 +112,7 @@ def test_energy(run: tuple) -> None:
     assert r.counters.energy_error == pytest.approx(np.abs(energy - energy[0]).max(), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_all_reactions(run: tuple) -> None:
     """Eight multipliers, redundant ones included, and all joint forces along 20 s, at the simulated angle and speed."""
     five_bar, r = run

@@ -37,6 +37,7 @@ def simulated(linkage: FlexibleFourBar, h: float, stop: float = 0.05) -> alfmu.R
     return alfmu.simulate(scene(), stop, stop / 10, parameters=given, inputs={"O.torque": linkage.torque})
 
 
+@pytest.mark.slow
 def test_the_reference_is_good_to_1e_9():
     """A tolerance ten times as loose, and for strong damping an implicit method; it closes the loop."""
     assert np.abs(exact(rtol=1e-11) - exact())[:, :2].max() <= 1e-12
@@ -66,6 +67,7 @@ def test_accelerations_and_all_joint_forces_at_random_states(seed):
     assert r["B.moment"] == pytest.approx(linkage.moment(beta, rate), rel=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("linkage", [PLAIN, replace(PLAIN, stiffness=2e4, torque=3.0)], ids=["stiff", "softer, driven"])
 def test_fourth_order_upon_the_fast_oscillation(linkage):
     """0.05 s are 25 periods of the bend: amplitude and phase of it at fourth order, and the slow crank with them."""
@@ -117,6 +119,7 @@ def test_a_strongly_damped_joint_and_its_limit_of_stability():
     assert np.abs(lost["crank.angle"] - exact(STIFF_AND_DAMPED, 0.02)[:, 0]).max() > 1e-2
 
 
+@pytest.mark.slow
 def test_through_an_fmu(tmp_path):
     path = alfmu.export("flexible_four_bar", tmp_path / "flexible_four_bar.fmu")
     assert validate(path) == []

@@ -43,6 +43,7 @@ def carrier(how: str) -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_a_loop_that_flies_falls_as_a_whole() -> None:
     """At every attitude the loop is closed, so that Euler parameters have no part in its rows there."""
     run = alfmu.simulate(carrier("free"), 0.4, 0.1, parameters={"solver.relative_tolerance": 1e-10})
@@ -56,6 +57,7 @@ def test_a_loop_that_flies_falls_as_a_whole() -> None:
     assert np.ptp(run["jqa.angle"]) > 0.1  # the links move in it
 
 
+@pytest.mark.slow
 def test_a_ball_that_carries_a_loop_by_its_coordinates_or_by_those_of_the_body() -> None:
     """Two sets of coordinates, one with constraints for the ball, move alike."""
     runs = [
@@ -67,6 +69,7 @@ def test_a_ball_that_carries_a_loop_by_its_coordinates_or_by_those_of_the_body()
         np.testing.assert_allclose(runs[0][name], runs[1][name], atol=2e-9)
 
 
+@pytest.mark.slow
 def test_a_slide_across_a_row_tells_nothing_of_its_unit() -> None:
     """A telescopic leg beside a rod, opened by 1e-5 m, in a plane that turns: across it the slide is round-off."""
     m = alfmu.Mechanism("leg")

@@ -65,6 +65,7 @@ def test_the_reference_keeps_momentum_and_energy():
 # The equations --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_accelerations_at_random_symmetric_states(seed):
     """Shaft, rods and slider, with all dimensions and loads at random, to 1e-11 of the largest of each."""
@@ -131,6 +132,7 @@ def test_free_bodies_balance_at_random_states_without_symmetry(seed):
 # The motion -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_fourth_order_and_the_exact_motion():
     """0.1 s, in which the springs settle in about 1 ms and the rods begin to rise."""
     errors = []
@@ -145,6 +147,7 @@ def test_fourth_order_and_the_exact_motion():
     assert np.max(errors[-1]) <= 1e-12
 
 
+@pytest.mark.slow
 def test_no_regular_position_is_taken_for_a_singular_one():
     """The shaft turns past pi, where one of its Euler parameters has an extremum and so a small pivot."""
     i = started(scene(), {"solver.method": "rk4", "solver.step_size": 2e-4, "start.angle": 3.0})
@@ -158,6 +161,7 @@ def test_no_regular_position_is_taken_for_a_singular_one():
     assert (i.memory["tally"][1:] == 0).all()  # no step but the quick one
 
 
+@pytest.mark.slow
 def test_energy_and_momentum():
     """Energy as by hand, its loss the work of the dampers; the momentum about the shaft stays to 1e-11."""
     r = simulated(1e-4)
@@ -172,6 +176,7 @@ def test_energy_and_momentum():
     assert np.ptp(momentum) <= 1e-11 * momentum[0]
 
 
+@pytest.mark.slow
 def test_one_second_of_the_benchmark():
     """The slider's height at 0.5 s and 1 s as in the table, at the largest steps that RK4 allows; more than a turn."""
     r = alfmu.simulate(scene(), 1.0, 0.5, parameters={"solver.method": "rk4", "solver.step_size": 3e-4})
@@ -180,6 +185,7 @@ def test_one_second_of_the_benchmark():
     assert r["bearing.angle"][-1] > np.pi
 
 
+@pytest.mark.slow
 def test_stiffness_times_a_hundred_and_loads():
     """Springs of 8e7 N/m; then a torque on the shaft and a force on the slider."""
     stiff = replace(BENCHMARK, stiffness=8e7)
@@ -192,6 +198,7 @@ def test_stiffness_times_a_hundred_and_loads():
     assert r.counters.energy_error <= 1e-6
 
 
+@pytest.mark.slow
 def test_the_limit_of_stability_is_that_of_rk4():
     """2.785 over the largest eigenvalue at the start, 8117 1/s: 3.43e-4 s."""
     largest = np.abs(np.linalg.eigvals(BENCHMARK.slopes(0.0, exact()[0]))).max()
@@ -222,6 +229,7 @@ SWUNG = (
 """Their starts [rad, m, rad/s]."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("given", "start"), list(zip(OVER_THE_AXIS, SWUNG, strict=True)))
 def test_little_inertia_is_no_singular_position(given, start):
     """The shaft turns up to a thousand times as fast for an instant; limits there would be those of another motion."""
@@ -237,6 +245,7 @@ def test_little_inertia_is_no_singular_position(given, start):
 # The FMU, and what is refused -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_through_an_fmu(tmp_path):
     path = alfmu.export("flyball_governor", tmp_path / "flyball_governor.fmu")
     assert validate(path) == []
@@ -248,6 +257,7 @@ def test_through_an_fmu(tmp_path):
     assert np.array_equal(result.values, library.values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "says"),
     [({"stiffness": -1.0}, "stiffness"), ({"l": 0.0}, r"\bl\b"), ({"start.position": np.nan}, "position")],

@@ -37,6 +37,7 @@ def variables(description):
     return {v.name: v for v in description.modelVariables}
 
 
+@pytest.mark.slow
 @each_case
 def test_fmpy_and_alfmu_find_no_problem(exported, name, options):
     path = exported(name, **options)
@@ -44,6 +45,7 @@ def test_fmpy_and_alfmu_find_no_problem(exported, name, options):
     assert validate(path) == []
 
 
+@pytest.mark.slow
 @each_case
 def test_the_fmu_gives_the_numbers_of_the_library_to_the_last_bit(exported, name, options):
     inputs = LOADS.get(name, {"A.torque": 0.3})
@@ -125,9 +127,18 @@ def test_outputs_are_consistent_after_initialisation_and_follow_the_inputs(expor
         assert after["crank.angle"] == before["crank.angle"]
 
 
-@each_case
-def test_state_is_saved_restored_and_serialised_bit_by_bit(exported, name, options):
-    with Fmu(exported(name, **options)) as fmu, Fmu(exported(name, **options)) as other:
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "name", "options"),
+    [
+        *(("python", *case) for case in CASES),
+        *(("native", name, {}) for name in ("five_bar", "particle_on_circle", "flexible_four_bar", "bennett")),
+    ],
+    ids=str,
+)
+def test_state_is_saved_restored_and_serialised_bit_by_bit(fmu_of, kind, name, options):
+    path = fmu_of(name, options, kind=kind)
+    with Fmu(path) as fmu, Fmu(path) as other:
         fmu.initialize()
         for i in range(7):
             fmu.step(0.05, 0.05 * i)
@@ -136,10 +147,10 @@ def test_state_is_saved_restored_and_serialised_bit_by_bit(exported, name, optio
         for i in range(7, 12):
             fmu.step(0.05, 0.05 * i)
             expected.append(fmu.read())
-        fmu.restore(state)
-        other.restore(state)
-        for i, row in zip(range(7, 12), expected, strict=True):
-            for unit in (fmu, other):
+        for unit in (fmu, other):
+            unit.restore(state)
+            assert unit.save() == state
+            for i, row in zip(range(7, 12), expected, strict=True):
                 unit.step(0.05, 0.05 * i)
                 assert np.array_equal(unit.read(), row)
 
@@ -157,6 +168,7 @@ def test_reset_gives_the_defaults_back(exported):
             assert np.array_equal(fmu.read(), new.read())
 
 
+@pytest.mark.slow
 def test_parameters_reach_the_equations(exported):
     for parameters in ({"m2": 0.0}, {"solver.formulation": "classic", "solver.penalty": 1e6}, {"l": 2.0, "g": 1.6}):
         with Fmu(exported("five_bar")) as fmu:
@@ -285,6 +297,7 @@ print("undisturbed")
 """
 
 
+@pytest.mark.slow
 def test_instances_mechanisms_and_versions_in_one_process_do_not_disturb_each_other(exported, tmp_path):
     """Two mechanisms, two versions of one mechanism, each twice, interleaved and one after the other."""
     second = alfmu.export("five_bar", tmp_path / "second.fmu", parameters={"m4": 3.0})
@@ -320,6 +333,7 @@ print(len({each for each in ends if each}))
 """Each unpacked FMU has a library of its own, of which a function is to run when Python ends."""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="as on Linux")
 def test_the_library_of_an_fmu_gives_up_its_interpreter_before_the_process_ends(exported):
     paths = [exported("five_bar"), exported("four_bar")]
@@ -332,6 +346,7 @@ def test_the_library_of_an_fmu_gives_up_its_interpreter_before_the_process_ends(
 # The file -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_same_input_same_bytes_also_from_another_process(exported, tmp_path):
     code = "import sys, alfmu; alfmu.export('five_bar', sys.argv[1])"
     subprocess.run([sys.executable, "-c", code, str(tmp_path / "other.fmu")], check=True, timeout=300)
@@ -339,6 +354,7 @@ def test_same_input_same_bytes_also_from_another_process(exported, tmp_path):
     assert len(digests) == 1
 
 
+@pytest.mark.slow
 def test_other_content_other_guid(exported, tmp_path):
     guids = [fmpy.read_model_description(str(exported("five_bar"))).guid]
     for parameters in ({"m2": 2.0}, {"solver.formulation": "classic"}):
@@ -349,6 +365,7 @@ def test_other_content_other_guid(exported, tmp_path):
         assert uuid.UUID(guid).version == 5
 
 
+@pytest.mark.slow
 def test_defaults_changed_at_export_are_the_defaults_of_the_fmu(tmp_path):
     parameters = {"m4": 3.0, "start.angle": 0.4, "A.torque": 1.5, "solver.max_iterations": 7, "solver.penalty": 1e7}
     path = alfmu.export("five_bar", tmp_path / "x.fmu", parameters={**parameters, "solver.formulation": "classic"})
@@ -451,6 +468,7 @@ def test_the_archive_is_clean_and_complete(exported):
         assert b"no package" in archive.read("documentation/externalDependencies.txt")
 
 
+@pytest.mark.slow
 def test_the_model_says_whose_and_of_when_it_is_and_how_exact_a_run(tmp_path, monkeypatch):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     m = alfmu.Mechanism("credited", author="A. Turner")
@@ -507,6 +525,7 @@ def test_reference_results_are_those_of_the_scene(exported):
     assert listed["slider_crank_validation.exp"] == "experiment/validation"
 
 
+@pytest.mark.slow
 def test_reference_results_may_be_left_out_and_are_where_a_run_ends_early(tmp_path):
     m = alfmu.Mechanism("dead_end")
     x, y = m.coordinate("x", "m", start=1.0, rate=-2.0, independent=True), m.coordinate("y", "m", start=1.0)
@@ -528,6 +547,7 @@ def test_an_fmu_is_exported_without_leaving_modules_or_paths_behind(tmp_path):
     assert not [m for m in set(sys.modules) - modules if m.startswith(("particle_on_circle", "alfmu_particle"))]
 
 
+@pytest.mark.slow
 def test_validation_finds_what_is_wrong(exported, tmp_path):
     broken = tmp_path / "broken.fmu"
     with zipfile.ZipFile(exported("five_bar")) as old, zipfile.ZipFile(broken, "w") as new:

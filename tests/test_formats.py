@@ -32,6 +32,7 @@ def test_accelerations_are_those_of_mujocos_matrices(name: str):
         np.testing.assert_allclose(found, reference, atol=1e-10 * np.abs(reference).max(), rtol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MJCF)
 def test_accelerations_are_those_stored(name: str):
     """Of hinges and slides, at places and rates that are stored too."""
@@ -44,6 +45,7 @@ def test_accelerations_are_those_stored(name: str):
     np.testing.assert_allclose(found, reference, atol=1e-10 * np.abs(reference).max(), rtol=0)
 
 
+@pytest.mark.slow
 def test_sdf_and_mjcf_of_one_mechanism_move_alike():
     runs = [
         alfmu.simulate(alfmu.imported(HERE / f"slider_crank.{kind}").mechanism, 0.5, 0.05,
@@ -85,6 +87,7 @@ def four_bar_energy(crank: float, rate: float) -> tuple[float, float]:
     return T, 9.81 * height
 
 
+@pytest.mark.slow
 def test_urdf_with_a_loop_joint_has_the_energy_of_the_four_bar():
     with pytest.warns(alfmu.AlfmuWarning, match="limits of joints"):
         m = alfmu.load(str(HERE / "four_bar.urdf"))
@@ -100,6 +103,7 @@ def test_urdf_with_a_loop_joint_has_the_energy_of_the_four_bar():
     np.testing.assert_allclose(np.diff(run["monitor.energy"]), np.diff(energies), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_python_text_declares_the_same_mechanism(tmp_path: Path, capsys: pytest.CaptureFixture):
     written = tmp_path / "five.py"
     assert main(["import", str(HERE / "five_bar.xml"), "-o", str(written)]) == 0
@@ -314,6 +318,7 @@ def test_defaults_are_inherited_as_in_mujoco(inertia: str, tmp_path: Path):
     np.testing.assert_allclose(found, reference, atol=1e-9 * np.abs(reference).max())
 
 
+@pytest.mark.slow
 def test_a_recipe_of_a_file_becomes_a_native_fmu(tmp_path: Path):
     (tmp_path / "five_bar.xml").write_text((HERE / "five_bar.xml").read_text())
     recipe = tmp_path / "pair.py"
@@ -396,6 +401,7 @@ HELD = ["0.776902 0.964881 -1.082178", "0.260105 -0.050448 -0.056898", "-0.43677
 those of rotations are nothing but round-off in C."""
 
 
+@pytest.mark.slow
 def test_what_only_round_off_holds_is_not_held(tmp_path: Path):
     path, ball = tmp_path / "held.xml", "0.076559 0.051957 -0.381028"
     slide = '<joint name="j1" type="slide" axis="0.398279 -2.162061 0.014477"/>'

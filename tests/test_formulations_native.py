@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import fmpy
@@ -30,18 +31,10 @@ SOFT = {"solver.penalty": 100.0, "solver.method": "rk4", "solver.step_size": 0.0
 """A penalty with which (5) can be integrated by RK4, and (8) as printed loses two digits in place of eight."""
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Callable[..., Path]:
-    """`built("five_bar")`: the path of that native FMU, made on first use."""
-    folder, made = tmp_path_factory.mktemp("formulations"), {}
-
-    def get(mechanism: str | alfmu.Mechanism, key: str = "", **given) -> Path:
-        name = getattr(mechanism, "name", mechanism) + key
-        if name not in made:
-            made[name] = alfmu.export(mechanism, folder / f"{name}.fmu", kind="native", reference=False, **given)
-        return made[name]
-
-    return get
+@pytest.fixture(scope="session")
+def built(fmu_of) -> Callable[..., Path]:
+    """`built("five_bar")`: the path of that native FMU."""
+    return partial(fmu_of, kind="native", reference=False)
 
 
 def unlike(got, library, motion: bool) -> float:
@@ -72,6 +65,7 @@ BESIDE = 1e-7
 (`monitor.distance`) magnifies differences of the motion by the square of its inverse."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", LIMITS)
 @pytest.mark.parametrize("name", SCENES)
 def test_a_host_chooses_the_formulation_and_has_the_numbers_of_the_oracle(built, name, formulation):
@@ -88,6 +82,7 @@ def test_a_host_chooses_the_formulation_and_has_the_numbers_of_the_oracle(built,
     assert unlike(got, library, motion=False) <= max(read, BESIDE * (name in PASSING))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["classic", "penalty", "stiffness"])
 @pytest.mark.parametrize("name", SCENES)
 def test_with_a_soft_penalty_they_differ_by_round_off(built, name, formulation):
@@ -100,11 +95,12 @@ def test_with_a_soft_penalty_they_differ_by_round_off(built, name, formulation):
     assert unlike(got, library, motion=False) <= (1e-6 if formulation == "classic" else 1e-9)
 
 
+@pytest.mark.slow
 def test_inputs_and_switched_constraints(built):
     """A lock that comes and goes leaves zero rows in (9)."""
     m = alfmu.load("slider_crank")
     m.lock("B")
-    path = built(m, "locked")
+    path = built(m)
     inputs = {"A.torque": lambda t: np.sin(5 * t), "B.locked": lambda t: 0.2 < t < 0.5}
     for formulation in ("dae", "penalty"):
         values = {"solver.formulation": formulation}
@@ -276,6 +272,7 @@ def test_only_rk4_has_every_formulation(tmp_path):
             alfmu.export("particle_on_circle", tmp_path, kind=kind, parameters=both)
 
 
+@pytest.mark.slow
 def test_a_scene_is_exported_with_any_formulation_as_its_default(tmp_path):
     path = alfmu.export("slider_crank", tmp_path, kind="native", parameters={"solver.formulation": "baumgarte"})
     library = alfmu.simulate("slider_crank", 0.5, 0.02, parameters={"solver.formulation": "baumgarte"})
@@ -284,6 +281,7 @@ def test_a_scene_is_exported_with_any_formulation_as_its_default(tmp_path):
     assert unlike(got, library, motion=True) <= 1e-12
 
 
+@pytest.mark.slow
 def test_large_scenes_leave_the_dense_system_out(tmp_path, monkeypatch):
     equations = derived("slider_crank")
     refused = with_defaults(equations, {"solver.formulation": "dae"})

@@ -257,6 +257,7 @@ def cranked() -> tuple[alfmu.Equations, np.ndarray, np.ndarray, list[str]]:
     return alfmu.derive(crank(torque)), times, *exact.run(0.7, 9.0, times)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "tolerance", "bound"), [("auto", 1e-9, 1e-8), ("auto", 1e-6, 5e-5), ("rk4", 1e-6, 5e-5)]
 )
@@ -436,6 +437,7 @@ def four() -> alfmu.Equations:
     return alfmu.derive(four_bar())
 
 
+@pytest.mark.slow
 def test_a_four_bar_is_stuck_until_it_is_freed(four):
     torque, growth = freeing(BEGIN, 1.0), 20.0
     assert freeing(BEGIN, -1.0) < 0 < torque
@@ -485,6 +487,7 @@ def pentagon() -> Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_joints_of_two_freedoms_stick_and_slide_in_turn():
     m = pentagon()
     e = alfmu.derive(m)

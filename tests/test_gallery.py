@@ -223,6 +223,7 @@ def registered(function: Callable[[], alfmu.Mechanism]) -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_the_mechanisms_of_the_gallery_are_names(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(sys.modules, "matplotlib", None)  # which declarations do not take
@@ -238,6 +239,7 @@ def test_the_mechanisms_of_the_gallery_are_names(tmp_path, monkeypatch, capsys):
     assert "did you mean windscreen_wiper?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHECKS)
 def test_a_file_runs_and_its_check_holds(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -71,6 +71,7 @@ def coordinates(method: str, name: str, angle: float, steps: int, h: float) -> n
     return found.values[-1, :, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["l", "m2", "start.angle"])
 @pytest.mark.parametrize(
     ("method", "angle", "steps", "bound"),
@@ -117,6 +118,7 @@ def motion_of_five_bar(numbers: dict[str, complex], times: np.ndarray) -> np.nda
 BY = ["l", "m2", "g", "start.angle", "start.angular_velocity", "A.torque"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("angle", "bound"), [(0.3, 1e-9), (0.0, 1e-8)])
 @pytest.mark.parametrize("method", ["auto", "explicit", "stiff"])
 def test_five_bar_has_the_derivatives_of_its_motion_through_singular_positions(method: str, angle: float, bound: float):
@@ -136,6 +138,7 @@ def test_five_bar_has_the_derivatives_of_its_motion_through_singular_positions(m
         assert np.abs(got - exact).max() <= bound * np.abs(exact).max(), name
 
 
+@pytest.mark.slow
 def test_slider_crank_has_the_derivatives_of_its_motion():
     given = {"l1": 0.5, "l2": 1.0, "b": 0.1, "m1": 1.0, "m2": 0.8, "m3": 1.2, "g": 9.81}
     starts = {"start.angle": 0.3, "start.angular_velocity": 2.0}
@@ -198,6 +201,7 @@ def test_a_lock_and_its_impact_have_derivatives():
         assert np.abs(found.values[-1, :, k] - exact).max() <= 1e-9 * np.abs(exact).max(), name
 
 
+@pytest.mark.slow
 def test_a_frozen_rank_has_derivatives():
     """Bennett's linkage, whose redundant constraints would brake it: by the start against the variational equations of
     its one equation in screws, by a twist against the identity of its two angles."""
@@ -250,6 +254,7 @@ CASES = [  # limits at singular positions, and Newton's method, enlarge round-of
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tape", [32e6, 1e5], ids=["whole", "windows"])
 @pytest.mark.parametrize(("name", "parameters", "by", "bound"), CASES, ids=[f"{c[0]}-{k}" for k, c in enumerate(CASES)])
 def test_forward_and_back_are_the_same_to_round_off(
@@ -369,6 +374,7 @@ def test_inputs_that_move_something_have_derivatives(order: int):
         assert abs(back[name]) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", [["l"], ["l", "m", "g", "start.angle"]])
 def test_a_gradient_is_one_run_and_one_sweep_back_whatever_the_number_of_numbers(by, monkeypatch):
     """What that takes stands in the benchmark."""
@@ -408,6 +414,7 @@ def test_what_has_no_derivatives_is_refused_by_name():
 # FMUs -----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 def test_fmus_have_derivatives_by_parameters_and_start_values_before_the_run(tmp_path, version: int):
     """Those of the library at the start; FMI 3 has them back, too, and both leave the FMU as it is."""

@@ -33,18 +33,13 @@ on_glibc = pytest.mark.skipif(
 kinds = pytest.mark.parametrize("kind", ["native2", "native3", "python2"])
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Callable[..., Path]:
-    """`made("native3", "five_bar", ...)`: the path of that FMU, made on first use."""
-    folder, known = tmp_path_factory.mktemp("hosts"), {}
+@pytest.fixture(scope="session")
+def made(fmu_of) -> Callable[..., Path]:
+    """`made("native3", "five_bar", ...)`: the path of that FMU."""
 
     def get(kind: str, name: str = "five_bar", **parameters) -> Path:
-        key = "_".join([kind, name, *map(str, parameters.values())])
-        if key not in known:
-            given = {f"solver.{each}": value for each, value in parameters.items()}
-            options = {"kind": kind[:-1], "fmi": int(kind[-1]), "parameters": given, "reference": False}
-            known[key] = alfmu.export(name, folder / f"{key}.fmu", **options)
-        return known[key]
+        given = {f"solver.{each}": value for each, value in parameters.items()}
+        return fmu_of(name, kind=kind[:-1], fmi=int(kind[-1]), parameters=given, reference=False)
 
     return get
 
@@ -89,6 +84,7 @@ class Host:
 # Last steps -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @kinds
 @pytest.mark.parametrize("method", ["auto", "rk4", "stiff"])
 @pytest.mark.parametrize(("end", "step"), [(1.0, 0.1), (5.0, 0.02), (10.0, 0.1)])
@@ -113,6 +109,7 @@ def moved_belt() -> alfmu.Mechanism:
     return belt("input")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mechanism", ["slider_crank", "end_stop", driven_crank, moved_belt])
 @pytest.mark.parametrize("method", METHODS)
 def test_steps_of_any_length_are_made(mechanism, method):
@@ -141,6 +138,7 @@ def test_steps_of_any_length_are_made(mechanism, method):
         np.testing.assert_allclose(instance.read()[loads], outputs[loads], rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_master_of_a_system_ends_at_its_stop_time(tmp_path):
     """As OMSimulator does it, which tells units the stop time and makes a last step of what its sum lacks."""
     alfmu.System.load(drive(tmp_path)).export(tmp_path / "drive.ssp")
@@ -219,6 +217,7 @@ def by_another_process(code: str, **environment: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 @on_glibc
 @kinds
 def test_a_host_that_unmasks_traps_lives_and_keeps_them(made, kind):
@@ -306,6 +305,7 @@ def test_a_time_of_32_bits_is_followed_and_told_once(made, kind, caplog):
 # Looks ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "rk4", "stiff"])
 @pytest.mark.parametrize("name", ["five_bar", "slider_crank"])
 def test_looks_into_steps_change_no_bit(made, name, method):
@@ -347,6 +347,7 @@ print("|".join(host.log))
 """
 
 
+@pytest.mark.slow
 def test_numbers_in_messages_have_a_point_wherever_the_host_is(made, tmp_path):
     if not shutil.which("localedef") or not Path("/usr/share/i18n/locales/de_DE").is_file():
         pytest.skip("there is nothing to make a locale of")
@@ -357,6 +358,7 @@ def test_numbers_in_messages_have_a_point_wherever_the_host_is(made, tmp_path):
     assert "a step from t = 0.125 s is asked for" in said
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="it is about glibc")
 def test_libraries_run_where_glibc_is_old():
     """The newest version among their symbols, also by what stands in their tables of strings."""

@@ -342,6 +342,7 @@ def test_tangents_are_the_derivatives_of_the_accelerations(name):
 FOUR_BAR = Parallelogram(m4=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rule", "bound"), [(EXPLICIT5, 3.0), (EXPLICIT8, 3.0), (RADAU9, 3.0)])
 def test_a_driven_four_bar_passes_singular_positions_within_the_tolerance(rule, bound):
     run = 1e-6

@@ -35,18 +35,13 @@ STENCIL = {-2: 1 / 12, -1: -8 / 12, 1: 8 / 12, 2: -1 / 12}
 """Of a central difference of order 4."""
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Callable[..., Path]:
-    """`built("five_bar", "native", 2)`: an FMU with its interface Jacobian, made on first use."""
-    folder, made = tmp_path_factory.mktemp("jacobian"), {}
+@pytest.fixture(scope="session")
+def built(fmu_of) -> Callable[..., Path]:
+    """`built("five_bar", "native", 2)`: an FMU with its interface Jacobian."""
 
     def get(name: str, kind: str, fmi: int, **given) -> Path:
-        key = f"{name}_{kind}_{fmi}_{'_'.join(given)}"
-        if key not in made:
-            outputs = ["*", *(f"{output}/*" for output in OUTPUTS[name])]
-            how = {"kind": kind, "fmi": fmi, "outputs": outputs, "reference": False, **given}
-            made[key] = alfmu.export(name, folder / f"{key}.fmu", **how)
-        return made[key]
+        outputs = ["*", *(f"{output}/*" for output in OUTPUTS[name])]
+        return fmu_of(name, **{"kind": kind, "fmi": fmi, "outputs": outputs, "reference": False, **given})
 
     return get
 
@@ -100,6 +95,7 @@ def compared(
 # In FMUs --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["rk4", "auto"])
 @pytest.mark.parametrize(("kind", "fmi"), KINDS, ids=[f"{kind}-{fmi}" for kind, fmi in KINDS])
 @pytest.mark.parametrize("name", OUTPUTS)
@@ -115,6 +111,7 @@ def test_in_an_fmu_it_is_that_of_steps_that_are_taken_back(built, name, kind, fm
         assert len(entries(fmu)) == 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "fmi"), KINDS, ids=[f"{kind}-{fmi}" for kind, fmi in KINDS])
 def test_the_description_is_good(built, kind, fmi):
     path = built("slider_crank", kind, fmi)
@@ -213,6 +210,7 @@ def test_other_derivatives_of_it_are_zero_or_refused(built, version):
     unit.freeInstance()
 
 
+@pytest.mark.slow
 def test_without_it_nothing_is_there(tmp_path):
     """Patterns of other outputs match none of it; the file of the scene, and the state, are those without; with it, the
     motion is the same to the last bit."""
@@ -281,6 +279,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("what", "outputs", "given", "how"), CASES, ids=[str(k) for k in range(len(CASES))])
 def test_it_is_that_of_steps_that_are_taken_back(what, outputs, given, how):
     """Inputs that are extrapolated, that have a slope, that move something; implicit and explicit methods, redundant
@@ -292,6 +291,7 @@ def test_it_is_that_of_steps_that_are_taken_back(what, outputs, given, how):
     assert compared(unit, **{"h": 0.05, "steps": 8, **how}).max() <= 1e-8
 
 
+@pytest.mark.slow
 def test_a_step_in_which_a_lock_engages_and_one_in_which_it_lets_go():
     unit = Instance(driven(), outputs=["*", "link*.angular_velocity/*", "motor.current/*"])
     unit.set("solver.relative_tolerance", 1e-11)
@@ -308,6 +308,7 @@ def test_a_step_in_which_a_lock_engages_and_one_in_which_it_lets_go():
     assert max(sizes[3:6]) < 1e-6 * sizes[0]  # nothing moves in between
 
 
+@pytest.mark.slow
 def test_a_step_of_any_length_takes_the_memory_of_one():
     """A million numbers of tape would be thousands of steps; it is that of short steps, one after the other."""
     unit = Instance("slider_crank", outputs=["*", "crank.angle/A.torque"])
@@ -330,6 +331,7 @@ def peak() -> int:
     return int(re.search(r"VmHWM:\s+(\d+)", status.read_text())[1])
 
 
+@pytest.mark.slow
 def test_a_step_without_derivative_is_refused_and_leaves_the_state():
     """The root of an input at zero; and a rank that is not sure, where the five-bar passes a singular position by a
     formulation that does not look out for it."""
@@ -368,6 +370,7 @@ def test_a_step_without_derivative_is_refused_and_leaves_the_state():
         through_the_singular_position()
 
 
+@pytest.mark.slow
 def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
     for pattern, says in (
         (
@@ -398,6 +401,7 @@ def test_what_is_not_there_is_refused_by_name(tmp_path, capsys):
     assert not (tmp_path / "x.fmu").exists()
 
 
+@pytest.mark.slow
 def test_of_forces_that_may_jump_it_says_so(caplog):
     with caplog.at_level(logging.WARNING, "alfmu"):
         Instance("end_stop", outputs=["*"])
@@ -406,6 +410,7 @@ def test_of_forces_that_may_jump_it_says_so(caplog):
     assert sum("leave out what a jump adds" in each.message for each in caplog.records) == 1
 
 
+@pytest.mark.slow
 def test_recipes_commands_and_runs_have_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("arm.py").write_text(
@@ -454,6 +459,7 @@ def test_units_of_quotients(one, other, name):
 # Directional derivatives ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [2, 3])
 @pytest.mark.parametrize("name", OUTPUTS)
 def test_every_output_has_its_derivatives_by_every_parameter_start_value_and_input(tmp_path, name, version):
@@ -546,6 +552,7 @@ def test_inputs_that_move_something_move_the_start(tmp_path, kind, version):
     unit.freeInstance()
 
 
+@pytest.mark.slow
 def test_an_fmu_of_kind_python_claims_no_directional_derivatives(built):
     """pythonfmu's library answers the call with an error, and asks no Python code."""
     unit, description = slave_of(built("five_bar", "python", 2), 2)

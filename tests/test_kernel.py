@@ -38,6 +38,7 @@ def pair(name, options, parameters, kernel="vm") -> tuple[alfmu.Instance, alfmu.
     return both
 
 
+@pytest.mark.slow
 @each_kernel
 @each_scene
 def test_one_step_and_what_is_read_equal_the_oracle_on_random_states(name, options, parameters, kernel):
@@ -125,6 +126,7 @@ def test_many_internal_steps_in_one_call_are_those_steps_to_the_last_bit(steps, 
     assert np.array_equal(one.state, many.state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["vm", "compiled"])
 @pytest.mark.parametrize("start", [{}, {"start.angle": -1.5, "start.angular_velocity": 2.0}])
 @pytest.mark.parametrize(("way", "h", "stages"), [("rk4", 0.02, 4), ("auto", 0.005, 6)])
@@ -336,6 +338,7 @@ def test_an_unknown_kernel_is_refused():
         alfmu.simulate("five_bar", 1.0, 0.1, kernel="magic")
 
 
+@pytest.mark.slow
 def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
     from alfmu.fmi.drive import Fmu
     from alfmu.simulation import run
@@ -348,6 +351,7 @@ def test_the_fmu_runs_the_kernel_it_was_exported_with(exported, tmp_path):
         assert np.array_equal(result.values, library.values)
 
 
+@pytest.mark.slow
 def test_a_long_communication_step_is_many_short_ones():
     """More internal steps than are looked at in one stretch, the kernel's and the oracle's: the same motion."""
     ends = []
@@ -365,6 +369,7 @@ def test_a_long_communication_step_is_many_short_ones():
     assert np.abs(ends[1] - ends[2]).max() < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["flyball_governor", "flexible_four_bar", "end_stop"])
 def test_stiff_scenes_run_by_the_kernel_as_by_the_oracle(name):
     """Forty of their own short steps, to 1e-12 of the largest place or angle."""

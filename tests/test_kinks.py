@@ -119,6 +119,7 @@ def pressed(unit: alfmu.Instance) -> alfmu.Instance:
     return unit
 
 
+@pytest.mark.slow
 def test_auto_goes_over_to_implicit_steps_where_a_contact_is_stiff():
     """By explicit steps alone 20 million evaluations."""
     automatic = pressed(alfmu.Instance("end_stop"))
@@ -180,6 +181,7 @@ def test_auto_goes_over_to_implicit_steps_where_parameters_make_a_scene_stiff(de
     assert np.max(np.abs(ends[0] - ends[1])) < 1e-6
 
 
+@pytest.mark.slow
 def test_a_state_has_which_steps_are_made():
     unit = pressed(alfmu.Instance("end_stop"))
     for _ in range(10):
@@ -238,6 +240,7 @@ def test_scenes_that_never_become_stiff_carry_no_implicit_step(name):
     assert "stiff" not in kernel
 
 
+@pytest.mark.slow
 def test_implicit_steps_whose_multipliers_need_more_iterations_are_no_less_stable():
     """A governor of other masses: few iterations do not suit it, and explicit steps on the branch took 235 of 246."""
     unit = alfmu.Instance("flyball_governor")
@@ -254,6 +257,7 @@ def test_implicit_steps_whose_multipliers_need_more_iterations_are_no_less_stabl
     assert tally["beside"] == 0
 
 
+@pytest.mark.slow
 def test_positions_that_masses_alone_make_look_singular_are_passed():
     """A governor with light balls and a heavy slider, by implicit steps: those on the branch fail in its place."""
     values = {"l": 1.345, "width": 0.009311, "density": 18830.0, "m_ball": 0.743, "m_slider": 7.403, "side": 0.04529}

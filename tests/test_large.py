@@ -44,6 +44,7 @@ def row(off: float = 0.0, *, braced: bool = False, dangling: bool = False, both:
     return alfmu.derive(m)
 
 
+@pytest.mark.slow
 def test_loops_are_closed_as_near_as_small_ones() -> None:
     """From guesses 5 cm off, to round-off, by corrections of least norm as NumPy's singular values give them."""
     e = row(0.05)
@@ -60,6 +61,7 @@ def test_loops_are_closed_as_near_as_small_ones() -> None:
     assert i.v == pytest.approx(np.tile([np.sin(1.1), -np.cos(1.1)], LOOPS + 1), abs=1e-11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("braced", "redundant"), [(False, 0), (True, 1)])
 def test_mobility_of_many(braced: bool, redundant: int) -> None:
     """By pivots: one degree of freedom, and the rod that is there twice."""
@@ -67,23 +69,27 @@ def test_mobility_of_many(braced: bool, redundant: int) -> None:
     assert (mobility.freedom, mobility.redundant, mobility.freedom_here) == (1, redundant, 1)
 
 
+@pytest.mark.slow
 def test_all_loops_may_part_where_they_are_in_line() -> None:
     """At a singular position C tells so: every loop may leave its parallelogram."""
     assert started(derived("n_four_bar", loops=LOOPS), {"start.angle": 0.0}).mobility().freedom_here == LOOPS + 1
 
 
+@pytest.mark.slow
 def test_start_values_that_contradict_each_other_in_many_coordinates() -> None:
     said = r"row: the loops .* gap of 0\.0\d+ m at (crank|coupler)\d+\.length; give fewer"
     with pytest.raises(alfmu.AssemblyError, match=said):
         started(row(both=True))
 
 
+@pytest.mark.slow
 def test_a_motion_without_mass_is_refused_among_many() -> None:
     """A light rod at the end of the row swings, and nothing holds it: across itself, along y."""
     with pytest.raises(alfmu.AssemblyError, match="row: the motion along yd has no mass and no constraint"):
         started(row(dangling=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["python", "native"])
 def test_large_scenes_in_every_kind_of_fmu(kind, tmp_path) -> None:
     """153 coordinates: a valid FMU, the motion of the one degree of freedom, the numbers of the library."""

@@ -204,6 +204,7 @@ def test_simulate_takes_a_mechanism_a_file_a_name_an_fmu_a_recipe_and_equations(
     assert runs[5].units["rod.angle"] == "rad"
 
 
+@pytest.mark.slow
 def test_simulate_takes_the_names_of_recipes_and_the_options_of_an_fmu(exported):
     r = alfmu.simulate("five_bar_reactions", 0.1)
     assert [name for name in r if name.startswith("link")] == [f"link{k}.angle" for k in (1, 2, 3, 4)]
@@ -231,6 +232,7 @@ def test_settings_are_variables_and_nothing_else():
             alfmu.simulate("four_bar", 0.1, parameters={given: 1e-3})
 
 
+@pytest.mark.slow
 def test_a_setting_is_the_same_however_it_is_given(exported):
     given = {"solver.method": "explicit", "solver.relative_tolerance": 1e-9, "m2": 3.0}
     by_parameters = alfmu.simulate("four_bar", 1.0, 0.1, parameters=given)
@@ -306,6 +308,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_a_mechanism_that_changes_between_runs_is_traced_again(change, traces):
     m = pendulum()
@@ -319,6 +322,7 @@ def test_a_mechanism_that_changes_between_runs_is_traced_again(change, traces):
     assert after.values.tobytes() != before.values.tobytes()
 
 
+@pytest.mark.slow
 def test_what_a_scene_is_traced_with_is_not_shared(traces):
     m = pendulum()
     frozen = [alfmu.simulate(m, 0.5, 0.05, parameters={"l": l}, freeze=["l"]) for l in (1.0, 2.0)]
@@ -361,6 +365,7 @@ def test_equations_that_differ_in_numbers_alone_are_traced_once(traces):
         assert packed(prepare.prepared(prepare.with_defaults(derivation.derive(m), values))) == scene != shared[0]
 
 
+@pytest.mark.slow
 def test_only_the_latest_mechanisms_are_kept(traces):
     for k in range(MOST + 2):
         m = pendulum()
@@ -369,6 +374,7 @@ def test_only_the_latest_mechanisms_are_kept(traces):
     assert len(reuse._KEPT) == MOST
 
 
+@pytest.mark.slow
 def test_only_the_latest_scenes_of_a_mechanism_are_kept(traces):
     m, count = pendulum(), MOST + 2
     for k in range(count):
@@ -383,6 +389,7 @@ def test_only_the_latest_scenes_of_a_mechanism_are_kept(traces):
 # Texts and lists ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_every_repr_is_a_short_line():
     m = alfmu.load("five_bar")
     bennett = alfmu.load("bennett")

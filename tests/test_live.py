@@ -27,6 +27,8 @@ from alfmu.simulation import run
 from alfmu.view import live, plane
 from alfmu.view.picture import geometry
 
+pytestmark = pytest.mark.slow
+
 LARGEST = 1_500_000
 """Of a page [bytes]."""
 

@@ -50,6 +50,7 @@ def stopped(y: np.ndarray) -> tuple[np.ndarray, float, float]:
     return np.array([a, b, w, w]), (M @ (after - before))[1], (before @ M @ before - after @ M @ after) / 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["oracle", "vm"])
 def test_a_double_pendulum_is_one_pendulum_while_its_elbow_is_locked(kernel):
     y = swung(np.array([0.3, 0.8, 1.0, -3.0]), 0.0, LOCKED)
@@ -87,6 +88,7 @@ def test_a_locked_elbow_by_default(communication_step):
     assert np.abs(np.array(got) - exact).max() <= 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
 def test_every_coordinate_set_stops_alike(coordinates):
     """A slider-crank locked at B stands still: the lock takes all kinetic energy, and holds the weight from then on."""
@@ -111,6 +113,7 @@ def test_every_coordinate_set_stops_alike(coordinates):
     assert i.get("B.impulse") * rate == pytest.approx(-float(momentum @ v), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_redundant_locks_share_the_impulse_and_change_nothing():
     """Parallel four-bar: its lock at B and a brake on link 3 each stop it; both together share.
 
@@ -156,6 +159,7 @@ def test_redundant_locks_share_the_impulse_and_change_nothing():
     assert np.ptp(places, axis=0).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_a_lock_from_the_start_and_a_joint_that_is_open_from_the_start():
     m = alfmu.load("five_bar")
     m.lock("B")
@@ -178,6 +182,7 @@ def test_a_lock_from_the_start_and_a_joint_that_is_open_from_the_start():
     assert open_.q[6] == pytest.approx(y + 0.2 * v - G * 0.02, abs=1e-12)  # link 4 falls
 
 
+@pytest.mark.slow
 def test_released_and_locked_through_fmpy_as_in_the_library(tmp_path):
     m = alfmu.load("five_bar")
     m.lock("B")
@@ -209,6 +214,7 @@ def test_released_and_locked_through_fmpy_as_in_the_library(tmp_path):
     assert moved[12:20].max() < 1e-13
 
 
+@pytest.mark.slow
 def test_what_is_open_cannot_be_closed_and_nothing_is_lost(tmp_path):
     m = alfmu.load("five_bar")
     m.release("E")
@@ -253,6 +259,7 @@ def test_a_step_that_is_refused_undoes_its_event():
     assert i.get("monitor.energy_lost") > 0.0
 
 
+@pytest.mark.slow
 def test_a_massless_link_cannot_lose_what_holds_it():
     m = alfmu.load("five_bar")
     m.release("E")
@@ -305,6 +312,7 @@ def test_bad_switches_are_refused():
         alfmu.derive(natural)
 
 
+@pytest.mark.slow
 def test_any_displacement_can_be_locked():
     m = alfmu.load("bennett")
     hinge = m.coordinates[2].q
@@ -320,6 +328,7 @@ def test_any_displacement_can_be_locked():
     assert energy - i.get("monitor.energy") == pytest.approx(i.get("monitor.energy_lost"), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_scene_without_switches_carries_none_of_it():
     plain, locked = (alfmu.load("four_bar") for _ in range(2))
     locked.lock("B")

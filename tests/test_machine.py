@@ -67,6 +67,7 @@ def known() -> alfmu.Result:
     return alfmu.simulate(machine(), outputs=outputs, parameters=EXPLICIT)
 
 
+@pytest.mark.slow
 def test_the_machine_works(known):
     """The rack runs into its stop, the cam lifts the lever, and no energy is lost on the way."""
     assert known["buffer.penetration"].max() > 1e-3
@@ -77,6 +78,7 @@ def test_the_machine_works(known):
     assert np.abs(lost).max() < 1e-5 * np.ptp(known["monitor.energy"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["python", "native"])
 def test_both_kinds_of_fmu_give_the_same(known, kind: str, tmp_path: Path):
     recipe = Recipe(machine(), kind=kind, outputs=WATCHED, parameters=EXPLICIT, reference=False)

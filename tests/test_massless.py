@@ -18,6 +18,7 @@ PARALLELOGRAMS = [
 ] + [("five_bar", ("m1", "m2", "m3")), ("five_bar", ("m2", "m4"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "massless"), PARALLELOGRAMS, ids=str)
 def test_every_link_of_the_parallelograms_can_be_massless(name, massless):
     """Over 2 s, past a singular position: order 4 against the exact motion, and joints that balance."""
@@ -47,6 +48,7 @@ def test_every_link_of_the_parallelograms_can_be_massless(name, massless):
     assert i.get("A.force.y") + i.get("D.force.y") == pytest.approx(momentum + 9.81 * total, abs=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("massless", [("m1",), ("m2",), ("m3",), ("m2", "m3"), ("m1", "m3")], ids=str)
 @pytest.mark.parametrize("coordinates", ["absolute", "mixed"])
 def test_every_link_of_the_slider_crank_can_be_massless(coordinates, massless):
@@ -78,6 +80,7 @@ def test_every_link_of_the_slider_crank_can_be_massless(coordinates, massless):
     assert errors[0] > 8 * errors[1]  # order 4
 
 
+@pytest.mark.slow
 def test_a_massless_link_in_an_fmu(exported):
     given = {"m1": 0.0, "m4": 0.0, "start.angle": 0.4}
     with Fmu(exported("five_bar")) as fmu:
@@ -86,6 +89,7 @@ def test_a_massless_link_in_an_fmu(exported):
     assert np.array_equal(through_fmi.values, library.values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options", "massless", "named"),
     [

@@ -271,6 +271,7 @@ def reported() -> dict[str, np.ndarray]:
     return {name: np.array(x) for name, x in found.items()}
 
 
+@pytest.mark.slow
 def test_iterations_that_the_paper_reports(reported: dict) -> None:
     """1 to 3 iterations for |da| <= 1e-15 (alpha = 1e6) are not seen in double precision; what is seen instead.
 
@@ -288,6 +289,7 @@ def test_iterations_that_the_paper_reports(reported: dict) -> None:
     assert reported["after three"].max() < 1e-8
 
 
+@pytest.mark.slow
 def test_corrections_that_the_paper_reports(reported: dict) -> None:
     """At most two corrections for |Phi| and |Phi-dot| <= 1e-15 after a step of 0.02 s: seen, but for round-off of v."""
     Phi, rate = reported["Phi"], reported["Phi-dot"]

@@ -33,6 +33,7 @@ def chosen(name: str, method: str, kernel: str = "vm", **given: float | str) -> 
     return i
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["explicit", "stiff"])
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9])
 def test_the_tolerance_is_held_through_singular_positions(method, tolerance):
@@ -63,6 +64,7 @@ def test_the_distance_of_places_has_a_wide_margin(factor):
     assert i.counters.refused <= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["explicit", "stiff"])
 def test_the_tolerance_is_held_on_the_slider_crank(method):
     times = np.linspace(0.0, 2.0, 5)
@@ -85,6 +87,7 @@ def test_short_communication_steps_do_not_restart_the_control():
     assert far.counters.steps <= 80
 
 
+@pytest.mark.slow
 def test_order_8_at_fixed_steps():
     """Five-bar, 2 s from a regular start: 1e-7 rad at 0.1 s, and order 8 down to round-off."""
     linkage = Parallelogram()
@@ -104,6 +107,7 @@ def test_order_8_at_fixed_steps():
     assert errors[2] < 2e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "bound"), [(0.1, 1e-7), (0.02, 1e-12)])
 def test_order_8_over_the_run_of_the_paper(step, bound):
     """Five-bar, 20 s from its singular start: 1e-7 rad at 0.1 s, 1e-12 at 0.02 s, where round-off is what is left."""
@@ -116,6 +120,7 @@ def test_order_8_over_the_run_of_the_paper(step, bound):
     assert i.counters.steps == round(20 / step)
 
 
+@pytest.mark.slow
 def test_masses_a_million_apart_at_default_settings():
     """Flywheel of 1000 kg, rod of 1 g, ram of 10 kg, 5 s out of reach of the stop (`test_end_stop` has impacts)."""
     away = EndStop(stop=10.0)
@@ -137,6 +142,7 @@ def test_the_index_3_form_is_of_order_two_in_a_run(method):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_inputs_extrapolated_inside_a_communication_step_keep_the_order():
     """A smooth torque sampled at communication points: order 1 where it is held, 2 and 3 where it is extrapolated."""
     observed = []
@@ -165,6 +171,7 @@ def test_a_saved_state_goes_on_to_the_last_bit(method):
     assert np.array_equal(other.read(), i.read())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["explicit", "stiff"])
 def test_through_fmpy_as_in_the_library(tmp_path, method):
     path = alfmu.export("slider_crank", tmp_path / "s.fmu", parameters={"solver.method": method})
@@ -176,6 +183,7 @@ def test_through_fmpy_as_in_the_library(tmp_path, method):
     assert np.array_equal(through_fmi.values, library.values)
 
 
+@pytest.mark.slow
 def test_the_tolerance_of_fmi_is_honoured(tmp_path):
     path = alfmu.export("four_bar", tmp_path / "f.fmu", parameters={"solver.method": "explicit"})
     exact = FOUR_BAR.swing(0.0, 2.0, np.array([0.0, 2.0]))[1, 0]
@@ -189,6 +197,7 @@ def test_the_tolerance_of_fmi_is_honoured(tmp_path):
     assert errors[0] > 10 * errors[1]
 
 
+@pytest.mark.slow
 def test_only_a_scene_that_asks_carries_a_method(tmp_path):
     plain = alfmu.export("four_bar", tmp_path / "plain.fmu", parameters={"solver.method": "rk4"})
     stiff = alfmu.export("four_bar", tmp_path / "stiff.fmu", parameters={"solver.method": "stiff"})
@@ -200,6 +209,7 @@ def test_only_a_scene_that_asks_carries_a_method(tmp_path):
             fmu.initialize()
 
 
+@pytest.mark.slow
 def test_auto_says_what_it_chose_and_why(capsys):
     from alfmu.cli import main
 
@@ -213,6 +223,7 @@ def test_auto_says_what_it_chose_and_why(capsys):
     assert "method of integration: explicit: the fastest small motion" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_refused():
     with pytest.raises(alfmu.InputError, match=r"solver\.method is 'euler'; use one of rk4, order8"):
         with_defaults(derived("four_bar"), {"solver.method": "euler"})
@@ -239,6 +250,7 @@ def test_a_tolerance_that_cannot_be_met_is_said():
     i.step(0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("tolerance", "most", "bound"), [(1e-4, 250, 3e-6), (1e-8, 700, 1e-8)])
 def test_the_governor_in_few_steps(tolerance, most, bound):
     """Slider of the flyball governor (IFToMM A05) after 10 s, springs 8e5 N/m with 4e4 N.s/m: explicit methods need
@@ -250,6 +262,7 @@ def test_the_governor_in_few_steps(tolerance, most, bound):
     assert i.counters.steps <= most
 
 
+@pytest.mark.slow
 def test_a_stiffer_governor_takes_no_more_steps():
     """Stiffness 100 times: at most 1.2 times the steps, and as exact."""
     counts = []

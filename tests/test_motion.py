@@ -179,6 +179,7 @@ def test_every_formulation_follows_the_law(formulation):
     assert found["A.torque"] == pytest.approx(torque_of_swing(found.time, 4, 0.4), abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bars", [4, 5])
 def test_the_torque_of_a_motion_gives_that_motion_back(bars):
     """Through both singular positions, by a series fitted to the torque at communication points, those two included."""
@@ -200,6 +201,7 @@ def test_the_torque_of_a_motion_gives_that_motion_back(bars):
     assert before < 0 < math.pi < swing(end) + before  # both singular positions are passed
 
 
+@pytest.mark.slow
 def test_two_motors_on_one_freedom_share_the_load_and_say_so():
     e = by_rk4(linkage(swing, motors="AD"))
     found = alfmu.simulate(e, 0.5, 0.02)
@@ -909,6 +911,7 @@ def test_a_jump_fails_the_step_of_an_fmu_with_its_size(tmp_path, kind, version):
     assert result["bar.angle"] == pytest.approx(0.5 * result["time"], abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "version"), [("python", 2), ("native", 2), ("native", 3)])
 def test_through_fmpy_as_in_the_library(tmp_path, kind, version):
     path = alfmu.export(two_motors(), tmp_path / "arm.fmu", kind=kind, fmi=version)
@@ -930,6 +933,7 @@ def test_through_fmpy_as_in_the_library(tmp_path, kind, version):
     assert result["upper.angle"] == pytest.approx(swing(result["time"]), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_input_derivatives_of_fmi_2_are_the_rate_of_a_signal(tmp_path):
     path = alfmu.export(crank(None), tmp_path / "crank.fmu", kind="native")
     errors = []
@@ -987,6 +991,7 @@ def test_reactions_feel_the_motion_of_a_joint_that_closes_a_loop_in_space():
         assert moved[f"A.moment.{axis}"] == pytest.approx(locked[f"A.moment.{axis}"], rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on", ["joint", "coordinate"])
 def test_a_motion_begins_the_angle_of_a_pose_that_its_hinge_turns(on):
     """A parallelogram of torn-off bars begins aligned, which is singular: guesses follow the angle, and so do rates."""

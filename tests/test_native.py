@@ -9,6 +9,7 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -16,7 +17,7 @@ import fmpy
 import numpy as np
 import pytest
 from fmpy.validation import validate_fmu
-from scenes import by_rk4, derived, double_pendulum, sampled
+from scenes import by_rk4, cusp, derived, double_pendulum, sampled
 
 import alfmu
 from alfmu.cli import main
@@ -44,18 +45,10 @@ each_case = pytest.mark.parametrize(("name", "options"), CASES, ids=["_".join([n
 by_a_compiler = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
 
 
-@pytest.fixture(scope="module")
-def built(tmp_path_factory) -> Callable[..., Path]:
-    """`built("five_bar", ...)`: the path of that native FMU, made on first use."""
-    folder, made = tmp_path_factory.mktemp("native"), {}
-
-    def get(mechanism, key="", options=None, **given):
-        name = "_".join([getattr(mechanism, "name", mechanism), key, *(options or {}).values()])
-        if name not in made:
-            made[name] = alfmu.export(mechanism, folder / f"{name}.fmu", options=options, kind="native", **given)
-        return made[name]
-
-    return get
+@pytest.fixture(scope="session")
+def built(fmu_of) -> Callable[..., Path]:
+    """`built("five_bar", ...)`: the path of that native FMU."""
+    return partial(fmu_of, kind="native")
 
 
 def state_of(fmu: Fmu, layout: Layout) -> np.ndarray:
@@ -76,11 +69,12 @@ def same(got, library) -> bool:
 # Numbers --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @each_case
 def test_the_numbers_of_the_library(built, name, options):
     """To the last bit, as both are one: at the start, in all that evolves, and in every output."""
     equations = prepared(derived(name, **options))
-    stop, step = (0.5 if name == "flyball_governor" else 10.0), max(equations.step_size, 0.02)
+    stop, step = (0.1 if name == "flyball_governor" else 3.0), max(equations.step_size, 0.02)
     instance = alfmu.Instance(equations)
     instance.initialize()
     with Fmu(built(name, options=options)) as fmu, Fmu(built(name, options=options)) as other:
@@ -99,10 +93,11 @@ METHODS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method"), METHODS)
 def test_methods_of_integration_give_the_numbers_of_the_library(built, name, method):
     """To the last bit; FMI's tolerance is heard by those that control their error."""
-    path, stop, results = built(name, method, parameters={"solver.method": method}), 0.2, {}
+    path, stop, results = built(name, parameters={"solver.method": method}), 0.2, {}
     for tolerance in (1e-8, 1e-4):
         chosen = {"solver.method": method, "solver.relative_tolerance": tolerance}
         library = alfmu.simulate(name, stop, 0.1, parameters=chosen)  # long enough that error control decides
@@ -124,6 +119,7 @@ def test_methods_of_integration_give_the_numbers_of_the_library(built, name, met
 some_cases = pytest.mark.parametrize("name", ["five_bar", "particle_on_circle", "flexible_four_bar", "bennett"])
 
 
+@pytest.mark.slow
 @some_cases
 def test_validation_finds_nothing(built, name):
     path = built(name)
@@ -131,6 +127,7 @@ def test_validation_finds_nothing(built, name):
     assert validate(path) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["five_bar", "slider_crank", "particle_on_circle", "flexible_four_bar", "end_stop"])
 def test_variables_are_those_of_the_python_fmu(built, exported, name):
     described = [fmpy.read_model_description(str(path)) for path in (built(name), exported(name))]
@@ -172,6 +169,7 @@ SCENES = {
 """Of a five-bar that is more than its defaults: inputs and values."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 def test_everything_that_a_scene_asks_for(built, scene):
     inputs, values = SCENES[scene]
@@ -184,15 +182,16 @@ def test_everything_that_a_scene_asks_for(built, scene):
     if scene == "compliances":
         m.compliances()
         values = {v.name: 1e-6 for v in alfmu.derive(m).compliances} | values
-    with Fmu(built(m, scene if scene in ("locks", "compliances") else "")) as fmu:
+    with Fmu(built(m)) as fmu:
         got = run(fmu, 2.0, 0.04, inputs, values)
     library = alfmu.simulate(alfmu.derive(m), 2.0, 0.04, inputs=inputs, parameters=values)
     assert same(got, library)
 
 
+@pytest.mark.slow
 def test_what_is_left_out_and_frozen(built):
     given = {"outputs": ["link*.angle", "monitor.energy"], "freeze": ["all"], "parameters": {"m2": 0.5}}
-    with Fmu(built("five_bar", "frozen", **given)) as fmu:
+    with Fmu(built("five_bar", **given)) as fmu:
         got = run(fmu, 1.0, 0.02)
     assert got.names == (*(f"link{k}.angle" for k in (1, 2, 3, 4)), "monitor.energy", "A.torque", "D.torque")
     assert same(got, alfmu.simulate("five_bar", 1.0, 0.02, **given))
@@ -201,6 +200,7 @@ def test_what_is_left_out_and_frozen(built):
 # Steps that cannot be made --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_step_is_refused_in_the_words_of_the_library_and_nothing_is_lost(built):
     instance = alfmu.Instance(prepared(by_rk4("four_bar")))
     with Fmu(built("four_bar")) as fmu:
@@ -224,29 +224,29 @@ def test_a_step_is_refused_in_the_words_of_the_library_and_nothing_is_lost(built
         assert fmu.read().tobytes() == instance.read().tobytes()
 
 
-def test_a_motion_that_ends_is_locked_up(built):
-    """A point on y^2 = x^3 comes to the cusp at 0.7986 s."""
-    m = alfmu.Mechanism("cusp")
-    x = m.coordinate("x", "m", start=1.0, rate=-1.0, independent=True)
-    y = m.coordinate("y", "m", start=1.0)
-    m.kinetic_energy((m.rate(x) ** 2 + m.rate(y) ** 2) / 2)
-    m.constraint("curve", y**2 - x**3, "m")
-    m.output("place", x, "m")
+@pytest.mark.slow
+def test_a_motion_that_ends_is_locked_up(fmu_of):
+    """The library, and FMUs of both kinds, alike."""
     given = {"solver.method": "rk4", "solver.step_size": 0.005}
-    instance = alfmu.Instance(prepared(alfmu.derive(m)))
-    instance.set("solver.method", "rk4")
-    instance.set("solver.step_size", 0.005)
-    with Fmu(built(m, parameters=given)) as fmu:
+    instance = alfmu.Instance(prepared(alfmu.derive(cusp())))
+    for name, value in given.items():
+        instance.set(name, value)
+    paths = [fmu_of(cusp(), kind=kind, parameters=given) for kind in ("native", "python")]
+    with Fmu(paths[0]) as fmu, Fmu(paths[1]) as slave:
         said = []
-        for unit in (instance, fmu):
+        for unit in (instance, fmu, slave):
             unit.initialize()
+            with pytest.raises(alfmu.StepError, match="locked up at x = "):
+                unit.step(1.0, 0.0)
             unit.step(0.77, 0.0)
             with pytest.raises(alfmu.StepError, match="locked up at x = ") as caught:
                 unit.step(0.05, 0.77)
             said.append(str(caught.value))
         assert said[0] == said[1]
+        assert "locked up at x = " in said[2]
         assert float(said[0].split("t = ")[1].split(" s")[0]) == pytest.approx(0.7986, rel=3e-3)
-        fmu.step(0.02, 0.77)
+        for unit in (fmu, slave):
+            unit.step(0.02, 0.77)
 
 
 @pytest.mark.parametrize("rate", [1e-4, 1e-2])
@@ -262,6 +262,7 @@ def test_a_slow_start_in_a_singular_position(built, rate):
 # Derivatives ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [0, 20])
 @pytest.mark.parametrize("name", ["five_bar", "slider_crank", "particle_on_circle"])
 def test_directional_derivatives_are_differences_as_outputs_are_affine_in_the_inputs(built, name, steps):
@@ -283,6 +284,7 @@ def test_directional_derivatives_are_differences_as_outputs_are_affine_in_the_in
             assert np.abs(found).max() > 0.1
 
 
+@pytest.mark.slow
 def test_inputs_go_on_by_their_derivatives_inside_a_step(tmp_path, built):
     """A torque that grows with time: as an input with a derivative, and in the equations."""
 
@@ -343,13 +345,14 @@ def past(unit, layout: Layout) -> np.ndarray:
     return state_of(unit, layout)[offset : offset + length]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "method", "order"), DRIVEN)
 def test_inputs_are_extrapolated_as_in_the_library(built, name, method, order):
     """Over 2.8 s."""
     given = {"solver.method": method, "solver.input_order": order}
     library = alfmu.Instance(prepared(with_defaults(derived(name), given)))
     library.initialize()
-    with Fmu(built(name, f"{method}_{order}", parameters=given)) as fmu:
+    with Fmu(built(name, parameters=given)) as fmu:
         fmu.initialize()
         got, wanted = driven(fmu, range(100)), driven(library, range(100))
         assert np.array_equal(past(fmu, library.layout), past(library, library.layout))
@@ -357,12 +360,13 @@ def test_inputs_are_extrapolated_as_in_the_library(built, name, method, order):
     assert np.array_equal(got, wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "least"), [(1, 1.6), (2, 2.6)])
 def test_a_sampled_torque_keeps_the_order(built, order, least):
     """As in the library, where held inputs are of order 1."""
     errors = []
     for step in (0.04, 0.02):
-        with Fmu(built("four_bar", f"order_{order}", parameters={"solver.input_order": order})) as fmu:
+        with Fmu(built("four_bar", parameters={"solver.input_order": order})) as fmu:
             fmu.set("start.angle", -1.0)
             fmu.set("start.angular_velocity", 0.0)
             fmu.initialize()
@@ -376,10 +380,11 @@ def locked_slider_crank() -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_past_inputs_through_events_refused_steps_states_and_resets(built):
     given = {"solver.method": "rk4", "solver.input_order": 2}
     library = alfmu.Instance(prepared(with_defaults(alfmu.derive(locked_slider_crank()), given)))
-    layout, path = library.layout, built(locked_slider_crank(), "past", parameters=given)
+    layout, path = library.layout, built(locked_slider_crank(), parameters=given)
     with Fmu(path) as fmu, Fmu(path) as other:
         rows = {}
         for unit in (library, fmu):
@@ -409,7 +414,7 @@ def test_past_inputs_through_events_refused_steps_states_and_resets(built):
 
 def test_past_inputs_where_the_host_looks_and_returns_early(built, slave):
     """Points between internal steps are no communication points; where the host returned, the next one is."""
-    path = built("slider_crank", "fmi3_past", fmi=3, parameters={"solver.method": "rk4", "solver.input_order": 2})
+    path = built("slider_crank", fmi=3, parameters={"solver.method": "rk4", "solver.input_order": 2})
     asked = []
 
     def look(environment, time, set_requested, get_allowed, finished, can_return, wanted, until):
@@ -438,9 +443,10 @@ def test_past_inputs_where_the_host_looks_and_returns_early(built, slave):
     assert watched.getFloat64(outputs) == plain.getFloat64(outputs)
 
 
+@pytest.mark.slow
 def test_derivatives_by_the_host_come_before_past_inputs(built):
     """One input has a derivative, the other goes on along a line, which is a derivative where none is extrapolated."""
-    paths = built("slider_crank", "rk4_1", parameters={"solver.input_order": 1}), built("slider_crank")
+    paths = built("slider_crank", parameters={"solver.input_order": 1}), built("slider_crank")
     h = 0.04
     with Fmu(paths[0]) as fmu, Fmu(paths[1]) as held:
         references = [
@@ -467,10 +473,11 @@ def test_derivatives_by_the_host_come_before_past_inputs(built):
             assert fmu.read()[motion] == pytest.approx(held.read()[motion], rel=1e-10, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_only_a_scene_that_asks_keeps_past_inputs(built):
     found = []
     for given in ({}, {"solver.input_order": 1}):
-        with Fmu(built("slider_crank", "rk4_1" if given else "", parameters=given)) as fmu:
+        with Fmu(built("slider_crank", parameters=given)) as fmu:
             with pytest.raises(alfmu.StepError, match=r"solver.input_order = 2 1 is outside"):
                 fmu.set("solver.input_order", 2)
             fmu.initialize()
@@ -484,26 +491,7 @@ def test_only_a_scene_that_asks_keeps_past_inputs(built):
 # Life -----------------------------------------------------------------------------------------------------------------
 
 
-@some_cases
-def test_states_are_restored_to_the_last_bit(built, name):
-    path = built(name)
-    with Fmu(path) as fmu, Fmu(path) as other:
-        fmu.initialize()
-        for k in range(3):
-            fmu.step(0.05, 0.05 * k)
-        state = fmu.save()
-        expected = []
-        for k in range(3, 6):
-            fmu.step(0.05, 0.05 * k)
-            expected.append(fmu.read())
-        for unit in (fmu, other):
-            unit.restore(state)
-            assert unit.save() == state
-            for k, row in zip(range(3, 6), expected, strict=True):
-                unit.step(0.05, 0.05 * k)
-                assert np.array_equal(unit.read(), row)
-
-
+@pytest.mark.slow
 def test_a_bad_start_is_refused_in_the_words_of_the_library(built):
     for name, values in (
         ("five_bar", {"l": 0.3, "start.angle": 0.2}),
@@ -531,6 +519,7 @@ def test_a_bad_start_is_refused_in_the_words_of_the_library(built):
             assert str(caught.value) == said
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_a_host_that_does_all_wrong(built, tmp_path):
     """Under AddressSanitizer and UndefinedBehaviorSanitizer; leaks of 1e4 instances and scenes would be told."""
@@ -572,6 +561,7 @@ def double_pendulum_with_a_torque() -> alfmu.Mechanism:
 # Export ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_the_c_is_free_of_warnings(built, tmp_path):
     with zipfile.ZipFile(built("particle_on_circle")) as archive:
@@ -584,11 +574,12 @@ def test_the_c_is_free_of_warnings(built, tmp_path):
         assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):
     """From those that the description names, alone; the library in its place finds its scene and gives the numbers."""
-    path = built("particle_on_circle", f"fmi{fmi}", fmi=fmi)
+    path = built("particle_on_circle", fmi=fmi)
     with zipfile.ZipFile(path) as archive:
         archive.extractall(tmp_path)
         names = archive.namelist()
@@ -609,7 +600,7 @@ def test_an_importer_can_build_it_from_its_sources(built, tmp_path, fmi):
 
 def test_the_sources_are_the_same_in_every_fmu_and_the_scene_is_in_its_resources(built):
     found, scenes = [], []
-    for path in (built("particle_on_circle"), built("five_bar"), built("five_bar", "fmi3", fmi=3)):
+    for path in (built("particle_on_circle"), built("five_bar"), built("five_bar", fmi=3)):
         with zipfile.ZipFile(path) as archive:
             names = [n for n in archive.namelist() if n.startswith("sources/") and n.endswith((".c", ".h"))]
             found.append({Path(n).name: archive.read(n).decode() for n in names})
@@ -620,6 +611,7 @@ def test_the_sources_are_the_same_in_every_fmu_and_the_scene_is_in_its_resources
     assert scenes[0] != scenes[1] == scenes[2]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not (build.compiler() and build.compiler() != build.zig()), reason="needs a preprocessor")
 def test_sources_are_those_of_the_runtime_without_comments(tmp_path):
     """A compiler reads the same."""
@@ -697,6 +689,7 @@ def test_a_library_in_the_cache_is_kept_and_built_again_where_it_was_damaged(mon
     assert made == [other, other]
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path, capsys):
     path = tmp_path / "particle.fmu"
     assert main(["export", "particle_on_circle", "--kind", "native", "-o", str(path)]) == 0
@@ -714,7 +707,7 @@ def slave(built) -> Callable[..., fmpy.fmi3.FMU3Slave]:
     made = []
 
     def make(path: Path | None = None, **given) -> fmpy.fmi3.FMU3Slave:
-        path = path or built("five_bar", "fmi3", fmi=3)
+        path = path or built("five_bar", fmi=3)
         description, folder = fmpy.read_model_description(str(path)), fmpy.extract(str(path))
         unit = fmpy.fmi3.FMU3Slave(
             instanceName="one",
@@ -732,8 +725,9 @@ def slave(built) -> Callable[..., fmpy.fmi3.FMU3Slave]:
         unit.freeInstance()
 
 
+@pytest.mark.slow
 def test_fmi_3_validates_and_gives_the_numbers_of_the_library(built):
-    path = built("five_bar", "fmi3", fmi=3)
+    path = built("five_bar", fmi=3)
     assert validate(path) == []
     result = fmpy.simulate_fmu(str(path), stop_time=2.0, output_interval=0.02)
     library = alfmu.simulate(prepared(derived("five_bar")), 2.0, 0.02)
@@ -752,7 +746,7 @@ def test_fmi_3_validates_and_gives_the_numbers_of_the_library(built):
 
 
 def test_fmi_3_is_driven_as_fmi_2_is(built, tmp_path):
-    path = built("five_bar", "fmi3", fmi=3)
+    path = built("five_bar", fmi=3)
     values = {"start.angle": 0.4, "m2": 0.5, "solver.max_iterations": 9, "solver.branch": "continue"}
     results = []
     for each in (path, built("five_bar")):
@@ -809,8 +803,9 @@ def test_fmi_3_saves_derives_and_refuses(slave):
     unit.freeFMUState(state)
 
 
+@pytest.mark.slow
 def test_fmi_3_returns_early_where_the_host_asks_and_where_a_motion_ends(built, slave):
-    seen, path = [], built("five_bar", "fmi3_rk4", fmi=3, parameters={"solver.method": "rk4"})
+    seen, path = [], built("five_bar", fmi=3, parameters={"solver.method": "rk4"})
 
     def look(environment, time, set_requested, get_allowed, finished, can_return, wanted, until):
         seen.append(time)

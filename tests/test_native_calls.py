@@ -23,18 +23,13 @@ from alfmu.runtime import build
 by_a_compiler = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory) -> Callable[..., Path]:
-    """`made("five_bar", ...)`: the path of that native FMU, made on first use."""
-    folder, known = tmp_path_factory.mktemp("native"), {}
+@pytest.fixture(scope="session")
+def made(fmu_of) -> Callable[..., Path]:
+    """`made("five_bar", ...)`: the path of that native FMU."""
 
     def get(mechanism, fmi=2, **parameters):
-        name = "_".join([getattr(mechanism, "name", mechanism), str(fmi), *map(str, parameters.values())])
-        if name not in known:
-            given = {f"solver.{key}": value for key, value in parameters.items()}
-            path = folder / f"{name}.fmu"
-            known[name] = alfmu.export(mechanism, path, kind="native", fmi=fmi, parameters=given, reference=False)
-        return known[name]
+        given = {f"solver.{key}": value for key, value in parameters.items()}
+        return fmu_of(mechanism, kind="native", fmi=fmi, parameters=given, reference=False)
 
     return get
 
@@ -152,6 +147,7 @@ def test_outputs_that_are_not_finite_are_never_read_as_if_they_were_good(made):
 # Steps ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @by_a_compiler
 @pytest.mark.parametrize(("method", "said"), [("rk4", "internal steps, more than 50"), ("explicit", "more than 50")])
 def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
@@ -173,6 +169,7 @@ def test_the_work_of_a_step_is_bounded(made, tmp_path, method, said):
         assert np.array_equal(fmu.read(), after)
 
 
+@pytest.mark.slow
 @by_a_compiler
 def test_tries_of_error_control_are_bounded_too(made, tmp_path):
     """A tolerance of 1e-13 takes more tries than the largest step would."""
@@ -219,6 +216,7 @@ def test_a_changed_state_is_refused(made):
             other.restore(state)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("value", [1e6, -1.0, math.nan, 2.0**40])
 def test_numbers_of_a_state_that_index_are_checked(made, value):
     """Even where the check sum is right."""

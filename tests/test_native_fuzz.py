@@ -8,7 +8,7 @@ from alfmu.runtime import build
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 
-pytestmark = pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not build.compiler(), reason="there is no C compiler")]
 
 
 @pytest.fixture(scope="module")
@@ -22,10 +22,10 @@ def fuzz():
 
 
 RUNS = [
-    *(("locks", 2, "address", 1, 40_000), ("extrapolated", 3, "address", 1, 40_000)),
-    *(("explicit", 3, "address", 1, 5000), ("trapezoidal", 2, "address", 1, 5000)),
-    *(("auto", 2, "address", 1, 2000), ("jacobian", 2, "address", 1, 4000), ("jacobian", 3, "thread", 4, 4000)),
-    *(("five_bar", 2, "thread", 4, 20_000), ("order8", 3, "thread", 4, 10_000)),
+    *(("locks", 2, "address", 1, 15_000), ("extrapolated", 3, "address", 1, 15_000)),
+    *(("explicit", 3, "address", 1, 3000), ("trapezoidal", 2, "address", 1, 3000)),
+    *(("auto", 2, "address", 1, 2000), ("jacobian", 2, "address", 1, 2500), ("jacobian", 3, "thread", 4, 2500)),
+    *(("five_bar", 2, "thread", 4, 8000), ("order8", 3, "thread", 4, 5000)),
 ]
 
 

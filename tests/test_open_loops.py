@@ -30,6 +30,7 @@ def apart(m: alfmu.Mechanism, q: NDArray) -> float:
     return np.array(ca.Function("apart", [known], [ca.vertcat(*found)])(q)).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planar", [False, True], ids=["spatial", "planar"])
 def test_random_linkages_close(planar: bool) -> None:
     """Opened by up to 1 rad and 0.3 of their size: by the start of a run, and by what closes the loops of files."""
@@ -109,6 +110,7 @@ def tips(q: dict[str, float]) -> NDArray:
     return np.array(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("least", "most"), [(None, None), (0.05, 2.5), (-2.5, -0.05)])
 def test_a_file_whose_loop_is_open_at_zero(least: float | None, most: float | None, tmp_path: Path) -> None:
     """A place that closes it is taken, within the limits of its joints, told, and has two freedoms."""

@@ -85,6 +85,7 @@ def test_the_check_of_a_wheel_compares_files_with_their_record(wheels):
     assert wheels._unlike_their_record(files, "i") == [f"{x} is not as recorded" for x in ("b.py", "lost.py", "new.py")]
 
 
+@pytest.mark.slow
 def test_without_fmpy_an_fmu_is_exported_and_running_it_says_what_to_install(tmp_path):
     code = """
 import sys

@@ -129,6 +129,7 @@ def test_a_motor_on_a_body_that_moves_keeps_the_angular_momentum():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hinge", "closed hinge", "hinge without a rotor", "screw"])
 def test_a_motor_on_a_joint_in_space(kind):
     """On a leaning axis, and as a spindle of a lift, by the matrix exponential as in the plane."""
@@ -157,6 +158,7 @@ def test_a_motor_on_a_joint_in_space(kind):
         assert spin == pytest.approx(ratio * speed, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_motor_in_space_keeps_the_angular_momentum():
     """Base, arm and rotor float without forces, about an axis that leans: gyroscopic moments and all."""
     sizes = {"base": (2.0, (0.5, 0.3, 0.4)), "arm": (1.0, (0.1, 0.2, 0.15)), "motor.rotor": (0.0, (J / 2, J / 2, J))}
@@ -192,6 +194,7 @@ def test_the_joint_that_carries_a_motor_feels_it():
     assert i.get("feet.moment") == pytest.approx(total, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hinge", "closed hinge", "screw"])
 @pytest.mark.parametrize("flywheel", [0.0, 0.04])
 def test_a_load_on_a_joint_in_space(kind, flywheel):
@@ -259,6 +262,7 @@ def test_a_spindle_moves_a_slide():
     assert i.get("speed") == pytest.approx(r * v, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_motor_on_a_loop_in_absolute_coordinates():
     """The speed of a joint that constraints close is that of its bodies: the same motion as with a coordinate."""
 

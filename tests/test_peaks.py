@@ -92,6 +92,7 @@ def test_a_state_that_is_restored_has_the_same_peaks():
     assert unit.get("A.force.peak") == peak
 
 
+@pytest.mark.slow
 def test_what_joints_with_dry_friction_carry():
     """A step that is taken back, as a joint stops within it, leaves nothing: against short communication steps."""
     m = Mechanism("rubbing")

@@ -1,12 +1,14 @@
 """The peers script at its smallest effort: exact motions, errors, rounds, interpolation and files hang together."""
 
-import csv
 import re
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 import pytest
+from studies import rows
+
+pytestmark = pytest.mark.slow
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 OTHERS = {"pin": "Pinocchio", "exudyn": "Exudyn", "mujoco": "MuJoCo"}
@@ -39,11 +41,6 @@ def folder(peers, tmp_path_factory):
     return made
 
 
-def rows(path: Path) -> list[dict[str, str]]:
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def judged(peers, peer, mechanism: str, step: float):
     """A point of a run of 1 s."""
     point = peers.Point(peer, mechanism, step)
@@ -61,7 +58,7 @@ def test_the_exact_motion_is_tighter_than_what_it_judges(peers, mechanism):
 
 
 def test_rows_of_a_study_without_peers(folder):
-    points = rows(folder / "peers.csv")
+    points = rows(folder, "peers")
     assert {(row["mechanism"], row["code"]) for row in points} == {
         (mechanism, code) for mechanism in ("five_bar", "slider_crank") for code in ("alfmu", "SciPy")
     }
@@ -76,7 +73,7 @@ def test_rows_of_a_study_without_peers(folder):
 
 def test_alfmu_converges_with_order_4_and_kernels_agree(folder):
     for mechanism in ("five_bar", "slider_crank"):
-        runs = [r for r in rows(folder / "peers.csv") if (r["code"], r["mechanism"]) == ("alfmu", mechanism)]
+        runs = [r for r in rows(folder, "peers") if (r["code"], r["mechanism"]) == ("alfmu", mechanism)]
         error = {(r["setting"], round(float(r["step"]), 6)): float(r["angle error [rad]"]) for r in runs}
         for setting in ("compiled", "compiled, joint", "compiled, joint, lean"):
             assert error[setting, 0.01] / error[setting, 0.005] == pytest.approx(16, rel=0.5)
@@ -95,7 +92,7 @@ def test_report_names_what_is_missing_and_where_it_ran(peers, folder):
     assert (folder / "peers.png").stat().st_size > 10_000
     for kernel, ratio in peers.RATIOS.items():
         assert re.search(rf"\| {kernel}.* \| SciPy, DOP853 .* {ratio:g}: (met|not met) \|", text)
-    missing = [r for r in rows(folder / "peers_reach.csv") if r["time at target [s]"] == "not installed"]
+    missing = [r for r in rows(folder, "peers_reach") if r["time at target [s]"] == "not installed"]
     assert len(missing) == 2 * len(OTHERS)
 
 

@@ -208,6 +208,7 @@ def test_a_bar_is_drawn_where_it_is(angle, wide):
     assert image.getpixel(hinge) == (255, 255, 255)
 
 
+@pytest.mark.slow
 def test_axes_are_equal_and_the_view_holds_the_motion():
     mechanism = load("slider_crank")
     shapes = geometry(mechanism)
@@ -240,6 +241,7 @@ def test_trails_and_captions_are_drawn():
     assert (left + width, top + height) < (120, 60)
 
 
+@pytest.mark.slow
 def test_missing_and_endless_columns_are_named():
     mechanism = load("five_bar")
     shapes, now = geometry(mechanism), outputs_at_start(mechanism)
@@ -314,6 +316,7 @@ def frames_of(path: Path) -> tuple[int, list[int], Image.Image]:
     return film.n_frames, durations, film
 
 
+@pytest.mark.slow
 def test_a_gif_plays_at_its_speed_for_ever(tmp_path):
     mechanism = load("five_bar")
     result = simulate(mechanism, 1.0, 0.05)
@@ -354,6 +357,7 @@ def test_frames_of_a_gif_show_the_motion(tmp_path):
     assert boxes[1][3] > 10 * boxes[1][2]
 
 
+@pytest.mark.slow
 def test_a_long_gif_has_a_limited_number_of_frames(tmp_path):
     mechanism = bar_on_hinge(0.0)
     time = np.linspace(0.0, 60.0, 20001)
@@ -413,6 +417,7 @@ class Option {}
 """As much of a browser as a page needs to draw."""
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("node") is None, reason="no JavaScript outside a browser here")
 def test_the_script_of_a_page_draws_what_pillow_draws(tmp_path):
     mechanism = load("five_bar")
@@ -499,6 +504,7 @@ def test_a_plot_has_few_panels_of_what_moves():
     np.testing.assert_allclose(forces[0].get_ydata(), sizes, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_every_column_is_shown_or_counted_in_the_caption():
     for name in ("five_bar", "flexible_four_bar", "flyball_governor", "particle_on_circle"):
         result = simulate(name, 0.5, 0.02)
@@ -544,6 +550,7 @@ def test_names_and_patterns_choose_lines_by_unit():
         figure(result, ["link1.x", "link9.*"])
 
 
+@pytest.mark.slow
 def test_all_that_is_named_is_shown():
     result = simulate("flyball_governor", 0.1, 0.02)
     drawn = figure(result, ["*"])
@@ -629,6 +636,7 @@ def test_plots_that_cannot_be_written_say_why(tmp_path, monkeypatch):
         plot(result, tmp_path / "a.png")
 
 
+@pytest.mark.slow
 def test_pictures_need_no_matplotlib_and_plots_leave_its_state_alone():
     code = """
 import sys, alfmu, alfmu.view.picture, alfmu.view.plot

@@ -16,6 +16,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), CASES, ids=lambda x: x if isinstance(x, str) else "")
 def test_a_probe_stands_where_an_instance_starts(name: str, options: dict) -> None:
     """Positions, velocities, parameters, penalties; what it tells is what the instance tells."""
@@ -44,6 +45,7 @@ def test_what_redundant_constraints_do_is_told() -> None:
     assert Probe.of(derived("five_bar")).mobility(every=True).redundant == 1
 
 
+@pytest.mark.slow
 def test_a_scene_without_a_start_tells_nothing_and_is_traced() -> None:
     """It can be given another start."""
     e = with_defaults(derived("slider_crank"), {"l2": 0.3, "start.angle": 1.5})

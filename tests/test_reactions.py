@@ -84,6 +84,7 @@ def in_space(build) -> alfmu.Equations:
     return specialised(alfmu.derive(build()), ["hinge*", "multiplier*"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("build", "kernel"), [(bennett_in_space, "vm"), (door, "vm"), (door, "oracle")])
 def test_the_length_of_euler_parameters_changes_nothing_that_hinges_carry(build, kernel):
     """Least forces and moments over the longest arm, to 1e-12 of the largest; with the other rows, 1e-2 off or more."""
@@ -100,6 +101,7 @@ def test_the_length_of_euler_parameters_changes_nothing_that_hinges_carry(build,
     assert np.abs(nearest_to_zero(i, np.ones(len(lam))) - exact)[hinges].max() >= 1e-2 * scale
 
 
+@pytest.mark.slow
 def test_the_length_of_euler_parameters_has_no_share_by_compliance():
     """Shares of the hinges by their compliances, whatever that of the length of Euler parameters is."""
     m = door()
@@ -128,6 +130,7 @@ PENALISED = [("slider_crank", {"coordinates": x}) for x in ("absolute", "natural
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options"), PENALISED, ids=lambda x: "-".join(x.values()) if isinstance(x, dict) else x
 )
@@ -170,6 +173,7 @@ def test_a_penalty_that_a_method_cannot_take_is_named(method, ratio):
         alfmu.simulate(derived("four_bar"), 0.5, 0.02, parameters={"solver.method": method, "solver.penalty": ratio})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [10.0, 100.0, 1000.0])
 @pytest.mark.parametrize("name", ["four_bar", "five_bar"])
 def test_implicit_steps_iterate_as_long_as_a_small_penalty_asks(name, ratio):
@@ -205,6 +209,7 @@ COPIED = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.02, 0.0025])
 @pytest.mark.parametrize(("name", "options", "given", "inputs"), COPIED)
 def test_a_constraint_written_up_to_five_times_changes_no_motion(name, options, given, inputs, step):
@@ -225,6 +230,7 @@ def test_a_constraint_written_up_to_five_times_changes_no_motion(name, options, 
 # Coordinates ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("l2", [1.0, 0.5])
 def test_reactions_of_four_coordinate_sets_agree(l2):
     """A driven slider-crank over 2 s, with equal links through singular positions: joint forces to 1e-10 N away from
@@ -243,6 +249,7 @@ def test_reactions_of_four_coordinate_sets_agree(l2):
         assert max(np.abs(other[n] - runs[0][n])[away].max() for n in names) <= 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loops", [1, 2])
 def test_natural_coordinates_keep_order_four_through_singular_positions(loops):
     """N-four-bar over 10 s, at steps of 2.5 ms and three times halved: 1e-10 m at the shortest."""
@@ -357,6 +364,7 @@ def vectors(i: alfmu.Instance, R: np.ndarray) -> np.ndarray:
     return np.array([R.T @ [y[f"{name}.{axis}"] for axis in "xyz"] for name in names])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("build", "redundant"), [(four_hinges, 3), (two_hinges, 5), (two_rails, 5), (welded, 3), (sarrus, 1)]
 )
@@ -396,6 +404,7 @@ SETS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", SETS)
 def test_all_sets_of_coordinates_share_alike(which):
     """What joints and motors carry, to 1e-11 of the largest."""

@@ -52,6 +52,7 @@ def chain(bodies: int) -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_functions_are_made_once():
     """Operations of all functions of a scene, to which the time of getting ready is in proportion.
 

@@ -105,6 +105,7 @@ def is_the_heavy_pendulum(path: Path, here: Path) -> None:
     assert np.abs(library["A.force.y"]).max() > 20.0  # three bars
 
 
+@pytest.mark.slow
 def test_a_recipe_makes_the_fmu_that_it_describes(here, capsys):
     assert main(["export", "../heavy.py"]) == 0
     assert "wrote heavy.fmu" in capsys.readouterr().out
@@ -116,6 +117,7 @@ def test_a_recipe_makes_the_fmu_that_it_describes(here, capsys):
         assert json.loads(archive.read("resources/options.json"))["options"] == {"rods": 3}
 
 
+@pytest.mark.slow
 def test_a_recipe_can_be_looked_at_and_run_without_an_fmu(here, capsys):
     assert main(["info", "../heavy.py", "--all"]) == 0
     out = capsys.readouterr().out
@@ -182,6 +184,7 @@ def test_options_take_precedence_over_the_recipe(here, capsys):
         assert not [name for name in archive.namelist() if name.startswith("extra")]
 
 
+@pytest.mark.slow
 def test_export_says_in_one_line_what_it_wrote_and_where_it_runs(tmp_path, capsys):
     """On the platforms whose library of the runtime is inside, with the glibc that it needs; pythonfmu's own are always
     for two."""
@@ -213,6 +216,7 @@ def test_what_holds_for_one_kind_goes_with_it():
     assert native.changed(lock=[]).lock == ()
 
 
+@pytest.mark.slow
 def test_pythonfmu_builds_an_fmu_from_a_recipe(here):
     """By its own command; where the FMU runs, nothing is derived, and the mechanism's file may be gone."""
     command = [sys.executable, "-m", "pythonfmu", "build", "-f", "../heavy.py", "--handle-state", "--serialize-state"]
@@ -231,6 +235,7 @@ def test_pythonfmu_builds_an_fmu_from_a_recipe(here):
     assert {v.unit for v in description.modelVariables if v.name.startswith("A.")} == {"N.m", "N"}
 
 
+@pytest.mark.slow
 def test_the_classes_of_several_recipes_run_in_one_process(here):
     """Of two FMUs that pythonfmu built, each keeps its own scene."""
     (here / "lighter.py").write_text(
@@ -261,6 +266,7 @@ def test_a_recipe_may_stand_beside_its_mechanism_or_hold_it(here):
         Recipe(m, name="other", lock=["A"]).declared()
 
 
+@pytest.mark.slow
 def test_a_result_is_drawn_by_the_mechanism_of_the_recipe(here):
     recipe = Recipe("particle_on_circle", name="small", outputs=["particle.*"])
     alfmu.export(recipe, "small.fmu", reference=False)

@@ -197,6 +197,7 @@ def test_a_rack_weighs_on_its_pinion_as_a_mass_at_the_radius(side: str, closed_b
 # Belts ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("crossed", [False, True])
 def test_a_belt_pulls_along_its_strands(crossed: bool):
     m = alfmu.Mechanism("drive")

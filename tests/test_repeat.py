@@ -203,6 +203,7 @@ def chains(request) -> list[Equations]:
     return [prepared(derived("n_four_bar", loops=n, coordinates=request.param)) for n in (60, 120)]
 
 
+@pytest.mark.slow
 def test_a_chain_of_loops_gives_the_same_numbers(chains, monkeypatch):
     """Against CasADi and against straight-line code, to the last bit."""
     e = scene(*(chains[0].functions[name] for name in LONG))
@@ -219,6 +220,7 @@ def test_a_chain_of_loops_gives_the_same_numbers(chains, monkeypatch):
             assert np.array_equal(found[0][name], other[name], equal_nan=True), name
 
 
+@pytest.mark.slow
 def test_the_c_of_a_chain_is_free_of_warnings(chains, tmp_path):
     if not (command := build.compiler()):
         pytest.skip("no compiler")
@@ -232,6 +234,7 @@ def test_the_c_of_a_chain_is_free_of_warnings(chains, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_the_c_of_a_chain_hardly_grows_with_it(chains):
     for name in LONG:
         few, many = (e.functions[name] for e in chains)
@@ -239,6 +242,7 @@ def test_the_c_of_a_chain_hardly_grows_with_it(chains):
         assert len(source(many)) < 1.15 * len(source(few)), name
 
 
+@pytest.mark.slow
 def test_long_scenes_are_eliminated_as_declared_where_that_costs_little():
     e = prepared(derived("n_four_bar", loops=60))
     assert e.order == list(range(e.n))

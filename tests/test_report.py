@@ -28,6 +28,8 @@ from alfmu.studies.page import Page
 from alfmu.studies.report import LEVELS, QUICK, TIME, Effort, Setting, Study, _chapter_of_page, _skipped, report
 from alfmu.studies.rivals import RIVALS
 
+pytestmark = pytest.mark.slow
+
 MAPS = stability.Effort(
     total=0.0,
     horizon=0.1,

@@ -107,6 +107,7 @@ def test_a_hitch_feels_the_blade_behind_it():
     assert v @ across("box", 0.1) == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_ball_rolls_down_a_slope_with_five_sevenths():
     m = alfmu.Mechanism("ball", experiment=alfmu.Experiment(0.5, 0.01))
     r, tilt = 0.2, 0.3
@@ -124,6 +125,7 @@ def test_a_ball_rolls_down_a_slope_with_five_sevenths():
     assert force @ normal == pytest.approx(3.0 * G * math.cos(tilt), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_coin_rolls_by_newton_and_euler():
     """A thin disc that leans and turns: at all times it does not slip, keeps its energy, and is in balance."""
     m = alfmu.Mechanism("coin", experiment=alfmu.Experiment(0.8, 0.01))

@@ -52,6 +52,7 @@ def controlled(name, tolerance, values, **options):
     return unit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("masses", [(1.0, 1.0, 1e6), (1e-6, 1e-6, 1.0), (1e6, 1e6, 1.0)], ids=["a", "b", "reverse"])
 @pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
 def test_masses_that_differ_by_a_million(coordinates, masses):
@@ -66,6 +67,7 @@ def test_masses_that_differ_by_a_million(coordinates, masses):
     assert unit.counters.evaluations <= 25_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", ["even", "uneven"])
 @pytest.mark.parametrize("tolerance", [1e-8, 1e-9])
 def test_many_redundant_coordinates_through_singular_positions(tolerance, steps):
@@ -93,6 +95,7 @@ def test_a_tolerance_that_cannot_be_had_is_said_once(caplog):
     assert abs(time(unit.get("crank.angle")) - 5.0) * speed(unit.get("crank.angle")) <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["auto", "rk4"])
 def test_forces_that_balance_each_other_leave_nothing_to_warn_of(method, caplog):
     """Pulled by 1e6 N at its dead centre, a slider-crank stays there; its accelerations and its work are round-off."""
@@ -119,6 +122,7 @@ def test_short_fixed_steps_tell_how_far_a_singular_position_is(name, caplog):
     assert not caplog.records
 
 
+@pytest.mark.slow
 def test_a_mechanism_that_rests_first_is_judged_when_it_moves(caplog):
     """Steps that are too long, after a second at rest under 1e6 N in which nothing is warned of."""
     unit = alfmu.Instance("slider_crank")
@@ -157,6 +161,7 @@ def test_energy_that_the_procedure_of_the_paper_loses_is_no_matter_of_the_step_a
     )
 
 
+@pytest.mark.slow
 def test_a_good_run_warns_of_nothing_and_a_restored_one_says_it_again(caplog):
     alfmu.simulate("four_bar", 2.0)
     assert not caplog.records

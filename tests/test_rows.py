@@ -63,6 +63,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["oracle", "vm"])
 @pytest.mark.parametrize(
     ("name", "coordinates"),
@@ -86,6 +87,7 @@ def test_rows_repeated_permuted_and_in_other_units_leave_the_motion_alone(name, 
         assert reactions <= 1e-9, (case, reactions)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "coordinates", "unit"),
     [
@@ -117,6 +119,7 @@ def test_descriptions_say_which_reactions_are_unique(exported):
     assert not any("not unique" in text for text in described.values())
 
 
+@pytest.mark.slow
 def test_uniqueness_follows_what_is_in_force():
     m = alfmu.load("five_bar")
     m.release("E")

@@ -46,6 +46,7 @@ def crank(space: bool) -> Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_a_mechanism_of_the_plane_rubs_in_space_as_in_the_plane():
     plane, space = (alfmu.simulate(crank(x), 2.6, 0.05, parameters=RK4) for x in (False, True))
     assert {0.0, 1.0, -1.0} <= set(plane["A.slip"]) | set(plane["guide.slip"])
@@ -121,6 +122,7 @@ def swung(mu: float, times: np.ndarray) -> np.ndarray:
         way = -np.sign(lacking)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relative", [True, False])
 def test_a_heavy_arm_on_a_leaning_hinge_swings_until_it_sticks(relative):
     run = alfmu.simulate(gate(relative), 3.0, 0.1, parameters=RK4 | {"solver.step_size": 0.01})
@@ -137,6 +139,7 @@ def test_a_heavy_arm_on_a_leaning_hinge_swings_until_it_sticks(relative):
 # A guide with a key --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "relative"), [((1.0, 0.0, 0.0), False), ((0.6, 0.0, -0.8), True)])
 def test_a_guide_carries_moments_by_edges_and_a_key(axis, relative):
     """A block whose centre of mass is beside its guide is thrown along it; what its friction does is constant."""
@@ -252,6 +255,7 @@ def door() -> alfmu.Equations:
     return alfmu.derive(m)
 
 
+@pytest.mark.slow
 def test_friction_of_two_hinges_of_a_door_is_not_unique(door, caplog):
     run = alfmu.simulate(door, 0.2, 0.1, parameters=RK4)
     assert "share the load of low, top, so that its friction is not unique" in caplog.text

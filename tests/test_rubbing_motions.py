@@ -79,6 +79,7 @@ def test_a_block_on_a_moving_belt_sticks_and_slips():
     assert run["monitor.step_error"].max() < 1e-7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["python", "native"])
 def test_a_belt_that_an_input_moves_rubs_in_an_fmu(tmp_path, kind):
     path = alfmu.export(belt("input"), tmp_path / "belt.fmu", kind=kind, parameters={"solver.relative_tolerance": 1e-8})

@@ -55,6 +55,7 @@ def crank(l1: float, gravity: float, torque: float, start: tuple[float, float], 
     return solve_ivp(rate, (0, times[-1]), start, "DOP853", times, rtol=1e-13, atol=1e-13).y[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["absolute", "joint", "mixed", "natural"])
 def test_a_slider_crank_of_any_size_and_mass_moves_alike(coordinates):
     i = unit(alfmu.load("slider_crank", coordinates=coordinates))
@@ -67,6 +68,7 @@ def test_a_slider_crank_of_any_size_and_mass_moves_alike(coordinates):
         assert np.abs(angles(i, second * times, values) - right).max() <= 3e-9, (length, mass)
 
 
+@pytest.mark.slow
 def test_a_linkage_in_space_of_any_size_moves_alike():
     i, times, found = unit(alfmu.load("bennett")), np.arange(21) / 10, []
     for size in (1.0, 1e-5, 1e3):
@@ -108,6 +110,7 @@ def four_bar(bodies: bool) -> Mechanism:
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bodies", [True, False], ids=["bodies", "points"])
 def test_a_place_far_from_the_origin_changes_no_motion(bodies):
     i = unit(four_bar(bodies))
@@ -153,6 +156,7 @@ def motors(off: float) -> Mechanism:
     return m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "named"), [(rods, "rod2"), (motors, "rod")])
 @pytest.mark.parametrize("off", [1e-6, 1e-9, 1e-12])
 def test_constraints_that_contradict_each_other_are_named_at_the_start(make, named, off):
@@ -161,6 +165,7 @@ def test_constraints_that_contradict_each_other_are_named_at_the_start(make, nam
     assert "step" not in str(said.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [rods, motors])
 def test_constraints_that_agree_within_round_off_run(make):
     exactly = {"solver.relative_tolerance": 1e-10}
@@ -199,6 +204,7 @@ ENDED = (
 """Angles [rad], speeds [rad/s] and torques [N.m] of runs that ended: communication points lie on singular positions."""
 
 
+@pytest.mark.slow
 def test_no_phase_of_a_parallelogram_ends_by_default():
     """Without gravity its angle is a parabola: 5/3 kg.m2 under a torque."""
     i, times = unit(alfmu.load("four_bar")), np.arange(126) * 0.02
@@ -217,6 +223,7 @@ FAST = ((-1.171232731897223, 2.0, 4.0), (-0.9037082488756895, 2.0, 8.0), (-1.112
 """The same of runs that turn twice, whose regular steps left 4e-7 rad."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["joint", "natural"])
 def test_no_phase_of_a_slider_crank_with_equal_links_ends_by_default(coordinates):
     i, times = unit(alfmu.load("slider_crank", coordinates=coordinates)), np.arange(126) * 0.02

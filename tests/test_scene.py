@@ -211,6 +211,7 @@ def random_function(rng: np.random.Generator, count: int) -> ca.Function:
     return ca.Function(f"f{count}", [x, p], [ca.vertcat(*chosen[:30], 0.0, x[1], 2.5), ca.vertcat(*chosen[30:])])
 
 
+@pytest.mark.slow
 def test_every_operation_gives_the_bits_of_casadi(host, packed):
     x = ca.SX.sym("x", 2)
     a, b = ca.vertsplit(x)
@@ -233,12 +234,14 @@ def test_every_operation_gives_the_bits_of_casadi(host, packed):
         assert same_bits(host.call(loaded, first, f, given), expected(f, given)), values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_random_functions_give_the_bits_of_casadi(host, packed, seed):
     rng = np.random.default_rng(seed)
     check(host, packed, *(random_function(rng, count) for count in (3, 40, 300, 2000)))
 
 
+@pytest.mark.slow
 def test_places_have_16_bits_where_they_suffice_and_32_beyond(host, packed):
     rng = np.random.default_rng(0)
     few, many = random_function(rng, 300), random_function(rng, 40000)
@@ -430,6 +433,7 @@ def chains(request) -> list[Equations]:
     return [prepared(derived("n_four_bar", loops=n, coordinates=request.param), "vm") for n in (60, 120)]
 
 
+@pytest.mark.slow
 def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, monkeypatch):
     monkeypatch.setattr(passes, "LONG", 3000)
     loaded = host.load(tables.packed(chains[0]))
@@ -443,6 +447,7 @@ def test_all_functions_of_a_chain_give_the_bits_of_casadi(host, chains, monkeypa
         assert same_bits(host.call(loaded, k, f, x), expected(f, x)), f.name()
 
 
+@pytest.mark.slow
 def test_the_functions_of_a_chain_hardly_grow_with_it(chains, short):
     few, many = (tables.alone(e) for e in chains)
     for name in ("weighted_evaluate", "weighted_iterate", "weighted_correct", "seen", "limit_change"):
@@ -451,6 +456,7 @@ def test_the_functions_of_a_chain_hardly_grow_with_it(chains, short):
         assert two.words.size + two.results.size < 1.25 * (one.words.size + one.results.size), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["five_bar", "bennett", "slider_crank"])
 def test_all_functions_of_a_scene_give_the_bits_of_casadi(host, short, name):
     """Also where loops are looked for in all of them."""
@@ -461,6 +467,7 @@ def test_all_functions_of_a_scene_give_the_bits_of_casadi(host, short, name):
         assert same_bits(host.call(loaded, k, f, x), expected(f, x)), f.name()
 
 
+@pytest.mark.slow
 def test_the_same_equations_give_the_same_bytes(chains):
     assert tables.packed(replace(chains[0])) == tables.packed(replace(chains[0]))
 
@@ -498,6 +505,7 @@ def test_calls_in_lanes_give_the_bits_of_one_after_the_other(host, small, packed
 # Compiled -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options"), [("five_bar", {}), ("bennett", {}), ("n_four_bar", {"loops": 40})])
 def test_compiled_functions_give_the_bits_of_interpreted_ones(host, name, options):
     e = prepared(derived(name, **options), "vm")
@@ -534,6 +542,7 @@ def test_a_result_may_be_written_over_an_argument_of_a_compiled_function():
 # Damage ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_damage_of_any_byte_is_refused_or_harmless(small, packed, short, tmp_path):
     """Also with a check sum that agrees: every place that a scene names is checked, with loops of all kinds and calls
     in lanes in it."""

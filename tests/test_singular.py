@@ -87,6 +87,7 @@ def test_the_reference_is_tighter_than_what_it_judges():
     assert np.abs(both[:, 0] - linkage.driven(0.0, 2.0, times, TORQUE)[:, 0]).max() <= 1e-11
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("coordinates", ["mixed", "joint"])
 def test_a_driven_four_bar_from_a_singular_start_is_nearly_as_good_as_rk4_can_be(kernel, coordinates):
@@ -106,6 +107,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_masses_penalties_inputs_and_redundancy_change_nothing(case):
     name, *rest = CASES[case]
@@ -114,6 +116,7 @@ def test_masses_penalties_inputs_and_redundancy_change_nothing(case):
     assert slope(own) >= 3.8
 
 
+@pytest.mark.slow
 def test_the_papers_procedure_remains_as_an_alternative():
     """Second order, as published: see test_four_bar."""
     own, _ = errors(scene("four_bar", "vm"), FOUR_BAR, {"solver.branch": "continue"}, {"A.torque": lambda t: TORQUE})
@@ -126,6 +129,7 @@ def test_the_papers_procedure_remains_as_an_alternative():
         started(derived("four_bar"), {"solver.branch": "left"})
 
 
+@pytest.mark.slow
 def test_through_an_fmu(tmp_path):
     """The same numbers as the library, by the virtual machine and compiled."""
     for kernel in ("vm", "compiled"):
@@ -141,6 +145,7 @@ def test_through_an_fmu(tmp_path):
         assert result["monitor.distance"].min() <= 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["vm", "compiled"])
 def test_a_scene_that_follows_the_paper_carries_no_branch(kernel):
     """Asked for the branch nevertheless, it is run by the oracle, to the same numbers nearly."""
@@ -209,6 +214,7 @@ HARD = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", HARD)
 def test_hard_scenes_are_the_same_through_an_fmu(exported, case):
     """All outputs to the last bit over 1 s, in which each passes a singular position."""
@@ -222,6 +228,7 @@ def test_hard_scenes_are_the_same_through_an_fmu(exported, case):
     assert np.array_equal(result.values, own.values)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinates", ["mixed", "joint"])
 def test_random_starting_phases(coordinates):
     """30 phases, several torques, 2.5 s at 0.02 s: no switch of branch; singular positions cost no more than others.
@@ -291,6 +298,7 @@ def test_a_step_too_long_for_the_quick_kernel_is_taken_patiently():
     assert np.abs(np.array(angles) - exact).max() <= np.abs(by_rk4 - exact).max()
 
 
+@pytest.mark.slow
 @each_kernel
 def test_evaluations_are_few_more_than_those_of_the_papers_procedure(kernel):
     runs = [
@@ -311,6 +319,7 @@ def test_evaluations_are_few_more_than_those_of_the_papers_procedure(kernel):
 # Accelerations and reactions --------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("distance", [0.0, 1e-9, 1e-6, 1e-4, 1e-3, 4e-3, 0.02])
 @pytest.mark.parametrize(("name", "linkage"), [("four_bar", FOUR_BAR), ("five_bar", FIVE_BAR)])
@@ -325,6 +334,7 @@ def test_bounded_reactions_are_given_up_to_the_singular_position(kernel, name, l
     assert r["monitor.distance"] == pytest.approx(distance, rel=0.15, abs=1e-3)
 
 
+@pytest.mark.slow
 @each_kernel
 @pytest.mark.parametrize("torque", [TORQUE, -0.05], ids=["pole", "crosses zero beside"])
 @pytest.mark.parametrize("distance", [1e-6, 1e-5, 1e-4, 1e-3, 3e-3, 5.5e-3, 0.02])
@@ -471,6 +481,7 @@ def test_a_slider_crank_of_equal_links_is_as_exact_as_a_regular_one(coordinates)
     assert worst[0] <= max(worst[1], 1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("coordinates", "step"), [("natural", 0.00125), ("absolute", 0.0025)])
 @pytest.mark.parametrize("loops", [2, 10])
 def test_rows_of_loops_pass_their_singular_positions(loops, coordinates, step):

@@ -1,7 +1,5 @@
 """The singular study at its smallest effort: exact motions, files, rows, statistics and verdicts hang together."""
 
-import csv
-import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,8 +9,11 @@ import numpy as np
 import pytest
 from oracles.parallelogram import Parallelogram
 from oracles.slider_crank import SliderCrank
+from studies import agree, number, rows, tables
 
 import alfmu
+
+pytestmark = pytest.mark.slow
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"
 NUMBER = 6
@@ -42,35 +43,8 @@ def folder(study, tmp_path_factory):
     return made
 
 
-def rows(folder: Path, name: str) -> list[dict[str, str]]:
-    with (folder / f"{name}.csv").open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
-def number(text: str) -> float | None:
-    return float(text) if text else None
-
-
 def column(among: list[dict[str, str]], name: str) -> np.ndarray:
     return np.array([float(row[name]) for row in among])
-
-
-def shown_tables(folder: Path) -> list[tuple[str, list[str], list[list[str]]]]:
-    """CSV file, columns and rows of each table in the report."""
-    text = (folder / "singular.md").read_text(encoding="utf-8")
-    found = []
-    for name, table in re.findall(r"^\*\*.+\*\* \(`(\w+)\.csv`\)\n\n((?:\|.*\n?)+)", text, re.M):
-        columns, _, *lines = [line.strip("| ").split(" | ") for line in table.strip().splitlines()]
-        found.append((name, columns, lines))
-    return found
-
-
-def agree(shown: str, exact: str) -> bool:
-    """Whether a cell of the report is one of the CSV file, rounded to three digits."""
-    try:
-        return float(shown) == pytest.approx(float(exact), rel=6e-3, abs=1e-300)
-    except ValueError:
-        return shown == (exact.replace("|", "\\|") or "-")
 
 
 # The references ---------------------------------------------------------------------------------------------------
@@ -133,9 +107,9 @@ def test_everything_that_was_promised_is_there(study, folder):
 
 
 def test_every_table_of_the_report_shows_rows_of_its_csv_file(folder):
-    tables = shown_tables(folder)
-    assert {name for name, _, _ in tables} == TABLES
-    for name, columns, lines in tables:
+    found = tables(folder / "singular.md")
+    assert {name for _, name, _, _ in found} == TABLES
+    for _, name, columns, lines in found:
         kept = rows(folder, name)
         assert len(lines) == len(kept), name
         for line, row in zip(lines, kept, strict=True):

@@ -80,6 +80,7 @@ def test_reference_keeps_its_energy(scene: Scene) -> None:
     assert np.ptp(energies) <= 1e-10
 
 
+@pytest.mark.slow
 @scenes
 @coordinate_sets
 def test_motion_and_all_reactions(coordinates: str, scene: Scene) -> None:
@@ -114,6 +115,7 @@ def test_crank_turns_more_than_twice() -> None:
     assert exact[-1, 0] - scene.angle > 4 * np.pi
 
 
+@pytest.mark.slow
 @scenes
 def test_coordinate_sets_agree(scene: Scene) -> None:
     """At one state all four say the same of everything: reactions in natural coordinates are as physical as any."""

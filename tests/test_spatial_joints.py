@@ -117,6 +117,7 @@ def absolute(r: dict[str, float]) -> tuple[list[float], list[float]]:
     return q, v
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["prismatic", "planar"])
 def test_axes_are_expressions_in_parameters_as_well(kind):
     """At another value than the default, closed by constraints and by coordinates, against axes that are numbers."""
@@ -144,6 +145,7 @@ def test_an_axis_that_moves_or_has_to_be_numbers_is_refused():
         m.universal("J", *at, axis=(1, 0, 0), second_axis=(0, 1, lean))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "kind"), list(enumerate(UNITS)))
 def test_a_tree_and_constraints_agree_and_every_body_balances(seed, kind):
     """At a random state: accelerations and reactions in relative and in absolute coordinates, and Newton and Euler."""
@@ -418,6 +420,7 @@ def chain(bodies: int) -> alfmu.Equations:
     return alfmu.derive(m)
 
 
+@pytest.mark.slow
 def test_expressions_of_a_chain_stay_compact():
     """Operations of all that an evaluation takes: no more than the recursion of an articulated body of six links needs
     by count, 300 n - 267 multiplications and 279 n - 259 additions (Featherstone); forces grow with the bodies."""
@@ -480,6 +483,7 @@ def test_pictures_show_every_joint():
     assert (0.0, 0.0, -0.2) in tip
 
 
+@pytest.mark.slow
 def test_an_axis_that_parameters_turn_onto_its_normal_is_told():
     """Normals follow from the axis at the defaults: here they are x and y, and the axis becomes x."""
     m = alfmu.Mechanism("tilted")

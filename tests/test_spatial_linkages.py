@@ -89,6 +89,7 @@ def bricards() -> alfmu.Equations:
     return alfmu.derive(bricard())
 
 
+@pytest.mark.slow
 def test_bricards_linkage_moves_as_its_closed_form():
     """Six equations for five angles, one redundant: fourth order, and the loop stays closed."""
     acceleration, place = of_bricard()
@@ -132,6 +133,7 @@ def bennett() -> alfmu.Mechanism:
     return m
 
 
+@pytest.mark.slow
 def test_bennetts_linkage_of_bodies_is_the_registered_one():
     """Three redundant constraints of five; the registered one is declared by energies and six equations of its loop."""
     e = alfmu.derive(bennett())
@@ -176,6 +178,7 @@ def of_slider_crank() -> alfmu.Equations:
     return alfmu.derive(slider_crank())
 
 
+@pytest.mark.slow
 def test_a_slider_crank_in_space_moves_as_its_one_equation(tmp_path):
     """Against Lagrange's equation in the crank's angle; through FMUs of both kinds the same to the last bit."""
     x, w = ca.SX.sym("x"), ca.SX.sym("w")

@@ -21,6 +21,7 @@ WANTED = ["link*.angle", "A.force.x"]
 BOTH = pytest.mark.parametrize("kernel", ["vm", "compiled"])
 
 
+@pytest.mark.slow
 @BOTH
 def test_only_the_outputs_that_match_are_there_with_the_same_values(kernel):
     some = alfmu.simulate(by_rk4("five_bar"), 1.0, 0.02, outputs=WANTED, kernel=kernel)
@@ -31,6 +32,7 @@ def test_only_the_outputs_that_match_are_there_with_the_same_values(kernel):
         assert np.abs(some[name] - every[name]).max() <= 1e-12 * np.abs(every[name]).max(), name
 
 
+@pytest.mark.slow
 def test_what_is_traced_for_all_outputs_is_traced_again_for_some():
     e = prepared(derived("four_bar"))
     some = alfmu.simulate(e, 0.1, 0.02, outputs=["link1.angle"])
@@ -38,6 +40,7 @@ def test_what_is_traced_for_all_outputs_is_traced_again_for_some():
     assert np.array_equal(some["link1.angle"], alfmu.simulate(e, 0.1, 0.02)["link1.angle"])
 
 
+@pytest.mark.slow
 def test_what_nobody_watches_is_not_a_number_in_the_counters():
     some = alfmu.simulate("five_bar", 0.1, 0.02, outputs=["link1.angle", "monitor.energy"])
     assert math.isnan(some.counters.position_error)
@@ -47,6 +50,7 @@ def test_what_nobody_watches_is_not_a_number_in_the_counters():
     assert math.isnan(alfmu.simulate("five_bar", 0.1, 0.02, outputs=["link1.x"]).counters.energy_error)
 
 
+@pytest.mark.slow
 def test_wrapped_angles_go_on_counting_where_they_are_kept():
     """A crank in natural coordinates over several turns."""
     start = {"start.angular_velocity": 9.0}
@@ -59,6 +63,7 @@ def test_wrapped_angles_go_on_counting_where_they_are_kept():
     assert np.array_equal(none["slider.x"], every["slider.x"])
 
 
+@pytest.mark.slow
 def test_without_reactions_no_reaction_equation_is_left():
     e = prepared(specialised(derived("five_bar"), ["link*.angle"]))
     everything = prepared(derived("five_bar"))
@@ -73,10 +78,12 @@ def test_a_pattern_that_matches_nothing_is_refused(patterns):
         alfmu.simulate("five_bar", 0.1, 0.02, outputs=patterns)
 
 
+@pytest.mark.slow
 def test_a_multiplier_is_found_by_its_name():
     assert "multiplier[3]" in alfmu.simulate("five_bar", 0.1, 0.02, outputs=["multiplier[3]"]).names
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("freeze", [["all"], ["m2", "l"]])
 def test_frozen_parameters_are_constants_at_the_values_given(kernel, freeze):
@@ -101,6 +108,7 @@ def test_a_mass_frozen_at_zero_leaves_no_term():
     assert frozen.nonzeros["M"] == cost(prepared(derived("five_bar"))).nonzeros["M"] - 3
 
 
+@pytest.mark.slow
 def test_freezing_what_is_no_parameter_is_refused():
     with pytest.raises(alfmu.InputError, match=r"five_bar has no parameter 'start\.angle' to freeze; it has l, m1"):
         alfmu.simulate("five_bar", 0.1, 0.02, freeze=["start.angle"])
@@ -109,6 +117,7 @@ def test_freezing_what_is_no_parameter_is_refused():
         i.set("m2", 1.0)
 
 
+@pytest.mark.slow
 def test_an_fmu_has_only_what_it_was_asked_for(tmp_path):
     path = alfmu.export("five_bar", tmp_path / "lean.fmu", outputs=WANTED, freeze=["all"], parameters={"m2": 0.5})
     assert validate(path) == []
@@ -127,6 +136,7 @@ def test_operations_are_counted_without_moves():
     assert operations(ca.Function("f", [x], [x[0] * x[1] + 2.5, x[2]])) == 2
 
 
+@pytest.mark.slow
 def test_info_says_what_a_scene_costs_and_what_was_left_out(capsys):
     assert main(["info", "five_bar", "--all", "--outputs", "link*.angle", "--freeze", "all"]) == 0
     text = capsys.readouterr().out
@@ -152,6 +162,7 @@ def test_info_says_what_a_scene_costs_and_what_was_left_out(capsys):
     assert "all accelerations and reactions with them" in text
 
 
+@pytest.mark.slow
 def test_info_of_a_scene_that_needs_everything():
     i = alfmu.Instance(derived("five_bar"))
     i.initialize()
@@ -165,6 +176,7 @@ def test_an_fmu_takes_no_options_of_its_making(tmp_path, capsys):
     assert "give them to `alfmu export`" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = ["simulate", "five_bar", "--stop-time", "0.2", "--outputs", "link1.*,monitor.energy"]

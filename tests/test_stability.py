@@ -14,6 +14,8 @@ from alfmu.studies import reference as exact
 from alfmu.studies.cases import ENERGY, PHI, POSITION, Run
 from alfmu.studies.stability import CLASSES, OTHER, REFUSED, Cell, Effort, Study, classified, stability
 
+pytestmark = pytest.mark.slow
+
 SMALL = Effort(
     total=30.0,
     horizon=0.4,

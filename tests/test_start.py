@@ -454,6 +454,7 @@ CASES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "options", "given"), CASES, ids=lambda x: str(x) if isinstance(x, str) else None)
 def test_a_restored_state_continues_to_the_last_bit(name: str, options: dict, given: dict) -> None:
     """In the instance itself after it went on, and in another one that had another life before."""

@@ -174,6 +174,7 @@ def test_through_singular_positions_with_redundancy(method):
 # Against the readable forms ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "method", "bound"),
     [

@@ -112,6 +112,7 @@ def test_cases_are_the_product_and_made_when_asked_for():
     assert (cases.values(4, 9) == whole[4:9]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "why"),
     [
@@ -144,6 +145,7 @@ def test_what_cannot_be_run_is_refused_before_anything_is(given, why):
         alfmu.sweep("five_bar", **given)
 
 
+@pytest.mark.slow
 def test_a_table_of_cases_from_a_file(tmp_path):
     table = tmp_path / "cases.csv"
     table.write_text("m2, l\n0.5,1\n0.7,1.1\n")
@@ -163,6 +165,7 @@ def test_a_table_of_cases_from_a_file(tmp_path):
 # Numbers -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_numbers_are_those_of_single_runs(workers, monkeypatch):
     monkeypatch.setattr("alfmu.sweeps.sweep.QUICK", 0.0)
@@ -186,6 +189,7 @@ def test_numbers_are_those_of_single_runs(workers, monkeypatch):
     assert found.units["l"] == "m"
 
 
+@pytest.mark.slow
 def test_compiled_runs_have_the_same_numbers():
     how = {"keep": KEEP, "stop_time": 0.3, "workers": 1}
     one, other = (alfmu.sweep("five_bar", {"m2": "0:1:3"}, kernel=kernel, **how) for kernel in ("vm", "auto"))
@@ -292,6 +296,7 @@ def test_one_call_of_the_runtime_a_run_on_one_instance(monkeypatch):
     assert made == {"scenes": 1, "runs": 25}
 
 
+@pytest.mark.slow
 def test_cases_that_no_process_survives_are_rows_and_others_are_not(tmp_path):
     """A scene whose worker ends at one value: that case alone is lost, by halving."""
     module = tmp_path / "deadly.py"
@@ -335,6 +340,7 @@ def children(pid: int) -> list[int]:
 SAMPLES = 3000
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes as Linux lists them")
 def test_a_sweep_that_is_killed_goes_on_and_repeats_nothing(tmp_path):
     """kill -9 of a worker, then of all of it: parts are whole, workers end, the second sweep makes the rest alone."""
@@ -379,6 +385,7 @@ def test_a_sweep_that_is_killed_goes_on_and_repeats_nothing(tmp_path):
     assert all(np.array_equal(found[name], at_once[name]) for name in found.names[:-2])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal")
 def test_an_interrupt_keeps_what_is_under_way(tmp_path):
     folder = tmp_path / "s"
@@ -409,6 +416,7 @@ sys.exit(main(sys.argv[1:]))
 """A disk that has room for two parts of eight cases: a limit of the process stands for it."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["parquet", "csv"])
 def test_a_full_disk_loses_no_finished_case(form, tmp_path):
     pytest.importorskip("resource")
@@ -492,6 +500,7 @@ def test_two_processes_do_not_write_into_one_folder(tmp_path):
 # A cluster -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_of_which_a_worker_is_killed(tmp_path, monkeypatch):
     """Two workers in processes of their own; one is killed while it has cases in hand, and none is lost."""
     pytest.importorskip("distributed")
@@ -553,6 +562,7 @@ def test_an_address_without_a_scheduler_is_told():
 # FMUs ----------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["native", "python"])
 def test_sweeps_of_fmus_are_those_of_the_mechanism(kind, tmp_path, capsys):
     path = alfmu.export(alfmu.Recipe("five_bar", kind=kind, reference=False), tmp_path / "five_bar.fmu")
@@ -639,6 +649,7 @@ def test_files_are_read_by_others(form, tmp_path):
             assert next(csv.reader(file)) == list(found.names)
 
 
+@pytest.mark.slow
 def test_the_page_has_its_pictures_and_needs_no_network(tmp_path, chromium, capsys):
     pytest.importorskip("plotly")
     folder = tmp_path / "s"
@@ -663,6 +674,7 @@ def test_the_page_has_its_pictures_and_needs_no_network(tmp_path, chromium, caps
     assert "m2 = -0.1 kg is outside" in text
 
 
+@pytest.mark.slow
 def test_what_a_variation_does_not_change_is_told_with_its_value():
     """A few by name, many by their number; nothing where no case has a number."""
     rates = {"start.angular_velocity": [1.0, 2.0]}

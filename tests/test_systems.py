@@ -53,6 +53,7 @@ def spindle_ssp(tmp_path_factory: pytest.TempPathFactory) -> Path:
 # Parts --------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_blocks_together_are_the_linear_system(spindle_ssp):
     """Motor, gearbox and load by SciPy, against the system at a step where coupling leaves little."""
     k, r, inductance, inertia = 0.05, 0.4, 2e-3, 1e-3
@@ -287,6 +288,7 @@ def test_another_unit_of_an_fmu_asks_for_conversion(tmp_path):
 # Archives -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_an_ssp_runs_as_what_it_was_made_of(described, ssp):
     """FMUs in place of mechanisms: the same rows by each master, rewound states of FMUs included."""
     for master in MASTERS:
@@ -499,6 +501,7 @@ def agrees(found: list[float], run: alfmu.Result) -> None:
 # Commands ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_commands(described, tmp_path, monkeypatch, capsys):
     shutil.copytree(described.parent, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
@@ -522,6 +525,7 @@ def test_the_commands(described, tmp_path, monkeypatch, capsys):
 # Kinds of FMUs -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_components_that_take_no_rates_hold_the_mean(tmp_path):
     """FMUs of FMI 3 and of kind python, connected to each other: order 2 all the same."""
     a = alfmu.export(first_order("a"), tmp_path / "a.fmu", kind="native", fmi=3, reference=False)
@@ -539,6 +543,7 @@ def test_components_that_take_no_rates_hold_the_mean(tmp_path):
         assert np.polyfit(np.log(steps), np.log(errors), 1)[0] == pytest.approx(2, abs=0.15)
 
 
+@pytest.mark.slow
 def test_a_switch_and_choices_of_an_fmu_are_exchanged(tmp_path):
     """A Boolean input, an enumeration and a number of an FMU that alfmu did not make for this system."""
     locked = alfmu.Recipe("slider_crank", kind="native", lock=["A"], reference=False, name="arm")

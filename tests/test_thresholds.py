@@ -76,6 +76,7 @@ def test_changes_are_told_by_their_largest_ratios(study):
     assert study.compared({"a": "refused", "b": usual["b"]}, usual) == "stops: a"
 
 
+@pytest.mark.slow
 def test_the_study_changes_constants_of_python_and_of_c():
     """Places of reactions further apart err more; the runtime is built with the constant of C, and its start too."""
     command = [sys.executable, "threshold_study.py", "--only", "READ_DISTANCE", "LEAST_DISTANCE", "--cases", "pole"]

@@ -5,6 +5,10 @@ from dataclasses import replace
 import pytest
 from studies import prose, rows, script, tables, untraced
 
+from alfmu.studies.cases import POSITION
+
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def study():
@@ -38,17 +42,44 @@ def test_the_largest_error_is_within_ten_times_the_tolerance(study, name, horizo
 def test_the_report_of_two_mechanisms(study, tmp_path, monkeypatch):
     monkeypatch.setattr(study, "QUICK", replace(study.QUICK, horizon=0.5))
     monkeypatch.setattr(study, "METHODS", ("explicit",))
+    short = study.Race("explicit", 0.5, study.RACES["slider_crank"].start, (1e-4, 1e-7))
+    monkeypatch.setitem(study.RACES, "slider_crank", short)
     assert study.main(["--quick", "--only", "particle_on_circle", "four_bar", "-o", str(tmp_path)]) == 0
     report = tmp_path / "tolerances.md"
+    assert {name for _, name, *_ in tables(report)} == {"environment", *study.CHAPTERS}
     for _, name, columns, lines in tables(report):
         assert untraced(report, name, columns, lines) == []
-    assert not any(c.isdigit() for c in prose(report))
-    assert [(r["mechanism"], float(r["tolerance"]), r["verdict"]) for r in rows(tmp_path, "tolerances")] == [
-        (name, tolerance, "held")
-        for name in ("four_bar mixed", "four_bar joint", "particle_on_circle")
-        for tolerance in (1e-6, 1e-9)
-    ]
-    assert {(r["chosen"], r["ratio"], r["verdict"]) for r in rows(tmp_path, "auto")} == {("explicit", "1", "met")}
+    assert not any(c.isdigit() for c in prose(report).replace("(9)", ""))
+    cases = (("explicit", 1e-6), ("explicit", 1e-9), ("auto", 1e-6))
+    held = [(r["mechanism"], r["method"], float(r["tolerance"]), r["verdict"]) for r in rows(tmp_path, "tolerances")]
+    names = ("four_bar mixed", "four_bar joint", "particle_on_circle")
+    assert held == [(name, *case, "held") for name in names for case in cases]
+    seconds = {(r["mechanism"], r["method"], r["tolerance"]): r["median [s]"] for r in rows(tmp_path, "tolerances")}
+    for row in rows(tmp_path, "auto"):
+        both = [float(seconds[row["mechanism"], method, f"{1e-6:.17g}"]) for method in ("auto", "explicit")]
+        assert (row["chosen"], float(row["ratio"])) == ("explicit", pytest.approx(both[0] / both[1]))
+        assert row["verdict"] == ("met" if float(row["ratio"]) <= study.TWICE else "not met")
     assert (tmp_path / "tolerances.png").stat().st_size > 10_000
     machine = {r["what"]: r["value"] for r in rows(tmp_path, "environment")}
     assert machine["command"] == "`python scripts/tolerance_study.py --quick --only four_bar particle_on_circle`"
+    races = rows(tmp_path, "races")
+    assert [r["method"] for r in races] == [x for x in ("explicit", "DOP853", "Radau", "BDF") for _ in range(2)]
+    assert all(float(r[POSITION]) <= 10 * float(r["tolerance"]) for r in races if r["method"] == "explicit")
+    verdicts = {r["row"]: r for r in rows(tmp_path, "targets")}
+    assert len(verdicts) == len(study.RACES) * 3
+    assert verdicts["flyball_governor, Radau"]["verdict"] == "not measured"
+    for method in ("DOP853", "Radau", "BDF"):
+        ratios = [float(r["ratio"]) for r in races if r["method"] == method and r["ratio"]]
+        target = verdicts[f"slider_crank, {method}"]
+        if ratios:
+            assert float(target["measured"]) == pytest.approx(min(ratios))
+            assert target["verdict"] == ("met" if min(ratios) >= 20 else "not met")
+    assert any(r["ratio"] for r in races)
+
+
+def test_run_times_are_compared_at_equal_error_and_never_beyond_it(study):
+    own = [(1e-3, 1.0), (1e-7, 4.0)]
+    assert study.time_at(1e-5, own) == pytest.approx(2.0)
+    assert study.time_at(1e-2, own) == 1.0
+    assert study.time_at(1e-9, own) is None
+    assert study.time_at(1e-5, []) is None

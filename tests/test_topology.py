@@ -52,6 +52,7 @@ def test_a_bad_penalty_is_refused(bad):
     assert np.array_equal(i.penalty, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "bound"), [("rk4", 1e-11), ("auto", 1e-5)])
 def test_the_redundant_link_of_the_five_bar_can_come_off_and_the_motion_stays(method, bound):
     """Rows E and F off: link 4 falls freely, links 1 to 3 are the four-bar from then on."""

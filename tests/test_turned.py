@@ -42,6 +42,7 @@ def motion(linkage, turn=None, offset=(0.0, 0.0, 0.0), absolute="", **parameters
     return places, run.counters.evaluations
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seed"), CASES, ids=NAMES)
 def test_a_turned_and_shifted_linkage_moves_as_newton_and_euler_say(kind, seed, caplog):
     """By default within 1e-6, in as many evaluations as the aligned one to a tenth, and without a warning."""
@@ -55,6 +56,7 @@ def test_a_turned_and_shifted_linkage_moves_as_newton_and_euler_say(kind, seed, 
     assert not caplog.records
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "seed"), CASES, ids=NAMES)
 def test_a_tight_tolerance_holds_in_every_direction(kind, seed):
     linkage, (turn, offset) = drawn(kind, seed), direction(seed + 1)
@@ -71,6 +73,7 @@ def test_bodies_with_coordinates_of_their_own_move_as_those_on_joints(absolute):
     assert np.abs(motion(linkage, *direction(1), absolute, **tight)[0] - motion(linkage, **tight)[0]).max() <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 def test_the_rank_does_not_depend_on_the_direction(kind):
     """Rows that are round-off alone, or combinations of others to round-off, are redundant in all directions."""

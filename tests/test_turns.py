@@ -55,6 +55,7 @@ def sprung(m: Mechanism, body: object, hinge: object) -> None:
     m.spring_damper(hinge, stiffness=STIFFNESS, damping=0.1, name="spring")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("made", [natural, spatial])
 def test_a_torsion_spring_counts_turns(made):
     """Its torque jumped by STIFFNESS times a turn wherever the angle passed pi."""

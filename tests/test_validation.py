@@ -146,6 +146,7 @@ def test_an_fmu_that_is_right_passes_every_check(springs, version):
     assert all(found[id] == NOT_APPLICABLE for id in apart)
 
 
+@pytest.mark.slow
 @both
 def test_an_fmu_that_is_instantiated_once_per_process_passes(springs, tmp_path, version):
     """A second instance in a process is none; only what is about several instances does not apply."""
@@ -169,13 +170,10 @@ def test_a_last_digit_is_no_difference(springs, monkeypatch, version):
     assert set(found.values()) == {PASSED}
 
 
-def native(name: str, folder: Path, fmi: int) -> Path:
-    return alfmu.export(name, folder / f"{name}{fmi}.fmu", kind="native", fmi=fmi)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "version"), [("native", "2"), ("native", "3"), ("python", "2")])
-def test_fmus_of_alfmu_pass(exported, tmp_path, kind, version):
-    path = exported("slider_crank") if kind == "python" else native("slider_crank", tmp_path, int(version))
+def test_fmus_of_alfmu_pass(fmu_of, kind, version):
+    path = fmu_of("slider_crank", {}, kind=kind, **({"fmi": 3} if version == "3" else {}))
     report = examine(path)
     assert report.problems == []
     counts = report.counts()
@@ -241,6 +239,7 @@ NO_ERRORS = {
 """Results of checks of what the standard does not demand of an FMU: it need not detect what it forbids importers."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("defect", "id", "version", "words"),
     [(defect, id, version, words) for defect, id, versions, words in DEFECTS for version in versions],
@@ -261,6 +260,7 @@ def test_every_check_that_runs_an_fmu_is_seen_to_fail():
     assert {id for id in known_checks() if not id.startswith("file.")} == seen
 
 
+@pytest.mark.slow
 def test_checks_after_one_that_ended_the_process_go_on(springs, monkeypatch):
     """All in one process, as where there is no fork: it is started again behind the check that ended it."""
     monkeypatch.setenv("DEFECT", "crash_reference")
@@ -272,6 +272,7 @@ def test_checks_after_one_that_ended_the_process_go_on(springs, monkeypatch):
         assert found["values.types"] == PASSED
 
 
+@pytest.mark.slow
 def test_a_step_that_does_not_end_is_ended(springs, monkeypatch):
     monkeypatch.setenv("DEFECT", "hang")
     report = examine(springs("2"), checks=["run.default", "step.zero"], timeout=1.0)
@@ -385,8 +386,8 @@ def test_a_library_for_another_machine_is_not_run(springs, tmp_path, capsys):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return native("slider_crank", tmp_path_factory.mktemp("recorded"), 2)
+def recorded(fmu_of: Callable[..., Path]) -> Path:
+    return fmu_of("slider_crank", kind="native")
 
 
 def summed(path: Path, target: Path, changes: dict[str, Callable[[bytes], bytes]]) -> Path:
@@ -406,6 +407,7 @@ def summed(path: Path, target: Path, changes: dict[str, Callable[[bytes], bytes]
     return target
 
 
+@pytest.mark.slow
 def test_inputs_of_the_recorded_run_move_and_matter(recorded, tmp_path):
     with zipfile.ZipFile(recorded) as archive:
         archive.extractall(tmp_path / "u")
@@ -433,6 +435,7 @@ def test_inputs_of_the_recorded_run_move_and_matter(recorded, tmp_path):
     assert problem.startswith("record.moving_inputs: ")
 
 
+@pytest.mark.slow
 def test_reference_results_that_differ_are_told_with_their_size(recorded, tmp_path):
     def one(data: bytes) -> bytes:
         head, *rows = data.decode().splitlines()
@@ -456,6 +459,7 @@ def test_a_record_that_was_changed_is_told_by_its_check_sum(recorded, tmp_path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
@@ -533,6 +537,7 @@ class Tank(Fmi2Slave):
 """
 
 
+@pytest.mark.slow
 def test_a_plain_slave_of_pythonfmu_is_judged_though_its_description_is_not_valid(tmp_path):
     (tmp_path / "tank.py").write_text(_TANK)
     command = [sys.executable, "-m", "pythonfmu", "build", "-f", "tank.py"]
@@ -549,6 +554,7 @@ def test_a_plain_slave_of_pythonfmu_is_judged_though_its_description_is_not_vali
 # The command ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_says_what_failed_and_ends_with_1(springs, monkeypatch, capsys, tmp_path):
     path = str(springs("2"))
     assert main(["validate", path, "--checks", "step.*"]) == 0

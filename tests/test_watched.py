@@ -31,6 +31,7 @@ def test_a_point_in_the_plane_has_its_place_and_velocity():
     assert result.units["tip.vy"] == "m/s"
 
 
+@pytest.mark.slow
 def test_a_point_in_space_has_three_components():
     m = Mechanism("top")
     body = m.spatial_body("body", mass=1.0, inertia=(0.1, 0.1, 0.1), position=(0.5, 0.0, 0.0))

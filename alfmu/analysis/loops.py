@@ -152,7 +152,7 @@ class Loops:
 
     def sizes(self, y: Vector) -> Vector:
         """Singular values of the constraint matrix: how much the constraints hold, in `rank` directions."""
-        return np.linalg.svd(self.matrix(y), compute_uv=False)[: self.rank]
+        return np.asarray(np.linalg.svd(self.matrix(y), compute_uv=False)[: self.rank], float)
 
     def closed(self, y: Vector, near: Vector | None = None) -> Vector | None:
         """The place nearest by that closes the loops, by corrections (10) of least norm; None where none is found.

@@ -103,7 +103,7 @@ class Small:
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
         """Of A [1/s], the slowest first, the upper one of a pair first."""
-        return ordered(np.linalg.eigvals(self.A))[0]
+        return ordered(np.linalg.eigvals(self.A).astype(complex))[0]
 
     def stability(self, isolated: bool) -> tuple[str, str]:
         """What the small motions tell of a position of rest, and by what: Lagrange's and Lyapunov's theorems."""
@@ -228,7 +228,7 @@ def small_motions(where: Situation, freedom: int, wanted: Sequence[int] = ()) ->
         if slides:
             asked = Lq @ dq + Lv @ dv + law + La @ found[1] + Llam @ found[2]
             mu = np.linalg.solve(np.eye(len(slides)) - La @ by_mu[1] - Llam @ by_mu[2], asked)
-            found = tuple(x + y @ mu for x, y in zip(found, by_mu, strict=True))
+            found = found[0] + by_mu[0] @ mu, found[1] + by_mu[1] @ mu, found[2] + by_mu[2] @ mu
         change, da, dlam = found
         return change, Yq @ dq + Yv @ dv + Ya @ da + Ylam @ dlam + y
 

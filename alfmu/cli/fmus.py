@@ -137,8 +137,8 @@ def _export(chosen: argparse.Namespace) -> None:
 def _export_system(chosen: argparse.Namespace) -> None:
     from ..systems.system import System
 
-    own = ("kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure")
-    own += ("option", "set", "compliances", "reference")
+    own = ["kind", "fmi", "platform", "kernel", "start", "outputs", "freeze", "lock", "release", "measure"]
+    own += ["option", "set", "compliances", "reference"]
     if given := [name for name in own if getattr(chosen, name) not in (None, [])]:
         raise InputError(f"{chosen.mechanism}: --{given[0]} is for an FMU; give it to a component, in the file")
     if not chosen.ssp:

@@ -176,11 +176,11 @@ def equations_of(recipe: Recipe, mechanism: Mechanism) -> Equations:
     equations = with_defaults(derive(mechanism), recipe.parameters)
     own = recipe.parameters
     for v in (v for v in (*equations.starts, *equations.parameters) if v.unit == "rad" and v.name in own):
-        perhaps_degrees(f"{equations.name}: {v.name}", v.start)
+        perhaps_degrees(f"{equations.name}: {v.name}", float(v.start))
     for v in (v for v in equations.parameters if v.unit == "m" and v.name in own):
-        perhaps_millimetres(f"{equations.name}: {v.name}", v.start)
+        perhaps_millimetres(f"{equations.name}: {v.name}", float(v.start))
     if any(v.unit == "kg" and v.name in own for v in equations.parameters):
-        values = {v.name: v.start for v in equations.parameters}
+        values = {v.name: float(v.start) for v in equations.parameters}
         for message in perhaps_grams(equations.name, masses(mechanism, values)).values():
             hint(message)
     return equations

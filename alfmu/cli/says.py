@@ -119,7 +119,8 @@ def between_steps(progress: Callable[..., Iterable[Any]]) -> Iterator[Callable[.
             raise KeyboardInterrupt
 
     def checked(steps: Sequence[Any]) -> Iterator[Any]:
-        with closing(iter(progress(steps))) as shown:
+        every: Any = iter(progress(steps))
+        with closing(every) as shown:
             for step in shown:
                 if asked:
                     raise KeyboardInterrupt

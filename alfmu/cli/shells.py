@@ -19,7 +19,7 @@ def add(command: Command) -> None:
 
 def _completion(chosen: argparse.Namespace) -> None:
     try:
-        from argcomplete import shellcode
+        from argcomplete.shell_integration import shellcode
     except ImportError:
         raise InputError("completion needs argcomplete; install it with: pip install 'alfmu[completion]'") from None
     print(shellcode(["alfmu"], shell=chosen.shell))

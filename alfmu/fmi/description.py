@@ -65,7 +65,7 @@ def model_description(
         license=LICENSE,
         generationTool=generator,
         variableNamingConvention=_convention(e),
-        **credits,
+        **credits,  # type: ignore[arg-type]
     )
     simulation = ET.SubElement(
         root,
@@ -122,7 +122,7 @@ def model_description3(
         license=LICENSE,
         generationTool=generator,
         variableNamingConvention=_convention(e),
-        **credits,
+        **credits,  # type: ignore[arg-type]
     )
     ET.SubElement(
         root,
@@ -155,13 +155,13 @@ def model_description3(
     structure = ET.SubElement(root, "ModelStructure")
     inputs = [str(i) for i, (causality, v) in enumerate(variables) if causality == "input" and v.type == "Real"]
     outputs = [(str(i), v) for i, (causality, v) in enumerate(variables) if causality == "output"]
-    for reference, v in outputs:
+    for number, v in outputs:
         on = inputs if v.instant else []
         kinds = " ".join("dependent" for _ in on)
-        ET.SubElement(structure, "Output", valueReference=reference, dependencies=" ".join(on), dependenciesKind=kinds)
-    for reference, v in outputs:
-        on = " ".join(str(i) for i in _at_the_start(e, variables, v))
-        ET.SubElement(structure, "InitialUnknown", valueReference=reference, dependencies=on)
+        ET.SubElement(structure, "Output", valueReference=number, dependencies=" ".join(on), dependenciesKind=kinds)
+    for number, v in outputs:
+        needed = " ".join(str(i) for i in _at_the_start(e, variables, v))
+        ET.SubElement(structure, "InitialUnknown", valueReference=number, dependencies=needed)
     ET.indent(root)
     return ET.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
 
@@ -176,7 +176,9 @@ def enumerated(variables: Sequence[tuple[str, Variable]], choices: Choices) -> l
     def numbered(v: Variable) -> Variable:
         items = list(choices[v.name])
         text = ", ".join(f"{k} {item}" for k, item in enumerate(items, 1))
-        return replace(v, type="Enumeration", start=items.index(v.start) + 1, description=f"what this FMU has: {text}")
+        return replace(
+            v, type="Enumeration", start=items.index(str(v.start)) + 1, description=f"what this FMU has: {text}"
+        )
 
     return [(causality, numbered(v) if v.name in choices else v) for causality, v in variables]
 
@@ -312,7 +314,7 @@ def _start(causality: str, v: Variable) -> str:
     return (
         html.escape(str(v.start))
         if v.type == "String"
-        else _number(v.start, v.type)
+        else _number(float(v.start), v.type)
         if v.type == "Boolean"
         else f"{v.start:g}"
     )

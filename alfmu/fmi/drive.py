@@ -6,7 +6,7 @@ import json
 import logging
 import zipfile
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -49,7 +49,7 @@ _WARNING = 1
 """Status of a warning, in FMI 2 and 3."""
 
 
-def _logged(*said) -> None:
+def _logged(*said: Any) -> None:
     """What an FMU logs; status, category and message come last, whatever the version of FMI."""
     _LOG.append((said[-3], (said[-1] or b"").decode(errors="replace")))
 
@@ -151,7 +151,9 @@ class Fmu:
     def __enter__(self) -> Fmu:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None):
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -171,7 +173,12 @@ class Fmu:
             settable = [v.name for v in self._by_name.values() if v.causality in ("parameter", "input")]
             raise InputError(f"{self.name} has no input or parameter {name!r}; {there_is(name, settable)}")
         try:
-            kinds = {"Real": float, "Integer": partial(_whole, variable.type), "Boolean": _truth, "String": str}
+            kinds: dict[str, Callable[[Any], Any]] = {
+                "Real": float,
+                "Integer": partial(_whole, variable.type),
+                "Boolean": _truth,
+                "String": str,
+            }
             kinds["Enumeration"] = partial(_item, variable)
             if isinstance(value, bool) and variable.type != "Boolean":
                 raise TypeError(value)
@@ -284,7 +291,7 @@ class Fmu:
     def _of(self, causality: str) -> Iterator[ModelVariable]:
         return (v for v in self._by_name.values() if v.causality == causality)
 
-    def _call(self, function: str, *arguments, **named):
+    def _call(self, function: str, *arguments: Any, **named: Any) -> Any:
         _LOG.clear()
         try:
             result = getattr(self.slave, function)(*arguments, **named)

@@ -28,7 +28,7 @@ class Entry(Slave):
 
     def __init_subclass__(cls, recipe: Recipe) -> None:
         super().__init_subclass__()
-        cls.recipe = recipe.in_file(Path(sys.modules[cls.__module__].__file__))
+        cls.recipe = recipe.in_file(Path(str(sys.modules[cls.__module__].__file__)))
 
     def _scene(self, folder: Path) -> Scene:
         if (folder / SCENE).is_file():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from xml.etree import ElementTree as ET
 
 from ..model.errors import InputError
@@ -17,7 +17,13 @@ _VALUES = "http://ssp-standard.org/SSP1/SystemStructureParameterValues"
 
 _TRUTHS = {"true": True, "1": True, "false": False, "0": False}
 
-_TYPES = {"Real": float, "Integer": int, "Boolean": lambda text: _TRUTHS[text], "String": str, "Enumeration": str}
+_TYPES: dict[str, Callable[[str], float | int | bool | str]] = {
+    "Real": float,
+    "Integer": int,
+    "Boolean": lambda text: _TRUTHS[text],
+    "String": str,
+    "Enumeration": str,
+}
 """Elements of SSP 1.0 that hold a value, and what it is in Python."""
 
 

@@ -51,7 +51,7 @@ def _names(value: object) -> bool:
 
 
 def _seconds(value: object) -> bool:
-    return value is None or (isinstance(value, Real) and value is not True and 0 < float(value) < math.inf)
+    return value is None or (isinstance(value, Real) and not isinstance(value, bool) and 0 < float(value) < math.inf)
 
 
 def _one_of(*known: object) -> tuple[Callable[[object], bool], str]:

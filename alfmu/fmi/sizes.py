@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from ..equations import Equations
 from ..kernel.form import called
@@ -51,7 +52,7 @@ def sizes(
     freeze: Sequence[str] | None,
 ) -> list[str]:
     """Sizes of the FMUs of a scene, of each kind, in lines for a reader; exports them to find out."""
-    given = {"parameters": parameters, "outputs": outputs, "freeze": freeze}
+    given: dict[str, Any] = {"parameters": parameters, "outputs": outputs, "freeze": freeze}
     text = []
     for kind in KINDS:
         try:

@@ -48,7 +48,7 @@ def document(found: dict[str, dict[str, str]]) -> bytes:
     square = {"x1": "-100", "y1": "-100", "x2": "100", "y2": "100"}
     ET.SubElement(picture, "CoordinateSystem", square, suggestedScalingFactorTo_mm="0.1")
     ET.SubElement(picture, "Icon", square)
-    every = ET.SubElement(root, "Terminals") if found else None
+    every = ET.SubElement(root, "Terminals") if found else root
     for name, members in found.items():
         what = " and ".join((", ".join(list(members)[:-1]), list(members)[-1])).replace("_", " ")
         terminal = ET.SubElement(

@@ -7,7 +7,7 @@ ranks tell which coordinates are independent. These keep what the file gives whe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -85,7 +85,7 @@ class Loops:
         mechanism: Mechanism,
         values: Mapping[str, float],
         driven: Sequence[str],
-        given: Sequence[str],
+        given: Collection[str],
         limits: Mapping[str, tuple[float, float]],
     ):
         coordinates = list(mechanism.coordinates)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -278,7 +279,7 @@ class _Declaring:
             coordinates = [expression + offset if offset else expression]
         else:
             entries = zip(words, units, start, rates, strict=True)
-            coordinates = [self._coordinate(f"{name}{word}", *entry) for word, *entry in entries]
+            coordinates = [self._coordinate(f"{name}{word}", unit, x, rate) for word, unit, x, rate in entries]
             names = [f"{name}{word}" for word in words]
             self.limits |= dict(zip(names, joint.limits, strict=False))
             if self.linkage.posed:
@@ -286,7 +287,7 @@ class _Declaring:
         self.coordinates[joint] = coordinates
         at = pose.at(joint.point)
         markers = [self.bodies[b].at(self._point(b, at)) for b in (first, second)]
-        given: dict[str, object] = {}
+        given: dict[str, Any] = {}
         if axes:
             given["axis"] = tuple(axes[0].tolist())
         if joint.kind == "universal":
@@ -299,12 +300,12 @@ class _Declaring:
         made = self.script.do(_METHODS.get(joint.kind, joint.kind), name, *markers, **given, keep=keep)
         self.made[joint] = made
         if joint.kind == "spherical":
-            for e in coordinates:
+            for each in coordinates:
                 # The rates of Euler parameters of unit length have half the size of the angular velocity.
                 if joint.damping[0]:
-                    self.script.do("generalized_force", e, (-4 * joint.damping[0]) * self.script.rate(e))
+                    self.script.do("generalized_force", each, (-4 * joint.damping[0]) * self.script.rate(each))
                 if joint.armature:
-                    self.script.do("kinetic_energy", (2 * joint.armature) * self.script.rate(e) ** 2)
+                    self.script.do("kinetic_energy", (2 * joint.armature) * self.script.rate(each) ** 2)
             return
         self._spring(joint, made)
         if joint.armature:
@@ -313,8 +314,8 @@ class _Declaring:
     def _spring(self, joint: Joint | Closure, made: Named) -> None:
         freedoms = _FREEDOMS.get(joint.kind, ("",))
         for which, k, d, rest in zip(freedoms, joint.stiffness, joint.damping, joint.rest, strict=False):
-            numbers = {"stiffness": k, "damping": d, "rest": rest if k else 0.0}
-            numbers = {name: x for name, x in numbers.items() if x}
+            every = {"stiffness": k, "damping": d, "rest": rest if k else 0.0}
+            numbers: dict[str, Any] = {name: x for name, x in every.items() if x}
             if numbers:
                 self.script.do("spring_damper", made.freedom(which) if which else made, **numbers)
 
@@ -338,7 +339,7 @@ class _Declaring:
         if differ and closure.kind in ("weld", "prismatic", "universal", "screw"):
             markers[0] = self._turned(f"{name}_frame", markers[0], quaternion(zero1.turn @ zero2.turn.T))
             zero1, differ = zero2, False
-        given: dict[str, object] = {}
+        given: dict[str, Any] = {}
         if axes:
             one, two = (
                 cleaned(zero.turn @ (x / np.linalg.norm(x))) for zero, x in ((zero1, axes[0]), (zero2, axes[-1]))

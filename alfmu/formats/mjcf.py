@@ -236,7 +236,8 @@ class _File:
                 given = Reading(child)
                 inner = pose @ self._pose(given)
                 given.done(("name", "childclass"))
-                parts += self._tree(child, link, inner, child.attributes.get("childclass", childclass))
+                own = child.attributes.get("childclass", childclass)  # type: ignore[arg-type]
+                parts += self._tree(child, link, inner, own)
             elif child.tag in ("joint", "freejoint"):
                 if link is None:
                     child.fail("the world has no joints; put the joint into a body")

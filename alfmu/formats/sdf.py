@@ -284,10 +284,10 @@ class _File:
                 self.made[joint.name] = joint
                 link.joints.append(joint)
                 mimics += [(mimic, joint) for mimic in details["mimic"]]
-        for name, each in self.nodes.items():
-            self._pose(name, each)
-        for each in left:
-            self.linkage.closures.append(self._closure(each, *ends[each]))
+        for name, node in self.nodes.items():
+            self._pose(name, node)
+        for closing in left:
+            self.linkage.closures.append(self._closure(closing, *ends[closing]))
         for mimic, joint in mimics:
             self._mimic(mimic, joint)
 
@@ -447,7 +447,7 @@ def _axis(linkage: Linkage, axis: Node, found: dict) -> None:
             linkage.leave("stiffness of limits", *child.all("stiffness", "dissipation"))
             low, high, effort, speed = (number(child, each, x) for each, x in _LIMITS.items())
             if min(abs(low), abs(high)) < 1e15 or any(0 <= x < 1e15 for x in (effort, speed)):
-                linkage.warn("limits of joints", child.parent.parent)  # type: ignore[union-attr,list-item]
+                linkage.warn("limits of joints", child.parent.parent)  # type: ignore[union-attr,arg-type]
             found["limits"][-1] = (low, high) if low < high else (-math.inf, math.inf)
         elif child.tag not in ("xyz", "dynamics", "use_parent_model_frame", "initial_position"):
             child.fail(f"<{child.tag}> of an axis does not map")

@@ -24,18 +24,22 @@ def laned(program: Program, handed: Collection[str]) -> Program:
 
 def _side_by_side(steps: Steps, after: Collection[str]) -> Steps:
     made: list[Step] = []
+    shapes = [_shape(step) for step in steps]
     at = 0
     while at < len(steps):
-        period, count = _repetition(steps[at:])
+        period, count = _repetition(steps[at:], shapes[at:])
         end = at + period * count
-        known = {*after, *taken(steps[end:])}
-        parts = _apart([steps[k : k + period] for k in range(at, end, period)], known) if count > FEW else None
+        parts = None
+        if count > FEW:
+            known = {*after, *taken(steps[end:])}
+            parts = _apart([steps[k : k + period] for k in range(at, end, period)], known)
         if parts:
             for each in zip(*parts, strict=True):
                 made += [Lanes(each)] if isinstance(each[0], Call) else each
             at = end
         else:
-            made.append(_inside(steps[at], {*after, *taken(steps[at + 1 :])}))
+            inner = isinstance(steps[at], Choice | Loop)
+            made.append(_inside(steps[at], {*after, *taken(steps[at + 1 :])}) if inner else steps[at])
             at += 1
     return tuple(made)
 
@@ -48,9 +52,8 @@ def _inside(step: Step, after: Collection[str]) -> Step:
     return step
 
 
-def _repetition(steps: Steps) -> tuple[int, int]:
+def _repetition(steps: Steps, shapes: Sequence[tuple]) -> tuple[int, int]:
     """How many steps are repeated from the first one on, and how often: the shortest that is more often than a few."""
-    shapes = [_shape(step) for step in steps]
     for period in range(1, len(steps) // (FEW + 1) + 1):
         count = 1
         while shapes[count * period : (count + 1) * period] == shapes[:period]:

@@ -201,7 +201,9 @@ def _differences(words: NDArray, results: NDArray, first: int) -> tuple[NDArray,
     """
 
     def stored(places: NDArray) -> NDArray:
-        return np.diff(np.where(places < first, places, places - end), prepend=0).ravel()
+        found = np.where(places < first, places, places - end)
+        found[..., 1:] -= found[..., :-1].copy()
+        return found.ravel()
 
     heads, operands = [], [np.zeros(0, np.int64)]
     at, end = 0, first

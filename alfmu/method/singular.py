@@ -35,7 +35,7 @@ Array = Any
 
 BRANCH_MARGIN = 2.5e-4
 """margin [1]: a step that comes below it is made on the branch; at four times the value a third more
-steps are made there, and errors change by 0.4 % at most (CHANGELOG)."""
+steps are made there, and errors change by 0.4 % at most."""
 
 SMALL_PIVOT = 0.03
 """pivot over its scale [1]: only pivots below it enter the margin; larger ones vary with the position and do not

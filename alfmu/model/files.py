@@ -25,7 +25,7 @@ from .errors import WriteError
 try:
     import fcntl
 except ImportError:  # Windows
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
 __all__ = ["atomic", "exclusive", "scratch", "write"]
 
@@ -71,7 +71,8 @@ def scratch() -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix=_FOLDER, ignore_cleanup_errors=True) as folder:
         lock = os.open(folder, os.O_RDONLY) if fcntl else None
         try:
-            _lock(lock)
+            if lock is not None:
+                _lock(lock)
             yield Path(folder)
         finally:
             if lock is not None:
@@ -144,7 +145,7 @@ def _nameless(folder: Path) -> int | None:
     return None
 
 
-def _lock(descriptor: int | None) -> None:
+def _lock(descriptor: int) -> None:
     """Show that a file or folder is in use, as long as it is open here."""
     if fcntl:
         with suppress(OSError):  # not on every network drive

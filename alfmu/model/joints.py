@@ -12,7 +12,21 @@ import numpy as np
 from .calls import declares
 from .declaration import Declaration
 from .errors import DeclarationError
-from .parts import CONSTANT, GUESS, PLACE, AnyJoint, AnyMarker, Body, Joint, Marker, Point, Rigidity, Scalar, stack
+from .parts import (
+    CONSTANT,
+    GUESS,
+    PLACE,
+    AnyJoint,
+    AnyMarker,
+    Body,
+    Constraint,
+    Joint,
+    Marker,
+    Point,
+    Rigidity,
+    Scalar,
+    stack,
+)
 from .quantities import Quantities
 from .spatial import SpatialBody, SpatialJoint, SpatialMarker, Vector
 from .words import shown
@@ -25,6 +39,17 @@ class Joints(Quantities):
     """A declaration with the calls for bodies and joints."""
 
     # Bodies -----------------------------------------------------------------------------------------------------
+
+    def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
+        """A holonomic constraint Phi(q, t) = 0 in m, rad or 1, after the joints declared so far.
+
+        It is an expression in coordinates, time and inputs. Its force acts along the coordinates, so that reactions of
+        joints with coordinates do not contain it.
+        """
+        self._claim(name, unit, "a constraint")
+        value = self._of_coordinates(f"constraint {name}", expression, unit)
+        self._no_jumps(f"constraint {name}", value, unit)
+        Declaration.closures.of(self).append(Constraint(name, value, unit))
 
     def body(
         self,

@@ -31,7 +31,6 @@ from .parts import (
     PLACE,
     AnyJoint,
     Body,
-    Constraint,
     Coordinate,
     DrawnBar,
     DrawnJoint,
@@ -183,17 +182,6 @@ class Mechanism(Forces):
         what = f"the generalised force along {along.name}"
         expression = self._quantity(what, expression, EFFORTS.get(along.unit, "1"), EFFORT)
         Declaration.generalized.of(self).append((along.q, expression))
-
-    def constraint(self, name: str, expression: ca.SX, unit: str = "m") -> None:
-        """A holonomic constraint Phi(q, t) = 0 in m, rad or 1, after the joints declared so far.
-
-        It is an expression in coordinates, time and inputs. Its force acts along the coordinates, so that reactions of
-        joints with coordinates do not contain it.
-        """
-        self._claim(name, unit, "a constraint")
-        value = self._of_coordinates(f"constraint {name}", expression, unit)
-        self._no_jumps(f"constraint {name}", value, unit)
-        Declaration.closures.of(self).append(Constraint(name, value, unit))
 
     def compliances(self) -> None:
         """Give each constraint a parameter `<joint>.compliance.<direction>` [m/N or rad/(N.m)], zero by default.

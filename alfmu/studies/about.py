@@ -105,7 +105,9 @@ class About:
             "redundant_constraints": size.redundant,
             "motions_at_start": size.freedom_here - e.resting,
             "not_unique": self.shared,
-            "gravity": evaluated(m, list(m.gravity_vector), {v.name: v.start for v in self.everything.parameters}),
+            "gravity": evaluated(
+                m, list(m.gravity_vector), {v.name: float(v.start) for v in self.everything.parameters}
+            ),
             "notes": self.notes,
             **{name: [asdict(v) for v in getattr(self, name)] for name in ("parameters", "inputs", "outputs")},
             "stop_time": e.stop_time,
@@ -219,7 +221,7 @@ def _friction(a: About) -> list[str]:
 def _gravity(a: About) -> list[str]:
     """What is said of gravity where there are bodies."""
     m = a.mechanism
-    values = {v.name: v.start for v in a.everything.parameters}
+    values = {v.name: float(v.start) for v in a.everything.parameters}
     return [gravity(m, values)] if m.bodies or m.spatial_bodies else []
 
 
@@ -300,12 +302,12 @@ def _owned(variables: Sequence[Variable]) -> tuple[list[str], list[int]]:
     for owner, rests in parts.items():
         alike.setdefault(tuple(rests), []).append(owner)
     texts = []
-    for rests, owners in alike.items():
-        alone = not any(rests)
-        by_name = len(rests) <= _FEW and not rests[0].startswith("[")
-        known = ", ".join(rests) if by_name else f"{len(rests)}{' each' * (len(owners) > 1)}"
+    for names, owners in alike.items():
+        alone = not any(names)
+        by_name = len(names) <= _FEW and not names[0].startswith("[")
+        known = ", ".join(names) if by_name else f"{len(names)}{' each' * (len(owners) > 1)}"
         texts.append(", ".join(_ranges(owners)) + f" ({known})" * (not alone))
-    return texts, [len(rests) * len(owners) for rests, owners in alike.items()]
+    return texts, [len(names) * len(owners) for names, owners in alike.items()]
 
 
 def _ranges(names: Sequence[str]) -> list[str]:

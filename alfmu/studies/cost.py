@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -168,7 +168,7 @@ def _of(e: Equations, name: str) -> int:
     return operations(e.functions[name]) if name in e.signatures else 0
 
 
-def _missing(before: list[Variable], after: list[Variable]) -> list[str]:
+def _missing(before: Sequence[Variable], after: Sequence[Variable]) -> list[str]:
     """Names of variables that are there before alone."""
     left = {v.name for v in after}
     return [v.name for v in before if v.name not in left]

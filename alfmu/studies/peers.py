@@ -270,7 +270,7 @@ class Exudyn(Peer):
     solver: str = "GeneralizedAlpha"
 
     def build(self, mechanism: str, start: Start, step: float, times: NDArray) -> Simulation:
-        sys.exudynFast = True  # the build without range checks, where there is one
+        sys.exudynFast = True  # type: ignore[attr-defined]  # the build without range checks, where there is one
         with contextlib.redirect_stdout(None):
             import exudyn as exu
         exu.config.printToConsole = False

@@ -17,7 +17,7 @@ import time
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
 import numpy as np
@@ -98,7 +98,7 @@ class _Model:
             ArrayFunction(backend, name, signatures[name])
             for name in ("dynamics", "constraints", "readings", "energy", "placement")
         )
-        self._shares = None if e.compliances else e.functions["shares"]
+        self._shares: Any = None if e.compliances else e.functions["shares"]
         self.p, self.u = instance.memory["p"].copy(), instance.inputs.copy()
         self.held = np.flatnonzero(instance.penalty)
         self.freedom = instance.mobility().freedom
@@ -269,7 +269,7 @@ class _Motion:
     """A motion over time, in pieces of one reduction each."""
 
     model: _Model
-    way: type
+    way: type[_NullSpace] | type[_Placement]
     method: str
     tolerance: float
     ends: list[float]
@@ -366,7 +366,14 @@ def reference(instance: Instance, stop: float, effort: Effort = Effort()) -> Ref
     return Reference(best, [m for m in others if m.ends], stop)
 
 
-def _followed(model: _Model, way: type, stop: float, tolerance: float, effort: Effort, stiff: bool = False) -> _Motion:
+def _followed(
+    model: _Model,
+    way: type[_NullSpace] | type[_Placement],
+    stop: float,
+    tolerance: float,
+    effort: Effort,
+    stiff: bool = False,
+) -> _Motion:
     """The motion by DOP853; by Radau with larger tolerances where that takes too long, as it does on stiff systems."""
     for method, looser in list(METHODS.items())[stiff:]:
         motion = _Motion(model, way, method.__name__, tolerance * looser, [], [])

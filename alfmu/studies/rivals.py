@@ -103,7 +103,7 @@ def _scipy(method: str, equations: Equations, tolerance: float, case: Case) -> C
 
 def _peer(peer: Peer, equations: Equations, value: float, case: Case) -> Callable[[], Run]:
     """A model of the same mechanism, from the same start; its angle and its reactions are what is judged."""
-    starts = [v.start for v in (*equations.starts, *equations.start_rates)]
+    starts = [float(v.start) for v in (*equations.starts, *equations.start_rates)]
     names = [peers.ANGLE[equations.name], *peers.REACTIONS[equations.name]]
     empty = case.times[:0], np.empty((0, len(names)))
 

@@ -197,7 +197,7 @@ def cluster(address: str) -> Cluster:
     except ImportError:
         raise InputError("a cluster takes distributed; install it with: pip install 'alfmu[sweep]'") from None
     try:
-        client = distributed.Client(address, timeout=WAIT, set_as_default=False)
+        client = distributed.Client(address, timeout=WAIT, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"there is no Dask scheduler at {address} ({error})") from None
     return Cluster(client, (distributed.scheduler.KilledWorker,))

@@ -14,7 +14,7 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -302,7 +302,7 @@ class _FmuRunner:
         try:
             result = run(self._ready(), whole, step, inputs=inputs, parameters=parameters)
         except AlfmuError as error:
-            result, failure = error.result, str(error) or type(error).__name__
+            result, failure = cast(Any, error.result), str(error) or type(error).__name__
             self._drop()
         if result is None:
             return np.empty((0, len(job.outputs))), failure

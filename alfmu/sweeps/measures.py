@@ -64,8 +64,8 @@ def measures(unit: str, keep: Sequence[str] | None, outputs: Sequence[str]) -> l
             called = None if _fitting(pattern, outputs) else _CALL.fullmatch(pattern)
             if called and called[1] not in FUNCTIONS:
                 raise InputError(f"{unit}: {pattern} cannot be kept; {there_is(called[1], FUNCTIONS)}")
-            functions, names = ((called[1],), called[2]) if called else (USUAL, pattern)
-            each = matching(unit, [names], outputs)
+            functions, wanted = ((called[1],), called[2]) if called else (USUAL, pattern)
+            each = matching(unit, [wanted], outputs)
             found |= dict.fromkeys(Measure(function, name) for name in each for function in functions)
     if not found:
         raise InputError(f"{unit}: nothing is kept of a run; name outputs to keep")

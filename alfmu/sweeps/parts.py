@@ -72,8 +72,9 @@ class Plan:
     def of_data(cls, data: Mapping[str, Any]) -> Plan:
         """The plan that `as_data` told of."""
         times = communication_points(data["name"], data["stop_time"], data["communication_step"])
-        names = (tuple(map(str, data[each])) for each in ("varied", "measures", "series"))
-        return cls(str(data["name"]), int(data["cases"]), times, *names, dict(data["units"]), data["asked"])
+        varied, measures, series = (tuple(map(str, data[each])) for each in ("varied", "measures", "series"))
+        units, asked = dict(data["units"]), data["asked"]
+        return cls(str(data["name"]), int(data["cases"]), times, varied, measures, series, units, asked)
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -94,8 +94,8 @@ def _system(path: Path, opened: zipfile.ZipFile, names: set[str], root: ET.Eleme
         if (known := components.get(component)) is None:
             raise InputError(f"the system binds {name!r}, which is of no component; {there_is(component, components)}")
         stated = {variable: units[name]} if name in units else {}
-        both = {"parameters": {**known.parameters, variable: value}, "units": {**known.units, **stated}}
-        components[component] = replace(known, **both)
+        parameters, units_of_all = {**known.parameters, variable: value}, {**known.units, **stated}
+        components[component] = replace(known, parameters=parameters, units=units_of_all)
     connections = [_read_connection(each, connectors) for each in _children(top, "ssd:Connections")]
     experiment = root.find(tag("ssd:DefaultExperiment"))
     own: dict[str, Any] = {}

@@ -16,8 +16,10 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,8 +89,8 @@ def simulate(
         try:
             found = simulation.run(unit, span, system.communication_step, late, None, progress, held_rows, facts)
         except AlfmuError as error:
-            if error.result is not None:
-                error.result = replace(error.result, time=error.result.time + system.start_time)
+            if (made := cast("Result | None", error.result)) is not None:
+                error.result = replace(made, time=made.time + system.start_time)
             raise
         return replace(found, time=found.time + system.start_time)
 
@@ -296,7 +298,7 @@ class Assembly:
                 inputs = {name: x for (place, name), x in self._given.items() if place == c}
                 if u is not None:
                     inputs |= {self.links[k].target[1]: self._typed(k, u[k]) for k in self._into[c]}
-                self._guarded(slave, lambda slave=slave, inputs=inputs: slave.begin(inputs, self.system.start_time))
+                self._guarded(slave, partial(slave.begin, inputs, self.system.start_time))
             before, self._begun = u, True
             self._u = np.array([self.slaves[c].get(name) for c, name in (each.target for each in self.links)], float)
             self._size = np.maximum(np.abs(self._u), SMALL)
@@ -390,13 +392,13 @@ class Assembly:
         """Step all components while their inputs go from where they are to `end`; then they have these."""
         if not self._observed:
             for c, slave in enumerate(self.slaves):
-                self._guarded(slave, lambda c=c: self._stepped(c, h, self._u, end))
+                self._guarded(slave, partial(self._stepped, c, h, self._u, end))
             self._y = self._read()
             return
         middle, seen = (self._u + end) / 2, [self._wanted(self._began)]
         for part, (begin, to) in enumerate(((self._u, middle), (middle, end))):
             for c, slave in enumerate(self.slaves):
-                self._guarded(slave, lambda c=c, a=begin, b=to, p=part: self._stepped(c, h / 2, a, b, p * h / 2))
+                self._guarded(slave, partial(self._stepped, c, h / 2, begin, to, part * h / 2))
             self._y = self._read()
             seen.append(self._wanted(self._y))
         self.observed.append((self._time, h, np.array([self._u, middle, end]), np.array(seen)))

@@ -150,7 +150,7 @@ class Remote(Slave):
             declared = v.declaredType
             own = v.unit or (declared.unit if declared is not None else None)
             follows = fmu.followed(each) if kind == "output" else frozenset()
-            unit = units.get(own) or measure(own)
+            unit = units.get(str(own)) or measure(own)
             if unit is not None and (v.relativeQuantity or (declared is not None and declared.relativeQuantity)):
                 unit = replace(unit, offset=0.0)  # a difference of temperatures, say
             self.ports[each] = Port(each, kind, self.kinds[each], own, unit, v.description or "", follows)

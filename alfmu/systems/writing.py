@@ -178,8 +178,11 @@ def _described(
                 connections, "ssd:Connection", places | ({"suppressUnitConversion": "true"} if changed else {})
             )
             if changed:
-                numbers = {"factor": _written(each.factor), "offset": _written(each.offset)}
-                _element(one, "ssc:LinearTransformation", numbers)
+                _element(
+                    one,
+                    "ssc:LinearTransformation",
+                    {"factor": _written(each.factor), "offset": _written(each.offset)},
+                )
     _units(root, "ssd", [p for _, p in ends])
     span = {"startTime": _written(system.start_time), "stopTime": _written(system.stop_time)}
     notes = _element(_element(root, "ssd:DefaultExperiment", span), "ssd:Annotations")

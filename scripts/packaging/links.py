@@ -11,6 +11,11 @@ _LINE = re.compile(r"^!\[[^\]]*\]\((?![a-z]+:)[^)\s]+\)\n\n?", re.MULTILINE)
 """A picture that stands alone."""
 
 
+def relative(text: str) -> list[str]:
+    """Where the links and pictures of a page in Markdown lead to beside it."""
+    return [path for _, _, path in _LINK.findall(text)]
+
+
 def for_an_index(text: str, source: str | None, version: str) -> str:
     """The page with absolute links into the repository at `source`, as GitHub and GitLab lay it out, at this version.
 

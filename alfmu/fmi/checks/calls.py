@@ -96,7 +96,8 @@ def _got(s: Session, kind: str, reference: int) -> tuple[int, list[object]]:
     fault=RISKY,
 )
 def get_unknown(s: Session, task: Task) -> str:
-    faults, ways = [], {}
+    faults: list[str] = []
+    ways: dict[str, list[str]] = {}
     for kind in s.types:
         for reference in unused(s):
             status, values = s.apart(partial(_got, s, kind, reference))
@@ -122,7 +123,8 @@ def set_unknown(s: Session, task: Task) -> str:
         unit.end()
         return status, how
 
-    faults, ways = [], {}
+    faults: list[str] = []
+    ways: dict[str, list[str]] = {}
     for kind in s.types:
         for reference in unused(s):
             status, how = s.apart(partial(one, kind, reference))
@@ -247,7 +249,8 @@ def order(s: Session, task: Task) -> str:
     case("Terminate before initialisation", s.unit, Unit.terminate)
     case("Terminate twice", lambda: ended(s.ready()), Unit.terminate)
     case("a step after Terminate", lambda: ended(s.ready()), step)
-    taken, ways = [], {}
+    taken: list[str] = []
+    ways: dict[str, list[str]] = {}
     for said, one in cases:
         if (status := s.apart(one)) <= WARNING:
             taken.append(said)

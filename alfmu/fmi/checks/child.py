@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fmpy import read_model_description
+from fmpy.model_description import ModelDescription
 
 from . import calls, motion, values
 from .registry import (
@@ -97,7 +98,7 @@ def main(folder: Path) -> int:
     return 0
 
 
-def _one(folder: Path, check: Check, description: object, task: dict, given: Task) -> None:
+def _one(folder: Path, check: Check, description: ModelDescription, task: dict, given: Task) -> None:
     """Write the finding of one check."""
     version = description.fmiVersion[:1]
     result, detail, session = UNJUDGED, "", None
@@ -108,7 +109,7 @@ def _one(folder: Path, check: Check, description: object, task: dict, given: Tas
     if not detail:
         try:
             session = Session(Path(task["folder"]), description, Journal(folder / JOURNAL))
-            result, detail = PASSED, check.run(session, given) or ""
+            result, detail = PASSED, (check.run(session, given) if check.run else None) or ""
         except Fault as fault:
             result, detail = check.fault, str(fault)
         except Noted as note:

@@ -362,7 +362,7 @@ def _compared(
     apart = np.abs(claimed - wanted)
     allowed = tolerance * scale + 10 * error
     wrong = ~(apart <= allowed)
-    faults = [f"{said(i)} is {claimed[i]:.6g}, and {wanted[i]:.6g} by differences" for i in np.flatnonzero(wrong)]
+    faults = [f"{said(int(i))} is {claimed[i]:.6g}, and {wanted[i]:.6g} by differences" for i in np.flatnonzero(wrong)]
     return faults, float(apart.max(initial=0.0) / scale)
 
 
@@ -383,7 +383,8 @@ def _directional(s: Session) -> str:
 def directional(s: Session, task: Task) -> str:
     _directional(s)
     unit, outputs, inputs, J, error = _by_differences(s)
-    faults, worst, zeros = [], 0.0, not J.any()
+    faults: list[str] = []
+    worst, zeros = 0.0, not J.any()
     seeds = [*np.eye(len(inputs)), np.cos(1.0 + np.arange(len(inputs)))]
     claimed = []
     for seed in seeds:
@@ -548,7 +549,7 @@ def replayed(s: Session, task: Task, number: int) -> str:
         raise Fault(f"{missing[0]} is no variable of the FMU")
     outputs = [s.by_name[name] for name in wanted["names"]]
     times = start + step * np.arange(count + 1)
-    table = np.array(stimuli["values"]) if stimuli else None
+    table = np.array(stimuli["values"]) if stimuli else np.empty((0, 0))
 
     def apply(unit: Unit, t: float) -> None:
         for i, name in enumerate(stimuli["names"] if stimuli else ()):

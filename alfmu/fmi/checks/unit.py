@@ -108,7 +108,7 @@ class Variable:
     @classmethod
     def of(cls, v: ModelVariable, version: str) -> Variable:
         kind = {"Enumeration": "Integer" if version == "2" else "Int64"}.get(v.type, v.type)
-        simple, items = v.declaredType, ()
+        simple, items = v.declaredType, tuple[int, ...]()
         if v.type == "Enumeration" and simple is not None:
             items = tuple(int(item.value) for item in simple.items)
 
@@ -146,11 +146,11 @@ def _raw(self: Any, name: str, *arguments: Any) -> Any:
     return self._functions[name](*arguments)
 
 
-class FMU2Calls(fmi2.FMU2Slave):
+class FMU2Calls(fmi2.FMU2Slave):  # type: ignore[misc]
     _call = _raw
 
 
-class FMU3Calls(fmi3.FMU3Slave):
+class FMU3Calls(fmi3.FMU3Slave):  # type: ignore[misc]
     _call = _raw
 
 
@@ -178,7 +178,8 @@ class Session:
         self.types = TYPES[self.version]
         # fmpy reads some of these attributes under the names of the other version.
         root = tree((self.folder / "modelDescription.xml").read_bytes(), "modelDescription.xml")
-        self.flags = {key: text.strip() for key, text in root.find("CoSimulation").attrib.items()}
+        flags = (element.attrib.items() for element in root.findall("CoSimulation"))
+        self.flags = {key: text.strip() for each in flags for key, text in each}
         scalar = [v for v in d.modelVariables if not v.dimensions and v.type not in ("Binary", "Clock")]
         self.variables = [Variable.of(v, self.version) for v in scalar]
         self.by_name = {v.name: v for v in self.variables}
@@ -231,6 +232,7 @@ class Session:
             raise Once(_ONCE)
         out, into = os.pipe()
         if (child := os.fork()) == 0:
+            said: tuple[bool, object]
             try:
                 said = True, run()
             except Exception as error:  # goes on where this process would have gone on with it
