@@ -88,15 +88,15 @@ def test_the_mouse_turns_and_zooms_the_view_and_a_double_click_brings_it_back(ch
 
     opened(chromium, films["bennett"])
     canvas = chromium.find_element("css selector", "canvas")
-    home, eye = picture(chromium), "return camera.position.toArray()"
+    home, eye = picture(chromium), "return stage.camera.position.toArray()"
     place = np.array(chromium.execute_script(eye))
     ActionChains(chromium).move_to_element(canvas).click_and_hold().move_by_offset(120, 30).release().perform()
     turned = np.array(chromium.execute_script(eye))
     assert np.linalg.norm(turned - place) > 0.1 * np.linalg.norm(place)
     assert np.mean(np.abs(picture(chromium) - home).max(axis=2) > 30) > 0.02
     ActionChains(chromium).scroll_from_origin(ScrollOrigin.from_element(canvas), 0, -300).perform()
-    zoomed = np.array(chromium.execute_script(eye + ".map((x, i) => x - controls.target.toArray()[i])"))
-    target = np.array(chromium.execute_script("return controls.target.toArray()"))
+    zoomed = np.array(chromium.execute_script(eye + ".map((x, i) => x - stage.controls.target.toArray()[i])"))
+    target = np.array(chromium.execute_script("return stage.controls.target.toArray()"))
     assert np.linalg.norm(zoomed) < 0.95 * np.linalg.norm(turned - target)
     ActionChains(chromium).move_to_element(canvas).double_click().perform()
     assert np.mean(np.abs(picture(chromium) - home).max(axis=2) > 30) < 1e-3
@@ -129,10 +129,11 @@ def test_a_piece_is_where_the_result_puts_it(chromium, films):
     i = int(np.argmin(np.abs(result.time - 0.4)))
     place = [float(result[f"rod1.{k}"][i]) for k in "xyz"]
     found = chromium.execute_script(
-        """return moving.find(({ piece }) => piece.kind === "ball" && piece.name === "rod1").mesh.position.toArray()"""
+        """const of = ({ piece }) => piece.kind === "ball" && piece.name === "rod1";
+        return stage.moving.find(of).mesh.position.toArray()"""
     )
     assert found == pytest.approx(place, abs=2e-4)
-    x, y, _ = chromium.execute_script("return pixels(vector(arguments[0]))", place)
+    x, y, _ = chromium.execute_script("return stage.pixels(vector(arguments[0]))", place)
     chromium.execute_script("shows.names.checked = false; draw()")  # a name may be over it
     image = picture(chromium)
     scale = image.shape[1] / 640

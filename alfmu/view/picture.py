@@ -31,7 +31,7 @@ from ..runtime import Instance
 from ..runtime.probe import Probe
 from ..runtime.reuse import derive
 from ..simulation import Progress, simulate, with_defaults
-from . import plane, space
+from . import faces, plane, space
 from .pages import page
 from .plane import View
 from .shapes import Anchor, Shapes, geometry
@@ -94,14 +94,14 @@ def draw(
     return _frame(shapes, scene, columns, trails or {}, caption)
 
 
-def _scene(shapes: Shapes, view: View | SpaceView, size: Size) -> plane.Scene | space.Stage:
+def _scene(shapes: Shapes, view: View | SpaceView, size: Size) -> plane.Stage | faces.Stage:
     """All of a picture that does not change while the mechanism moves."""
-    return space.Stage(shapes, view, size) if isinstance(view, SpaceView) else plane.scene_of(shapes, view, size)
+    return faces.Stage(shapes, view, size) if isinstance(view, SpaceView) else plane.Stage(shapes, view, size)
 
 
 def _frame(
     shapes: Shapes,
-    scene: plane.Scene | space.Stage,
+    scene: plane.Stage | faces.Stage,
     columns: Mapping[str, float],
     trails: Mapping[str, Sequence[Any]],
     caption: str,
@@ -115,14 +115,14 @@ def _frame(
 def _paint(
     surface: Surface,
     shapes: Shapes,
-    scene: plane.Scene | space.Stage,
+    scene: plane.Stage | faces.Stage,
     columns: Mapping[str, float],
     trails: Mapping[str, Sequence[Any]],
     caption: str,
 ) -> None:
     """A mechanism at one instant."""
-    if isinstance(scene, space.Stage):
-        space.paint(surface, scene, space.poses_of(shapes, columns), {name: np.array(x) for name, x in trails.items()})
+    if isinstance(scene, faces.Stage):
+        faces.paint(surface, scene, space.poses_of(shapes, columns), trails)
     else:
         plane.paint(surface, scene, plane.poses_of(shapes, columns), trails)
     base = base_of(surface.size)

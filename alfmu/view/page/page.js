@@ -56,7 +56,8 @@ async function employ() {
   const { n, shown, tied, interval: h } = about;
   const answer = await ask("load", { wasm, scene, about: { n, shown, tied, interval: h, count: variables.length } });
   if (answer.failed) say(answer.failed);
-  run.ready = !answer.failed;
+  await seen;
+  run.ready = epoch === run.epoch && !answer.failed;
 }
 
 // The run ---------------------------------------------------------------------------------------------------------------
@@ -208,15 +209,26 @@ function present() {
 
 // What is shown -----------------------------------------------------------------------------------------------------------
 
-const kinds = { plane: Plane, space: Space };
-const picture = about.picture ? new kinds[about.picture.kind](find("picture"), about.picture) : {
-  forget() {}, remember() {}, shape() {}, draw() {}, refit() {}, hit: () => null,
-};
+let picture = { forget() {}, remember() {}, shape() {}, draw() {}, refit() {}, hit: () => null };
 if (!about.picture) find("picture").hidden = true;
+
+// The picture, in space once the library is there.
+async function see() {
+  if (!about.picture) return;
+  if (about.picture.kind === "space") {
+    const script = document.createElement("script");
+    script.src = URL.createObjectURL(new Blob([await bytes("space")], { type: "text/javascript" }));
+    await new Promise((go) => { script.onload = go; document.head.append(script); });
+  }
+  picture = about.picture.kind === "space" ? new Space(find("picture"), about.picture) : new Plane(find("picture"), about.picture);
+  shape();
+}
+
+const seen = see();
 
 // Shapes for the parameters as the controls say.
 function shape() {
-  if (about.picture) picture.shape(geometry(about.picture.parameters.map((p) => ("ref" in p ? values.get(p.ref) : p.value))));
+  if (picture.about) picture.shape(geometry(about.picture.parameters.map((p) => ("ref" in p ? values.get(p.ref) : p.value))));
 }
 
 function show(stamp) {
@@ -297,7 +309,7 @@ class Panel {
     const axis = { stroke: color("--soft"), grid: { stroke: color("--grid"), width: 1 }, ticks: { stroke: color("--grid"), width: 1 },
       font: "12px system-ui, sans-serif" };
     const dark = document.documentElement.dataset.theme === "dark";
-    const lines = dark ? COLORS : ["#3572ad", "#b9770e", "#2f8a57", "#b8452f", "#6b57b0", "#14808a", "#a8487c", "#68737e"];
+    const lines = dark ? about.colors : ["#3572ad", "#b9770e", "#2f8a57", "#b8452f", "#6b57b0", "#14808a", "#a8487c", "#68737e"];
     this.plot = new uPlot({
       width: 300,
       height: 190,
@@ -505,23 +517,23 @@ function save(text, name) {
 
 // Pointer and keys --------------------------------------------------------------------------------------------------------
 
-const canvas = find("picture"), pointers = new Map();
+const canvas = find("picture"), pointers = new Set();
 let pulling = null;
 
-const spot = (event) => {
+const under = (event) => {
   const box = canvas.getBoundingClientRect();
   return [event.clientX - box.left, event.clientY - box.top];
 };
 
 function grab(event) {
-  const [x, y] = spot(event), point = run.drawn && about.tied.length && run.ready ? picture.hit(run.drawn.row, x, y) : null;
+  const [x, y] = under(event), point = run.drawn && about.tied.length && run.ready ? picture.hit(run.drawn.row, x, y) : null;
   if (!point) return;
   const playing = run.playing;
   play(false);
   // Rates go to zero: the mechanism is held.
   const starts = ties([...run.drawn.exact.q], about.tie_parameters.map((p) => ("ref" in p ? values.get(p.ref) : p.value)));
   pulling = { point, playing, starts, to: [x, y], busy: false, moved: false };
-  picture.held = true;
+  picture.grabbed = true;
   canvas.style.cursor = "grabbing";
 }
 
@@ -555,14 +567,15 @@ async function pull() {
 
 canvas.addEventListener("pointerdown", (event) => {
   if (event.button) return;
+  if (!picture.metres) return;
   canvas.setPointerCapture(event.pointerId);
-  pointers.set(event.pointerId, spot(event));
-  if (picture.metres && pointers.size === 1) grab(event);
+  pointers.add(event.pointerId);
+  if (pointers.size === 1) grab(event);
 });
 
 canvas.addEventListener("pointermove", (event) => {
-  const [x, y] = spot(event), old = pointers.get(event.pointerId);
-  if (!old) {
+  const [x, y] = under(event);
+  if (!pointers.has(event.pointerId)) {
     if (run.drawn && picture.metres) canvas.style.cursor = about.tied.length && picture.hit(run.drawn.row, x, y) ? "grab" : "default";
     return;
   }
@@ -570,14 +583,7 @@ canvas.addEventListener("pointermove", (event) => {
     pulling.to = [x, y];
     pulling.fresh = true;
     pull();
-  } else if (picture.turn) {
-    if (pointers.size === 2) {
-      const [other] = [...pointers].filter(([id]) => id !== event.pointerId).map(([, p]) => p);
-      zoom(Math.hypot(x - other[0], y - other[1]) / (Math.hypot(old[0] - other[0], old[1] - other[1]) || 1));
-    } else picture.turn((x - old[0]) / 160, (y - old[1]) / 160);
-    update();
   }
-  pointers.set(event.pointerId, [x, y]);
 });
 
 function letGo(event) {
@@ -586,7 +592,7 @@ function letGo(event) {
   const mine = pulling;
   pulling = null;
   picture.pulled = null;
-  picture.held = false;
+  picture.grabbed = false;
   canvas.style.cursor = "default";
   const go = () => {
     if (mine.moved) begin();
@@ -598,18 +604,6 @@ function letGo(event) {
 canvas.addEventListener("pointerup", letGo);
 canvas.addEventListener("pointercancel", letGo);
 
-function zoom(by) {
-  if (!picture.turn) return;
-  picture.zoom = Math.max(0.3, Math.min(8, picture.zoom * by));
-  update();
-}
-
-canvas.addEventListener("wheel", (event) => {
-  if (!picture.turn) return;
-  event.preventDefault();
-  zoom(Math.exp(-event.deltaY / 500));
-}, { passive: false });
-
 function toggleNames() {
   picture.names = !picture.names;
   find("names").setAttribute("aria-pressed", picture.names);
@@ -618,9 +612,11 @@ function toggleNames() {
 
 canvas.addEventListener("keydown", (event) => {
   const turns = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }[event.key];
-  if (turns && picture.turn) { picture.turn(...turns); event.preventDefault(); update(); }
-  if (event.key === "+") zoom(1.15);
-  if (event.key === "-") zoom(1 / 1.15);
+  const nearer = { "+": 1.15, "-": 1 / 1.15 }[event.key];
+  if (!picture.stage || !(turns || nearer)) return;
+  event.preventDefault();
+  if (turns) picture.turn(...turns); else picture.nearer(nearer);
+  update();
 });
 
 document.addEventListener("keydown", (event) => {
