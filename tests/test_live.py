@@ -582,11 +582,11 @@ def test_pieces_in_space_follow_the_parameters(opened, monkeypatch, tmp_path):
     view = picture.view_of(shapes, {name: [0.0, 1.0] for name in shapes.columns})
     wanted = [piece for piece in pieces.pieces_of(shapes.space, view) if piece.kind != "coil"]
     found = [piece for piece in found if piece["kind"] != "coil"]
-    assert [(piece["kind"], piece["name"]) for piece in found] == [(piece.kind, piece.name) for piece in wanted]
+    assert [(piece["kind"], piece.get("name", "")) for piece in found] == [(piece.kind, piece.name) for piece in wanted]
     assert "plate" in {piece.kind for piece in wanted}
     for one, other in zip(found, wanted, strict=True):
         there = [[at.get(k, 0.0) for k in "xyz"] for at in one["at"]]
-        assert sorted(there) == pytest.approx(sorted([at.x, at.y, at.z] for at in other.at), abs=1e-9)
+        assert np.array(sorted(there)) == pytest.approx(np.array(sorted([a.x, a.y, a.z] for a in other.at)), abs=1e-9)
 
 
 # The file -------------------------------------------------------------------------------------------------------------

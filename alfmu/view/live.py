@@ -1,9 +1,9 @@
 """A live page: a mechanism that runs in a browser, as one file that needs nothing else.
 
 The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU. Its
-files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime, `picture.js` draws with the painter of
-films (`shared/strokes.js`), `page.js` has controls, clock and plots; plots are made by uPlot, a library in `vendor`.
-What they must know of the mechanism is put together here.
+files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime; `picture.js`, `plane.js` and `space.js`
+move what films show, with the scripts in `shared`; `page.js` has the clock, `plots.js`, `controls.js` and `hands.js` the
+rest. What they must know of the mechanism is put together here.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: byt
     }
     libraries = ["vendor/uPlot.LICENSE"]
     library = over = ""
-    own = [f"page/{each}.js" for each in ("picture", *(["plane"] if kind == "plane" else ()), "page")]
+    own = ["picture", *(["plane"] if kind == "plane" else []), "page", "plots", "controls", "hands"]
     if kind == "space":
         libraries += ["vendor/three.LICENSE"]
         script = "".join(map(text_of, ("vendor/three.min.js", "shared/space.js", "page/space.js")))
@@ -130,7 +130,7 @@ def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: byt
         "worker": text_of("page/engine.js") + text_of("page/worker.js"),
         "plots": text_of("vendor/uPlot.min.js"),
         "functions": functions,
-        "script": filled(text_of("shared/strokes.js"), {"fonts": FONTS}) + "".join(map(text_of, own)),
+        "script": filled(text_of("shared/strokes.js"), {"fonts": FONTS}) + "".join(text_of(f"page/{each}.js") for each in own),
     }
     return filled(text_of("page/page.html"), values)
 
