@@ -122,6 +122,21 @@ def test_forces_and_moments_are_arrows_that_can_be_hidden(chromium, films):
     assert errors(chromium) == []
 
 
+def test_reactions_at_a_pole_are_heads_alone(chromium, tmp_path):
+    """As plots have an arrow and a gap there; what a motor applies stays as it is."""
+    result = simulate("flyball_governor", 0.4, 0.02, inputs={"bearing.torque": lambda t: 1.0})
+    result.values[10, result.names.index("monitor.singular")] = 2
+    animate(load("flyball_governor"), result, tmp_path / "a.html")
+    shafts = """playing = false; now = arguments[0]; shows.moments.checked = true; draw();
+      return arrows.filter(({ group }) => group.visible).map(({ arrow, shaft }) => [arrow.role, shaft.visible])"""
+    chromium.get((tmp_path / "a.html").as_uri())
+    for at, whole in ((0.16, True), (0.2, False), (0.24, True)):
+        found = chromium.execute_script(shafts, at)
+        assert {tuple(each) for each in found} == {("reaction", whole), ("applied", True)}
+    assert "heads alone where reactions have a pole" in chromium.find_element("css selector", "#shows span").text
+    assert errors(chromium) == []
+
+
 def test_a_piece_is_where_the_result_puts_it(chromium, films):
     """The middle of the first rod's ball in pixels, against the camera by hand."""
     opened(chromium, films["flyball_governor"], 0.4)

@@ -24,8 +24,9 @@ from alfmu.cli import main
 from alfmu.fmi.drive import Fmu
 from alfmu.runtime import build, shipped
 from alfmu.simulation import run
-from alfmu.view import live, picture, pieces, plane, space
+from alfmu.view import live, pages, picture, pieces, plane, space
 from alfmu.view.picture import geometry
+from alfmu.view.scene import scene_of
 
 LARGEST = 1_500_000
 """Of a page [bytes]."""
@@ -528,6 +529,40 @@ def test_the_page_paints_what_a_drawing_shows(opened, name: str, monkeypatch, tm
         assert width == pytest.approx(thick, abs=0.01)
         assert np.ravel(points) == pytest.approx(there, abs=0.01)
     assert sorted(texts) == sorted(surface.texts)
+
+
+@pytest.mark.parametrize("name", ["slider_crank", "n_four_bar", "rig.py", "flyball_governor", "bennett"])
+def test_traced_numbers_follow_the_parameters(name: str, monkeypatch, tmp_path):
+    """The data of a page with numbers for other parameters are those of the mechanism that has them."""
+    monkeypatch.chdir(tmp_path)
+    Path("rig.py").write_text(RIG)
+    m = alfmu.load(name)
+    other = {p.name: p.default * (1.01 + 0.003 * i) for i, p in enumerate(m.parameters)}
+    symbols, values = ca.vertcat(*(p.symbol for p in m.parameters)), ca.DM(list(other.values()))
+    traced, given = geometry(m, traced=True), geometry(m, other)
+
+    def data(shapes, number=float) -> dict:
+        if not shapes.space:
+            return pages.data_of(scene_of(shapes), 9, number)
+        view = picture.view_of(given, {name: [0.1, 1.0] for name in given.columns})
+        return pages.data_of({"pieces": pieces.pieces_of(shapes.space, view)}, 9, number)
+
+    found = data(traced, lambda x: float(ca.Function("f", [symbols], [x.expression])(values)))
+    assert differences(data(given), found, name) == []
+    assert differences(data(geometry(m)), found, name), "nothing follows them"
+
+
+def differences(expected, found, where: str) -> list[str]:
+    """Where a value is not the expected one; what is nothing may be missing."""
+    if isinstance(expected, dict):
+        pairs = ((key, expected.get(key, 0), found.get(key, 0)) for key in {*expected, *found})
+        return [each for key, one, other in pairs for each in differences(one, other, f"{where}.{key}")]
+    if isinstance(expected, list) and len(expected) == len(found):
+        pairs = enumerate(zip(expected, found, strict=True))
+        return [each for i, (one, other) in pairs for each in differences(one, other, f"{where}[{i}]")]
+    number = isinstance(expected, int | float) and isinstance(found, int | float)
+    same = abs(expected - found) < 1e-8 if number else expected == found
+    return [] if same else [f"{where}: {found} instead of {expected}"]
 
 
 LINKS = """

@@ -385,7 +385,15 @@ def test_a_page_holds_everything_it_needs(tmp_path):
     assert np.abs(y - result["rod.y"]).max() < 0.01 * pixel
     assert np.abs(angle - result["rod.angle"]).max() < 1e-4
     assert data["speed"] == 0.3
-    assert {label.get("text") for label in data["scene"]["labels"]} >= {"A", "B", "C", "guide", "crank", "rod", "slider"}
+    assert {label.get("text") for label in data["scene"]["labels"]} >= {
+        "A",
+        "B",
+        "C",
+        "guide",
+        "crank",
+        "rod",
+        "slider",
+    }
     assert len(page) < 60_000
     animate(mechanism, result, tmp_path / "b.html", speed=0.3)
     assert (tmp_path / "b.html").read_text(encoding="utf-8") == page

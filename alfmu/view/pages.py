@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from . import faces, plane, space
 from .pieces import names_of
+from .plot import POLE
 from .shapes import Shapes, Spot
 from .surface import BACKGROUND, FONTS, PALETTE, RIM
 from .traced import Traced
@@ -140,7 +141,8 @@ def _in_space(
     ]
     data = {"trails": [{"at": at, "color": color} for at, color in centers], "colors": EFFORTS, **stage_of(stage)}
     most = {kind: value or 1.0 for kind, value in most.items()}
-    return {"frames": frames, "arrows": moving, "most": most, **data_of(data, digits + 3)}
+    poles = np.flatnonzero(columns.get("monitor.singular", np.zeros(0)) == POLE).tolist()
+    return {"frames": frames, "arrows": moving, "most": most, "poles": poles, **data_of(data, digits + 3)}
 
 
 def stage_of(stage: faces.Stage) -> dict[str, Any]:
@@ -166,6 +168,8 @@ def _shows(data: Mapping[str, Any]) -> str:
     ]
     steps = np.diff(data["time"])
     points = f" at points of {steps.max():.3g} s" if scale and steps.size else ""
+    if data["poles"] and any(arrow["role"] == "reaction" for arrow in data["arrows"]):
+        points += ", heads alone where reactions have a pole"
     return _SHOWS.format(boxes="\n      ".join(html), scale=", ".join(scale) + points)
 
 

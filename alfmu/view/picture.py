@@ -34,6 +34,7 @@ from ..simulation import Progress, simulate, with_defaults
 from . import faces, plane, space
 from .pages import page
 from .plane import View
+from .plot import POLE
 from .shapes import Anchor, Shapes, geometry
 from .space import SpaceView
 from .surface import COLORS, FAINT, PUSHED, Raster, Size, Surface, Svg, Text, base_of
@@ -361,12 +362,16 @@ def animate(
         raise InputError(
             f"{shapes.name} has nothing to draw; it needs bodies, or outputs NAME.x and NAME.y in m for each point"
         )
-    wanted = [*shapes.columns, *shapes.efforts]
+    wanted = [*shapes.columns, *shapes.efforts, "monitor.singular"]
     time, columns = result.time, {name: result[name] for name in wanted if name in result.names}
     view = view_of(shapes, columns)
     if len(time) > MAX_SAMPLES:
         instants = np.linspace(time[0], time[-1], MAX_SAMPLES)
-        time, columns = instants, {name: np.interp(instants, time, x) for name, x in columns.items()}
+        poles = time[columns.pop("monitor.singular", np.zeros(len(time))) == POLE]
+        columns = {name: np.interp(instants, time, x) for name, x in columns.items()}
+        columns["monitor.singular"] = np.zeros(MAX_SAMPLES)
+        columns["monitor.singular"][np.abs(instants[:, None] - poles).argmin(axis=0)] = POLE
+        time = instants
     if path.suffix == ".gif":
         with atomic(path) as file:
             _film(file, shapes, view, size, time, columns, *_instants(time, fps, speed), progress)

@@ -460,7 +460,7 @@ def _box(body: SpatialBody, number: Callable[[Scalar], float]) -> Vector3 | None
     mass, (x, y, z) = number(body.mass), map(number, body.inertia)
     if mass <= 0:
         return None
-    return tuple(math.sqrt(max(0.0, 1.5 * j / mass)) for j in (y + z - x, z + x - y, x + y - z))
+    return tuple(max(0.0, 1.5 * j / mass) ** 0.5 for j in (y + z - x, z + x - y, x + y - z))
 
 
 def _evaluator(m: Mechanism, parameters: Mapping[str, float]) -> Callable[[Scalar], float]:

@@ -41,7 +41,10 @@ function aim({ arrow, group, shaft, heads }, i, j, share) {
   const effort = arrow.along
     ? vector(arrow.along).normalize().applyQuaternion(stage.frames[arrow.at.frame].turn).multiplyScalar(values[0])
     : vector(values);
-  const length = 0.3 * extent * effort.length() / film.most[arrow.kind];
+  // At a pole it is beyond any scale: a head at some distance, and a gap in place of the shaft.
+  const pole = arrow.role === "reaction" && film.poles.includes(share < 0.5 ? i : j);
+  const length = pole ? 0.36 * extent : 0.3 * extent * effort.length() / film.most[arrow.kind];
+  shaft.visible = !pole;
   group.visible = shows[arrow.kind + "s"].checked && length > 1.5 * unit;
   if (!group.visible) return;
   group.position.copy(stage.place(arrow.at));
