@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from .pieces import Piece, colors_of, names_of, pieces_of, xyz
 from .scene import hull_of
 from .shapes import Shapes, Vector3
-from .space import Camera, Lens, Pose, SpaceView, camera_of, cross, floor_of, place_of, rotated, turned_to
+from .space import Camera, Lens, Pose, SpaceView, camera_of, cross, floor_of, place_of, poses_of, rotated, turned_to
 from .surface import FAINT, GRID, INK, PALETTE, ZERO, Size, Surface, Text, Vector, base_of, placed, rim_of
 
-__all__ = ["Stage", "paint"]
+__all__ = ["Stage"]
 
 SIDES = 18
 """Faces around a rod."""
@@ -30,6 +30,7 @@ class Stage:
 
     def __init__(self, shapes: Shapes, view: SpaceView, size: Size):
         assert shapes.space is not None
+        self.shapes = shapes
         self.space, self.view, self.size = shapes.space, view, size
         self.camera = camera_of(view, size)
         self.unit, self.colors = view.unit, colors_of(self.space)
@@ -38,43 +39,43 @@ class Stage:
         self.floor = floor_of(view, self.lens.scale, base_of(size))
         self.meshes = [() if piece.kind == "coil" else _mesh(piece, self.unit) for piece in self.pieces]
 
-
-def paint(surface: Surface, stage: Stage, poses: Mapping[str, Pose], trails: Mapping[str, Sequence[Any]]) -> None:
-    """A mechanism at one instant, with the paths (T, 3) [m] of dots and bodies by name."""
-    lens, base, unit = stage.lens, base_of(stage.size), stage.unit
-    rim = 1.3 * base / lens.scale
-    faces: list[Faces] = []
-    rims: list[Faces] = []
-    lines: list[tuple[NDArray[np.float64], str, float]] = []  # (P, 3)
-    for piece, mesh in zip(stage.pieces, stage.meshes, strict=True):
-        color, dark = PALETTE.get(piece.color, piece.color), rim_of(piece.color)
-        if not mesh:
-            lines.append((_between(piece, poses, _coil()), dark, max(1.2 * base, 2 * piece.size[1] * lens.scale)))
-            continue
-        vertices, normals, quads = mesh
-        for grown, shown, kept in ((0.0, color, faces), (rim, dark, rims)):
-            before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # over a shaft that runs through it
-            kept.append(Faces(_world(piece, poses, vertices + grown * normals)[quads], shown, before))
-    _floor(surface, lens, stage, [face.quads for face in faces])
-    items = [*_lit(lens, faces), *_lit(lens, rims, back=True)]
-    for name, path in trails.items():
-        if len(path) > 1:
-            some = np.unique(np.linspace(0, len(path) - 1, min(len(path), 400)).astype(int))
-            lines.append((np.array(path)[some], stage.colors.get(name, FAINT), 2.2 * base))
-    for points, color, width in lines:
-        pixels, depth = lens.seen(points)
-        items += [
-            (float(depth[i : i + 2].mean()) - 0.5 * unit, pixels[i : i + 2].tolist(), width, color, False)
-            for i in range(len(points) - 1)
-        ]
-    for _, *drawn in sorted(items, key=lambda item: -item[0]):
-        surface.stroke(*drawn)
-    _axes(surface, stage.camera, base)
-    if unit * lens.scale > 2.2 * base:
-        names = list(_texts(stage, poses))
-        knots = {lens.one(place_of(poses, p.second)): 1.4 * unit * lens.scale for p in stage.space.pivots}
-        for text in placed(names, stage.size, [(*at, r) for at, r in knots.items()], surface.pushed):
-            surface.text(text)
+    def paint(self, surface: Surface, columns: Mapping[str, float], trails: Mapping[str, Sequence[Any]]) -> None:
+        """A mechanism at one instant, with the paths (T, 3) [m] of dots and bodies by name."""
+        poses = poses_of(self.shapes, columns)
+        lens, base, unit = self.lens, base_of(self.size), self.unit
+        rim = 1.3 * base / lens.scale
+        faces: list[Faces] = []
+        rims: list[Faces] = []
+        lines: list[tuple[NDArray[np.float64], str, float]] = []  # (P, 3)
+        for piece, mesh in zip(self.pieces, self.meshes, strict=True):
+            color, dark = PALETTE.get(piece.color, piece.color), rim_of(piece.color)
+            if not mesh:
+                lines.append((_between(piece, poses, _coil()), dark, max(1.2 * base, 2 * piece.size[1] * lens.scale)))
+                continue
+            vertices, normals, quads = mesh
+            for grown, shown, kept in ((0.0, color, faces), (rim, dark, rims)):
+                before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # over a shaft that runs through it
+                kept.append(Faces(_world(piece, poses, vertices + grown * normals)[quads], shown, before))
+        _floor(surface, lens, self, [face.quads for face in faces])
+        items = [*_lit(lens, faces), *_lit(lens, rims, back=True)]
+        for name, path in trails.items():
+            if len(path) > 1:
+                some = np.unique(np.linspace(0, len(path) - 1, min(len(path), 400)).astype(int))
+                lines.append((np.array(path)[some], self.colors.get(name, FAINT), 2.2 * base))
+        for points, color, width in lines:
+            pixels, depth = lens.seen(points)
+            items += [
+                (float(depth[i : i + 2].mean()) - 0.5 * unit, pixels[i : i + 2].tolist(), width, color, False)
+                for i in range(len(points) - 1)
+            ]
+        for _, *drawn in sorted(items, key=lambda item: -item[0]):
+            surface.stroke(*drawn)
+        _axes(surface, self.camera, base)
+        if unit * lens.scale > 2.2 * base:
+            names = list(_texts(self, poses))
+            knots = {lens.one(place_of(poses, p.second)): 1.4 * unit * lens.scale for p in self.space.pivots}
+            for text in placed(names, self.size, [(*at, r) for at, r in knots.items()], surface.pushed):
+                surface.text(text)
 
 
 Item = tuple[float, Sequence[Vector], float, str, bool]
@@ -195,63 +196,44 @@ def _between(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float
 
 
 def _mesh(piece: Piece, unit: float) -> Mesh:
-    kind, size = piece.kind, tuple(round(x, 9) for x in piece.size)
-    if kind == "rod":
-        length = 1.0 if piece.at[0].frame != piece.at[1].frame else math.dist(xyz(piece.at[0]), xyz(piece.at[1]))
-        whole = piece.at[0].frame != piece.at[1].frame
-        cuts = 12 if whole else max(1, min(12, round((size[2] - size[1]) * length / (5 * unit))))
-        return _rod(size[0], size[1], size[2], cuts)
+    kind, size, (first, *rest) = piece.kind, tuple(round(x, 9) for x in piece.size), piece.at
     if kind == "plate":
         return _prism(tuple(map(xyz, piece.at)), size[0])
-    return {"ball": _ball, "box": _block, "cylinder": _cylinder, "cone": _cone}[kind](*size)
+    if kind == "box":
+        return _block(*size)
+    cuts = 12  # of a rod, so that what passes near is sorted well; fewer where its length is known
+    if kind == "rod" and first.frame == rest[0].frame:
+        length = (size[2] - size[1]) * math.dist(xyz(first), xyz(rest[0]))
+        cuts = max(1, min(12, round(length / (5 * unit))))
+    return _lathe(kind, size, cuts)
 
 
-def _around(sides: int = SIDES) -> NDArray[np.float64]:
-    angles = 2 * np.pi * (np.arange(sides) + 0.5) / sides
-    return np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-
-
-def _lathe(radii: Sequence[float], heights: Sequence[float], slopes: Sequence[tuple[float, float]]) -> Mesh:
-    """A body of revolution about z, from below to above, closed at both ends; a slope is (radial, axial)."""
-    ring = _around()
-    n, layers = len(ring), len(radii)
-    vertices = np.concatenate([ring * (r, r, 0) + (0, 0, z) for r, z in zip(radii, heights, strict=True)])
-    normals = np.concatenate([ring * (r, r, 0) + (0, 0, z) for r, z in slopes])
-    quads = []
-    for k in range(layers - 1):
-        for i in range(n):
-            j = (i + 1) % n
-            quads.append((k * n + i, k * n + j, (k + 1) * n + j, (k + 1) * n + i))
-    for first, order in ((0, -1), ((layers - 1) * n, 1)):
-        if radii[0 if order < 0 else -1] > 0:
-            for i in range(1, n - 1, 2):
-                corners = [first, first + i, first + i + 1, first + min(i + 2, n - 1)]
-                quads.append(tuple(corners[::order]))
+@cache
+def _lathe(kind: str, size: tuple[float, ...], cuts: int) -> Mesh:
+    """A body of revolution about z, from below to above, closed at both ends."""
+    if kind == "ball":
+        angles = np.linspace(-np.pi / 2, np.pi / 2, 11)
+        slopes = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # radial and axial, as the profile is
+        profile = size[0] * slopes
+    elif kind == "rod":
+        slopes = np.array([[1.0, 0.0]] * (cuts + 1))
+        profile = np.stack([np.full(cuts + 1, size[0]), np.linspace(size[1], size[2], cuts + 1)], axis=1)
+    elif kind == "cylinder":
+        slopes = np.array([[1.0, -1.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+        profile = np.stack([np.full(4, size[0]), np.linspace(-size[1], size[1], 4)], axis=1)
+    else:
+        slopes, profile = np.array([[1.0, -1.0], [1.0, 1.0]]), np.array([[size[0], -size[2]], [size[1], 0.0]])
+    angles = 2 * np.pi * (np.arange(SIDES) + 0.5) / SIDES
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    vertices, normals = (
+        np.concatenate([np.column_stack([r * around, np.full(SIDES, z)]) for r, z in line])
+        for line in (np.maximum(profile, [1e-9, -np.inf]), slopes)
+    )
+    n, last = SIDES, (len(profile) - 1) * SIDES
+    quads = [(k + i, k + (i + 1) % n, k + n + (i + 1) % n, k + n + i) for k in range(0, last, n) for i in range(n)]
+    for low, order in ((0, -1), (last, 1)):
+        quads += [(low, low + i, low + i + 1, low + min(i + 2, n - 1))[::order] for i in range(1, n - 1, 2)]
     return vertices, normals, np.array(quads)
-
-
-@cache
-def _rod(radius: float, start: float, end: float, cuts: int) -> Mesh:
-    heights = np.linspace(start, end, cuts + 1)
-    return _lathe([radius] * (cuts + 1), heights, [(1.0, 0.0)] * (cuts + 1))
-
-
-@cache
-def _cylinder(radius: float, half: float) -> Mesh:
-    heights = np.linspace(-half, half, 4)
-    return _lathe([radius] * 4, heights, [(1.0, -1.0), (1.0, 0.0), (1.0, 0.0), (1.0, 1.0)])
-
-
-@cache
-def _cone(below: float, above: float, height: float) -> Mesh:
-    return _lathe([below, above], [-height, 0.0], [(1.0, -1.0), (1.0, 1.0)])
-
-
-@cache
-def _ball(radius: float) -> Mesh:
-    angles = np.linspace(-np.pi / 2, np.pi / 2, 11)
-    slopes = [(float(np.cos(a)), float(np.sin(a))) for a in angles]
-    return _lathe([max(1e-9, radius * c) for c, _ in slopes], [radius * s for _, s in slopes], slopes)
 
 
 @cache

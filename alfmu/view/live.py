@@ -2,8 +2,8 @@
 
 The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU. Its
 files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime; `picture.js`, `plane.js` and `space.js`
-move what films show, with the scripts in `shared`; `page.js` has the clock; plots, controls and what hands do have files
-of their own. What they must know of the mechanism is put together here.
+move what films show, with the scripts in `shared`; `page.js` has the clock; plots, controls and what hands do have
+files of their own. What they must know of the mechanism is put together here.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The shapes give what there is: a scene of parts, each fixed to the ground, to a body, to a dot or between two points, in
 metres and in units of symbols (`scene_of`). The motion gives what it must fit in (`view_of`), and with the size of the
-picture where that is in pixels (`Fit`). `paint` shows a scene at one instant; the script that pages share
+picture where that is in pixels (`Fit`). `Stage.paint` shows it at one instant; the script that pages share
 (`shared/strokes.js`) does so in a browser.
 """
 
@@ -21,7 +21,7 @@ from .scene import LEFT, OVERHANG, RIGHT, RULER, Label, Part, hull_of, scene_of,
 from .shapes import GROUND, Anchor, Shapes
 from .surface import GRID, PALETTE, ZERO, Size, Surface, Text, Vector, base_of, cell_of, placed, rim_of, width_of
 
-__all__ = ["Fit", "Stage", "View", "fit_of", "hides", "paint", "poses_of", "view_of"]
+__all__ = ["Fit", "Stage", "View", "fit_of", "hides", "poses_of", "view_of"]
 
 # View: where it all is over a motion ------------------------------------------------------------------------------
 
@@ -127,7 +127,25 @@ class Stage:
     """All of a picture in the plane that does not change while the mechanism moves."""
 
     def __init__(self, shapes: Shapes, view: View, size: Size):
-        self.size, self.scene, self.fit = size, scene_of(shapes), fit_of(shapes, view, size)
+        self.shapes, self.size = shapes, size
+        self.scene, self.fit = scene_of(shapes), fit_of(shapes, view, size)
+
+    def paint(self, surface: Surface, columns: Mapping[str, float], trails: Mapping[str, Sequence[Vector]]) -> None:
+        """A scene at one instant, with the paths [m] of dots by name."""
+        scene, fit = self.scene, self.fit
+        painter = _Painter(surface, fit, poses_of(self.shapes, columns))
+        painter.grid()
+        for part in scene.back:
+            painter.part(part)
+        for dot, path in trails.items():
+            painter.line([painter.place(Anchor(GROUND, *p)) for p in path], 2.5 * fit.unit, scene.colors[dot])
+        for part in scene.front:
+            painter.part(part)
+        free = [painter.text(label) for label in scene.labels if label.free and fit.names]
+        pins = [(*painter.place(at), 6 * fit.unit) for at in scene.pins]
+        fixed = [painter.text(label) for label in scene.labels if not label.free]
+        for text in (*fixed, *placed(free, fit.size, pins, surface.pushed)):
+            surface.text(text)
 
 
 # Painting -----------------------------------------------------------------------------------------------------------
@@ -217,24 +235,6 @@ class _Painter:
             clear = label.gap * unit + abs(dx) * width_of(text, size) / 2 + abs(dy) * size / 3
             x, y = x + dx * clear, y + dy * clear
         return Text(text, x, y, size, rim_of(label.color) if label.rim else PALETTE.get(label.color, label.color))
-
-
-def paint(surface: Surface, stage: Stage, poses: Mapping[str, Pose], trails: Mapping[str, Sequence[Vector]]) -> None:
-    """A scene at one instant, with the paths [m] of dots by name."""
-    scene, fit = stage.scene, stage.fit
-    painter = _Painter(surface, fit, poses)
-    painter.grid()
-    for part in scene.back:
-        painter.part(part)
-    for dot, path in trails.items():
-        painter.line([painter.place(Anchor(GROUND, *p)) for p in path], 2.5 * fit.unit, scene.colors[dot])
-    for part in scene.front:
-        painter.part(part)
-    free = [painter.text(label) for label in scene.labels if label.free and fit.names]
-    pins = [(*painter.place(at), 6 * fit.unit) for at in scene.pins]
-    fixed = [painter.text(label) for label in scene.labels if not label.free]
-    for text in (*fixed, *placed(free, fit.size, pins, surface.pushed)):
-        surface.text(text)
 
 
 def _turned(angle: float, link: Anchor) -> Vector:

@@ -266,8 +266,8 @@ def _link_label(link: Link, guides: Sequence[Guide], color: str) -> Label:
     """Beside the longest free stretch of a bar, in the middle of a plate, under a block."""
 
     def label(at: Sequence[Vector], away: Sequence[Vector], gap: float) -> Label:
-        anchors = (tuple(Anchor(link.name, *p) for p in group) for group in (at, away))
-        return Label(link.name, *anchors, gap, 13.0, color, True)
+        places, links = (tuple(Anchor(link.name, *p) for p in group) for group in (at, away))
+        return Label(link.name, places, links, gap, 13.0, color, True)
 
     hull = hull_of(link.points)
     for guide in guides:

@@ -226,7 +226,8 @@ def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None, 
     """
     m, given = mechanism, parameters or {}
     values = {p.name: _given(m, p.name, given.get(p.name, p.default)) for p in m.parameters}
-    number = (tracer if traced else _evaluator)(m, values)
+    found = tracer(m, values)
+    number = found if traced else lambda x: float(found(x))
     places = [o.name for o in m.outputs if o.unit == "m"]
     places += [f"{point.name}.{axis}" for point in m.watched for axis in point.axes]
     dots = tuple(name[:-2] for name in places if name.endswith(".x") and f"{name[:-2]}.y" in places)
@@ -461,27 +462,6 @@ def _box(body: SpatialBody, number: Callable[[Scalar], float]) -> Vector3 | None
     if mass <= 0:
         return None
     return tuple(max(0.0, 1.5 * j / mass) ** 0.5 for j in (y + z - x, z + x - y, x + y - z))
-
-
-def _evaluator(m: Mechanism, parameters: Mapping[str, float]) -> Callable[[Scalar], float]:
-    """What turns an expression in parameters into a number."""
-    symbols = ca.vertcat(*(p.symbol for p in m.parameters))
-    values = ca.DM([parameters[p.name] for p in m.parameters])
-    known: dict[int, tuple[ca.SX, float]] = {}  # with the expression, so that its key stays its own
-
-    def number(expression: Scalar) -> float:
-        if not isinstance(expression, ca.SX):
-            return float(expression)
-        key = key_of(expression)
-        if key not in known:
-            value = ca.substitute(expression, symbols, values) if m.parameters else expression
-            if not value.is_constant():
-                free = ca.symvar(value)[0]
-                raise DeclarationError(f"{m.name}: a shape uses {free}; it may use parameters only")
-            known[key] = expression, float(value)
-        return known[key][1]
-
-    return number
 
 
 def _given(m: Mechanism, name: str, value: Any) -> float:

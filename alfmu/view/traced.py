@@ -15,6 +15,11 @@ from ..model.mechanism import Mechanism, Scalar
 __all__ = ["Traced", "cos", "sin", "tracer"]
 
 
+def _operator(f: Callable[[Any, Any], Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """A binary operator of traced numbers, and what Python takes where the number stands on its right."""
+    return lambda a, b: a._with(b, f), lambda a, b: a._with(b, lambda x, y: f(y, x))
+
+
 class Traced(float):
     """A number with its expression.
 
@@ -51,15 +56,11 @@ class Traced(float):
         own = float(self), self.expression, self.generic
         return Traced.of(*(f(x, y) for x, y in zip(own, others, strict=True)))
 
-    def _made(f: Callable[[Any, Any], Any]) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """A binary operator, and what Python takes where the number stands on its right."""
-        return lambda a, b: a._with(b, f), lambda a, b: a._with(b, lambda x, y: f(y, x))
-
-    __add__, __radd__ = _made(operator.add)
-    __sub__, __rsub__ = _made(operator.sub)
-    __mul__, __rmul__ = _made(operator.mul)
-    __truediv__, __rtruediv__ = _made(operator.truediv)
-    __pow__, __rpow__ = _made(operator.pow)
+    __add__, __radd__ = _operator(operator.add)
+    __sub__, __rsub__ = _operator(operator.sub)
+    __mul__, __rmul__ = _operator(operator.mul)
+    __truediv__, __rtruediv__ = _operator(operator.truediv)
+    __pow__, __rpow__ = _operator(operator.pow)
 
 
 def sin(x: float) -> float:

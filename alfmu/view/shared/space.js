@@ -6,6 +6,8 @@ const point = ({ x = 0, y = 0, z = 0 }) => vector([x, y, z]);
 
 const along = (shape) => shape.rotateX(Math.PI / 2);
 
+const discard = (of) => of.traverse(({ geometry, material }) => [geometry, material].forEach((x) => x && x.dispose()));
+
 class Stage {
   // `about` is what `stage_of` of pages.py gives, `palette` the colours of a Painter; `changed` follows the mouse.
   constructor(canvas, overlay, about, palette, changed) {
@@ -58,7 +60,7 @@ class Stage {
   build(frames) {
     this.frames = frames;
     this.renderer.setClearColor(this.painter.palette.paper);
-    if (this.world) this.world.traverse(({ geometry, material }) => [geometry, material].forEach((x) => x && x.dispose()));
+    if (this.world) discard(this.world);
     this.world = new THREE.Scene();
     this.painted = new Map();
     this.moving = this.about.pieces.map((piece) => {
@@ -100,7 +102,7 @@ class Stage {
         lines[i ? 0 : 1].push(...ends);
       }
     }
-    if (this.ground) this.world.remove(this.ground);
+    if (this.ground) discard(this.ground.removeFromParent());
     this.ground = new THREE.Group();
     lines.forEach((points, i) => {
       const color = this.painter.color(i ? "zero" : "grid");
