@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pages import errors, settle
 from PIL import Image
+from selenium.webdriver.support.ui import WebDriverWait
 
 from alfmu import load, simulate
 from alfmu.view.picture import animate, geometry
@@ -27,7 +28,13 @@ def opened(browser, path: Path, at: float = 0.0) -> None:
     """Show a page, stopped at a time [s]; what others said on the console is forgotten."""
     browser.get_log("browser")
     browser.get(path.as_uri())
+    began(browser)
     shown(browser, at)
+
+
+def began(browser) -> None:
+    """Wait until the film draws."""
+    WebDriverWait(browser, 30).until(lambda b: b.execute_script("return typeof draw === 'function'"))
 
 
 def shown(browser, at: float) -> np.ndarray:
@@ -130,6 +137,7 @@ def test_reactions_at_a_pole_are_heads_alone(chromium, tmp_path):
     shafts = """playing = false; now = arguments[0]; shows.moments.checked = true; draw();
       return arrows.filter(({ group }) => group.visible).map(({ arrow, shaft }) => [arrow.role, shaft.visible])"""
     chromium.get((tmp_path / "a.html").as_uri())
+    began(chromium)
     for at, whole in ((0.16, True), (0.2, False), (0.24, True)):
         found = chromium.execute_script(shafts, at)
         assert {tuple(each) for each in found} == {("reaction", whole), ("applied", True)}

@@ -522,7 +522,7 @@ def test_the_page_paints_what_a_drawing_shows(opened, name: str, monkeypatch, tm
     stage = plane.Stage(shapes, plane.View((0.0, 0.0), (1.0, 1.0), tuple(map(tuple, fit["travel"]))), (640, 480))
     stage.fit = plane.Fit(**{**fit, "size": tuple(fit["size"])})
     surface = Recorded()
-    plane.paint(surface, stage, plane.poses_of(shapes, dict(zip(names, row, strict=True))), {})
+    stage.paint(surface, dict(zip(names, row, strict=True)), {})
     assert len(lines) == len(surface.lines) > 50
     for (points, width, color, filled), (there, thick, tint, full) in zip(lines, surface.lines, strict=True):
         assert (color, filled) == (tint, full)

@@ -8,8 +8,6 @@ files of their own. What they must know of the mechanism is put together here.
 
 from __future__ import annotations
 
-import base64
-import gzip
 import importlib.metadata
 import json
 import math
@@ -36,7 +34,7 @@ from ..runtime.prepare import prepared
 from ..runtime.shipped import library
 from ..simulation import communication_points
 from . import faces
-from .pages import data_of, filled, stage_of, text_of
+from .pages import data_of, filled, packed_text, space_of, stage_of, text_of
 from .picture import SIZE, view_of
 from .scene import scene_of
 from .shapes import Shapes, geometry
@@ -110,8 +108,7 @@ def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: byt
     own = ["picture", *(["plane"] if kind == "plane" else []), "page", "plots", "controls", "hands"]
     if kind == "space":
         libraries += ["vendor/three.LICENSE"]
-        script = "".join(map(text_of, ("vendor/three.min.js", "shared/space.js", "page/space.js")))
-        library = f'<script type="text/plain" id="space">{_packed(script.encode())}</script>'
+        library = space_of("page/space.js")
         over = '<canvas id="over" aria-hidden="true"></canvas>'
     values = {
         "title": name,
@@ -125,19 +122,16 @@ def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: byt
         "styles": text_of("vendor/uPlot.min.css") + text_of("page/page.css"),
         "licence": escape("\n".join(map(text_of, libraries))),
         "about": json.dumps(about, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
-        "wasm": _packed(wasm),
-        "scene": _packed(scene),
+        "wasm": packed_text(wasm),
+        "scene": packed_text(scene),
         "worker": text_of("page/engine.js") + text_of("page/worker.js"),
         "plots": text_of("vendor/uPlot.min.js"),
         "functions": functions,
-        "script": filled(text_of("shared/strokes.js"), {"fonts": FONTS})
+        "script": text_of("shared/unpack.js")
+        + filled(text_of("shared/strokes.js"), {"fonts": FONTS})
         + "".join(text_of(f"page/{each}.js") for each in own),
     }
     return filled(text_of("page/page.html"), values)
-
-
-def _packed(content: bytes) -> str:
-    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
 
 
 def _about(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import math
 import re
@@ -21,7 +23,7 @@ from .shapes import Shapes, Spot
 from .surface import BACKGROUND, FONTS, PALETTE, RIM
 from .traced import Traced
 
-__all__ = ["data_of", "filled", "page", "stage_of", "text_of"]
+__all__ = ["data_of", "filled", "packed_text", "page", "space_of", "stage_of", "text_of"]
 
 EFFORTS = {
     "force": {"applied": "#b3261e", "reaction": "#d9534a"},
@@ -59,12 +61,12 @@ def page(
     if isinstance(scene, faces.Stage):
         data |= _in_space(scene, shapes, time, columns)
         values |= {"over": _OVER, "more": _shows(data)}
-        values["library"] = f"<script>\n{text_of('vendor/three.min.js')}</script>\n"
+        values["library"] = space_of("film/space.js", "film/film.js")
     else:
         data |= _in_plane(scene, shapes, time, columns)
-    own = ("shared/space", "film/space") if shapes.space else ("film/plane",)
-    names = ("film/clock", "shared/strokes", *own, "film/film")
-    scripts = [text_of(f"{name}.js") for name in names]
+    own = ("shared/unpack",) if shapes.space else ("film/plane", "film/film")
+    names = ("film/clock", "shared/strokes", *own)
+    scripts = [*(text_of(f"{name}.js") for name in names), 'loaded("space");\n' * bool(shapes.space)]
     values |= {
         "title": escape(shapes.name.replace("_", " ")),
         "description": escape(shapes.description),
@@ -95,6 +97,17 @@ def data_of(of: Any, digits: int, number: Callable[[Traced], Any] = float) -> An
     if isinstance(of, float):
         return int(of) if of.is_integer() else round(of, digits)
     return of
+
+
+def space_of(*names: str) -> str:
+    """The element with scripts for pictures in space, behind what they need, packed (`shared/unpack.js` runs it)."""
+    script = "".join(map(text_of, ("vendor/three.min.js", "shared/space.js", *names)))
+    return f'<script type="text/plain" id="space">{packed_text(script.encode())}</script>\n'
+
+
+def packed_text(content: bytes) -> str:
+    """Content packed with gzip, as text, the same for the same."""
+    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
 
 
 def text_of(name: str) -> str:

@@ -31,12 +31,6 @@ function ask(kind, message = {}, transfer = []) {
   });
 }
 
-async function bytes(id) {
-  const packed = Uint8Array.from(atob(find(id).textContent.trim()), (c) => c.charCodeAt(0));
-  const plain = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
-  return new Uint8Array(await new Response(plain).arrayBuffer());
-}
-
 // A worker with library and scene, in place of the one there is.
 async function employ() {
   if (worker) worker.terminate();
@@ -222,9 +216,7 @@ async function see() {
       find("picture").hidden = true;
       return;
     }
-    const script = document.createElement("script");
-    script.src = URL.createObjectURL(new Blob([await bytes("space")], { type: "text/javascript" }));
-    await new Promise((go) => { script.onload = go; document.head.append(script); });
+    await loaded("space");
   }
   picture = about.picture.kind === "space" ? new Space(find("picture"), about.picture) : new Plane(find("picture"), about.picture);
   shape();
