@@ -177,4 +177,4 @@ def test_an_fmu_carries_such_a_tree(kind, tmp_path):
 def test_a_live_page_shows_a_hinge_whose_point_a_law_moves(tmp_path):
     m, path = pendulum("relative"), tmp_path / "page.html"
     live(m, by_rk4(m), path)
-    assert '"joints":[{"name":"A","kind":"revolute","body":"bar"' in path.read_text()
+    assert '{"name":"A","kind":"cylinder","at":[{"frame":"bar"' in path.read_text()

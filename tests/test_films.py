@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pages import errors, settle
 from PIL import Image
+from selenium.webdriver.support.ui import WebDriverWait
 
 from alfmu import load, simulate
 from alfmu.view.picture import animate, geometry
@@ -27,7 +28,13 @@ def opened(browser, path: Path, at: float = 0.0) -> None:
     """Show a page, stopped at a time [s]; what others said on the console is forgotten."""
     browser.get_log("browser")
     browser.get(path.as_uri())
+    began(browser)
     shown(browser, at)
+
+
+def began(browser) -> None:
+    """Wait until the film draws."""
+    WebDriverWait(browser, 30).until(lambda b: b.execute_script("return typeof draw === 'function'"))
 
 
 def shown(browser, at: float) -> np.ndarray:
@@ -91,15 +98,15 @@ def test_the_mouse_turns_and_zooms_the_view_and_a_double_click_brings_it_back(ch
 
     opened(chromium, films["bennett"])
     canvas = chromium.find_element("css selector", "canvas")
-    home, eye = picture(chromium), "return camera.position.toArray()"
+    home, eye = picture(chromium), "return stage.camera.position.toArray()"
     place = np.array(chromium.execute_script(eye))
     ActionChains(chromium).move_to_element(canvas).click_and_hold().move_by_offset(120, 30).release().perform()
     turned = np.array(chromium.execute_script(eye))
     assert np.linalg.norm(turned - place) > 0.1 * np.linalg.norm(place)
     assert np.mean(np.abs(picture(chromium) - home).max(axis=2) > 30) > 0.02
     ActionChains(chromium).scroll_from_origin(ScrollOrigin.from_element(canvas), 0, -300).perform()
-    zoomed = np.array(chromium.execute_script(eye + ".map((x, i) => x - controls.target.toArray()[i])"))
-    target = np.array(chromium.execute_script("return controls.target.toArray()"))
+    zoomed = np.array(chromium.execute_script(eye + ".map((x, i) => x - stage.controls.target.toArray()[i])"))
+    target = np.array(chromium.execute_script("return stage.controls.target.toArray()"))
     assert np.linalg.norm(zoomed) < 0.95 * np.linalg.norm(turned - target)
     ActionChains(chromium).move_to_element(canvas).double_click().perform()
     assert np.mean(np.abs(picture(chromium) - home).max(axis=2) > 30) < 1e-3
@@ -127,6 +134,22 @@ def test_forces_and_moments_are_arrows_that_can_be_hidden(chromium, films):
 
 
 @pytest.mark.slow
+def test_reactions_at_a_pole_are_heads_alone(chromium, tmp_path):
+    """As plots have an arrow and a gap there; what a motor applies stays as it is."""
+    result = simulate("flyball_governor", 0.4, 0.02, inputs={"bearing.torque": lambda t: 1.0})
+    result.values[10, result.names.index("monitor.singular")] = 2
+    animate(load("flyball_governor"), result, tmp_path / "a.html")
+    shafts = """playing = false; now = arguments[0]; shows.moments.checked = true; draw();
+      return arrows.filter(({ group }) => group.visible).map(({ arrow, shaft }) => [arrow.role, shaft.visible])"""
+    chromium.get((tmp_path / "a.html").as_uri())
+    began(chromium)
+    for at, whole in ((0.16, True), (0.2, False), (0.24, True)):
+        found = chromium.execute_script(shafts, at)
+        assert {tuple(each) for each in found} == {("reaction", whole), ("applied", True)}
+    assert "heads alone where reactions have a pole" in chromium.find_element("css selector", "#shows span").text
+    assert errors(chromium) == []
+
+
 def test_a_piece_is_where_the_result_puts_it(chromium, films):
     """The middle of the first rod's ball in pixels, against the camera by hand."""
     opened(chromium, films["flyball_governor"], 0.4)
@@ -134,10 +157,11 @@ def test_a_piece_is_where_the_result_puts_it(chromium, films):
     i = int(np.argmin(np.abs(result.time - 0.4)))
     place = [float(result[f"rod1.{k}"][i]) for k in "xyz"]
     found = chromium.execute_script(
-        """return moving.find(({ piece }) => piece.kind === "ball" && piece.name === "rod1").mesh.position.toArray()"""
+        """const of = ({ piece }) => piece.kind === "ball" && piece.name === "rod1";
+        return stage.moving.find(of).mesh.position.toArray()"""
     )
     assert found == pytest.approx(place, abs=2e-4)
-    x, y, _ = chromium.execute_script("return pixels(vector(arguments[0]))", place)
+    x, y, _ = chromium.execute_script("return stage.pixels(vector(arguments[0]))", place)
     chromium.execute_script("shows.names.checked = false; draw()")  # a name may be over it
     image = picture(chromium)
     scale = image.shape[1] / 640

@@ -7,7 +7,6 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
 from pathlib import Path
 
 import casadi as ca
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from pages import settle
 from selenium import webdriver
 from selenium.webdriver import ActionChains, Keys
+from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 from selenium.webdriver.common.by import By
 
 import alfmu
@@ -24,8 +24,9 @@ from alfmu.cli import main
 from alfmu.fmi.drive import Fmu
 from alfmu.runtime import build, shipped
 from alfmu.simulation import run
-from alfmu.view import live, plane
+from alfmu.view import live, pages, picture, pieces, plane, space
 from alfmu.view.picture import geometry
+from alfmu.view.scene import scene_of
 
 pytestmark = pytest.mark.slow
 
@@ -328,9 +329,9 @@ def test_drawn_lengths_follow_their_parameters(opened):
     values = page.browser.execute_script("return alfmu.about.variables.map((v) => v.start)")
     names = page.browser.execute_script("return alfmu.about.variables.map((v) => v.name)")
     values[names.index("l2")] = 1.7
-    script = """const { parameters, links } = alfmu.about.picture;
+    script = """const { parameters, scene } = alfmu.about.picture;
       const g = geometry(parameters.map((p) => ("ref" in p ? arguments[0][p.ref] : p.value)));
-      return links.find((l) => l.name === 'rod').points.map((p) => p.map((i) => g[i]))"""
+      return resolved(scene, g).front.find((part) => part.held && part.at[0].body === 'rod').strokes[0].points"""
     rod = page.browser.execute_script(script, values)
     assert np.ptp(np.array(rod)[:, 0]) == pytest.approx(1.7)
 
@@ -482,55 +483,147 @@ def rig() -> Mechanism:
 """
 
 
+class Recorded:
+    """A surface that keeps what is painted."""
+
+    pushed = np.inf
+
+    def __init__(self) -> None:
+        self.lines: list[tuple] = []
+        self.texts: list[str] = []
+
+    def stroke(self, points, width, color, filled=False) -> None:
+        self.lines.append((np.array(points, float).ravel(), float(width), color, bool(filled)))
+
+    def text(self, text) -> None:
+        self.texts.append(text.text)
+
+
 @pytest.mark.parametrize("name", ["slider_crank", "flexible_four_bar", "rig.py"])
-def test_the_scene_is_the_one_that_films_have(opened, name: str, monkeypatch, tmp_path):
-    """Every stroke and label, in the order in which `plane.scene_of` has them, to a hundredth of a pixel."""
+def test_the_page_paints_what_a_drawing_shows(opened, name: str, monkeypatch, tmp_path):
+    """Every stroke in its order, to a hundredth of a pixel, and every label, of a picture of the same fit and place."""
     monkeypatch.chdir(tmp_path)
     Path("rig.py").write_text(RIG)
     page = opened(name)
     page.pause()
     page.press("n")
+    page.run_to(0.2)
     page.drawn()
-    script = "paint('light'); picture.draw(run.drawn.row); return [picture.scene(), picture.base, picture.travel]"
-    scene, base, travel = page.browser.execute_script(script)
-    pen = plane._Pen(scene["size"], scene["scale"], scene["origin"], base, scene["unit"])
-    assert pen.unit > 0.92  # where no text is held at the least size
-    monkeypatch.setattr(plane._Pen, "fitting", lambda *_: pen)
-    view = plane.View((0.0, 0.0), (0.0, 0.0), tuple(map(tuple, travel)))
-    expected = asdict(plane.scene_of(geometry(alfmu.load(name)), view, tuple(scene["size"])))
-    assert len(expected["front"]) > 5
-    assert len(expected["labels"]) > 8
-    del expected["colors"]
-    assert differences(expected, scene, "scene") == []
+    script = """paint('light');
+      const { painter } = picture, lines = [], texts = [], { line, text, texts: free } = painter;
+      painter.line = (points, width, color, filled = false) => lines.push([points, width, color, Boolean(filled)]);
+      painter.text = (said) => texts.push(said);
+      painter.texts = (all) => all.forEach((each) => texts.push(each.text)); // before they give way
+      picture.trails = picture.trails.map(() => []);
+      picture.draw(run.drawn.row);
+      Object.assign(painter, { line, text, texts: free });
+      return [picture.fit, run.drawn.row, lines, texts]"""
+    fit, row, lines, texts = page.browser.execute_script(script)
+    names = page.browser.execute_script("return alfmu.about.shown.map((i) => alfmu.about.variables[i].name)")
+    shapes = geometry(alfmu.load(name))
+    stage = plane.Stage(shapes, plane.View((0.0, 0.0), (1.0, 1.0), tuple(map(tuple, fit["travel"]))), (640, 480))
+    stage.fit = plane.Fit(**{**fit, "size": tuple(fit["size"])})
+    surface = Recorded()
+    stage.paint(surface, dict(zip(names, row, strict=True)), {})
+    assert len(lines) == len(surface.lines) > 50
+    for (points, width, color, filled), (there, thick, tint, full) in zip(lines, surface.lines, strict=True):
+        assert (color, filled) == (tint, full)
+        assert width == pytest.approx(thick, abs=0.01)
+        assert np.ravel(points) == pytest.approx(there, abs=0.01)
+    assert sorted(texts) == sorted(surface.texts)
+
+
+@pytest.mark.parametrize("name", ["slider_crank", "n_four_bar", "rig.py", "flyball_governor", "bennett"])
+def test_traced_numbers_follow_the_parameters(name: str, monkeypatch, tmp_path):
+    """The data of a page with numbers for other parameters are those of the mechanism that has them."""
+    monkeypatch.chdir(tmp_path)
+    Path("rig.py").write_text(RIG)
+    m = alfmu.load(name)
+    other = {p.name: p.default * (1.01 + 0.003 * i) for i, p in enumerate(m.parameters)}
+    symbols, values = ca.vertcat(*(p.symbol for p in m.parameters)), ca.DM(list(other.values()))
+    traced, given = geometry(m, traced=True), geometry(m, other)
+
+    def data(shapes, number=float) -> dict:
+        if not shapes.space:
+            return pages.data_of(scene_of(shapes), 9, number)
+        view = picture.view_of(given, {name: [0.1, 1.0] for name in given.columns})
+        return pages.data_of({"pieces": pieces.pieces_of(shapes.space, view)}, 9, number)
+
+    found = data(traced, lambda x: float(ca.Function("f", [symbols], [x.expression])(values)))
+    assert differences(data(given), found, name) == []
+    assert differences(data(geometry(m)), found, name), "nothing follows them"
 
 
 def differences(expected, found, where: str) -> list[str]:
-    """Where a value from a page is not the expected one; it may know more."""
+    """Where a value is not the expected one; what is nothing may be missing."""
     if isinstance(expected, dict):
-        return [each for key in expected for each in differences(expected[key], found[key], f"{where}.{key}")]
-    if isinstance(expected, list | tuple):
-        if len(expected) != len(found):
-            return [f"{where}: {len(found)} instead of {len(expected)}"]
+        pairs = ((key, expected.get(key, 0), found.get(key, 0)) for key in {*expected, *found})
+        return [each for key, one, other in pairs for each in differences(one, other, f"{where}.{key}")]
+    if isinstance(expected, list) and len(expected) == len(found):
         pairs = enumerate(zip(expected, found, strict=True))
         return [each for i, (one, other) in pairs for each in differences(one, other, f"{where}[{i}]")]
-    same = abs(expected - found) < 0.0051 if isinstance(expected, float) else expected == found
+    number = isinstance(expected, int | float) and isinstance(found, int | float)
+    same = abs(expected - found) < 1e-8 if number else expected == found
     return [] if same else [f"{where}: {found} instead of {expected}"]
+
+
+LINKS = """
+from alfmu import Mechanism
+
+def links() -> Mechanism:
+    m = Mechanism("links")
+    a, b = m.parameter("a", 0.5, "m"), m.parameter("b", 0.2, "m")
+    plate = m.spatial_body("plate", mass=1.0, inertia=(0.1, 0.1, 0.1), relative=True)
+    arm = m.spatial_body("arm", mass=1.0, inertia=(0.1, 0.1, 0.1), relative=True)
+    ground = m.spatial_ground
+    m.spatial_revolute("A", ground.at(0, 0, 0), plate.at(a, 0, 0), axis=(0, 0, 1), coordinate=m.coordinate("t", "rad"))
+    m.spatial_revolute("B", plate.at(0, b, 0), arm.at(0, 0, -a), axis=(1, 0, 0), coordinate=m.coordinate("s", "rad"))
+    m.spring_damper((ground.at(0, 0, 1), plate.at(0, -b, 0)), stiffness=10.0, rest=0.5)
+    m.gravity(0, 0, -9.81)
+    return m
+"""
 
 
 def test_bodies_in_space(opened):
     page = opened("flyball_governor")
     page.wait(lambda s: s["now"] > 0.05)
     page.pause()
-    still = page.picture()
-    page.browser.find_element(By.ID, "picture").send_keys(Keys.ARROW_LEFT * 3)
-    assert page.picture() != still, "the view does not turn"
-    # Where the page draws the hinge of a rod is where its joint on the shaft is.
-    script = """const p = alfmu.about.picture, row = run.rows.at(-1).row;
-      const hinge = p.joints.find((j) => j.name === 'hinge1');
-      const shaft = p.bodies.find((b) => b.name === 'shaft');
-      return [picture.place(row, hinge.body, hinge.point), shaft.points.map((q) => picture.place(row, 'shaft', q))]"""
-    hinge, points = page.browser.execute_script(script)
-    assert min(np.linalg.norm(np.array(points) - hinge, axis=1)) < 1e-9
+    page.run_to(0.2)
+    canvas = page.browser.find_element(By.ID, "picture")
+    page.drawn()
+    still = canvas.screenshot_as_png
+    canvas.send_keys(Keys.ARROW_LEFT * 3)
+    page.drawn()
+    assert canvas.screenshot_as_png != still, "the view does not turn"
+    # Where the page shows the hinge of a rod is where its joint on the shaft is.
+    script = """const row = run.drawn.row, { mesh } = picture.stage.moving.find(({ piece }) => piece.name === 'hinge1');
+      return [mesh.position.toArray(), alfmu.about.picture.frames.shaft.columns.map((c) => row[c])]"""
+    hinge, shaft = page.browser.execute_script(script)
+    poses = {"shaft": (np.array(shaft[:3]), np.array(shaft[3:]))}
+    pivot = next(p for p in geometry(alfmu.load("flyball_governor")).space.pivots if p.name == "hinge1")
+    at = pivot.first if pivot.first.frame == "shaft" else pivot.second
+    assert hinge == pytest.approx(space.place_of(poses, at), abs=1e-6)
+
+
+def test_pieces_in_space_follow_the_parameters(opened, monkeypatch, tmp_path):
+    """Those of a page whose parameters were changed are those of the mechanism with these values."""
+    monkeypatch.chdir(tmp_path)
+    Path("links.py").write_text(LINKS)
+    page = opened("links.py")
+    page.pause()
+    page.browser.execute_script("alfmu.set('a', 0.7); alfmu.set('b', 0.3)")
+    page.wait(lambda s: s["rows"] == 1 and not s["busy"])
+    page.drawn()
+    found = page.browser.execute_script("return picture.shown.pieces")
+    shapes = geometry(alfmu.load("links.py"), {"a": 0.7, "b": 0.3})
+    view = picture.view_of(shapes, {name: [0.0, 1.0] for name in shapes.columns})
+    wanted = [piece for piece in pieces.pieces_of(shapes.space, view) if piece.kind != "coil"]
+    found = [piece for piece in found if piece["kind"] != "coil"]
+    assert [(piece["kind"], piece.get("name", "")) for piece in found] == [(piece.kind, piece.name) for piece in wanted]
+    assert "plate" in {piece.kind for piece in wanted}
+    for one, other in zip(found, wanted, strict=True):
+        there = [[at.get(k, 0.0) for k in "xyz"] for at in one["at"]]
+        assert np.array(sorted(there)) == pytest.approx(np.array(sorted([a.x, a.y, a.z] for a in other.at)), abs=1e-9)
 
 
 # The file -------------------------------------------------------------------------------------------------------------
@@ -560,26 +653,43 @@ def test_what_moves_in_space_stays_in_the_picture(opened, name, size):
     page.run_to(0.4)
     page.drawn()
     out = page.browser.execute_script("""
-      let out = 0;
-      const { row } = run.drawn;
+      const { stage, shown } = picture, { up } = stage;
+      let out = 0, moved = 0;
       for (let k = 0; k < 24; k++) {
-        picture.yaw = k * Math.PI / 12;
-        picture.pitch = [-0.2, 0.38, 1.2][k % 3];
-        picture.fit(row);
-        const floor = picture.upright(picture.low)[2];
-        for (const frame of picture.about.bodies) {
-          for (const p of [[0, 0, 0], ...frame.points.map((p) => p.map((i) => picture.numbers[i]))]) {
-            const place = picture.moved(row, frame, p), foot = [...picture.upright(place)];
-            foot[2] = floor;
-            for (const q of [place, picture.fromUpright(foot)]) {
-              const [x, y] = picture.project(q);
+        const old = stage.camera.position.clone();
+        picture.turn(Math.PI / 12, k % 2 ? 0.3 : -0.3);
+        picture.draw(run.drawn.row);
+        moved += old.distanceTo(stage.camera.position);
+        for (const { at } of shown.pieces) {
+          for (const place of at.map((a) => stage.place(a))) {
+            const foot = place.clone().addScaledVector(up, shown.floor.height - up.dot(place));
+            for (const [x, y] of [place, foot].map((p) => stage.pixels(p))) {
               out = Math.max(out, -x, -y, x - picture.width, y - picture.height);
             }
           }
         }
       }
-      return out""")
-    assert out <= 0
+      return [out, moved]""")
+    assert out[0] <= 0
+    assert out[1] > 0
+
+
+def test_the_mouse_zooms_and_a_double_click_brings_the_view_back(opened):
+    page = opened("bennett")
+    page.pause()
+    page.drawn()
+    far = "return picture.stage.camera.position.distanceTo(picture.stage.controls.target)"
+    home = page.browser.execute_script(far)
+    canvas = page.browser.find_element(By.ID, "picture")
+    ActionChains(page.browser).scroll_from_origin(ScrollOrigin.from_element(canvas), 0, -300).perform()
+    page.drawn()
+    assert page.browser.execute_script(far) < 0.95 * home
+    canvas.send_keys("-" * 12)
+    page.drawn()
+    assert page.browser.execute_script(far) > 1.1 * home
+    ActionChains(page.browser).move_to_element(canvas).double_click().perform()
+    page.drawn()
+    assert page.browser.execute_script(far) == pytest.approx(home, rel=1e-6)
 
 
 def test_a_page_in_a_frame_shows_the_picture_alone(written, browser):

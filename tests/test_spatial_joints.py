@@ -13,8 +13,9 @@ from alfmu.model import spatial
 from alfmu.runtime.probe import Probe
 from alfmu.simulation import with_defaults
 from alfmu.view.drawing import as_data, from_data
+from alfmu.view.pieces import pieces_of
 from alfmu.view.shapes import geometry
-from alfmu.view.space import pieces_of, place_of, poses_of, view_of
+from alfmu.view.space import place_of, poses_of, view_of
 
 MASS, CENTERS = 1.3, {"base": (0.1, 0.0, -0.1), "arm": (0.05, -0.02, 0.03), "tool": (0.0, 0.04, 0.1)}
 INERTIA = ((0.04, -0.006, 0.004), (-0.006, 0.05, 0.003), (0.004, 0.003, 0.06))

@@ -1,27 +1,23 @@
 """A live page: a mechanism that runs in a browser, as one file that needs nothing else.
 
 The page holds the runtime as WebAssembly and the scene of the mechanism's FMU, so its numbers are those of the FMU. Its
-files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime, `picture.js` draws with the painter of
-films (`shared/strokes.js`), `page.js` has controls, clock and plots; plots are made by uPlot, a library in `vendor`.
-What they must know of the mechanism is put together here.
+files stand in the folder `page`: `engine.js` and `worker.js` drive the runtime; `picture.js`, `plane.js` and `space.js`
+move what films show, with the scripts in `shared`; `page.js` has the clock; plots, controls and what hands do have
+files of their own. What they must know of the mechanism is put together here.
 """
 
 from __future__ import annotations
 
-import base64
-import gzip
 import importlib.metadata
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from ..equations import Equations, Variable
 from ..equations.interface import state_starts, variables_of
@@ -31,17 +27,21 @@ from ..model.doubts import tell_of_gravity
 from ..model.errors import AlfmuError, InputError
 from ..model.files import write
 from ..model.mechanism import Mechanism
-from ..model.parts import Marker
+from ..model.spatial import right_handed
 from ..runtime import Instance
 from ..runtime.build import WEB
 from ..runtime.prepare import prepared
 from ..runtime.shipped import library
 from ..simulation import communication_points
 from ..simulation.result import Result
-from .pages import filled, text_of
-from .picture import Shapes, geometry, view_of
-from .shapes import by_law, ends_of
-from .surface import FONTS
+from . import faces
+from .pages import data_of, filled, packed_text, space_of, stage_of, text_of
+from .picture import SIZE, view_of
+from .scene import scene_of
+from .shapes import Shapes, geometry
+from .space import SpaceView
+from .surface import COLORS, FONTS
+from .traced import Traced
 
 __all__ = ["live", "needed", "written_by_alfmu"]
 
@@ -75,20 +75,14 @@ def live(
     tell_of_gravity(mechanism)
     wasm = library(WEB, e.name)
     looked, scale = _look(unit, e)
-    shapes = _shapes(mechanism, e, parameters or {}, looked)
-    about, functions = _about(mechanism, e, shapes, looked, scale)
+    about, functions = _about(mechanism, e, parameters or {}, looked, scale)
     about["command"] = f"alfmu simulate {source or e.name} --step {e.interval:g}"
     write(path, _page(mechanism, about, functions, wasm, packed(e)).encode())
 
 
 def needed(mechanism: Mechanism) -> list[str]:
     """Names of the outputs that the picture and the readings of a page take."""
-    shapes = geometry(mechanism)
-    bodies = {body.name for body in mechanism.spatial_bodies}
-    space = [f"{name}.{q}" for name in bodies for q in ("x", "y", "z", "e0", "e1", "e2", "e3")]
-    own = {output.name for output in mechanism.outputs}
-    space += [name for joint in mechanism.drawn_joints for name in joint.outputs]
-    return sorted({*shapes.columns, *space, *(f"{dot}.z" for dot in shapes.dots if f"{dot}.z" in own), "monitor.*"})
+    return sorted({*geometry(mechanism).columns, "monitor.*"})
 
 
 def written_by_alfmu(path: Path) -> bool:
@@ -106,36 +100,48 @@ def written_by_alfmu(path: Path) -> bool:
 def _page(mechanism: Mechanism, about: dict[str, Any], functions: str, wasm: bytes, scene: bytes) -> str:
     """The text of a page; the same arguments give the same."""
     name = escape(mechanism.name.replace("_", " "))
-    hint = "Nothing of this mechanism can be drawn: plots show its motion."
-    if picture := about["picture"]:
-        hint = "Drag a body to place it" if picture["kind"] == "plane" and about["tied"] else ""
-        hint = "Drag to turn, scroll or pinch to zoom" if picture["kind"] == "space" else hint
-    scripts = text_of("page/picture.js") + text_of("page/page.js")
+    kind = about["picture"]["kind"] if about["picture"] else ""
+    hints = {
+        "space": "Drag to turn, scroll or pinch to zoom",
+        "plane": "Drag a body to place it" if about["tied"] else "",
+    }
+    libraries = ["vendor/uPlot.LICENSE"]
+    library = over = ""
+    own = ["picture", *(["plane"] if kind == "plane" else []), "page", "plots", "controls", "hands"]
+    if kind == "space":
+        libraries += ["vendor/three.LICENSE"]
+        library = space_of("page/space.js")
+        over = '<canvas id="over" aria-hidden="true"></canvas>'
     values = {
         "title": name,
         "description": escape(mechanism.description),
         "version": escape(importlib.metadata.version("alfmu")),
         "interval": f"{about['interval']:g}",
-        "hint": hint,
+        "hint": hints.get(kind, "Nothing of this mechanism can be drawn: plots show its motion."),
+        "over": over,
+        "library": library,
+        "libraries": "Plots by uPlot" + ", pictures by three.js" * (kind == "space"),
         "styles": text_of("vendor/uPlot.min.css") + text_of("page/page.css"),
-        "licence": escape(text_of("vendor/uPlot.LICENSE")),
+        "licence": escape("\n".join(map(text_of, libraries))),
         "about": json.dumps(about, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
-        "wasm": _packed(wasm),
-        "scene": _packed(scene),
+        "wasm": packed_text(wasm),
+        "scene": packed_text(scene),
         "worker": text_of("page/engine.js") + text_of("page/worker.js"),
         "plots": text_of("vendor/uPlot.min.js"),
         "functions": functions,
-        "script": filled(text_of("shared/strokes.js"), {"fonts": FONTS}) + scripts,
+        "script": text_of("shared/unpack.js")
+        + filled(text_of("shared/strokes.js"), {"fonts": FONTS})
+        + "".join(text_of(f"page/{each}.js") for each in own),
     }
     return filled(text_of("page/page.html"), values)
 
 
-def _packed(content: bytes) -> str:
-    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
-
-
 def _about(
-    mechanism: Mechanism, e: Equations, shapes: _Drawn | None, looked: Result, scale: tuple[float, float]
+    mechanism: Mechanism,
+    e: Equations,
+    parameters: Mapping[str, float | str],
+    looked: Result,
+    scale: tuple[float, float],
 ) -> tuple[dict[str, Any], str]:
     """What the page knows of a scene, and its functions in JavaScript."""
     found = variables_of(e)
@@ -182,21 +188,17 @@ def _about(
         "tied": [{"value": references[e.starts[i].name], "rate": references[e.start_rates[i].name]} for i in tied],
         "groups": groups,
         "panels": panels,
-        "picture": None,
+        "colors": COLORS,
     }
-    functions = _ties(e, tied)
-    about["tie_parameters"] = [{"ref": references[v.name]} for v in e.parameters]
-    if shapes:
-        columns = {every[reference].name: column for column, reference in enumerate(shown)}
-        about["picture"] = shapes.data(columns)
+    columns = {every[reference].name: column for column, reference in enumerate(shown)}
+    about["picture"], function = _picture(mechanism, parameters, looked, columns)
+    if about["picture"]:
         about["picture"]["parameters"] = [
-            {"ref": references[name]} if name in references else {"value": value}
-            for name, value in shapes.parameters.items()
+            {"ref": references[p.name]} if p.name in references else {"value": float(parameters.get(p.name, p.default))}
+            for p in mechanism.parameters
         ]
-        functions += shapes.function
-    else:
-        functions += "const geometry = () => [];\n"
-    return about, functions
+    about["tie_parameters"] = [{"ref": references[v.name]} for v in e.parameters]
+    return about, _ties(e, tied) + function
 
 
 def range_of(v: Variable, kind: str, scale: tuple[float, float]) -> list[float] | None:
@@ -302,240 +304,57 @@ def _look(unit: Instance, e: Equations) -> tuple[Result, tuple[float, float]]:
 # The picture ----------------------------------------------------------------------------------------------------------
 
 
-class _Drawn:
-    """Shapes whose numbers follow the parameters: each is a place in what the function `geometry` of the page gives.
+def _picture(
+    m: Mechanism, parameters: Mapping[str, float | str], looked: Result, columns: Mapping[str, int]
+) -> tuple[dict[str, Any] | None, str]:
+    """What the page draws, and its function from parameters to the numbers that follow them.
 
-    What is drawn is found at parameters that are all a little off, so that no two points are taken as one because their
-    lengths happen to be equal.
+    None where there is nothing to draw, or where it follows more than parameters. `columns` are those of outputs.
     """
-
-    def __init__(self, mechanism: Mechanism, values: Mapping[str, float]):
-        self.mechanism, self.parameters = mechanism, dict(values)
-        self._symbols = ca.vertcat(*(p.symbol for p in mechanism.parameters))
-        self._expressions: list[ca.SX] = []
-        self._known: dict[str, int] = {}
-        self.form: dict[str, Any] = {}
-
-    def number(self, expression: Any) -> int:
-        """The place of an expression among the numbers."""
-        expression = ca.SX(expression)
-        key = str(expression)
-        if key not in self._known:
-            self._known[key] = len(self._expressions)
-            self._expressions.append(expression)
-        return self._known[key]
-
-    def values(self, expressions: Sequence[ca.SX], at: Mapping[str, float]) -> NDArray[np.float64]:
-        f = ca.Function("f", [self._symbols], [ca.vertcat(*expressions)])
-        return np.array(f(ca.DM([at[p.name] for p in self.mechanism.parameters]))).ravel()
-
-    @property
-    def function(self) -> str:
-        """The page's function from parameters to numbers."""
-        return javascript("geometry", ["p"], [self._symbols], self._expressions)
-
-    def data(self, columns: Mapping[str, int]) -> dict[str, Any]:
-        """What the page draws, with the columns of the outputs that move it."""
-        form = dict(self.form)
-        form.setdefault("bars", [])
-        for kind in ("links", "dots", "bodies", "pins"):
-            form[kind] = [
-                {**each, "columns": [columns[name] for name in each["columns"]]} for each in form.get(kind, ())
-            ]
-        return form
-
-
-def _shapes(m: Mechanism, e: Equations, parameters: Mapping[str, float | str], looked: Result) -> _Drawn | None:
-    """What the page draws; None where there is nothing, or where it follows more than parameters."""
-    values = {p.name: float(parameters.get(p.name, p.default)) for p in m.parameters}
-    drawn = _Drawn(m, values)
-    outputs = set(looked.names)
     try:
-        if m.spatial_bodies or m.drawn_joints or any(f"{dot}.z" in outputs for dot in geometry(m, parameters).dots):
-            found = _in_space(drawn, geometry(m, parameters), looked)
-        else:
-            found = _in_the_plane(drawn, e, looked)
+        shapes = geometry(m, parameters, traced=True)
+        view = view_of(shapes, {name: looked[name] for name in shapes.columns})
     except AlfmuError:
-        return None
-    return found
-
-
-def _in_the_plane(drawn: _Drawn, e: Equations, looked: Result) -> _Drawn | None:
-    m, usual = drawn.mechanism, drawn.parameters
-    shapes = geometry(m, _generic(m, usual))
+        shapes = Shapes(m.name, "")
     if not shapes.columns:
-        return None
-    points, guides = _candidates(m), {joint.name: joint for joint in m.joints}
-    at = {body: drawn.values([x for pair in pairs for x in pair], _generic(m, usual)) for body, pairs in points.items()}
+        return None, javascript("geometry", ["p"], [], [])
+    places: dict[str, int] = {}
+    expressions: list[ca.SX] = []
 
-    def place(body: str, x: float, y: float) -> dict[str, Any]:
-        there = at[body].reshape(-1, 2)
-        nearest = int(np.argmin(np.hypot(there[:, 0] - x, there[:, 1] - y)))
-        return {"body": body, "x": drawn.number(points[body][nearest][0]), "y": drawn.number(points[body][nearest][1])}
+    def number(x: Traced) -> dict[str, int]:
+        """The place of a number among those that the function gives."""
+        key = str(x.expression)
+        if key not in places:
+            places[key] = len(expressions)
+            expressions.append(x.expression)
+        return {"#": places[key]}
 
-    def guide(g: Any) -> dict[str, Any]:
-        joint = guides[g.name]
-        block = None if g.block is None else drawn.number(joint.axis - joint.angle)
-        return {
-            "name": g.name,
-            "base": place(g.base.body, g.base.x, g.base.y),
-            "axis": drawn.number(joint.axis),
-            "rider": place(g.rider.body, g.rider.x, g.rider.y),
-            "block": block,
-        }
-
-    view = view_of(geometry(m, usual), {name: looked[name] for name in shapes.columns})
-    drawn.form = {
-        "kind": "plane",
-        "links": [
-            {
-                "name": link.name,
-                "kind": link.kind,
-                "points": [[place(link.name, *p)[k] for k in "xy"] for p in link.points],
-                "columns": [f"{link.name}.{q}" for q in ("x", "y", "angle")],
-            }
-            for link in shapes.links
-        ],
-        "joints": [_pair(each, place) | {"name": each.name, "kind": each.kind} for each in shapes.joints],
-        "guides": [guide(g) for g in shapes.guides],
-        "ties": [_pair(tie, place) | {"name": tie.name, "kind": tie.kind} for tie in shapes.ties],
-        "dots": [{"name": dot, "columns": [f"{dot}.{q}" for q in "xy"]} for dot in shapes.dots],
-        "rims": [
-            {
-                "body": rim.body.name,
-                "filled": rim.filled,
-                "points": [
-                    [drawn.number(ca.SX(a) - ca.SX(c)) for a, c in zip(point, rim.body.center, strict=True)]
-                    for point in rim.points
-                ],
-            }
-            for relation in m.relations()
-            for rim in relation.rims()
-        ],
-        "low": view.low,
-        "high": view.high,
-        "travel": view.travel,
+    data: dict[str, Any]
+    if isinstance(view, SpaceView):
+        stage = faces.Stage(shapes, view, SIZE)
+        frames = {frame.name: (frame.kind, frame.columns) for frame in stage.space.frames}
+        data = {"kind": "space", "dots": stage.space.dots, "colors": stage.colors, **stage_of(stage)}
+        data["room"] = _room(view)
+    else:
+        scene = scene_of(shapes)
+        frames = {link.name: ("plane", tuple(f"{link.name}.{q}" for q in ("x", "y", "angle"))) for link in shapes.links}
+        frames |= {dot: ("point", (f"{dot}.x", f"{dot}.y")) for dot in shapes.dots}
+        data = {"kind": "plane", "scene": scene, "guides": shapes.guides, "dots": shapes.dots}
+        data |= {"low": view.low, "high": view.high, "travel": view.travel}
+    data["frames"] = {
+        name: {"kind": kind, "columns": [columns[each] for each in of]} for name, (kind, of) in frames.items()
     }
-    return drawn
+    symbols = ca.vertcat(*(p.symbol for p in m.parameters))
+    return data_of(data, 9, number), javascript("geometry", ["p"], [symbols], expressions)
 
 
-def _pair(of: Any, place: Callable[..., dict[str, Any]]) -> dict[str, Any]:
-    return {end: place(*asdict(getattr(of, end)).values()) for end in ("first", "second")}
-
-
-def _generic(m: Mechanism, usual: Mapping[str, float]) -> dict[str, float]:
-    """Parameters that are all a little off their values, each by another share, and within their bounds."""
-    found = {}
-    for i, p in enumerate(m.parameters, 1):
-        value, share = usual[p.name], 1e-3 * (0.5 + (i * 0.6180339887498949) % 1.0)
-        off = value + share * (abs(value) or 1.0)
-        found[p.name] = off if p.maximum is None or off <= p.maximum else value - share * (abs(value) or 1.0)
-    return found
-
-
-def _candidates(m: Mechanism) -> dict[str, list[tuple[ca.SX, ca.SX]]]:
-    """Points that are drawn on each body, from its centre of mass, as expressions in parameters."""
-    found: dict[str, list[tuple[ca.SX, ca.SX]]] = {body.name: [(ca.SX(0), ca.SX(0))] for body in (m.ground, *m.bodies)}
-
-    def add(marker: Marker, dx: Any = 0.0, dy: Any = 0.0) -> None:
-        if by_law(m, marker.x, marker.y, dx, dy):
-            return
-        x, y = (ca.SX(a) - ca.SX(c) for a, c in zip((marker.x, marker.y), marker.body.center, strict=True))
-        found[marker.body.name].append((x + dx, y + dy))
-
-    for joint in m.joints:
-        add(joint.first)
-        add(joint.second)
-        if joint.kind in ("prismatic", "point_on_line"):
-            axis, offset = ca.SX(joint.axis), ca.SX(joint.offset)
-            add(joint.first, -offset * ca.sin(axis), offset * ca.cos(axis))
-    for spring in m.springs:
-        for end in spring.between if isinstance(spring.between, tuple) else ():
-            if isinstance(end, Marker):
-                add(end)
-    for point in m.watched:
-        if isinstance(point.marker, Marker):
-            add(point.marker)
-    for body in m.bodies:
-        if body.length is not None:
-            add(body.start)
-            add(body.end)
-    return found
-
-
-def _in_space(drawn: _Drawn, shapes: Shapes, looked: Result) -> _Drawn:
-    m = drawn.mechanism
-    points: dict[str, list[list[int]]] = {body.name: [] for body in m.spatial_bodies}
-
-    def place(marker: Any) -> dict[str, Any]:
-        own = zip((marker.x, marker.y, marker.z), marker.body.center, strict=True)
-        point = [drawn.number(ca.SX(a) - ca.SX(c)) for a, c in own]
-        if marker.body.name in points and point not in points[marker.body.name]:
-            points[marker.body.name].append(point)
-        return {"body": marker.body.name, "point": point}
-
-    joints, ties = [], []
-    for joint in m.spatial_joints:
-        if (ends := ends_of(m, joint)) is None:
-            continue
-        first, second = map(place, ends)
-        turns = joint.kind not in ("spherical", "weld")
-        axis = ca.vertcat(*joint.axes[second["body"] == joint.second.body.name])
-        unit = [drawn.number(x) for x in ca.vertsplit(axis / ca.norm_2(axis))]
-        if joint.kind == "distance":
-            ties.append({"kind": "rod", "first": first, "second": second})
-        elif joint.kind != "prismatic":
-            joints.append({"name": joint.name, "kind": joint.kind, **second, "axis": unit if turns else None})
-    for spring in m.springs:
-        between = spring.between
-        if isinstance(between, tuple) and not isinstance(between[0], Marker):
-            strengths = {"spring": spring.stiffness, "damper": spring.damping}
-            kind = "-".join(name for name, strength in strengths.items() if not ca.SX(strength).is_zero())
-            if kind and not by_law(m, *between[0].point, *between[1].point):
-                ties.append({"kind": kind, "first": place(between[0]), "second": place(between[1])})
-    pins, bars = _pins(drawn)
-    named = {*points, *(each["name"] for each in (*pins, *bars))}
-    names = set(looked.names)
-    dots = [dot for dot in shapes.dots if dot not in named and f"{dot}.z" in names]
-    moving = [*points, *dots, *(pin["name"] for pin in pins if pin["columns"])]
-    places = np.stack([[looked[f"{name}.{q}"] for q in "xyz"] for name in moving])
-    gravity = [abs(x) for x in drawn.values([ca.SX(x) for x in m.gravity_vector], drawn.parameters)]
-    up = int(np.argmax(gravity)) if max(gravity) > 0 else 2
-    low, high = places.min(axis=(0, 2)), places.max(axis=(0, 2))
-    across = np.delete(places - ((low + high) / 2)[:, None], up, axis=1)
-    drawn.form = {
-        "kind": "space",
-        "up": "xyz"[up],
-        "bodies": [
-            {
-                "name": name,
-                "points": some,
-                "columns": [f"{name}.{q}" for q in ("x", "y", "z", "e0", "e1", "e2", "e3")],
-            }
-            for name, some in points.items()
-        ],
-        "joints": joints,
-        "ties": ties,
-        "dots": [{"name": dot, "columns": [f"{dot}.{q}" for q in "xyz"]} for dot in dots],
-        "pins": pins,
-        "bars": bars,
-        "low": low.tolist(),
-        "high": high.tolist(),
-        "reach": float(np.hypot(across[:, 0], across[:, 1]).max()),
-    }
-    return drawn
-
-
-def _pins(drawn: _Drawn) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Joints and bars that a mechanism has for pictures alone, where its bodies are energies."""
-    joints = drawn.mechanism.drawn_joints
-    pins = []
-    for joint in joints:
-        fixed = [drawn.number(x) for x in (*joint.at, *(joint.axis or ()))] if not joint.outputs else []
-        pins.append({"name": joint.name, "columns": list(joint.outputs), "numbers": fixed})
-    place = {joint.name: i for i, joint in enumerate(joints)}
-    bars = drawn.mechanism.drawn_bars
-    return pins, [{"name": bar.name, "pins": [place[name] for name in bar.joints]} for bar in bars]
+def _room(view: SpaceView) -> dict[str, Any]:
+    """The cylinder about a vertical axis that holds all places and the floor below them [m]."""
+    axes = np.array(right_handed(view.up)).T
+    flat, tall = np.split(view.cloud @ axes, [2], axis=1)
+    middle = (flat.min(axis=0) + flat.max(axis=0)) / 2
+    reach = float(np.linalg.norm(flat - middle, axis=1).max())
+    return {"middle": middle.tolist(), "reach": reach, "low": view.floor, "high": float(tall.max())}
 
 
 # Functions in JavaScript ----------------------------------------------------------------------------------------------

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import json
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
 from html import escape
 from importlib.resources import files
 from typing import Any
@@ -14,11 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import plane, space
-from .shapes import Shapes
-from .surface import BACKGROUND, FAINT, FONTS, GRID, INK, STEEL, WHITE, ZERO, shade
+from . import faces, plane, space
+from .pieces import names_of
+from .plot import POLE
+from .shapes import Shapes, Spot
+from .surface import BACKGROUND, FONTS, PALETTE, RIM
+from .traced import Traced
 
-__all__ = ["filled", "page", "text_of"]
+__all__ = ["data_of", "filled", "packed_text", "page", "space_of", "stage_of", "text_of"]
 
 EFFORTS = {
     "force": {"applied": "#b3261e", "reaction": "#d9534a"},
@@ -40,7 +45,7 @@ _SHOWS = """    <div id="shows">
 
 def page(
     shapes: Shapes,
-    scene: plane.Scene | space.Stage,
+    scene: plane.Stage | faces.Stage,
     time: NDArray[np.float64],
     columns: Mapping[str, NDArray[np.float64]],
     speed: float,
@@ -50,16 +55,18 @@ def page(
         "time": np.round(time, _digits(1e-6 * (time[-1] - time[0]) or 1.0)).tolist(),
         "speed": speed,
         "size": scene.size,
+        "palette": {**PALETTE, "paper": BACKGROUND, "rim": RIM},
     }
     values = {"over": "", "more": "", "library": ""}
-    if isinstance(scene, space.Stage):
+    if isinstance(scene, faces.Stage):
         data |= _in_space(scene, shapes, time, columns)
         values |= {"over": _OVER, "more": _shows(data)}
-        values["library"] = f"<script>\n{text_of('vendor/three.min.js')}</script>\n"
+        values["library"] = space_of("film/space.js", "film/film.js")
     else:
         data |= _in_plane(scene, shapes, time, columns)
-    names = ("film/clock", "shared/strokes", "film/space" if shapes.space else "film/plane", "film/film")
-    scripts = [text_of(f"{name}.js") for name in names]
+    own = ("shared/unpack",) if shapes.space else ("film/plane", "film/film")
+    names = ("film/clock", "shared/strokes", *own)
+    scripts = [*(text_of(f"{name}.js") for name in names), 'loaded("space");\n' * bool(shapes.space)]
     values |= {
         "title": escape(shapes.name.replace("_", " ")),
         "description": escape(shapes.description),
@@ -76,24 +83,53 @@ def filled(text: str, values: Mapping[str, str]) -> str:
     return re.sub(r"\{\{(\w+)\}\}", lambda match: values[match[1]], text)
 
 
+def data_of(of: Any, digits: int, number: Callable[[Traced], Any] = float) -> Any:
+    """Dataclasses as data for JSON without what is nothing, numbers with so many digits or, if traced, by `number`."""
+    if is_dataclass(of):
+        of = {each.name: getattr(of, each.name) for each in fields(of)}
+    if isinstance(of, Mapping):
+        kept = {name: x for name, x in of.items() if x or type(x) in (int, tuple, list, dict, Traced)}
+        return {name: data_of(x, digits, number) for name, x in kept.items()}
+    if isinstance(of, list | tuple):
+        return [data_of(x, digits, number) for x in of]
+    if isinstance(of, Traced):
+        return number(of)
+    if isinstance(of, float):
+        return int(of) if of.is_integer() else round(of, digits)
+    return of
+
+
+def space_of(*names: str) -> str:
+    """The element with scripts for pictures in space, behind what they need, packed (`shared/unpack.js` runs it)."""
+    script = "".join(map(text_of, ("vendor/three.min.js", "shared/space.js", *names)))
+    return f'<script type="text/plain" id="space">{packed_text(script.encode())}</script>\n'
+
+
+def packed_text(content: bytes) -> str:
+    """Content packed with gzip, as text, the same for the same."""
+    return base64.b64encode(gzip.compress(content, 9, mtime=0)).decode("ascii")
+
+
 def text_of(name: str) -> str:
     """A file of this room."""
     return (files(__package__) / name).read_text(encoding="utf-8")
 
 
 def _in_plane(
-    scene: plane.Scene, shapes: Shapes, time: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
+    stage: plane.Stage, shapes: Shapes, time: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, Any]:
-    digits = _digits(0.01 / scene.scale)
+    digits = _digits(0.01 / stage.fit.scale)
     poses = {
         name: [np.round(q + 0 * time, n).tolist() for q, n in zip(pose, (digits, digits, 4), strict=True)]
         for name, pose in plane.poses_of(shapes, columns).items()
     }
-    return {"scene": asdict(scene), "dots": shapes.dots, "poses": poses}
+    rounding = max(digits, 4)
+    drawn = {"scene": data_of(stage.scene, rounding), "fit": data_of(stage.fit, rounding)}
+    return {**drawn, "dots": shapes.dots, "poses": poses}
 
 
 def _in_space(
-    stage: space.Stage, shapes: Shapes, time: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
+    stage: faces.Stage, shapes: Shapes, time: NDArray[np.float64], columns: Mapping[str, NDArray[np.float64]]
 ) -> dict[str, Any]:
     drawn, digits = stage.space, _digits(0.01 / stage.lens.scale)
     frames = {}
@@ -110,30 +146,23 @@ def _in_space(
     arrows = [a for a in arrows if _largest(a, columns) > 1e-9 * most[a.kind]]
     bodies = [solid.name for solid in drawn.solids]
     trailing = [*drawn.dots, *(bodies if len(bodies) <= TRAILING else ())]
-    centers = [(space.Spot(name, 0.0, 0.0, 0.0), stage.colors[name]) for name in trailing]
-    centers += [(joint.second, FAINT) for joint in drawn.pivots if not bodies and joint.second.frame != "ground"]
-    colors = {piece.color for piece in stage.pieces}
-    return {
-        "pieces": [asdict(piece) for piece in stage.pieces],
-        "frames": frames,
-        "camera": asdict(stage.camera),
-        "up": stage.view.up,
-        "unit": stage.unit,
-        "extent": stage.view.extent,
-        "floor": asdict(stage.floor),
-        "labels": [asdict(name) for name in space.names_of(drawn, stage.colors)],
-        "trails": [{"at": asdict(at), "color": color} for at, color in centers],
-        "arrows": [
-            {
-                **{key: value for key, value in asdict(a).items() if key != "columns"},
-                "values": [_significant(columns[name], most[a.kind]) for name in a.columns],
-            }
-            for a in arrows
-        ],
-        "most": {kind: value or 1.0 for kind, value in most.items()},
-        "colors": {**EFFORTS, "grid": GRID, "zero": ZERO, "faint": FAINT},
-        "rims": {color: INK if color in (WHITE, STEEL, FAINT) else shade(color) for color in sorted(colors)},
-    }
+    centers = [(Spot(name, 0.0, 0.0, 0.0), stage.colors[name]) for name in trailing]
+    centers += [(joint.second, "faint") for joint in drawn.pivots if not bodies and joint.second.frame != "ground"]
+    moving = [
+        {**data_of(a, digits + 3), "values": [_significant(columns[name], most[a.kind]) for name in a.columns]}
+        for a in arrows
+    ]
+    data = {"trails": [{"at": at, "color": color} for at, color in centers], "colors": EFFORTS, **stage_of(stage)}
+    most = {kind: value or 1.0 for kind, value in most.items()}
+    poles = np.flatnonzero(columns.get("monitor.singular", np.zeros(0)) == POLE).tolist()
+    return {"frames": frames, "arrows": moving, "most": most, "poles": poles, **data_of(data, digits + 3)}
+
+
+def stage_of(stage: faces.Stage) -> dict[str, Any]:
+    """What the script of a stage (`shared/space.js`) takes, but for the frames."""
+    view, names = stage.view, names_of(stage.space, stage.colors)
+    data = {"pieces": stage.pieces, "labels": names, "camera": stage.camera, "floor": stage.floor}
+    return {**data, "up": view.up, "unit": view.unit, "extent": view.extent}
 
 
 def _shows(data: Mapping[str, Any]) -> str:
@@ -152,6 +181,8 @@ def _shows(data: Mapping[str, Any]) -> str:
     ]
     steps = np.diff(data["time"])
     points = f" at points of {steps.max():.3g} s" if scale and steps.size else ""
+    if data["poles"] and any(arrow["role"] == "reaction" for arrow in data["arrows"]):
+        points += ", heads alone where reactions have a pole"
     return _SHOWS.format(boxes="\n      ".join(html), scale=", ".join(scale) + points)
 
 

@@ -33,9 +33,10 @@ from ..runtime.probe import Probe
 from ..runtime.reuse import derive, ready
 from ..simulation import Progress, instance, run, with_defaults
 from ..simulation.result import Result
-from . import plane, space
+from . import faces, plane, space
 from .pages import page
 from .plane import View
+from .plot import POLE
 from .shapes import Anchor, Shapes, geometry
 from .space import SpaceView
 from .surface import COLORS, FAINT, PUSHED, Raster, Size, Surface, Svg, Text, base_of
@@ -92,44 +93,28 @@ def draw(
     `view` is what the frame must hold (this instant alone, otherwise), `trails` the path [m] of dots by name, `caption`
     stands in the left upper corner. Raises InputError where a column is missing.
     """
-    scene = _scene(shapes, view or view_of(shapes, columns), size)
-    return _frame(shapes, scene, columns, trails or {}, caption)
+    stage = _stage(shapes, view or view_of(shapes, columns), size)
+    return _painted(Raster(size), stage, columns, trails or {}, caption).image
 
 
-def _scene(shapes: Shapes, view: View | SpaceView, size: Size) -> plane.Scene | space.Stage:
+def _stage(shapes: Shapes, view: View | SpaceView, size: Size) -> plane.Stage | faces.Stage:
     """All of a picture that does not change while the mechanism moves."""
-    return space.Stage(shapes, view, size) if isinstance(view, SpaceView) else plane.scene_of(shapes, view, size)
+    return (faces if isinstance(view, SpaceView) else plane).Stage(shapes, view, size)
 
 
-def _frame(
-    shapes: Shapes,
-    scene: plane.Scene | space.Stage,
-    columns: Mapping[str, float],
-    trails: Mapping[str, Sequence[Any]],
-    caption: str,
-    pushed: float = math.inf,
-) -> Image.Image:
-    surface = Raster(scene.size, pushed)
-    _paint(surface, shapes, scene, columns, trails, caption)
-    return surface.image
-
-
-def _paint(
+def _painted(
     surface: Surface,
-    shapes: Shapes,
-    scene: plane.Scene | space.Stage,
+    stage: plane.Stage | faces.Stage,
     columns: Mapping[str, float],
     trails: Mapping[str, Sequence[Any]],
     caption: str,
-) -> None:
-    """A mechanism at one instant."""
-    if isinstance(scene, space.Stage):
-        space.paint(surface, scene, space.poses_of(shapes, columns), {name: np.array(x) for name, x in trails.items()})
-    else:
-        plane.paint(surface, scene, plane.poses_of(shapes, columns), trails)
+) -> Any:
+    """The surface with a mechanism at one instant."""
+    stage.paint(surface, columns, trails)
     base = base_of(surface.size)
     if caption:
         surface.text(Text(caption, 20 * base, surface.size[1] - 24 * base, 14 * base, FAINT, "l"))
+    return surface
 
 
 # The picture of a model -----------------------------------------------------------------------------------------------
@@ -160,8 +145,7 @@ class Drawing:
 
     def image(self) -> Image.Image:
         """As an image of Pillow."""
-        scene = _scene(self.shapes, self.view, self.size)
-        return _frame(self.shapes, scene, self.columns, self.trails, self.caption)
+        return draw(self.shapes, self.columns, self.size, self.view, self.trails, self.caption)
 
     def png(self, colors: int | None = None) -> bytes:
         """As a PNG, the same bytes each time; of its most frequent colours, where so many are wanted."""
@@ -174,9 +158,8 @@ class Drawing:
     def svg(self) -> str:
         """As an SVG, the same text each time."""
         surface = Svg(self.size, self.shapes.description or self.shapes.name)
-        scene = _scene(self.shapes, self.view, self.size)
-        _paint(surface, self.shapes, scene, self.columns, self.trails, self.caption)
-        return surface.file
+        stage = _stage(self.shapes, self.view, self.size)
+        return _painted(surface, stage, self.columns, self.trails, self.caption).file
 
     def save(self, path: str | Path) -> None:
         """Write a `.png` or an `.svg`. Raises InputError where the suffix is another one, else WriteError."""
@@ -364,17 +347,21 @@ def animate(
         raise InputError(
             f"{shapes.name} has nothing to draw; it needs bodies, or outputs NAME.x and NAME.y in m for each point"
         )
-    wanted = [*shapes.columns, *shapes.efforts]
+    wanted = [*shapes.columns, *shapes.efforts, "monitor.singular"]
     time, columns = result.time, {name: result[name] for name in wanted if name in result.names}
     view = view_of(shapes, columns)
     if len(time) > MAX_SAMPLES:
         instants = np.linspace(time[0], time[-1], MAX_SAMPLES)
-        time, columns = instants, {name: np.interp(instants, time, x) for name, x in columns.items()}
+        poles = time[columns.pop("monitor.singular", np.zeros(len(time))) == POLE]
+        columns = {name: np.interp(instants, time, x) for name, x in columns.items()}
+        columns["monitor.singular"] = np.zeros(MAX_SAMPLES)
+        columns["monitor.singular"][np.abs(instants[:, None] - poles).argmin(axis=0)] = POLE
+        time = instants
     if path.suffix == ".gif":
         with atomic(path) as file:
             _film(file, shapes, view, size, time, columns, *_instants(time, fps, speed), progress)
     else:
-        write(path, page(shapes, _scene(shapes, view, size), time, columns, speed).encode())
+        write(path, page(shapes, _stage(shapes, view, size), time, columns, speed).encode())
 
 
 def check_film(path: Path) -> None:
@@ -420,9 +407,9 @@ def _frames(
     instants: Iterable[float],
 ) -> Iterator[Image.Image]:
     """Pictures of a motion at some instants [s], dots with the trail behind them."""
-    dots, scene = shapes.space.dots if shapes.space else shapes.dots, _scene(shapes, view, size)
+    dots, stage = shapes.space.dots if shapes.space else shapes.dots, _stage(shapes, view, size)
     for t in instants:
         now = {name: float(np.interp(t, time, x)) for name, x in columns.items()}
         past = {name: [*columns[name][time < t], now[name]] for name in now}
         trails = {dot: _path(past, shapes, dot) for dot in dots}
-        yield _frame(shapes, scene, now, trails, f"t = {t:.2f} s", PUSHED)
+        yield _painted(Raster(size, PUSHED), stage, now, trails, f"t = {t:.2f} s").image

@@ -15,6 +15,7 @@ from ..model.mechanism import Mechanism
 from ..model.parts import Joint, Marker, Point, Scalar, Spring, key_of
 from ..model.spatial import SpatialBody, SpatialMarker
 from .surface import Vector
+from .traced import cos, sin, tracer
 
 __all__ = ["Shapes", "by_law", "ends_of", "geometry"]
 
@@ -217,13 +218,17 @@ class Shapes:
         return [column for arrow in self.space.arrows for column in arrow.columns] if self.space else []
 
 
-def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None) -> Shapes:
+def geometry(mechanism: Mechanism, parameters: Mapping[str, Any] | None = None, traced: bool = False) -> Shapes:
     """The shapes of a mechanism for given values of its parameters, defaults otherwise.
 
-    `parameters` may be the mapping that a run took: start values and solver variables in it change no shape.
+    Numbers of shapes that are `traced` know the expressions they come from (`Traced`). `parameters` may be the mapping
+    that a run took: start values and solver variables in it change no shape.
     Raises DeclarationError where a shape depends on more than parameters.
     """
-    m, number = mechanism, _evaluator(mechanism, parameters or {})
+    m, given = mechanism, parameters or {}
+    values = {p.name: _given(m, p.name, given.get(p.name, p.default)) for p in m.parameters}
+    found = tracer(m, values)
+    number = found if traced else lambda x: float(found(x))
     places = [o.name for o in m.outputs if o.unit == "m"]
     places += [f"{point.name}.{axis}" for point in m.watched for axis in point.axes]
     dots = tuple(name[:-2] for name in places if name.endswith(".x") and f"{name[:-2]}.y" in places)
@@ -446,7 +451,7 @@ def _in_space(m: Mechanism, number: Callable[[Scalar], float], plane: Shapes, pl
             names = tuple(inputs.get(key_of(x), "") for x in vector)
             if all(names):
                 arrows.append(Arrow(names[0].removesuffix(".x"), kind, "applied", spot(load.at), names, None))
-    pull = [number(g) for g in m.gravity_vector]
+    pull = [float(number(g)) for g in m.gravity_vector]
     size = math.hypot(*pull)
     up = tuple(-g / size + 0.0 for g in pull) if size else (0.0, 0.0, 1.0)
     return Space(tuple(frames), tuple(solids), tuple(pivots), tuple(struts), tuple(arrows), dots, up)
@@ -457,28 +462,7 @@ def _box(body: SpatialBody, number: Callable[[Scalar], float]) -> Vector3 | None
     mass, (x, y, z) = number(body.mass), map(number, body.inertia)
     if mass <= 0:
         return None
-    return tuple(math.sqrt(max(0.0, 1.5 * j / mass)) for j in (y + z - x, z + x - y, x + y - z))
-
-
-def _evaluator(m: Mechanism, parameters: Mapping[str, Any]) -> Callable[[Scalar], float]:
-    """What turns an expression in parameters into a number."""
-    symbols = ca.vertcat(*(p.symbol for p in m.parameters))
-    values = ca.DM([_given(m, p.name, parameters.get(p.name, p.default)) for p in m.parameters])
-    known: dict[int, tuple[ca.SX, float]] = {}  # with the expression, so that its key stays its own
-
-    def number(expression: Scalar) -> float:
-        if not isinstance(expression, ca.SX):
-            return float(expression)
-        key = key_of(expression)
-        if key not in known:
-            value = ca.substitute(expression, symbols, values) if m.parameters else expression
-            if not value.is_constant():
-                free = ca.symvar(value)[0]
-                raise DeclarationError(f"{m.name}: a shape uses {free}; it may use parameters only")
-            known[key] = expression, float(value)
-        return known[key][1]
-
-    return number
+    return tuple(max(0.0, 1.5 * j / mass) ** 0.5 for j in (y + z - x, z + x - y, x + y - z))
 
 
 def _given(m: Mechanism, name: str, value: Any) -> float:
@@ -495,6 +479,6 @@ def _telescopes(joint: Joint) -> bool:
 
 def _guide(joint: Joint, anchor: Callable[[Marker], Anchor], number: Callable[[Scalar], float]) -> Guide:
     base, axis, offset = anchor(joint.first), number(joint.axis), number(joint.offset)
-    base = replace(base, x=base.x - offset * math.sin(axis), y=base.y + offset * math.cos(axis))
+    base = replace(base, x=base.x - offset * sin(axis), y=base.y + offset * cos(axis))
     block = axis - number(joint.angle) if joint.kind == "prismatic" else None
     return Guide(joint.name, base, axis, anchor(joint.second), block)

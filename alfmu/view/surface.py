@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from PIL import Image, ImageDraw, ImageFont
 
-__all__ = ["Raster", "Size", "Stroke", "Surface", "Svg", "Text", "Vector", "placed"]
+__all__ = ["Raster", "Size", "Surface", "Svg", "Text", "Vector", "placed"]
 
 Vector = tuple[float, float]
 
@@ -19,6 +19,10 @@ Size = tuple[int, int]
 
 BACKGROUND, GRID, ZERO = "#fbfcfd", "#eceff3", "#d3dae2"
 INK, FAINT, STEEL, WHITE = "#2b3440", "#7d8995", "#dde3e9", "#ffffff"
+PALETTE = {"ink": INK, "faint": FAINT, "steel": STEEL, "white": WHITE, "grid": GRID, "zero": ZERO}
+RIM = 0.58
+"""Colours by name, and the share of its light that the rim of a colour has; a live page has others where it is dark."""
+
 COLORS = ("#6b9bc7", "#e3b05f", "#76b18f", "#d0826f", "#9d8fc6", "#58a9ae", "#c98ca9", "#9aa4ae")
 """Of bodies and of dots, in the order of declaration."""
 
@@ -34,19 +38,6 @@ scripts of pages have the same number."""
 
 FONTS = 'system-ui, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
 """Fonts of pages and of SVG files."""
-
-
-@dataclass(frozen=True)
-class Stroke:
-    """A line with round ends in pixels, y upwards: a disc where it has one point, a closed area where it is filled.
-
-    An area of no width has no line around it.
-    """
-
-    points: tuple[Vector, ...]
-    width: float
-    color: str
-    filled: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,8 +59,11 @@ class Surface(Protocol):
     pushed: float
     """Half sizes of a label that it may be pushed away by others."""
 
-    def stroke(self, points: Sequence[Vector], stroke: Stroke) -> None:
-        """A stroke through these points in place of its own."""
+    def stroke(self, points: Sequence[Vector], width: float, color: str, filled: bool = False) -> None:
+        """A line with round ends in pixels, y upwards: a disc where it has one point, a closed area where it is filled.
+
+        An area of no width has no line around it.
+        """
 
     def text(self, text: Text) -> None:
         """A text with a rim in the colour of the background."""
@@ -88,20 +82,20 @@ class Raster:
         """What is painted so far."""
         return self._image.reduce(SAMPLES)
 
-    def stroke(self, points: Sequence[Vector], stroke: Stroke) -> None:
+    def stroke(self, points: Sequence[Vector], width: float, color: str, filled: bool = False) -> None:
         top = self.size[1]
         points = [(SAMPLES * x, SAMPLES * (top - y)) for x, y in points]
-        if stroke.filled:
-            self._pen.polygon(points, stroke.color)
+        if filled:
+            self._pen.polygon(points, color)
             points = [*points, points[0]]
-            if not stroke.width:
+            if not width:
                 return
-        width = max(1, round(SAMPLES * stroke.width))
+        wide = max(1, round(SAMPLES * width))
         if len(points) > 1:
-            self._pen.line(points, stroke.color, width)
-        r = width / 2
+            self._pen.line(points, color, wide)
+        r = wide / 2
         for x, y in points if r > 1 else ():
-            self._pen.ellipse((x - r, y - r, x + r, y + r), stroke.color)
+            self._pen.ellipse((x - r, y - r, x + r, y + r), color)
 
     def text(self, text: Text) -> None:
         place = SAMPLES * text.x, SAMPLES * (self.size[1] - text.y)
@@ -130,16 +124,16 @@ class Svg:
         """The text of the file, the same for the same picture."""
         return "\n".join([*self._parts, "</svg>\n"])
 
-    def stroke(self, points: Sequence[Vector], stroke: Stroke) -> None:
+    def stroke(self, points: Sequence[Vector], width: float, color: str, filled: bool = False) -> None:
         places = [(_short(x), _short(self.size[1] - y)) for x, y in points]
         if len(places) == 1:
             ((x, y),) = places
-            self._parts.append(f'<circle cx="{x}" cy="{y}" r="{_short(stroke.width / 2)}" fill="{stroke.color}"/>')
+            self._parts.append(f'<circle cx="{x}" cy="{y}" r="{_short(width / 2)}" fill="{color}"/>')
             return
-        shape, fill = ("polygon", stroke.color) if stroke.filled else ("polyline", "none")
-        width = stroke.width or 0.5  # without a line, the edges of two areas that touch would shine through
+        shape, fill = ("polygon", color) if filled else ("polyline", "none")
+        width = width or 0.5  # without a line, the edges of two areas that touch would shine through
         drawn = " ".join(f"{x},{y}" for x, y in places)
-        about = f'fill="{fill}" stroke="{stroke.color}" stroke-width="{_short(width)}"'
+        about = f'fill="{fill}" stroke="{color}" stroke-width="{_short(width)}"'
         self._parts.append(f'<{shape} points="{drawn}" {about}/>')
 
     def text(self, text: Text) -> None:
@@ -194,9 +188,14 @@ def base_of(size: Size) -> float:
     return min(size[0] / 640, size[1] / 480)
 
 
-def shade(color: str, share: float = 0.58) -> str:
+def shade(color: str, share: float = RIM) -> str:
     """A colour #rrggbb with this share of its light, towards black."""
     return "#" + "".join(f"{int(int(color[i : i + 2], 16) * share):02x}" for i in (1, 3, 5))
+
+
+def rim_of(color: str) -> str:
+    """The colour of the rim of something; both may be names."""
+    return INK if color in ("white", "steel", "faint") else shade(PALETTE.get(color, color))
 
 
 def rounded(points: Iterable[Any]) -> tuple[Vector, ...]:

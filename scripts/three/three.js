@@ -1,4 +1,4 @@
-// What the script of a page in space (alfmu/view/film/space.js) uses of three.js.
+// What the scripts of pages in space (alfmu/view/shared/space.js) use of three.js.
 export {
   AmbientLight,
   BackSide,

@@ -1,5 +1,5 @@
-// The picture of a mechanism in the plane: the scene that plane.py made, by the painter of shared/strokes.js.
-const { scene, dots, poses } = film, painter = new Painter(canvas.getContext("2d"), "{{background}}");
+// The picture of a mechanism in the plane: the scene of scene.py, by the painter of shared/strokes.js.
+const { scene, fit, dots, poses, palette } = film, painter = new Painter(canvas.getContext("2d"), palette);
 
 // Place and angle of every frame at t, interpolated.
 function posesAt(t) {
@@ -11,12 +11,10 @@ function posesAt(t) {
   return [frames, i];
 }
 
-function trail(dot, frames, i) {
+function trail(dot, i) {
   const [xs, ys] = poses[dot], points = [];
-  const pixels = (x, y) => [scene.origin[0] + scene.scale * x, scene.origin[1] + scene.scale * y];
-  for (let k = 0; k <= i; k++) points.push(pixels(xs[k], ys[k]));
-  points.push(pixels(frames[dot].x, frames[dot].y));
-  painter.line(points, 2.5 * scene.unit, scene.colors[dot]);
+  for (let k = 0; k <= i; k++) points.push(painter.place({ body: "ground", x: xs[k], y: ys[k] }));
+  painter.line([...points, painter.place({ body: dot })], 2.5 * fit.unit, scene.colors[dot]);
 }
 
 function resized() {
@@ -25,11 +23,11 @@ function resized() {
 }
 
 function draw() {
-  const [frames, i] = posesAt(now), k = canvas.width / width, { pen, paper } = painter;
+  const [frames, i] = posesAt(now), k = canvas.width / width, { pen } = painter;
   pen.setTransform(k, 0, 0, -k, 0, k * height);
-  pen.fillStyle = paper;
+  pen.fillStyle = palette.paper;
   pen.fillRect(0, 0, width, height);
-  painter.paint(scene, frames, () => dots.forEach((dot) => trail(dot, frames, i)));
+  painter.paint(scene, fit, frames, () => dots.forEach((dot) => trail(dot, i)));
   showTime();
 }
 

@@ -1,12 +1,28 @@
-// What films and live pages share: a painter on a canvas, and labels that keep apart. It paints scenes of the plane as
-// `paint` of plane.py does (`plane.Scene`): strokes in pixels that move with frames {x, y [m], angle [rad]} by name.
+// What films and live pages share: a painter on a canvas, and labels that keep apart. It paints scenes of the plane
+// (`Scene` of scene.py) where a `fit` puts them (`Fit` of plane.py), by the rules of plane.py (`_Painter`): parts move with
+// frames {x, y [m], angle [rad]} by name. What is nothing is not in the data.
 
 const PUSHED = 2.5; // half sizes of a label that others may push it away: the rule of surface.py
 
+const OVERHANG = 50, CORNERS = ["left corner", "right corner"], RULER = -1; // those of scene.py
+
 class Painter {
-  constructor(pen, paper) {
+  // `palette` has colours by name, `paper` among them, and the `rim`: the share of its light that the rim of a colour has.
+  constructor(pen, palette) {
     this.pen = pen;
-    this.paper = paper;
+    this.palette = palette;
+    this.least = 0; // size of a text [pixels], at least
+  }
+
+  color(name) { return this.palette[name] || name; }
+
+  // The rim of a colour: darker on a light page, lighter on a dark one, where that of white is dark as well.
+  rim(name) {
+    if (name === "white") return "#2b3440";
+    if (name === "steel" || name === "faint") return this.palette.ink;
+    const color = this.color(name), { rim } = this.palette;
+    const part = (i) => Math.min(255, Math.floor(parseInt(color.slice(i, i + 2), 16) * rim));
+    return `#${[1, 3, 5].map((i) => part(i).toString(16).padStart(2, "0")).join("")}`;
   }
 
   // A line with round ends; a disc where it has one point, an area where it is filled.
@@ -37,7 +53,7 @@ class Painter {
     pen.scale(1, Math.sign(pen.getTransform().d));
     pen.lineJoin = "round";
     pen.lineWidth = 2 * size / 7;
-    pen.strokeStyle = this.paper;
+    pen.strokeStyle = this.palette.paper;
     pen.strokeText(text, 0, 0);
     pen.fillStyle = color;
     pen.fillText(text, 0, 0);
@@ -53,14 +69,86 @@ class Painter {
   }
 
   // A scene while the frames are somewhere; `trails` paints what is between its back and its front. y points upwards.
-  paint(scene, frames, trails) {
-    scene.back.forEach((each) => this.part(scene, frames, each));
+  paint(scene, fit, frames, trails) {
+    Object.assign(this, { fit, frames });
+    this.grid();
+    scene.back.forEach((each) => this.part(each));
     trails();
-    scene.front.forEach((each) => this.part(scene, frames, each));
-    const fixed = scene.labels.filter((l) => !l.free), free = scene.labels.filter((l) => l.free);
-    const pins = scene.pins.map((at) => [...placed(scene, frames, at), scene.pin]);
-    fixed.forEach((l) => this.text(l.text, ...this.label(scene, frames, l).slice(0, 2), l.size, l.color));
-    this.texts(free, free.map((l) => this.label(scene, frames, l)), pins, scene.size);
+    scene.front.forEach((each) => this.part(each));
+    const pins = scene.pins.map((at) => [...this.place(at), 6 * fit.unit]);
+    const labels = scene.labels.filter((l) => fit.names || !l.free).map((l) => this.label(l));
+    const fixed = labels.filter((l) => !l.free), free = labels.filter((l) => l.free);
+    fixed.forEach((l) => this.text(l.text, l.box[0], l.box[1], l.size, l.color));
+    this.texts(free, free.map((l) => l.box), pins, fit.size);
+  }
+
+  grid() {
+    const { origin, scale, cell, size, base } = this.fit, step = scale * cell, lines = [];
+    for (const k of [0, 1]) {
+      for (let i = Math.ceil(-origin[k] / step); i <= (size[k] - origin[k]) / step; i++) {
+        const at = origin[k] + i * step;
+        lines.push([i === 0, k === 0 ? [[at, 0], [at, size[1]]] : [[0, at], [size[0], at]]]);
+      }
+    }
+    lines.sort((a, b) => a[0] - b[0]).forEach(([zero, line]) => this.line(line, base, this.color(zero ? "zero" : "grid")));
+  }
+
+  // A point of a body, or of a corner of the picture, in pixels.
+  place({ body, x = 0, y = 0 }) {
+    const { origin, scale, base, size } = this.fit, corner = CORNERS.indexOf(body);
+    if (corner >= 0) return [corner * size[0] + base * x, base * y];
+    return spot(this.frames, { body, x, y }).map((q, k) => origin[k] + scale * q);
+  }
+
+  // Of a part or a label: its place, the direction of its x, where x begins and ends in pixels from there, and the unit.
+  way({ at, angle = 0, guide }, two = at.length > 1) {
+    const { scale, base, unit: usual, cell, travel } = this.fit, { body } = at[0];
+    const unit = CORNERS.includes(body) ? base : usual, start = this.place(at[0]);
+    if (two) {
+      const end = this.place(at[1]), way = end.map((q, k) => q - start[k]), length = Math.hypot(...way);
+      return [start, way.map((q) => q / (length || 1)), [0, length], unit];
+    }
+    const turn = angle + (this.frames[body] ? this.frames[body].angle : 0);
+    let range = [0, unit];
+    if (guide === RULER) range = [-cell * scale, 0];
+    else if (guide !== undefined) range = travel[guide].map((end, k) => scale * end + (k ? OVERHANG : -OVERHANG) * unit);
+    return [start, [Math.cos(turn), Math.sin(turn)], range, unit];
+  }
+
+  part(part) {
+    const [[ox, oy], [ax, ay], [low, high], unit] = this.way(part), { scale, unit: rim } = this.fit;
+    for (const { points, width = 0, color, filled, rim: rimmed, every, metres } of part.strokes) {
+      let lines = [points.map(([x, y]) => [low + x * (high - low), y * unit])], full = filled;
+      if (every) {
+        const count = Math.max(0, Math.ceil(Number(((high - low) / unit - points[0][0]).toFixed(9)) / every));
+        lines = Array.from({ length: count }, (_, i) => points.map(([x, y]) => [low + (every * i + x) * unit, y * unit]));
+      } else if (metres) {
+        const corners = metres === "hull" ? hull(points) : points;
+        full = filled || (metres === "hull" && corners.length > 2);
+        lines = [corners.map(([x, y]) => [x * scale, y * scale])];
+      }
+      if (!width) continue;
+      for (const line of lines) {
+        const there = line.map(([x, y]) => [ox + x * ax - y * ay, oy + x * ay + y * ax]);
+        if (rimmed) this.line(there, width * unit + 3.2 * rim, this.rim(color), full);
+        this.line(there, width * unit, this.color(color), full);
+      }
+    }
+  }
+
+  // What a label says, how large, and the box in which it would stand.
+  label(label) {
+    const [start, axis, [low, high], unit] = this.way(label, false), { at, guide, gap = 0, links = [], share = 0, free } = label;
+    const text = label.text || `${Number(this.fit.cell.toPrecision(6))} m`, size = Math.max(this.least, label.size * unit);
+    const places = at.map((a) => this.place(a)), [half, tall] = this.box(text, size);
+    let [x, y] = [0, 1].map((k) => (guide === undefined ? places.reduce((sum, p) => sum + p[k], 0) / places.length
+      : start[k] + (low + share * (high - low)) * axis[k]));
+    if (gap) {
+      const [dx, dy] = widest(links.map((link) => turned(this.frames[link.body], link.x || 0, link.y || 0)));
+      const clear = gap * unit + Math.abs(dx) * (half - 2) + Math.abs(dy) * size / 3;
+      [x, y] = [x + dx * clear, y + dy * clear];
+    }
+    return { text, size, free, color: label.rim ? this.rim(label.color) : this.color(label.color), box: [x, y, half, tall] };
   }
 
   // Texts in boxes that are pushed apart; one that would stand too far off fades.
@@ -74,37 +162,6 @@ class Painter {
     });
     this.pen.globalAlpha = 1;
   }
-
-  part(scene, frames, { at, strokes, angle }) {
-    const [start, end] = at.map((a) => placed(scene, frames, a)), turn = angle + frames[at[0].body].angle;
-    if (end) this.between(start, end, strokes);
-    else this.along(start, [Math.cos(turn), Math.sin(turn)], 1, strokes);
-  }
-
-  // Strokes whose x runs from 0 at one point to 1 at another, and whose y is in pixels across.
-  between([ax, ay], [bx, by], strokes) {
-    const way = [bx - ax, by - ay];
-    this.along([ax, ay], way, 1 / (Math.hypot(...way) || 1), strokes);
-  }
-
-  along([ox, oy], [ax, ay], across, strokes) {
-    for (const { points, width, color, filled } of strokes) {
-      const there = points.map(([x, y]) => [ox + x * ax - y * across * ay, oy + x * ay + y * across * ax]);
-      this.line(there, width, color, filled);
-    }
-  }
-
-  // Where a label would stand, and half its size.
-  label(scene, frames, { text, at, links, gap, size }) {
-    const places = at.map((a) => placed(scene, frames, a)), [half, tall] = this.box(text, size);
-    let [x, y] = [0, 1].map((k) => places.reduce((sum, p) => sum + p[k], 0) / places.length);
-    if (gap) {
-      const [dx, dy] = free(links.map((link) => turned(frames[link.body], link.x, link.y)));
-      const clear = gap + Math.abs(dx) * (half - 2) + Math.abs(dy) * size / 3;
-      [x, y] = [x + dx * clear, y + dy * clear];
-    }
-    return [x, y, half, tall];
-  }
 }
 
 function turned({ angle }, x, y) {
@@ -112,21 +169,21 @@ function turned({ angle }, x, y) {
   return [c * x - s * y, s * x + c * y];
 }
 
-// A point of a body {body, x, y [m]} in pixels.
-function placed({ origin, scale }, frames, { body, x, y }) {
+// A point of a body in metres.
+function spot(frames, { body, x = 0, y = 0 }) {
   const frame = frames[body], [dx, dy] = turned(frame, x, y);
-  return [origin[0] + scale * (frame.x + dx), origin[1] + scale * (frame.y + dy)];
+  return [frame.x + dx, frame.y + dy];
 }
 
 // The direction in the middle of the widest gap between some directions: the rule of plane.py (`_free`).
-function free(taken) {
-  if (!taken.length) return [0, 1];
+function widest(taken) {
   const turn = 2 * Math.PI;
-  const angles = taken.map(([x, y]) => (Math.atan2(y, x) + 1e-6 + turn) % turn).sort((a, b) => a - b);
-  let widest = 0, middle = 0;
+  const angles = taken.filter(([x, y]) => x || y).map(([x, y]) => (Math.atan2(y, x) + 1e-6 + turn) % turn).sort((a, b) => a - b);
+  if (!angles.length) return [0, 1];
+  let most = 0, middle = 0;
   angles.forEach((start, i) => {
     const end = i + 1 < angles.length ? angles[i + 1] : angles[0] + turn;
-    if (end - start > widest + 1e-3) [widest, middle] = [end - start, (start + end) / 2];
+    if (end - start > most + 1e-3) [most, middle] = [end - start, (start + end) / 2];
   });
   return [Math.cos(middle), Math.sin(middle)];
 }
@@ -159,4 +216,25 @@ function apart(boxes, pins, size) {
     if (!moved) break;
   }
   return boxes;
+}
+
+// Corners of the convex hull; the two ends where all points lie on one line.
+function hull(points) {
+  const spans = [0, 1].map((k) => Math.max(...points.map((p) => p[k])) - Math.min(...points.map((p) => p[k])));
+  const ordered = [...points].sort((a, b) => a[0] - b[0] || a[1] - b[1]).filter((p, i, all) =>
+    !i || p[0] !== all[i - 1][0] || p[1] !== all[i - 1][1]), least = 1e-9 * Math.max(...spans) ** 2;
+  if (ordered.length < 3) return ordered;
+  const chain = (some) => {
+    const corners = [];
+    for (const [x, y] of some) {
+      while (corners.length > 1) {
+        const [[ax, ay], [bx, by]] = corners.slice(-2);
+        if ((bx - ax) * (y - ay) - (by - ay) * (x - ax) > least) break;
+        corners.pop();
+      }
+      corners.push([x, y]);
+    }
+    return corners.slice(0, -1);
+  };
+  return [...chain(ordered), ...chain([...ordered].reverse())];
 }

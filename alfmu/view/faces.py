@@ -1,0 +1,293 @@
+"""Pieces as faces, painted from the back to the front: pictures of mechanisms in space without a browser."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .pieces import Piece, colors_of, names_of, pieces_of, xyz
+from .scene import hull_of
+from .shapes import Shapes, Vector3
+from .space import Camera, Lens, Pose, SpaceView, camera_of, cross, floor_of, place_of, poses_of, rotated, turned_to
+from .surface import FAINT, GRID, INK, PALETTE, ZERO, Size, Surface, Text, Vector, base_of, placed, rim_of
+
+__all__ = ["Stage"]
+
+SIDES = 18
+"""Faces around a rod."""
+
+SHADOW = "#e4e9ee"
+
+
+class Stage:
+    """All of a picture in space that does not change while the mechanism moves."""
+
+    def __init__(self, shapes: Shapes, view: SpaceView, size: Size):
+        assert shapes.space is not None
+        self.shapes = shapes
+        self.space, self.view, self.size = shapes.space, view, size
+        self.camera = camera_of(view, size)
+        self.unit, self.colors = view.unit, colors_of(self.space)
+        self.pieces = pieces_of(self.space, view)
+        self.lens = Lens(self.camera, size)
+        self.floor = floor_of(view, self.lens.scale, base_of(size))
+        self.meshes = [() if piece.kind == "coil" else _mesh(piece, self.unit) for piece in self.pieces]
+
+    def paint(self, surface: Surface, columns: Mapping[str, float], trails: Mapping[str, Sequence[Any]]) -> None:
+        """A mechanism at one instant, with the paths (T, 3) [m] of dots and bodies by name."""
+        poses = poses_of(self.shapes, columns)
+        lens, base, unit = self.lens, base_of(self.size), self.unit
+        rim = 1.3 * base / lens.scale
+        faces: list[Faces] = []
+        rims: list[Faces] = []
+        lines: list[tuple[NDArray[np.float64], str, float]] = []  # (P, 3)
+        for piece, mesh in zip(self.pieces, self.meshes, strict=True):
+            color, dark = PALETTE.get(piece.color, piece.color), rim_of(piece.color)
+            if not mesh:
+                lines.append((_between(piece, poses, _coil()), dark, max(1.2 * base, 2 * piece.size[1] * lens.scale)))
+                continue
+            vertices, normals, quads = mesh
+            for grown, shown, kept in ((0.0, color, faces), (rim, dark, rims)):
+                before = 0.8 * min(piece.size) if piece.kind == "box" else 0.0  # over a shaft that runs through it
+                kept.append(Faces(_world(piece, poses, vertices + grown * normals)[quads], shown, before))
+        _floor(surface, lens, self, [face.quads for face in faces])
+        items = [*_lit(lens, faces), *_lit(lens, rims, back=True)]
+        for name, path in trails.items():
+            if len(path) > 1:
+                some = np.unique(np.linspace(0, len(path) - 1, min(len(path), 400)).astype(int))
+                lines.append((np.array(path)[some], self.colors.get(name, FAINT), 2.2 * base))
+        for points, color, width in lines:
+            pixels, depth = lens.seen(points)
+            items += [
+                (float(depth[i : i + 2].mean()) - 0.5 * unit, pixels[i : i + 2].tolist(), width, color, False)
+                for i in range(len(points) - 1)
+            ]
+        for _, *drawn in sorted(items, key=lambda item: -item[0]):
+            surface.stroke(*drawn)
+        _axes(surface, self.camera, base)
+        if unit * lens.scale > 2.2 * base:
+            names = list(_texts(self, poses))
+            knots = {lens.one(place_of(poses, p.second)): 1.4 * unit * lens.scale for p in self.space.pivots}
+            for text in placed(names, self.size, [(*at, r) for at, r in knots.items()], surface.pushed):
+                surface.text(text)
+
+
+Item = tuple[float, Sequence[Vector], float, str, bool]
+"""Distance from the eye, points in pixels, and how they are drawn: width, colour, filled."""
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Faces (F, 4, 3) of a piece in ground axes [m], drawn as if they were nearer to the eye by `before` [m]."""
+
+    quads: NDArray[np.float64]
+    color: str
+    before: float
+
+
+def _lit(lens: Lens, faces: Sequence[Faces], back: bool = False) -> Iterator[Item]:
+    """Faces that are turned to the eye, lit from above on the left; with `back` those that are turned away, unlit."""
+    light = np.array([-0.45, 0.75, 0.6]) @ lens.axes
+    light /= np.linalg.norm(light)
+    for quads, color, before in ((f.quads, f.color, f.before) for f in faces):
+        normals = cross(quads[:, 2] - quads[:, 0], quads[:, 3] - quads[:, 1])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        middles = quads.mean(axis=1)
+        towards = np.sum(normals * (lens.eye - middles), axis=1)
+        keep = towards < 0 if back else towards > 0
+        pixels, _ = lens.seen(quads[keep])
+        depths = np.linalg.norm(middles[keep] - lens.eye, axis=1) - before
+        shares = np.zeros(len(depths)) if back else 0.7 + 0.38 * np.maximum(0.0, normals[keep] @ light)
+        for depth, points, share in zip(depths.tolist(), pixels.tolist(), shares.tolist(), strict=True):
+            yield depth, points, 0.0, color if back else _light(color, share), True
+
+
+@cache
+def _steps(color: str) -> tuple[str, ...]:
+    """A colour from dark to light."""
+    rgb = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+    found = []
+    for i in range(65):
+        share = 0.6 + 0.5 * i / 64
+        found.append("#" + "".join(f"{min(255, int(x * share + 0.5)):02x}" for x in rgb))
+    return tuple(found)
+
+
+def _light(color: str, share: float) -> str:
+    """A colour with a share of its light."""
+    return _steps(color)[min(64, max(0, round((share - 0.6) / 0.5 * 64)))]
+
+
+def _floor(surface: Surface, lens: Lens, stage: Stage, faces: Sequence[NDArray[np.float64]]) -> None:
+    """Grid lines on the floor under the motion, and the shadows of what stands on it."""
+    up, base, floor = np.array(stage.view.up), base_of(surface.size), stage.floor
+    east, north = np.array(floor.east), np.array(floor.north)
+    for k in (0, 1):
+        for i in range(floor.low[k], floor.high[k] + 1):
+            ends = [(i, floor.low[1]), (i, floor.high[1])] if k == 0 else [(floor.low[0], i), (floor.high[0], i)]
+            places = [floor.cell * (x * east + y * north) + floor.height * up for x, y in ends]
+            pixels, _ = lens.seen(np.array(places))
+            surface.stroke(pixels.tolist(), base, GRID if i else ZERO)
+    for quads in faces:  # of pieces without hollows, so that the shadow of each has none
+        corners = quads.reshape(-1, 3)
+        pixels, _ = lens.seen(corners - ((corners @ up) - floor.height)[:, None] * up)
+        shadow = hull_of([tuple(p) for p in np.round(pixels, 2).tolist()])
+        if len(shadow) > 2:
+            surface.stroke(shadow, 0.0, SHADOW, True)
+    surface.text(Text(f"grid: {floor.cell:g} m", surface.size[0] - 52 * base, 22 * base, 12 * base, FAINT))
+
+
+def _axes(surface: Surface, camera: Camera, base: float) -> None:
+    """Directions of the axes in the left lower corner."""
+    x0, y0 = 44 * base, 44 * base
+    for k in np.argsort(camera.axes[2]):
+        dx, dy, _ = camera.axes[:, k]
+        if math.hypot(dx, dy) < 0.45:  # it points at the eye
+            continue
+        end = x0 + 28 * base * dx, y0 + 28 * base * dy
+        surface.stroke([(x0, y0), end], 1.5 * base, FAINT)
+        surface.text(Text("xyz"[k], x0 + 39 * base * dx, y0 + 39 * base * dy, 12 * base, FAINT))
+
+
+def _texts(stage: Stage, poses: Mapping[str, Pose]) -> Iterator[Text]:
+    """Labels beside what they name; joints of one place share a label."""
+    base, above = base_of(stage.size), 2.6 * stage.unit * stage.lens.scale
+    joints: dict[Vector, list[str]] = {}
+    for name in names_of(stage.space, stage.colors):
+        x, y = stage.lens.one(np.mean([place_of(poses, at) for at in name.at], axis=0))
+        if name.joint:
+            joints.setdefault((round(x), round(y)), []).append(name.text)
+        else:
+            yield Text(name.text, x + 12 * base, y + 10 * base, name.size * base, rim_of(name.color))
+    for (x, y), texts in joints.items():
+        yield Text(", ".join(texts), x, y + 9 * base + above, 14 * base, INK)
+
+
+# Meshes: corners, directions in which a rim grows, faces of four corners whose normals point outwards -----------------
+
+Mesh = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+
+
+def _world(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of a piece (V, 3) in ground axes [m]."""
+    if len(piece.at) == 2:
+        return _between(piece, poses, vertices)
+    at = piece.at[0]
+    place, turn = poses[at.frame]
+    if piece.kind == "plate":
+        return place + rotated(turn, vertices)
+    return place + rotated(turn, np.array(xyz(at)) + rotated(turned_to(np.array(piece.axis)), vertices))
+
+
+def _between(piece: Piece, poses: Mapping[str, Pose], vertices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What stretches between two points: z runs from 0 to 1, x and y are in radii of a coil, in metres of a rod."""
+    start, end = (place_of(poses, at) for at in piece.at)
+    way = end - start
+    length = float(np.linalg.norm(way)) or 1e-12
+    radius = piece.size[0] if piece.kind == "coil" else 1.0
+    local = vertices * np.array([radius, radius, length])
+    return start + rotated(turned_to(way), local)
+
+
+def _mesh(piece: Piece, unit: float) -> Mesh:
+    kind, size, (first, *rest) = piece.kind, tuple(round(x, 9) for x in piece.size), piece.at
+    if kind == "plate":
+        return _prism(tuple(map(xyz, piece.at)), size[0])
+    if kind == "box":
+        return _block(*size)
+    cuts = 12  # of a rod, so that what passes near is sorted well; fewer where its length is known
+    if kind == "rod" and first.frame == rest[0].frame:
+        length = (size[2] - size[1]) * math.dist(xyz(first), xyz(rest[0]))
+        cuts = max(1, min(12, round(length / (5 * unit))))
+    return _lathe(kind, size, cuts)
+
+
+@cache
+def _lathe(kind: str, size: tuple[float, ...], cuts: int) -> Mesh:
+    """A body of revolution about z, from below to above, closed at both ends."""
+    if kind == "ball":
+        angles = np.linspace(-np.pi / 2, np.pi / 2, 11)
+        slopes = np.stack([np.cos(angles), np.sin(angles)], axis=1)  # radial and axial, as the profile is
+        profile = size[0] * slopes
+    elif kind == "rod":
+        slopes = np.array([[1.0, 0.0]] * (cuts + 1))
+        profile = np.stack([np.full(cuts + 1, size[0]), np.linspace(size[1], size[2], cuts + 1)], axis=1)
+    elif kind == "cylinder":
+        slopes = np.array([[1.0, -1.0], [1.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+        profile = np.stack([np.full(4, size[0]), np.linspace(-size[1], size[1], 4)], axis=1)
+    else:
+        slopes, profile = np.array([[1.0, -1.0], [1.0, 1.0]]), np.array([[size[0], -size[2]], [size[1], 0.0]])
+    angles = 2 * np.pi * (np.arange(SIDES) + 0.5) / SIDES
+    around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    vertices, normals = (
+        np.concatenate([np.column_stack([r * around, np.full(SIDES, z)]) for r, z in line])
+        for line in (np.maximum(profile, [1e-9, -np.inf]), slopes)
+    )
+    n, last = SIDES, (len(profile) - 1) * SIDES
+    quads = [(k + i, k + (i + 1) % n, k + n + (i + 1) % n, k + n + i) for k in range(0, last, n) for i in range(n)]
+    for low, order in ((0, -1), (last, 1)):
+        quads += [(low, low + i, low + i + 1, low + min(i + 2, n - 1))[::order] for i in range(1, n - 1, 2)]
+    return vertices, normals, np.array(quads)
+
+
+@cache
+def _block(x: float, y: float, z: float) -> Mesh:
+    vertices, normals, quads = [], [], []
+    half, steps = np.array([x, y, z]), np.linspace(-1, 1, 4)
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        for side in (-1, 1):
+            first = len(vertices)
+            for a in steps:
+                for b in steps:
+                    corner = np.zeros(3)
+                    corner[[k, i, j]] = side, a, b
+                    vertices.append(corner * half)
+                    normals.append(np.where(np.abs(corner) > 0.999, corner, 0.0))
+            for p in range(3):
+                for q in range(3):
+                    corners = [
+                        first + 4 * p + q,
+                        first + 4 * (p + 1) + q,
+                        first + 4 * (p + 1) + q + 1,
+                        first + 4 * p + q + 1,
+                    ]
+                    quads.append(corners[::side])
+    return np.array(vertices), np.array(normals), np.array(quads)
+
+
+@cache
+def _prism(corners: tuple[Vector3, ...], half: float) -> Mesh:
+    """The plate through corners of its frame."""
+    middle = np.mean(corners, axis=0)
+    flat = np.array(corners) - middle
+    n = len(flat)
+    across = sum(cross(a, b) for a, b in zip(flat, np.roll(flat, -1, axis=0), strict=True))
+    across = across / np.linalg.norm(across)
+    normals = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30)
+    vertices = np.concatenate([flat - half * across, flat + half * across])
+    grown = np.concatenate([normals - across, normals + across])
+    quads = [(i, (i + 1) % n, n + (i + 1) % n, n + i) for i in range(n)]
+    # The faces in triangles about the middle, so that what passes near is sorted well.
+    vertices = np.vstack([vertices, -half * across, half * across])
+    grown = np.vstack([grown, -across, across])
+    for i in range(n):
+        j = (i + 1) % n
+        quads.append((2 * n, j, i, i))
+        quads.append((2 * n + 1, n + i, n + j, n + j))
+    return middle + vertices, grown, np.array(quads)
+
+
+@cache
+def _coil() -> NDArray[np.float64]:
+    """A wire (P, 3) with nine turns between straight ends."""
+    z = np.linspace(0.18, 0.82, 9 * 14 + 1)
+    angle = 2 * np.pi * 9 * (z - 0.18) / 0.64
+    wire = np.column_stack([np.cos(angle), np.sin(angle), z])
+    return np.vstack([[0, 0, 0], [0, 0, 0.18], wire, [0, 0, 0.82], [0, 0, 1]])
