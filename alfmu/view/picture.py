@@ -1,8 +1,8 @@
 """Drawings of mechanisms: one frame, the picture of a model, an animation of a result.
 
 The declaration gives the shapes in metres (`geometry`), the motion gives what they must fit in (`view_of`). `plane` and
-`space` paint them on the surfaces of `surface`: pixels for PNG and GIF, or SVG. Pages (`pages`) have scripts that do
-the same in a browser (`film/`); for space they hand the pieces to three.js (`vendor/`).
+`faces` paint what `scene` and `pieces` make of them on the surfaces of `surface`: pixels for PNG and GIF, or SVG. Pages
+(`pages`) have scripts that paint the same scenes and pieces in a browser (`shared/`), in space by three.js (`vendor/`).
 """
 
 from __future__ import annotations
