@@ -39,18 +39,21 @@ def sources(fmi: int) -> dict[str, str]:
     They have no comments, and neither `binding` nor the functions of the other version of FMI.
     """
     files = {path.name: _without_comments(path.read_text(encoding="ascii")) for path in build.sources(_FOLDERS)}
-    header = _with_headers("".join(f'#include "{name}"\n' for name in files if name.endswith(".h")), files, set())
-    found = {"alfmu.h": header}
+    headers = {name for name in files if name.endswith(".h")} - {_TYPES}
+    found = {"alfmu.h": _with_headers("".join(f'#include "{name}"\n' for name in sorted(headers)), files, set())}
     for folder in _FOLDERS:
         own = [path.name for path in build.sources([folder]) if path.suffix == ".c" and path.name not in _APART]
-        texts = [_SYSTEM.findall(files[name]) for name in own]
-        system = "".join(sorted({line for lines in texts for line in lines}))
+        system = {line for name in own for line in _SYSTEM.findall(files[name])}
         bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
-        found[f"{folder}.c"] = f'#include "alfmu.h"\n{system}{bodies}'
+        found[f"{folder}.c"] = "".join(['#include "alfmu.h"\n', *sorted(system), bodies])
     for name in ("files.c", f"fmi{fmi}.c"):
-        found[name] = re.sub(_INCLUDE, "", files[name]).replace("#include <", '#include "alfmu.h"\n#include <', 1)
+        own = _with_headers(files[name], files, set(headers))
+        found[name] = own.replace("#include <", '#include "alfmu.h"\n#include <', 1)
     return found
 
+
+_TYPES = "fmi.h"
+"""Types of FMI, which hosts that compile these files have in headers of their own: in no header here."""
 
 _FOLDERS = tuple(each for each in build.FOLDERS if each != "binding")
 """Folders of the runtime that an FMU needs."""

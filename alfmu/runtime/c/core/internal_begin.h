@@ -1,5 +1,7 @@
 /* Declarations from here to internal_end.h are seen within the library alone, also where an importer compiles it: other
-   libraries have such names, too. */
+   libraries have such names, too. Functions of the C library that they use are those that every glibc has. */
+
+#include "baseline.h"
 
 #if defined(__GNUC__) && !defined(_WIN32)
 #pragma GCC visibility push(hidden)

@@ -7,7 +7,6 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "baseline.h"
 #include "layout.h"
 #include "linear.h"
 
