@@ -619,15 +619,10 @@ def test_sources_are_those_of_the_runtime_without_comments(tmp_path):
         assert "/*" not in text
         (tmp_path / name).write_text(text, encoding="ascii")
     whole = [path for path in build.sources(set(build.FOLDERS) - {"binding"}) if path.name != "fmi2.c"]
-    of_folders = {
-        folder: [p for p in whole if p.parent.name == folder and p.suffix == ".c"] for folder in build.FOLDERS
-    }
-    files = {
-        **of_folders,
-        "files": [p for p in whole if p.name == "files.c"],
-        "fmi3": [p for p in whole if p.name == "fmi3.c"],
-    }
-    files["fmi"] = [p for p in files["fmi"] if p not in (*files["files"], *files["fmi3"])]
+    apart = {"files": ["files.c"], "fmi3": ["fmi.h", "fmi3.c"]}
+    files = {name: [path for path in whole if path.name in own] for name, own in apart.items()}
+    rest = [path for path in whole if path.suffix == ".c" and path not in (*files["files"], *files["fmi3"])]
+    files |= {folder: [path for path in rest if path.parent.name == folder] for folder in build.FOLDERS}
     for name, texts in files.items():
         if texts:
             own = [line for path in texts for line in preprocessed(path) if not line.startswith("#include")]
