@@ -91,7 +91,7 @@ class Row:
     direction: str
     unit: str
     size: float = 0.0
-    """What the row comes to for a unit of displacement; 0 where the coefficients have to tell (`start/units.c`)."""
+    """What the row comes to for a unit of displacement; 0 where the coefficients have to tell (`start/row_units.c`)."""
 
     @property
     def what(self) -> str:
