@@ -165,7 +165,7 @@ class Equations:
     state_rates(q, v, u, p, t)       time derivatives of the states
     readings(q, v, a, lam, u, p, t)  everything a user can read, in the order of `outputs`
     shares(q, v, a, lam, u, p, t)    half the derivative by lam of the sum of squares of     zero where least
-                                     all that joints carry [N; N.m over its size] (l,)
+                                     all that joints carry [N; N.m over L] (l,)
     rubbing(q, v, a, lam, u, p, t)   of dry friction: multipliers, limits, second rates
     sliding(q, v, p)                 rates of joints with dry friction
     instants(p)                      times that are declared as events, s
