@@ -221,7 +221,7 @@ def auto_study(effort: Effort, kernel: str) -> list[Row]:
     rows: list[Row] = []
     for name in tqdm(effort.mechanisms, "auto", unit="mechanism"):
         derived = alfmu.derive(alfmu.load(name))
-        chosen = prepared(with_defaults(derived, {"solver.method": "auto"}), kernel).chosen
+        chosen = prepared(with_defaults(derived, {"solver.method": "auto"}), kernel).decision.method
         row: Row = {"mechanism": name, "auto": chosen}
         for method in ("auto", "explicit", "stiff"):
             try:

@@ -148,11 +148,11 @@ def choice(name: str, rows: Sequence[Row], chosen: Mapping[str, str]) -> Row:
     """What `auto` chose on a mechanism, and its run time over that of the better method."""
     decided = prepared(with_defaults(alfmu.derive(alfmu.load(name, **chosen)), {"solver.method": "auto"}), "oracle")
     name = " ".join([name, *chosen.values()])
-    made = decided.chosen
+    made = decided.decision.method
     seconds = {r["method"]: r["median [s]"] for r in rows if r.get("tolerance") == COMPARED and r["median [s]"]}
     ratio = seconds[made] / min(seconds.values()) if made in seconds else None
     verdict = "not judged" if ratio is None else "met" if ratio <= TWICE else "not met"
-    return {"mechanism": name, "chosen": made, "ratio": ratio, "verdict": verdict, "reason": decided.reason}
+    return {"mechanism": name, "chosen": made, "ratio": ratio, "verdict": verdict, "reason": decided.decision.reason}
 
 
 def picture(rows: Sequence[Row], tolerances: Sequence[float]) -> Figure:

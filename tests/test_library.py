@@ -344,7 +344,7 @@ def test_auto_chooses_by_the_values_of_the_run(traces):
         )
         (equations,) = reuse._KEPT.values()
         scene, left = reuse.ready(equations, {"c": c, "solver.method": "auto"}, None, None, "vm")
-        assert scene.chosen == method
+        assert scene.decision.method == method
         assert left == {"c": c}
     assert len(equations.programs["ready"]) == 2
 

@@ -143,8 +143,8 @@ NUMBERS: dict[str, Number] = {
     "branch": lambda t: list(CHOICES).index("solver.branch"),
     "continues": lambda t: list(t.known["solver.branch"]).index("continue"),
     "method_choice": lambda t: list(CHOICES).index("solver.method"),
-    "freedom": lambda t: -1 if t.e.freedom is None else t.e.freedom,
-    "brakes": lambda t: t.e.brakes,
+    "freedom": lambda t: t.e.survey.mobility.freedom if t.e.survey.mobility else -1,
+    "brakes": lambda t: t.e.survey.brakes,
     "weighted": lambda t: t.e.kernel["quick"].plan.weighted,
     "balances": lambda t: bool(BALANCE - set(t.e.monitors)),
     "same_tiers": lambda t: t.e.kernel["quick"] == t.e.kernel["careful"],
@@ -459,7 +459,7 @@ class _Table:
             w.integer(each.row)
             w.integer(each.value)
             w.integer(each.slip)
-            w.integer(each.output in (e.shared or ()))
+            w.integer(each.output in (e.survey.shared or ()))
         w.integers(row for switch in e.switches for row in switch.rows)
         # Behind impulses is the energy lost, whether or not there is any, and behind that are peaks.
         places = {v.name: i + (v.of_step and not e.switches) for i, v in enumerate(every_event(e))}

@@ -30,7 +30,7 @@ from ..model.mechanism import Mechanism
 from ..model.settings import FIXED, Settings
 from ..model.words import there_is
 from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
-from .prepare import again, loaded, retraced
+from .prepare import again, braked, loaded, retraced
 from .probe import mobility, shared
 from .reuse import derive, ready
 
@@ -291,7 +291,7 @@ class Instance:
         self.memory["passes"][:] = 0.0
         outcome = self._unit.initialize()
         if outcome == BRAKES:
-            self._rebuild(again(replace(self.equations, brakes=True)))
+            self._rebuild(again(braked(self.equations)))
             outcome = self._unit.initialize()
         if outcome != DONE:
             raise self._failure(outcome, moving=False)

@@ -7,7 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ..equations import Equations, derivation
+from ..equations.interface import integrator
 from ..equations.specialisation import ALL, specialised
+from ..equations.types import Decision
 from ..kernel import DEFAULT
 from ..model.content import content, latest
 from ..model.making import getting_ready
@@ -55,10 +57,9 @@ def ready(
     folded = {name: own.pop(name) for name in frozen & own.keys()}
     e = with_defaults(equations, {**folded, "solver.method": method})
     if method == "auto":
-        chosen, reason = _decided(equations, own | folded)
-        e = replace(e, chosen=chosen, reason=reason)
+        e = replace(e, decision=_decided(equations, own | folded))
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
-    key = (*asked, kernel, method, e.chosen, *sorted(folded.items()))
+    key = (*asked, kernel, method, integrator(e), *sorted(folded.items()))
     scenes = equations.programs.setdefault("ready", OrderedDict())
     return latest(scenes, key, lambda: prepared(specialised(e, outputs, freeze), kernel)), own
 
@@ -78,12 +79,11 @@ def chosen(
     return latest(known, key, lambda: specialised(with_defaults(equations, values), outputs, freeze))
 
 
-def _decided(equations: Equations, values: Mapping[str, float | str]) -> tuple[str, str]:
+def _decided(equations: Equations, values: Mapping[str, float | str]) -> Decision | None:
     """The method that `auto` stands for where these values are set, and why."""
 
-    def choose() -> tuple[str, str]:
-        e = decided(with_defaults(equations, {**values, "solver.method": "auto"}))
-        return e.chosen, e.reason
+    def choose() -> Decision | None:
+        return decided(with_defaults(equations, {**values, "solver.method": "auto"})).decision
 
     known = equations.programs.setdefault("decided", OrderedDict())
     return latest(known, tuple(sorted(values.items())), choose, _DECISIONS)
