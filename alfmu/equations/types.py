@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from ..model.kept import Kept
 from ..model.words import Brief
 
 if TYPE_CHECKING:
@@ -308,9 +309,8 @@ class Equations:
     """Sizes of the functions that run with numbers."""
     library: Any = field(default=None, repr=False)
     """Path of the functions of the scene compiled (`alfmu.runtime.compiled.compiled_scene`), where they are."""
-    programs: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """The scene as it was loaded, and these equations traced with other settings: once for all instances of these
-    equations, and not for others made of them."""
+    kept: Kept = field(default_factory=Kept, init=False, repr=False, compare=False)
+    """Results that follow from these equations: made once, and not kept for others made of them."""
 
     def __post_init__(self) -> None:
         # Equations are shared by instances, so that nobody may change them.

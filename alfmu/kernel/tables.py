@@ -29,6 +29,7 @@ from ..equations.interface import (
 from ..method import formulations, friction, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.checks import BROKEN, IMPACT, JUMP, JUMPS
+from ..model.kept import once
 from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
@@ -87,8 +88,8 @@ HANDED = {
 
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks stops"),
-    **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
+    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks"),
+    **{"stops": "beyond", "place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions that the runtime calls, by their names in C."""
 
@@ -269,10 +270,7 @@ def layout_header() -> str:
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    shared = equations.programs.get("shared", equations.programs)
-    if "alone" not in shared:
-        shared["alone"] = _alone(equations)
-    own = shared["alone"]
+    own = equations.kept.scene.latest(alone, lambda: _alone(equations))
     given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
     return replace(equations, **given)
 
@@ -315,12 +313,11 @@ def function_sizes(equations: Equations) -> dict[str, int]:
     return found
 
 
+@once
 def packed(equations: Equations) -> bytes:
     """The scene file of traced equations, written once."""
-    if "file" not in equations.programs:
-        with getting_ready():
-            equations.programs["file"] = _file(equations, alone(equations))
-    return equations.programs["file"]
+    with getting_ready():
+        return _file(equations, alone(equations))
 
 
 def packed_start(equations: Equations) -> bytes:

@@ -22,8 +22,8 @@ from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
 from ..method.stepping import explicit_rule
-from ..model.content import latest
 from ..model.errors import InputError
+from ..model.kept import latest, once
 from ..model.making import getting_ready
 from ..model.settings import Settings
 from .build import compiler
@@ -58,24 +58,20 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     """
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
-    known = equations.programs.setdefault("prepared", {})
-    if "interpreted" not in known:
-        with getting_ready():
-            known["interpreted"] = _interpreted(equations)
-    e = known["interpreted"]
+    e = _interpreted(equations)
     if kernel != "compiled" and not (kernel == "auto" and compiler()):
         return e
     library = equations.library or compiled_scene(e, packed(e))
-    if "compiled" not in known or known["compiled"].library != library:
-        known["compiled"] = replace(e, library=library)
-    return known["compiled"]
+    return equations.kept.latest(prepared, lambda: replace(e, library=library), library)
 
 
+@once
 def _interpreted(equations: Equations) -> Equations:
     declared = equations.functions
-    equations = decided(equations)
-    e = equations if equations.kernel else _traced(_surveyed(equations), declared)
-    return replace(e, library=None) if e.library else e
+    with getting_ready():
+        equations = decided(equations)
+        e = equations if equations.kernel else _traced(_surveyed(equations), declared)
+        return replace(e, library=None) if e.library else e
 
 
 def decided(equations: Equations) -> Equations:
@@ -169,7 +165,7 @@ def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
     _, scene = latest(_SCENES, key, trace, MOST_SCENES)
     same = "functions", "signatures", "kernel", "order", "telling"
     found = replace(e, **{field: getattr(scene, field) for field in same})
-    found.programs["shared"] = scene.programs
+    found.kept.scene = scene.kept
     return found
 
 
@@ -179,9 +175,8 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
 
     Raises InputError where a name is unknown or a value out of bounds.
     """
-    known = equations.programs.setdefault("defaults", OrderedDict())
     key = tuple(sorted((name, type(value).__name__, repr(value)) for name, value in values.items()))
-    return latest(known, key, lambda: _with_defaults(equations, values))
+    return equations.kept.latest(with_defaults, lambda: _with_defaults(equations, values), key)
 
 
 def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
@@ -220,12 +215,11 @@ def retraced(equations: Equations, settings: Settings) -> Equations:
     wanted = {name: getattr(settings, name) for name in _TRACED if getattr(settings, name) != getattr(before, name)}
     if e.kernel and not wanted:
         return e
-    known = e.programs.setdefault("traced", {})
-    chosen = tuple(sorted(wanted.items()))
-    if chosen not in known:
-        changed = replace(e, solver={**e.solver, **wanted}, decision=None) if wanted else e
-        known[chosen] = again(changed)
-    return known[chosen]
+
+    def trace() -> Equations:
+        return again(replace(e, solver={**e.solver, **wanted}, decision=None) if wanted else e)
+
+    return e.kept.latest(retraced, trace, tuple(sorted(wanted.items())))
 
 
 def again(equations: Equations) -> Equations:
@@ -237,10 +231,10 @@ _TRACED = ("method", "input_order")
 """Settings that a scene is traced with."""
 
 
+@once
 def loaded(equations: Equations) -> Scene:
     """The scene of traced equations, packed and loaded once for all their instances."""
-    if "scene" not in equations.programs:
-        scene = equations.programs["scene"] = Scene(packed(equations))
-        if equations.library:
-            scene.compiled_by(equations.library)
-    return equations.programs["scene"]
+    scene = Scene(packed(equations))
+    if equations.library:
+        scene.compiled_by(equations.library)
+    return scene

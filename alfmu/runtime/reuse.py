@@ -11,7 +11,8 @@ from ..equations.interface import integrator
 from ..equations.specialisation import ALL, specialised
 from ..equations.types import Decision
 from ..kernel import DEFAULT
-from ..model.content import content, latest
+from ..model.content import content
+from ..model.kept import latest
 from ..model.making import getting_ready
 from ..model.mechanism import Mechanism
 from ..model.settings import Settings
@@ -60,8 +61,7 @@ def ready(
         e = replace(e, decision=_decided(equations, own | folded))
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
     key = (*asked, kernel, method, integrator(e), *sorted(folded.items()))
-    scenes = equations.programs.setdefault("ready", OrderedDict())
-    return latest(scenes, key, lambda: prepared(specialised(e, outputs, freeze), kernel)), own
+    return equations.kept.latest(ready, lambda: prepared(specialised(e, outputs, freeze), kernel), key), own
 
 
 def chosen(
@@ -74,9 +74,8 @@ def chosen(
     if not values:
         return ready(equations, {}, outputs, freeze, DEFAULT)[0]
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
-    known = equations.programs.setdefault("chosen", OrderedDict())
     key = (*asked, *sorted(values.items()))
-    return latest(known, key, lambda: specialised(with_defaults(equations, values), outputs, freeze))
+    return equations.kept.latest(chosen, lambda: specialised(with_defaults(equations, values), outputs, freeze), key)
 
 
 def _decided(equations: Equations, values: Mapping[str, float | str]) -> Decision | None:
@@ -85,5 +84,4 @@ def _decided(equations: Equations, values: Mapping[str, float | str]) -> Decisio
     def choose() -> Decision | None:
         return decided(with_defaults(equations, {**values, "solver.method": "auto"})).decision
 
-    known = equations.programs.setdefault("decided", OrderedDict())
-    return latest(known, tuple(sorted(values.items())), choose, _DECISIONS)
+    return equations.kept.latest(_decided, choose, tuple(sorted(values.items())), _DECISIONS)
