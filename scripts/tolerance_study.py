@@ -246,12 +246,13 @@ def targets(races: Sequence[Row]) -> list[Row]:
 def choice(name: str, rows: Sequence[Row], chosen: Mapping[str, str]) -> Row:
     """What `auto` chose on a mechanism, and its run time over that of the better method."""
     decided = prepared(with_defaults(alfmu.derive(alfmu.load(name, **chosen)), {"solver.method": "auto"}), "oracle")
+    made = decided.decision
     name = " ".join([name, *chosen.values()])
     seconds = {r["method"]: r["median [s]"] for r in rows if r.get("tolerance") == COMPARED and r["median [s]"]}
     others = [seconds[x] for x in METHODS if x in seconds]
     ratio = seconds["auto"] / min(others) if others and "auto" in seconds else None
     verdict = "not judged" if ratio is None else "met" if ratio <= TWICE else "not met"
-    return {"mechanism": name, "chosen": decided.chosen, "ratio": ratio, "verdict": verdict, "reason": decided.reason}
+    return {"mechanism": name, "chosen": made.method, "ratio": ratio, "verdict": verdict, "reason": made.reason}
 
 
 def picture(rows: Sequence[Row], tolerances: Sequence[float]) -> Figure:

@@ -30,16 +30,16 @@ def swung(time: np.ndarray) -> np.ndarray:
 
 
 def test_a_run_says_how_far_off_it_is(caplog):
-    """A long run came off by 1e-2 rad in 1e3 s, and by a radian in 1e4 s, without a word."""
-    r = alfmu.simulate(pendulum(), 1000.0, 10.0, check=True)
+    """A long run comes off by 4e-3 rad in 5e3 s."""
+    r = alfmu.simulate(pendulum(), 5000.0, 20.0, check=True)
     error = np.abs(r["bar.angle"] - swung(r.time)).max()
     assert error > 1e-3
     assert r.check.worst == "bar.angle"
     assert r.check.share == r.check.errors["bar.angle"] == pytest.approx(error, rel=0.05)
-    assert r.check.since == pytest.approx(r.time[np.abs(r["bar.angle"] - swung(r.time)) > 1e-3][0], abs=10.0)
+    assert r.check.since == pytest.approx(r.time[np.abs(r["bar.angle"] - swung(r.time)) > 1e-3][0], abs=20.0)
     assert r.counters.drift == pytest.approx(error, rel=0.6)
     assert "by the drift of its energy the motion has come off by some 0.001 rad" in caplog.text
-    assert "bar.angle is off by 0.01 rad at most, by a run with solver.relative_tolerance 1e-08" in caplog.text
+    assert "bar.angle is off by 0.0041 rad at most, by a run with solver.relative_tolerance 1e-08" in caplog.text
 
 
 def test_what_stays_within_it_says_nothing(caplog):

@@ -123,8 +123,8 @@ def pressed(unit: alfmu.Instance) -> alfmu.Instance:
 def test_auto_goes_over_to_implicit_steps_where_a_contact_is_stiff():
     """By explicit steps alone 20 million evaluations."""
     automatic = pressed(alfmu.Instance("end_stop"))
-    assert automatic.equations.chosen == "explicit"
-    assert automatic.equations.reason.endswith("implicit steps where stability keeps these short")
+    assert automatic.equations.decision.method == "explicit"
+    assert automatic.equations.decision.reason.endswith("implicit steps where stability keeps these short")
     exact = prepared(with_defaults(alfmu.derive(alfmu.load("end_stop")), {"solver.method": "stiff"}))
     exact = pressed(alfmu.Instance(with_defaults(exact, {"solver.relative_tolerance": 1e-11})))
     for _ in range(30):
@@ -176,7 +176,7 @@ def test_auto_goes_over_to_implicit_steps_where_parameters_make_a_scene_stiff(de
             unit.step(0.02)
         ends.append(np.concatenate([unit.q, unit.v]))
         if method == "auto":
-            assert unit.equations.chosen == "explicit"
+            assert unit.equations.decision.method == "explicit"
             assert unit.counters.evaluations < 10_000
     assert np.max(np.abs(ends[0] - ends[1])) < 1e-6
 
@@ -276,7 +276,7 @@ def test_positions_that_masses_alone_make_look_singular_are_passed():
             unit.step(0.01)
         ends.append(unit)
     automatic, exact = ends
-    assert automatic.equations.chosen == "stiff"
+    assert automatic.equations.decision.method == "stiff"
     assert dict(zip(TALLY, automatic.memory["tally"], strict=True))["regular_tries"] > 0
     assert automatic.get("slider.position") == pytest.approx(exact.get("slider.position"), abs=1e-5)
     assert automatic.counters.energy_error < 1e-3 * automatic.energy_scale

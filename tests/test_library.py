@@ -13,7 +13,7 @@ import pytest
 import alfmu
 from alfmu.equations import derivation
 from alfmu.kernel.tables import packed
-from alfmu.model.content import MOST
+from alfmu.model.kept import MOST
 from alfmu.runtime import library as binding
 from alfmu.runtime import prepare, reuse
 
@@ -348,9 +348,9 @@ def test_auto_chooses_by_the_values_of_the_run(traces):
         )
         (equations,) = reuse._KEPT.values()
         scene, left = reuse.ready(equations, {"c": c, "solver.method": "auto"}, None, None, "vm")
-        assert scene.chosen == method
+        assert scene.decision.method == method
         assert left == {"c": c}
-    assert len(equations.programs["ready"]) == 2
+    assert len(equations.kept.of(reuse.ready)) == 2
 
 
 def test_equations_that_differ_in_numbers_alone_are_traced_once(traces):
@@ -380,7 +380,7 @@ def test_only_the_latest_scenes_of_a_mechanism_are_kept(traces):
     for k in range(count):
         alfmu.simulate(m, 0.1, 0.05, parameters={"l": 1.0 + k}, freeze=["l"])
     (equations,) = reuse._KEPT.values()
-    assert len(equations.programs["ready"]) == MOST
+    assert len(equations.kept.of(reuse.ready)) == MOST
     assert len(traces) == count
     alfmu.simulate(m, 0.1, 0.05, parameters={"l": float(count)}, freeze=["l"])
     assert len(traces) == count

@@ -215,10 +215,10 @@ def test_auto_says_what_it_chose_and_why(capsys):
 
     for name, expected in (("four_bar", "explicit"), ("flyball_governor", "stiff")):
         e = prepared(with_defaults(derived(name), {"solver.method": "auto"}), "oracle")
-        assert (default_settings(e).method, e.chosen) == ("auto", expected)
-        assert e.reason.startswith(f"{expected}: the fastest small motion at the start has ")
+        assert (default_settings(e).method, e.decision.method) == ("auto", expected)
+        assert e.decision.reason.startswith(f"{expected}: the fastest small motion at the start has ")
         again = prepared(e)
-        assert (again.chosen, again.reason) == (expected, e.reason)
+        assert (again.decision.method, again.decision.reason) == (expected, e.decision.reason)
     assert main(["info", "four_bar", "--all", "--set", "solver.method=auto"]) == 0
     assert "method of integration: explicit: the fastest small motion" in capsys.readouterr().out
 

@@ -98,7 +98,7 @@ def simulated(found: Prepared, stop_time: float | None, communication_step: floa
 
 def _tell_what_was_forgotten(of: Prepared) -> None:
     """Warn of a mechanism without gravity, and of coordinates that nothing determines at the start: once each."""
-    if of.unit.equations.programs.setdefault("told what was forgotten", of) is not of:
+    if of.unit.equations.kept.latest(_tell_what_was_forgotten, lambda: of) is not of:
         return
     if of.declared is not None:
         tell_of_gravity(of.declared)

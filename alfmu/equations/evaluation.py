@@ -77,7 +77,7 @@ EVALUATED = {
     "guesses": 0,
     "displacements": 0,
     "laws": 0,
-    "stops": 0,
+    "beyond": 0,
     "state_rates": 0,
     "sliding": 0,
     "tangents": 4,
@@ -124,7 +124,7 @@ def evaluable(equations: Equations) -> Equations:
     }
     if e.limited:
         beyond = e.stops(q, p)
-        results["stops"] = ([q, p], [beyond, ca.jacobian(beyond, q)])
+        results["beyond"] = ([q, p], [beyond, ca.jacobian(beyond, q)])
     functions = {"readings": e.readings}
     if e.states:
         functions["state_rates"] = e.state_rates

@@ -200,7 +200,7 @@ def default_settings(equations: Equations) -> Settings:
 def integrator(equations: Equations) -> str:
     """The method of integration that the settings of a mechanism ask for; of `auto` what it was decided to be."""
     method = default_settings(equations).method
-    return equations.chosen if method == "auto" and equations.chosen else method
+    return equations.decision.method if method == "auto" and equations.decision else method
 
 
 def variables_of(equations: Equations, settings: Settings | None = None) -> Interface:

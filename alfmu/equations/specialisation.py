@@ -132,6 +132,7 @@ def _keeping(equations: Equations, patterns: Iterable[str]) -> Equations:
             monitors=[*left, *monitors],
             jacobian=[(y, u.name) for y in names for u in e.inputs if (y, u.name) in entries],
             functions={**_equations(e), "readings": readings},
+            survey=e.survey.elsewhere,
             **_UNTRACED,
         )
     )
@@ -163,7 +164,7 @@ def _frozen(equations: Equations, names: Sequence[str]) -> Equations:
         value = e.functions[name](*(p if letter == "p" else x[letter] for letter in letters))
         value = ca.densify(value) if value.is_column() else ca.sparsify(value)
         functions[name] = shared(name, [x[letter] for letter in letters], [value])
-    return evaluable(replace(e, parameters=left, functions=functions, **_UNTRACED))
+    return evaluable(replace(e, parameters=left, functions=functions, survey=e.survey.elsewhere, **_UNTRACED))
 
 
 def _equations(e: Equations) -> dict[str, ca.Function]:

@@ -6,15 +6,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
+from ..model.kept import Kept
 from ..model.words import Brief
 
 if TYPE_CHECKING:
     import casadi as ca
 
-__all__ = ["REACTION_ERROR", "Equations", "Followed", "Leap", "Mobility", "Row", "Signature", "Switch", "Variable"]
+__all__ = [
+    *(
+        "REACTION_ERROR",
+        "Decision",
+        "Equations",
+        "Followed",
+        "Leap",
+        "Mobility",
+        "Row",
+        "Signature",
+        "Survey",
+        "Switch",
+    ),
+    "Variable",
+]
 
 REACTION_ERROR = "monitor.reaction_error"
 """The monitor that is there on request alone."""
@@ -133,6 +148,40 @@ class Mobility:
     """Independent velocities at the given position; more than `freedom` where it is singular."""
 
 
+@dataclass(frozen=True)
+class Decision:
+    """The method of integration of a scene."""
+
+    method: str
+    """A method of `alfmu.model.settings`, never `auto`."""
+    reason: str = ""
+    """Why `auto` stands for it; empty where the method was given."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """Properties of a scene at its start, which its programs depend on.
+
+    The runtime assembles the mechanism to find them (`alfmu.runtime.probe.survey`), before anything is traced.
+    """
+
+    mobility: Mobility | None = None
+    """None where it is not known: nobody looked, or the defaults have no start."""
+    iterations: int = 2
+    """Multiplier iterations that reach round-off at a regular position."""
+    shared: tuple[str, ...] | None = None
+    """Outputs that are not unique, as redundant constraints share a load; None where it is not known."""
+    brakes: bool = False
+    """Whether redundant constraints become independent beside the motion and brake it (S5 of docs/singular.md)."""
+    uneven: bool = False
+    """Whether constraints are in different units, so that each has a penalty of its own."""
+
+    @property
+    def elsewhere(self) -> Survey:
+        """The part of it that holds at other starts, too."""
+        return replace(self, mobility=None, iterations=Survey.iterations)
+
+
 _TUPLES = (
     *("coordinates", "parameters", "starts", "start_rates", "inputs", "outputs", "rows"),
     *("compliances", "switches", "frictions", "states", "jacobian"),
@@ -212,24 +261,15 @@ class Equations:
     """Once traced, the programs of the kernel by name (`alfmu.kernel.form.Program`)."""
     solver: dict[str, Any] = field(default_factory=dict)
     """Defaults of solver variables that differ from those of alfmu, by name without `solver.`."""
-    chosen: str = ""
-    """What `solver.method` auto stands for; empty where that is not decided yet."""
-    reason: str = ""
-    """Why that is so."""
+    decision: Decision | None = None
+    """None where the method of integration is not decided yet."""
+    survey: Survey = Survey()
     monitors: list[str] = field(default_factory=lambda: [REACTION_ERROR])
     """Monitors that are left out."""
     order: list[int] = field(default_factory=list)
     """Order of the coordinates in which the augmented mass fills in least when it is factorised."""
     telling: list[int] = field(default_factory=list)
     """Independent coordinates, which a start gives one by one."""
-    freedom: int | None = None
-    """Degrees of freedom at regular positions; None where they are not known before a run."""
-    shared: list[str] | None = None
-    """Outputs that are not unique, as redundant constraints share a load; None where that is not known yet."""
-    brakes: bool = False
-    """Whether redundant constraints become independent beside the motion and brake it (S5 of docs/singular.md)."""
-    uneven: bool = False
-    """Whether constraints are in different units, so that each has a penalty of its own."""
     lengths: list[int] = field(default_factory=list)
     """Constraints that keep Euler parameters at unit length: they belong to no joint."""
     slips: list[int] = field(default_factory=list)
@@ -269,9 +309,8 @@ class Equations:
     """Sizes of the functions that run with numbers."""
     library: Any = field(default=None, repr=False)
     """Path of the functions of the scene compiled (`alfmu.runtime.compiled.compiled_scene`), where they are."""
-    programs: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
-    """The scene as it was loaded, and these equations traced with other settings: once for all instances of these
-    equations, and not for others made of them."""
+    kept: Kept = field(default_factory=Kept, init=False, repr=False, compare=False)
+    """Results that follow from these equations: made once, and not kept for others made of them."""
 
     def __post_init__(self) -> None:
         # Equations are shared by instances, so that nobody may change them.

@@ -64,7 +64,7 @@ def controlled(tracer: Tracer, quick: Plan) -> dict[str, Program]:
     """
     name = integrator(tracer.e)
     # Where redundant constraints would brake, what stands for their penalties is not the one that two iterations suit.
-    careful = Plan(CAREFUL, 3) if tracer.e.brakes else quick
+    careful = Plan(CAREFUL, 3) if tracer.e.survey.brakes else quick
     plan = replace(careful, corrections=2 * bool(tracer.e.l), weighted=True, margins=bool(tracer.e.l))
     tolerance = default_settings(tracer.e).relative_tolerance
     rule, explicit_one = implicit.RULES.get(name), explicit_rule(name, tolerance)

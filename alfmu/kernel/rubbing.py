@@ -68,7 +68,7 @@ def _respond(scene: Scene, *known: SX) -> tuple[SX, SX]:
 
 def _carried(scene: Scene) -> bool:
     """Whether frictions follow from loads that joints share."""
-    return not scene.e.compliances and any(x.output in (scene.e.shared or ()) for x in scene.e.frictions)
+    return not scene.e.compliances and any(x.output in (scene.e.survey.shared or ()) for x in scene.e.frictions)
 
 
 def _shared(scene: Scene, at: Sequence[SX], M: SX, C: SX, a: SX, lam: SX) -> SX:

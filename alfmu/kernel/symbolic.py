@@ -167,7 +167,7 @@ class Scene:
         self._unit_lengths = SX(e.l, e.l)
         for i in e.lengths:
             self._unit_lengths[i, i] = self.held[i]
-        self.weights = ca.reshape(self.k[ends[-1] :], e.l, e.l) if e.brakes else ca.diag(own)
+        self.weights = ca.reshape(self.k[ends[-1] :], e.l, e.l) if e.survey.brakes else ca.diag(own)
 
     # Named values --------------------------------------------------------------------------------------------------
 

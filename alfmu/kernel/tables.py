@@ -29,6 +29,7 @@ from ..equations.interface import (
 from ..method import formulations, friction, implicit, singular, stepping
 from ..method.stepping import EXPLICIT5_SHORT, EXPLICIT8, Collocation, Explicit, explicit_rule, share
 from ..model.checks import BROKEN, IMPACT, JUMP, JUMPS
+from ..model.kept import once
 from ..model.making import getting_ready
 from ..model.motion import COEFFICIENTS
 from ..model.settings import FIXED, FORMULATIONS, PROJECTED, UNBALANCED, Settings
@@ -87,8 +88,8 @@ HANDED = {
 
 OTHERS = tuple(name for name in FORMULATIONS if name != OWN)
 FUNCTIONS = {
-    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks stops"),
-    **{"place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
+    **_same("dynamics constraints energy closure guesses displacements pivots irregular sliding laws breaks"),
+    **{"stops": "beyond", "place": "weighted_place", "bring": "weighted_return", "settle": "weighted_settle"},
 }
 """Functions that the runtime calls, by their names in C."""
 
@@ -143,8 +144,8 @@ NUMBERS: dict[str, Number] = {
     "branch": lambda t: list(CHOICES).index("solver.branch"),
     "continues": lambda t: list(t.known["solver.branch"]).index("continue"),
     "method_choice": lambda t: list(CHOICES).index("solver.method"),
-    "freedom": lambda t: -1 if t.e.freedom is None else t.e.freedom,
-    "brakes": lambda t: t.e.brakes,
+    "freedom": lambda t: t.e.survey.mobility.freedom if t.e.survey.mobility else -1,
+    "brakes": lambda t: t.e.survey.brakes,
     "weighted": lambda t: t.e.kernel["quick"].plan.weighted,
     "balances": lambda t: bool(BALANCE - set(t.e.monitors)),
     "same_tiers": lambda t: t.e.kernel["quick"] == t.e.kernel["careful"],
@@ -269,10 +270,7 @@ def layout_header() -> str:
 
 def alone(equations: Equations) -> Equations:
     """Traced equations with the programs and functions that a scene file has; the order is that of the file."""
-    shared = equations.programs.get("shared", equations.programs)
-    if "alone" not in shared:
-        shared["alone"] = _alone(equations)
-    own = shared["alone"]
+    own = equations.kept.scene.latest(alone, lambda: _alone(equations))
     given = {name: getattr(own, name) for name in ("functions", "signatures", "kernel", "breaks")}
     return replace(equations, **given)
 
@@ -315,12 +313,11 @@ def function_sizes(equations: Equations) -> dict[str, int]:
     return found
 
 
+@once
 def packed(equations: Equations) -> bytes:
     """The scene file of traced equations, written once."""
-    if "file" not in equations.programs:
-        with getting_ready():
-            equations.programs["file"] = _file(equations, alone(equations))
-    return equations.programs["file"]
+    with getting_ready():
+        return _file(equations, alone(equations))
 
 
 def packed_start(equations: Equations) -> bytes:
@@ -459,7 +456,7 @@ class _Table:
             w.integer(each.row)
             w.integer(each.value)
             w.integer(each.slip)
-            w.integer(each.output in (e.shared or ()))
+            w.integer(each.output in (e.survey.shared or ()))
         w.integers(row for switch in e.switches for row in switch.rows)
         # Behind impulses is the energy lost, whether or not there is any, and behind that are peaks.
         places = {v.name: i + (v.of_step and not e.switches) for i, v in enumerate(every_event(e))}

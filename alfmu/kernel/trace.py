@@ -22,7 +22,7 @@ from types import MappingProxyType
 import casadi as ca
 from casadi import SX
 
-from ..equations import Equations, Mobility
+from ..equations import Equations
 from ..equations.evaluation import ARGUMENTS, DENSE, EVALUATED, shared, symbols, with_functions
 from ..equations.types import REACTION_ERROR
 from ..method import singular as branch
@@ -52,23 +52,21 @@ NO_NAMES: Mapping[str, str] = MappingProxyType({})
 
 def traced(
     equations: Equations,
-    mobility: Mobility | None,
-    iterations: int = 2,
     controlled: Callable[[Tracer, Plan], dict[str, Program]] = lambda tracer, plan: {},
 ) -> Equations:
     """The same equations with the functions of the kernel.
 
-    `mobility` is what is known of constraints and freedoms, `iterations` how many multiplier iterations reach round-off
-    at a regular position; `controlled` traces the method of the scene (`alfmu.kernel.controlled`).
+    `controlled` traces the method of the scene (`alfmu.kernel.controlled`).
     """
-    e = untraced(equations)
+    e = replace(untraced(equations), survey=equations.survey)
+    survey, mobility = e.survey, e.survey.mobility
     redundant = bool(e.l) and (mobility is None or mobility.redundant > 0 or e.changes)
     careful = Plan(CAREFUL, 3, weighted=True) if e.l else Plan(1, 0)
     quick = careful
-    if mobility and e.l and iterations < CAREFUL:
+    if mobility and e.l and survey.iterations < CAREFUL:
         # A large scene shares the functions of the careful step, which are long to trace and to compile.
-        weighted = e.n > DENSE or e.changes or e.brakes or e.uneven
-        quick = Plan(iterations, 1, quick=True, weighted=weighted)
+        weighted = e.n > DENSE or e.changes or survey.brakes or survey.uneven
+        quick = Plan(survey.iterations, 1, quick=True, weighted=weighted)
     tracer = Tracer(e)
     kernel = {"quick": tracer.step(quick), "careful": tracer.step(careful)}
     continues = e.l and e.solver.get("branch", Settings.branch) == Settings.branch
@@ -80,19 +78,19 @@ def traced(
         kernel["reach"] = tracer.reach()
     if continues and len(kernel["instant"].steps) > 1:
         kernel["limit"] = tracer.limit(careful, redundant)
-    return replace(with_functions(e, tracer.functions), kernel=kernel, freedom=mobility.freedom if mobility else None)
+    return replace(with_functions(e, tracer.functions), kernel=kernel)
 
 
 def untraced(equations: Equations) -> Equations:
     """The same equations without the functions of the kernel."""
-    if not equations.kernel:
-        return equations
-    names = {name for program in equations.kernel.values() for name in called(program)} - set(EVALUATED)
+    e = equations
+    if not e.kernel:
+        return e
+    names = {name for program in e.kernel.values() for name in called(program)} - set(EVALUATED)
     functions, signatures = (
-        {name: x for name, x in each.items() if name not in names}
-        for each in (equations.functions, equations.signatures)
+        {name: x for name, x in each.items() if name not in names} for each in (e.functions, e.signatures)
     )
-    return replace(equations, functions=functions, signatures=signatures, kernel={}, library=None)
+    return replace(e, functions=functions, signatures=signatures, survey=e.survey.elsewhere, kernel={}, library=None)
 
 
 def spaced(*names: str | Sequence[str]) -> str:
@@ -362,11 +360,11 @@ class Tracer:
     def loaded(self) -> bool:
         """Whether joints share a load, so that what they carry is seen, and least norm of the rows alone is another."""
         e, x = self.e, symbols(self.e)
-        if e.compliances or not (e.changes or e.shared or e.shared is None):
+        if e.compliances or not (e.changes or e.survey.shared or e.survey.shared is None):
             return False
         slope = e.shares(*(x[letter] for letter in ARGUMENTS["shares"]))
         alike = ca.jacobian(slope[0], x["lam"][0])
-        return e.uneven or not ca.simplify(slope - alike * x["lam"]).is_zero()
+        return e.survey.uneven or not ca.simplify(slope - alike * x["lam"]).is_zero()
 
     @property
     def losses(self) -> list[str]:

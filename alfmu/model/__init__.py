@@ -1,5 +1,6 @@
 """What a user declares: mechanisms with bodies, joints and forces; units, settings, errors.
 
-Other rooms import `calls`, `checks`, `content`, `doubts`, `errors`, `files`, `gallery`, `hooks`, `kinematics`,
-`making`, `mechanism`, `motion`, `parts`, `relations`, `settings`, `sources`, `spatial`, `stops`, `units`, `words`.
+Other rooms import `calls`, `checks`, `content`, `doubts`, `errors`, `files`, `gallery`, `hooks`, `kept`,
+`kinematics`, `making`, `mechanism`, `motion`, `parts`, `relations`, `settings`, `sources`, `spatial`, `stops`, `units`,
+`words`.
 """

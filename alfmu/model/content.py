@@ -7,25 +7,16 @@ of a number of a body, of an expression.
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from threading import Lock
-from typing import Any, TypeVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from .mechanism import Mechanism
 
-__all__ = ["MOST", "content", "latest"]
-
-_Made = TypeVar("_Made")
-
-MOST = 8
-"""What is kept at most: mechanisms with their equations, and of each its scenes."""
-
-_LOCK = Lock()
+__all__ = ["content"]
 
 _PLAIN = (bool, int, float, str, bytes, type(None))
 
@@ -45,19 +36,6 @@ def content(mechanism: Mechanism) -> str | None:
     expressions = ca.vertcat(*said.expressions) if said.expressions else ca.SX(0, 1)
     program = ca.Function("content", [ca.vertcat(*ca.symvar(expressions))], [expressions])
     return hashlib.sha256(f"{text!r}{program.serialize()}".encode("utf-8", "surrogatepass")).hexdigest()
-
-
-def latest(known: OrderedDict[Any, _Made], key: Hashable, make: Callable[[], _Made], most: int = MOST) -> _Made:
-    """What was made before for a key, or is made now; of all that is known, the latest stay."""
-    with _LOCK:
-        found = known.get(key)
-    made = make() if found is None else found
-    with _LOCK:
-        known[key] = made
-        known.move_to_end(key)
-        while len(known) > most:
-            known.popitem(last=False)
-    return made
 
 
 class _Said:

@@ -26,11 +26,12 @@ from ..kernel.kinks import jumps
 from ..kernel.memory import TALLY, TIERS, Layout, Memory
 from ..method.singular import MEAN
 from ..model.errors import AlfmuError, AlfmuWarning, AssemblyError, InputError, OpenError, StepError
+from ..model.kept import once
 from ..model.mechanism import Mechanism
 from ..model.settings import FIXED, Settings
 from ..model.words import there_is
 from .library import BRAKES, DONE, ENDED, INTERRUPTED, OPEN, REFUSED, UNHELD, Unit
-from .prepare import again, loaded, retraced
+from .prepare import again, braked, loaded, retraced
 from .probe import mobility, shared
 from .reuse import derive, ready
 
@@ -51,14 +52,16 @@ _COUNTED = (
 """What the library counts beside the tally of the kernel, in its order."""
 
 
-def tell_of_jumps(equations: Equations) -> None:
-    """Warn of forces that may jump, of which derivatives do not know."""
+@once
+def tell_of_jumps(equations: Equations) -> bool:
+    """Warn once of forces that may jump, of which derivatives do not know."""
     if told := jumps(equations.functions["dynamics"]):
         _LOGGER.warning(
             "%s: its forces have %s, as contacts do; derivatives are right where forces change without a jump, and "
             "leave out what a jump adds",
             *(equations.name, " and ".join(told)),
         )
+    return True
 
 
 class Instance:
@@ -105,8 +108,7 @@ class Instance:
         self._variables = {v.name: v for _, v in found.causalities}
         self._scene = loaded(e)
         self._unit = Unit(self._scene)
-        if e.jacobian and "told of jumps" not in e.programs:
-            e.programs["told of jumps"] = True
+        if e.jacobian:
             tell_of_jumps(e)
         self._references = self._scene.references
         for v in (*found.parameters, *found.choices):
@@ -291,7 +293,7 @@ class Instance:
         self.memory["passes"][:] = 0.0
         outcome = self._unit.initialize()
         if outcome == BRAKES:
-            self._rebuild(again(replace(self.equations, brakes=True)))
+            self._rebuild(again(braked(self.equations)))
             outcome = self._unit.initialize()
         if outcome != DONE:
             raise self._failure(outcome, moving=False)

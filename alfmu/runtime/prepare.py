@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from ..equations import Equations, Mobility
+from ..equations import Equations
 from ..equations.evaluation import DENSE, symbols, with_tangents
 from ..equations.interface import CHOICES, checked, default_settings, integrator, not_there, setting, variables_of
+from ..equations.types import Decision
 from ..kernel import DEFAULT, KERNELS
 from ..kernel.alternatives import formulations
 from ..kernel.controlled import controlled
@@ -21,16 +22,16 @@ from ..kernel.tables import packed
 from ..kernel.trace import traced, untraced
 from ..method.implicit import RULES
 from ..method.stepping import explicit_rule
-from ..model.content import latest
 from ..model.errors import InputError
+from ..model.kept import latest, once
 from ..model.making import getting_ready
 from ..model.settings import Settings
 from .build import compiler
 from .compiled import compiled_scene
 from .library import Scene
-from .probe import SINGULAR, Probe
+from .probe import SINGULAR, Probe, survey
 
-__all__ = ["again", "decided", "loaded", "prepared", "retraced", "with_defaults"]
+__all__ = ["again", "braked", "decided", "loaded", "prepared", "retraced", "with_defaults"]
 
 UNRUBBED = ("trapezoidal", "generalized_alpha")
 """Methods of the index-3 form, whose multipliers are those of positions: dry friction takes those of accelerations."""
@@ -57,27 +58,20 @@ def prepared(equations: Equations, kernel: str = DEFAULT) -> Equations:
     """
     if kernel not in KERNELS:
         raise InputError(f"{equations.name}: there is no kernel {kernel!r}; use one of {', '.join(KERNELS)}")
-    known = equations.programs.setdefault("prepared", {})
-    if "interpreted" not in known:
-        with getting_ready():
-            known["interpreted"] = _interpreted(equations)
-    e = known["interpreted"]
+    e = _interpreted(equations)
     if kernel != "compiled" and not (kernel == "auto" and compiler()):
         return e
     library = equations.library or compiled_scene(e, packed(e))
-    if "compiled" not in known or known["compiled"].library != library:
-        known["compiled"] = replace(e, library=library)
-    return known["compiled"]
+    return equations.kept.latest(prepared, lambda: replace(e, library=library), library)
 
 
+@once
 def _interpreted(equations: Equations) -> Equations:
     declared = equations.functions
-    equations, probe = decided(equations), None
-    if not equations.kernel or equations.shared is None:
-        probe = Probe.of(untraced(equations))
-        equations = _surveyed(equations, probe)
-    e = equations if equations.kernel else _traced(equations, probe, declared)
-    return replace(e, library=None) if e.library else e
+    with getting_ready():
+        equations = decided(equations)
+        e = equations if equations.kernel else _traced(_surveyed(equations), declared)
+        return replace(e, library=None) if e.library else e
 
 
 def decided(equations: Equations) -> Equations:
@@ -88,18 +82,23 @@ def decided(equations: Equations) -> Equations:
         if equations.slips:
             limit = f"solver.formulation {formulation} is not there for constraints of velocities, such as a blade's"
         raise InputError(f"{equations.name}: {limit}; use {', '.join(known)}")
-    chosen, reason = integrator(equations), equations.reason
-    if undecided := chosen == "auto":
-        chosen, reason = _chosen(equations)
+    chosen, decision = integrator(equations), equations.decision
+    undecided = chosen == "auto"
+    if undecided:
+        decision = _chosen(equations)
+        chosen = decision.method
+    elif decision is None or decision.method != chosen:
+        decision = Decision(chosen)
     if chosen in RULES and equations.n > DENSE:
         raise InputError(f"{equations.name}: solver.method {chosen} takes up to {DENSE} coordinates; use explicit")
     if chosen in UNRUBBED and equations.frictions:
         limit = f"solver.method {chosen} has no dry friction, which {equations.frictions[0].name} has"
         raise InputError(f"{equations.name}: {limit}; use auto, rk4, order8, explicit or stiff")
     if stiffens := _may_stiffen(equations, chosen):
-        reason += "; implicit steps where stability keeps these short" * undecided
+        note = "; implicit steps where stability keeps these short" * undecided
+        decision = replace(decision, reason=decision.reason + note)
     e = with_tangents(equations) if chosen in RULES or stiffens else equations
-    return replace(e, chosen=chosen, reason=reason)
+    return replace(e, decision=decision)
 
 
 def _may_stiffen(equations: Equations, chosen: str) -> bool:
@@ -112,73 +111,62 @@ def _may_stiffen(equations: Equations, chosen: str) -> bool:
     return damped or len(equations.states) > 0 or kinks_of_rates(equations, symbols(equations)).numel() > 0
 
 
-def _chosen(equations: Equations) -> tuple[str, str]:
+def _chosen(equations: Equations) -> Decision:
     """The method that `auto` stands for, and why: by the eigenvalues of small motions at the start."""
     if equations.n > DENSE:
-        return "explicit", f"explicit: more than {DENSE} coordinates"
+        return Decision("explicit", f"explicit: more than {DENSE} coordinates")
     probe = Probe.of(untraced(equations))
     if probe is None:
-        return "explicit", "explicit: the defaults have no start"
+        return Decision("explicit", "explicit: the defaults have no start")
     try:
         values = probe.spectrum()
     except SINGULAR:
-        return "explicit", "explicit: the augmented mass is singular at the start"
+        return Decision("explicit", "explicit: the augmented mass is singular at the start")
     if not values.size:
-        return "explicit", "explicit: small motions at the start are not finite"
+        return Decision("explicit", "explicit: small motions at the start are not finite")
     fastest = values[np.argmax(np.abs(values))]
     lasting = values[-values.real * equations.stop_time < LASTS]
     slow = max(2 * math.pi / equations.stop_time, min((abs(x) for x in lasting if abs(x) > 1e-3), default=0.0))
     seen = f"the fastest small motion at the start has {abs(fastest):.3g} 1/s, the slowest that lasts {slow:.3g}"
     if abs(fastest) > STIFF * slow and fastest not in lasting:
-        return "stiff", f"stiff: {seen}, and it decays"
-    return "explicit", f"explicit: {seen}"
+        return Decision("stiff", f"stiff: {seen}, and it decays")
+    return Decision("explicit", f"explicit: {seen}")
 
 
-def _surveyed(equations: Equations, probe: Probe | None) -> Equations:
-    """The same equations with what redundant constraints share said of each output that it concerns."""
-    if equations.shared is not None or probe is None:
-        return equations
-    shared = probe.shared()
+def _surveyed(equations: Equations) -> Equations:
+    """The same equations with their survey; descriptions of outputs say where redundant constraints share a load."""
+    found = survey(equations)
+    if equations.survey.shared is not None:
+        return replace(equations, survey=found)
     note = "; not unique: shared " + ("by compliances" if equations.compliances else "so that joints carry the least")
-    outputs = [replace(v, description=v.description + note * (v.name in shared)) for v in equations.outputs]
-    # Constraints that come into force may be redundant, so that they would stop the motion beside it.
-    brakes = probe.brakes or (bool(equations.switches) and probe.mobility(every=True).redundant > 0)
-    return replace(equations, outputs=outputs, shared=shared, brakes=brakes, uneven=len(set(probe.units)) > 1)
+    concerned = found.shared or ()
+    outputs = [replace(v, description=v.description + note * (v.name in concerned)) for v in equations.outputs]
+    return replace(equations, outputs=outputs, survey=found)
 
 
-def _traced(equations: Equations, probe: Probe | None, declared: Mapping[str, Any]) -> Equations:
+def braked(equations: Equations) -> Equations:
+    """The same equations, in which redundant constraints brake the motion."""
+    return replace(equations, survey=replace(equations.survey, brakes=True))
+
+
+def _traced(equations: Equations, declared: Mapping[str, Any]) -> Equations:
     """The same equations traced; those of the same functions that differ in numbers alone share what is traced."""
-    mobility, needed = _known(probe)
     settings = default_settings(equations)
     rule = explicit_rule("explicit", settings.relative_tolerance).name
     e = equations
-    key = id(declared), e.chosen, settings.method, settings.input_order, settings.branch, rule
-    key += e.brakes, e.uneven, tuple(e.shared or ()), mobility, *needed.items()
+    key = id(declared), integrator(e), settings.method, settings.input_order, settings.branch, rule, e.survey
 
     def trace() -> tuple[object, Equations]:
         # The functions are kept, so that no others get their place.
-        return declared, traced(e, mobility, controlled=controlled, **needed)
+        return declared, traced(e, controlled)
 
     if e.n > DENSE:
         return trace()[1]
     _, scene = latest(_SCENES, key, trace, MOST_SCENES)
-    same = "functions", "signatures", "kernel", "freedom", "order", "telling"
+    same = "functions", "signatures", "kernel", "order", "telling"
     found = replace(e, **{field: getattr(scene, field) for field in same})
-    found.programs["shared"] = scene.programs
+    found.kept.scene = scene.kept
     return found
-
-
-def _known(probe: Probe | None) -> tuple[Mobility | None, dict[str, int]]:
-    """What is known of constraints and freedoms, and how many multiplier iterations reach round-off, where it is."""
-    if probe is None:
-        return None, {}
-    mobility = probe.mobility()
-    if mobility.freedom_here > mobility.freedom:
-        return mobility, {}  # a singular start says nothing of other positions
-    try:
-        return mobility, {"iterations": probe.iterations_needed()}
-    except SINGULAR:  # the first evaluation of a run says so
-        return mobility, {}
 
 
 def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
@@ -187,9 +175,8 @@ def with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Eq
 
     Raises InputError where a name is unknown or a value out of bounds.
     """
-    known = equations.programs.setdefault("defaults", OrderedDict())
     key = tuple(sorted((name, type(value).__name__, repr(value)) for name, value in values.items()))
-    return latest(known, key, lambda: _with_defaults(equations, values))
+    return equations.kept.latest(with_defaults, lambda: _with_defaults(equations, values), key)
 
 
 def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> Equations:
@@ -218,8 +205,8 @@ def _with_defaults(equations: Equations, values: Mapping[str, float | str]) -> E
     same = all(getattr(default_settings(e), name) == getattr(before, name) for name in _TRACED)
     if same:
         return e
-    e = replace(e, chosen="", reason="")
-    return untraced(e) if e.kernel else e
+    e = replace(e, decision=None, survey=e.survey.elsewhere)
+    return untraced(e)
 
 
 def retraced(equations: Equations, settings: Settings) -> Equations:
@@ -228,12 +215,11 @@ def retraced(equations: Equations, settings: Settings) -> Equations:
     wanted = {name: getattr(settings, name) for name in _TRACED if getattr(settings, name) != getattr(before, name)}
     if e.kernel and not wanted:
         return e
-    known = e.programs.setdefault("traced", {})
-    chosen = tuple(sorted(wanted.items()))
-    if chosen not in known:
-        changed = replace(e, solver={**e.solver, **wanted}, chosen="", reason="") if wanted else e
-        known[chosen] = again(changed)
-    return known[chosen]
+
+    def trace() -> Equations:
+        return again(replace(e, solver={**e.solver, **wanted}, decision=None) if wanted else e)
+
+    return e.kept.latest(retraced, trace, tuple(sorted(wanted.items())))
 
 
 def again(equations: Equations) -> Equations:
@@ -245,10 +231,10 @@ _TRACED = ("method", "input_order")
 """Settings that a scene is traced with."""
 
 
+@once
 def loaded(equations: Equations) -> Scene:
     """The scene of traced equations, packed and loaded once for all their instances."""
-    if "scene" not in equations.programs:
-        scene = equations.programs["scene"] = Scene(packed(equations))
-        if equations.library:
-            scene.compiled_by(equations.library)
-    return equations.programs["scene"]
+    scene = Scene(packed(equations))
+    if equations.library:
+        scene.compiled_by(equations.library)
+    return scene

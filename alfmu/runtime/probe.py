@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from ..equations import Equations, Mobility
 from ..equations.evaluation import DENSE, tangents_once
 from ..equations.interface import default_settings
+from ..equations.types import Survey
 from ..kernel.memory import SETTINGS, Layout
 from ..kernel.tables import packed_start
 from ..method import formulations as method
 from ..method import implicit
 from .library import DONE, Scene, Unit
 
-__all__ = ["COUNTED_ROWS", "SINGULAR", "Probe", "mobility", "row_shares", "row_units", "shared"]
+__all__ = ["COUNTED_ROWS", "SINGULAR", "Probe", "mobility", "row_shares", "row_units", "shared", "survey"]
 
 SINGULAR = (RuntimeError, np.linalg.LinAlgError)
 """What SciPy and NumPy raise where the augmented mass cannot be factorised, as next to a motion of hardly any mass."""
@@ -123,7 +124,7 @@ class Probe:
         """None where the defaults have no start at this time [s], so that nothing is known of it."""
         e = equations
         # With room for constraints that would brake, which are looked for where coordinates are few.
-        room = replace(e, kernel={}, brakes=e.n <= DENSE)
+        room = replace(e, kernel={}, survey=replace(e.survey, brakes=e.n <= DENSE))
         unit = Unit(Scene(packed_start(room)))
         unit.time = time
         if unit.initialize() != DONE:
@@ -222,3 +223,25 @@ class Probe:
 
         M, C, alpha = M.sparse(), C.sparse(), diags_array(self.penalty, format="csc")
         return M, C, F, xi, alpha, splu(method.augmented_mass(M, C, alpha).tocsc()).solve
+
+
+def survey(equations: Equations) -> Survey:
+    """The survey of equations at the start of their defaults; what theirs has of all starts stays.
+
+    Tracing needs it, and it needs the runtime: a scene with a start alone is traced, loaded and initialised.
+    """
+    e, known = equations, equations.survey
+    probe = Probe.of(e)
+    if probe is None:
+        return known
+    if known.shared is None:
+        # Constraints that come into force may be redundant, so that they would stop the motion beside it.
+        brakes = probe.brakes or (bool(e.switches) and probe.mobility(every=True).redundant > 0)
+        known = replace(known, shared=tuple(probe.shared()), brakes=brakes, uneven=len(set(probe.units)) > 1)
+    mobility = probe.mobility()
+    if mobility.freedom_here > mobility.freedom:
+        return replace(known, mobility=mobility)  # a singular start says nothing of other positions
+    try:
+        return replace(known, mobility=mobility, iterations=probe.iterations_needed())
+    except SINGULAR:  # the first evaluation of a run says so
+        return replace(known, mobility=mobility)

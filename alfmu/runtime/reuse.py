@@ -7,9 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ..equations import Equations, derivation
+from ..equations.interface import integrator
 from ..equations.specialisation import ALL, specialised
+from ..equations.types import Decision
 from ..kernel import DEFAULT
-from ..model.content import content, latest
+from ..model.content import content
+from ..model.kept import latest
 from ..model.making import getting_ready
 from ..model.mechanism import Mechanism
 from ..model.settings import Settings
@@ -55,12 +58,10 @@ def ready(
     folded = {name: own.pop(name) for name in frozen & own.keys()}
     e = with_defaults(equations, {**folded, "solver.method": method})
     if method == "auto":
-        chosen, reason = _decided(equations, own | folded)
-        e = replace(e, chosen=chosen, reason=reason)
+        e = replace(e, decision=_decided(equations, own | folded))
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
-    key = (*asked, kernel, method, e.chosen, *sorted(folded.items()))
-    scenes = equations.programs.setdefault("ready", OrderedDict())
-    return latest(scenes, key, lambda: prepared(specialised(e, outputs, freeze), kernel)), own
+    key = (*asked, kernel, method, integrator(e), *sorted(folded.items()))
+    return equations.kept.latest(ready, lambda: prepared(specialised(e, outputs, freeze), kernel), key), own
 
 
 def chosen(
@@ -73,17 +74,14 @@ def chosen(
     if not values:
         return ready(equations, {}, outputs, freeze, DEFAULT)[0]
     asked = [None if names is None else tuple(names) for names in (outputs, freeze)]
-    known = equations.programs.setdefault("chosen", OrderedDict())
     key = (*asked, *sorted(values.items()))
-    return latest(known, key, lambda: specialised(with_defaults(equations, values), outputs, freeze))
+    return equations.kept.latest(chosen, lambda: specialised(with_defaults(equations, values), outputs, freeze), key)
 
 
-def _decided(equations: Equations, values: Mapping[str, float | str]) -> tuple[str, str]:
+def _decided(equations: Equations, values: Mapping[str, float | str]) -> Decision | None:
     """The method that `auto` stands for where these values are set, and why."""
 
-    def choose() -> tuple[str, str]:
-        e = decided(with_defaults(equations, {**values, "solver.method": "auto"}))
-        return e.chosen, e.reason
+    def choose() -> Decision | None:
+        return decided(with_defaults(equations, {**values, "solver.method": "auto"})).decision
 
-    known = equations.programs.setdefault("decided", OrderedDict())
-    return latest(known, tuple(sorted(values.items())), choose, _DECISIONS)
+    return equations.kept.latest(_decided, choose, tuple(sorted(values.items())), _DECISIONS)

@@ -98,7 +98,7 @@ class Instance(runtime.Instance):
         with np.errstate(divide="ignore", invalid="ignore"):  # where a scale is not finite, the run says so
             self.units, self.scales, self.stiffnesses = 1 / inverse_units, k[0] / inverse_scales, k[0] * stiffnesses
         self.alpha, self.active = np.diag(self.penalty), self.penalty > 0
-        self.rank = e.dependent - self.mobility().freedom if e.brakes else 0
+        self.rank = e.dependent - self.mobility().freedom if e.survey.brakes else 0
         self.heavy = np.zeros(e.n)
         self.heavy[e.telling] = branch.INDEPENDENT_MASS * self.nothing / branch.NOISE_FLOOR * self.scales[e.telling]
 
@@ -278,7 +278,7 @@ class Instance(runtime.Instance):
 
         Redundant ones are left out of H where they would brake beside the motion: lam is then of least norm by itself.
         """
-        if self.equations.brakes:
+        if self.equations.survey.brakes:
             root = np.sqrt(self.penalty)
             rows, sizes, _ = np.linalg.svd(root[:, None] * self.constraints(q, np.zeros_like(q))[1])
             if sizes[self.rank - 1] > REGULAR * sizes[0]:  # else a singular position: those before it still tell

@@ -80,13 +80,13 @@ class About:
     @property
     def method(self) -> str:
         """The method of integration, and why where it was chosen."""
-        chosen = decided(self.equations)
-        return chosen.reason or chosen.chosen
+        decision = decided(self.equations).decision
+        return decision.reason or decision.method
 
     @property
     def chosen(self) -> str:
         """The method of integration, and what it stands for where it is `auto`."""
-        given, stands_for = default_settings(self.equations).method, decided(self.equations).chosen
+        given, stands_for = default_settings(self.equations).method, decided(self.equations).decision.method
         return given if given == stands_for else f"{given} ({stands_for} here)"
 
     def as_data(self) -> dict[str, Any]:

@@ -212,7 +212,7 @@ class Judge:
     """Errors of runs of one mechanism against a reference; without one, of constraints and energy alone."""
 
     def __init__(self, equations: Equations, reference: Reference | None):
-        outputs, shared = equations.outputs, set(equations.shared or ())
+        outputs, shared = equations.outputs, set(equations.survey.shared or ())
         self.reference = reference
         self.conserves = not equations.works
         self.names = [v.name for v in outputs]

@@ -12,6 +12,7 @@ from ..equations import Equations, Mobility, Variable
 from ..equations.evaluation import shared, symbols
 from ..equations.interface import MONITORS
 from ..equations.specialisation import specialised
+from ..equations.types import Survey
 from ..kernel.form import Plan, called
 from ..kernel.joined import joined
 from ..kernel.symbolic import Scene, lengths_of
@@ -147,7 +148,9 @@ def left_out(everything: Equations, scene: Equations, mobility: Mobility) -> lis
 
 def _with_all_passes(equations: Equations, mobility: Mobility, like: Equations) -> Cost:
     """Cost of equations as if a constraint were redundant, with the multiplier iterations of a prepared scene."""
-    return cost(traced(equations, replace(mobility, redundant=1), like.kernel["quick"].plan.iterations))
+    return cost(
+        traced(replace(equations, survey=Survey(replace(mobility, redundant=1), like.kernel["quick"].plan.iterations)))
+    )
 
 
 def _hard(e: Equations) -> dict[str, int]:

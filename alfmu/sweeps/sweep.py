@@ -24,7 +24,7 @@ from ..model.errors import InputError
 from ..model.mechanism import Mechanism
 from ..model.words import shown, there_is
 from ..runtime import Instance
-from ..runtime.prepare import again, with_defaults
+from ..runtime.prepare import again, braked, with_defaults
 from ..runtime.reuse import derive, ready
 from ..simulation import by_name, communication_points, instance, signals_of
 from ..simulation.result import Signal
@@ -328,7 +328,7 @@ def _scene(
     )
 
     def braking() -> SceneJob:
-        other = instance(again(replace(unit.equations, brakes=True)), own)
+        other = instance(again(braked(unit.equations)), own)
         return replace(job, braking=_packed(other))
 
     def compiled() -> SceneJob:
