@@ -47,8 +47,8 @@ def sources(fmi: int) -> dict[str, str]:
         bodies = "".join(_INCLUDE.sub("", _SYSTEM.sub("", files[name])) for name in own)
         found[f"{folder}.c"] = "".join(['#include "alfmu.h"\n', *sorted(system), bodies])
     for name in ("files.c", f"fmi{fmi}.c"):
-        own = _with_headers(files[name], files, set(headers))
-        found[name] = own.replace("#include <", '#include "alfmu.h"\n#include <', 1)
+        text = _with_headers(files[name], files, set(headers))
+        found[name] = text.replace("#include <", '#include "alfmu.h"\n#include <', 1)
     return found
 
 

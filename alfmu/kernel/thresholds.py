@@ -97,8 +97,8 @@ MISSED = math.pi / 3
 that a person takes from a drawing are nearer."""
 
 MISSED_LENGTHS = 3.0
-"""difference of a length from its guess over the larger of the guess and the mechanism's length [1]: the same of lengths,
-which may be long ways on small wheels."""
+"""difference of a length from its guess over the larger of the guess and the mechanism's length [1]: lengths may
+be long ways on small wheels."""
 
 DIRECTION = 1e-40
 """velocity [m/s or rad/s]: a motion that begins at rest near a singular position begins with it, as the places of a
